@@ -1,12 +1,12 @@
-//===- Cells.cpp - What fields hold in some of their cells ----------------===//
+//===- Cells.cpp - Contents of a field's cells ----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Copies the elements of a field, cell by cell, between a tree and memory in
-// which they stand close together, and fills them.
+// Copies the elements of a field, cell by cell, between a tree and a dense
+// array, and fills them.
 //
 //===----------------------------------------------------------------------===//
 

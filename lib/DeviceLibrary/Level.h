@@ -5,7 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What the code for activity and for lists of active cells knows of a level.
+// Accessors and updates of a level, for the code for activity and for lists of
+// active cells.
 //
 //===----------------------------------------------------------------------===//
 
@@ -51,14 +52,14 @@ struct Level {
     if (!atomicRead(&activity.isNew))
       atomicExchange(&activity.isNew, 1u);
   }
-  /// Says that a word of bits, or a length, is not zero.
+  /// Marks a word of bits, or a length, as non-zero.
   void mark(int64_t word) const {
     uint64_t bit = uint64_t(1) << (word % 64);
     uint64_t *mark = node.marks + word / 64;
     if (!(atomicRead(mark) & bit))
       atomicOr(mark, bit);
   }
-  /// Takes room for so many cells. False if there is none.
+  /// Reserves memory for `cells` cells. False if the limit is exceeded.
   bool take(int64_t cells) const {
     if (!node.memoryMessage)
       return true;
@@ -74,8 +75,8 @@ struct Level {
       atomicAdd(&tree.account->used, -cells * node.cellBytes);
   }
 
-  /// Takes room for the pieces in which some cells lie that follow each other.
-  /// False if there is none.
+  /// Reserves the pieces of memory that hold `count` consecutive cells from
+  /// `cell` on. False if the limit is exceeded.
   bool takePieces(int64_t cell, int64_t count, bool isSure = false) const {
     if (!node.memoryMessage || !tree.account->pieces)
       return true;
@@ -89,9 +90,9 @@ struct Level {
         return false;
     return true;
   }
-  /// The bit of a piece is set when there is room for it, not before: threads
-  /// that find it go on. Several may take room for the same piece, of which one
-  /// keeps it: where there seems to be none, it is looked for again.
+  /// The bit of a piece is set after it has been reserved, not before: threads
+  /// that find it set continue. Several threads may reserve the same piece; all
+  /// but one undo it, so a thread that exceeds the limit tries again.
   static bool takePiece(TaiDeviceAccount &account, uint64_t piece,
                         bool isSure) {
     uint64_t *word = account.pieces + piece / 64;
@@ -126,7 +127,7 @@ struct Level {
     raise(static_cast<int32_t *>(node.removed) + list, length);
   }
 
-  /// Makes a number at least so large. Returns what it was.
+  /// An atomic maximum. Returns the previous value.
   static int32_t raise(int32_t *number, int32_t wanted) {
     int32_t known = atomicRead(number);
     while (known < wanted && !atomicReplace(number, known, wanted)) {
@@ -134,7 +135,7 @@ struct Level {
     return known;
   }
 
-  /// How many cells become active with this one.
+  /// The number of cells that would become active with this one.
   int64_t countNew(int64_t cell) const {
     if (!node.isList)
       return !(atomicRead(words() + cell / 64) >> (cell % 64) & 1);
@@ -143,8 +144,8 @@ struct Level {
     return more < 0 ? 0 : more;
   }
 
-  /// Makes one cell of this level active, of a list those before it too.
-  /// Returns how many were not.
+  /// Activates one cell of this level; in a list, also those before it. Returns
+  /// the number of cells that were inactive.
   int64_t activate(int64_t cell) const {
     int64_t added = 1;
     if (node.isList) {
@@ -168,7 +169,7 @@ struct Level {
     return added;
   }
 
-  /// Makes the cells [first, first + count) inactive, whole lists of them; this
+  /// Deactivates the cells [first, first + count), which are whole lists; this
   /// thread does its share.
   void clear(int64_t first, int64_t count, int64_t thread = 0,
              int64_t threads = 1) const {
@@ -207,8 +208,8 @@ inline void zero(char *memory, int64_t bytes, int64_t thread, int64_t threads) {
     memory[i] = 0;
 }
 
-/// Zeroes those of the cells [first, first + count) that are active, which stay
-/// so; whole lists of them. This thread does its share of each cell.
+/// Zeroes the active cells among [first, first + count), which stay active;
+/// whole lists of them. This thread does its share of each cell.
 inline void zeroActive(const Level &level, int64_t first, int64_t count,
                        int64_t thread, int64_t threads) {
   int64_t each = level.node.isList ? level.node.capacity : 64;
@@ -234,8 +235,8 @@ inline void zeroActive(const Level &level, int64_t first, int64_t count,
   }
 }
 
-/// How many cells of a level lie below one cell of a level above it; 0 if they
-/// do not.
+/// The number of cells of a level below one cell of level `above`; 0 if that is
+/// not an ancestor.
 inline int64_t cellsWithin(const TaiDeviceNode *nodes, int32_t number,
                            int32_t above) {
   int64_t span = 1;
@@ -244,8 +245,8 @@ inline int64_t cellsWithin(const TaiDeviceNode *nodes, int32_t number,
   return number == above ? span : 0;
 }
 
-/// Zeroes what the cells [first, first + count) hold, by way of the active
-/// cells below where they hold nothing else; this thread does its share.
+/// Zeroes the contents of the cells [first, first + count); if they hold other
+/// cells alone, only active ones of those. This thread does its share.
 inline void zeroContents(const Level &level, int32_t number, int64_t first,
                          int64_t count, int64_t thread, int64_t threads) {
   if (!level.node.holdsCellsAlone) {
@@ -261,7 +262,7 @@ inline void zeroContents(const Level &level, int32_t number, int64_t first,
   }
 }
 
-/// Makes the cells above a cell of `level` active.
+/// Activates the ancestors of a cell of `level`.
 inline void activateAbove(const Level &level, int64_t cell) {
   const TaiDeviceNode *node = &level.node;
   while (node->parent >= 0) {
@@ -273,7 +274,7 @@ inline void activateAbove(const Level &level, int64_t cell) {
   }
 }
 
-/// Makes inactive what lies below the cells [first, first + count); this thread
+/// Deactivates the descendants of the cells [first, first + count); this thread
 /// does its share.
 inline void clearBelow(const Level &level, int32_t number, int64_t first,
                        int64_t count, int64_t thread = 0, int64_t threads = 1) {

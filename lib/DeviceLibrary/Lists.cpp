@@ -1,17 +1,18 @@
-//===- Lists.cpp - Lists of active cells, made on the device --------------===//
+//===- Lists.cpp - Lists of active cells on the device --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A list is made from the bits or lengths of a level, in the order of the
-// cells: a block counts the cells of a tile, sums over the tiles before say
-// where its cells go, and each thread looks for the cells of some places. So it
-// does not depend on the number of blocks or threads.
+// A list is computed from the bits or lengths of a level, in the order of the
+// cells, by a parallel prefix sum: a block counts the cells of a tile, sums
+// over the tiles before it give the position of its cells, and each thread
+// finds the cells of some positions. So the result does not depend on the
+// number of blocks or threads.
 //
-// A kernel that finds that its list shows what is active returns at once: the
-// host queues them without knowing.
+// A kernel returns at once if its list is up to date: the host queues these
+// kernels without knowing the state.
 //
 //===----------------------------------------------------------------------===//
 

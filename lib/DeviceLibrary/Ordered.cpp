@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// All threads of one warp come here together. Those with the same address add
-// up their values in pairs, pairs of pairs and so on, by their lanes; the
-// lowest of them adds the sum to what is in memory. Which lanes have which
-// address is all that the order depends on.
+// Called by all threads of one warp together. Lanes with the same address
+// reduce their values by a pairwise tree in the order of lanes; the lowest of
+// them adds the sum to memory. The order depends only on which lanes have which
+// address.
 //
 //===----------------------------------------------------------------------===//
 
@@ -51,7 +51,7 @@ uint32_t tai_dev_ordered_lanes() {
   return warpSize;
 }
 
-void tai_dev_ordered_meet() { meetWarp(); }
+void tai_dev_ordered_meet() { syncWarp(); }
 
 uint64_t tai_dev_ordered_plan(const void *address) {
 #ifndef __NVPTX__
@@ -59,7 +59,7 @@ uint64_t tai_dev_ordered_plan(const void *address) {
     return address ? writes : 0;
 #endif
   // What the others have read is read before it is written.
-  meetWarp();
+  syncWarp();
   auto bits = reinterpret_cast<uint64_t>(address);
   uint32_t same = matchAny(bits);
   auto lane = getLane();
@@ -88,7 +88,7 @@ template <typename T> static void add(uint64_t plan, T *target, T value) {
   if (plan & writes)
     *target += value;
   // The next addition may be one to the same element, by another lane.
-  meetWarp();
+  syncWarp();
 }
 
 void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value) {

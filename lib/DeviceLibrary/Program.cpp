@@ -1,13 +1,13 @@
-//===- Program.cpp - One kernel that does the work of many ----------------===//
+//===- Program.cpp - Executes the steps of a program ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// All threads go through a table of steps together. A row holds the number of a
+// All threads execute a table of steps together. A row holds the number of a
 // part, which is the body of a kernel, and its parameters. The row of the next
-// step is on its way while a step runs, so that no step waits for it.
+// step is prefetched while a step runs.
 //
 //===----------------------------------------------------------------------===//
 

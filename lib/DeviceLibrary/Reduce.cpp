@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Within a warp values go from register to register, between warps through
-// shared memory, and out of the block by one atomic operation.
+// Within a warp by shuffles, between warps through shared memory, and one
+// atomic operation for the block.
 //
 //===----------------------------------------------------------------------===//
 
@@ -165,13 +165,13 @@ template <typename Op, typename T> static void reduce(T *target, T value) {
     constexpr unsigned stride = sizeof(uint64_t) / sizeof(T);
     if (lane == 0)
       slots[warp * stride] = value;
-    meetBlock();
+    syncBlock();
     if (warp == 0) {
       value = slots[(lane < warps ? lane : 0) * stride];
       value = reduceWarp<Op>(wholeWarp, lane, warps, value);
     }
     // The slots are free for the next one.
-    meetBlock();
+    syncBlock();
   }
   if (thread == 0)
     update(Op(), target, value);

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The functions of tai/Runtime/Abi.h that device code calls. Their frame is the
-// state of the device. What is rare is kept out of line, so that it costs
-// kernels neither registers nor code.
+// The functions of tai/ABI/Abi.h that device code calls. Their frame is the
+// device state. Rare paths are out of line, so that they cost kernels neither
+// registers nor code.
 //
 //===----------------------------------------------------------------------===//
 

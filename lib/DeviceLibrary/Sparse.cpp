@@ -1,14 +1,14 @@
-//===- Sparse.cpp - Which cells of a tree are active, on the device -------===//
+//===- Sparse.cpp - Activity of sparse levels, on the device --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The part of tai/Runtime/Abi.h by which device code changes activity. It means
-// what SparseNode does on the host: every cell has a fixed address, and memory
-// of inactive cells is zero. Tests of activity are in the code of the kernels;
-// what is here happens once for a cell, and stays out of line.
+// The functions of tai/ABI/Abi.h by which device code changes activity, with
+// the same semantics as SparseNode on the host: every cell has a fixed address,
+// and memory of inactive cells is zero. Tests of activity are inline in
+// kernels; the functions here run once for a cell, and are out of line.
 //
 //===----------------------------------------------------------------------===//
 

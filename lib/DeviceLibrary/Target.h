@@ -1,13 +1,13 @@
-//===- Target.h - The processor that the library is compiled for *- C++ -*-===//
+//===- Target.h - Primitives of the target processor ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The differences between a GPU and the CPU that stands in for it, in one
-// place. There is no C++ library here, nor a C library but for malloc and free,
-// which the driver of the GPU has too.
+// The differences between a GPU and the CPU that emulates it, in one place.
+// Neither a C++ library nor a C library is available, except malloc and free,
+// which the GPU driver has too.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,7 +27,7 @@ void tai_emu_block_barrier(void);
 void tai_emu_warp_barrier(void);
 uint64_t tai_emu_exchange(uint64_t value, uint32_t from);
 uint32_t tai_emu_match(uint64_t value);
-// A heap with a limit, as that of a GPU has one.
+// A heap with a limit, like that of a GPU.
 void *tai_emu_allocate(uint64_t bytes);
 void tai_emu_free(void *memory);
 void tai_emu_look(uint32_t *stop);
@@ -40,17 +40,17 @@ namespace tai::device {
 constexpr unsigned warpSize = 32;
 constexpr uint32_t wholeWarp = ~uint32_t(0);
 
-// Memory of a block, and how its threads and those of a warp meet. Blocks of
-// the emulated device run one after another, so that one piece does for all.
+// Shared memory of a block, and barriers of blocks and warps. Blocks of the
+// emulated device run one after another, so a static variable serves all.
 #ifdef __NVPTX__
 #define TAI_SHARED __attribute__((address_space(3)))
 #define TAI_SHARED_VARIABLE TAI_SHARED __attribute__((loader_uninitialized))
-inline void meetBlock() { __syncthreads(); }
-inline void meetWarp() { __nvvm_bar_warp_sync(wholeWarp); }
+inline void syncBlock() { __syncthreads(); }
+inline void syncWarp() { __nvvm_bar_warp_sync(wholeWarp); }
 inline uint32_t getLane() {
   return static_cast<uint32_t>(__nvvm_read_ptx_sreg_laneid());
 }
-/// The value of another lane; one's own where there is none.
+/// The value of another lane; the lane's own where there is none.
 inline uint32_t shuffle(uint32_t mask, uint32_t value, unsigned from) {
   return static_cast<uint32_t>(
       __nvvm_shfl_sync_idx_i32(mask, static_cast<int32_t>(value),
@@ -60,7 +60,7 @@ inline uint32_t shuffleDown(uint32_t mask, uint32_t value, unsigned offset) {
   return static_cast<uint32_t>(__nvvm_shfl_sync_down_i32(
       mask, static_cast<int>(value), static_cast<int>(offset), warpSize - 1));
 }
-/// The lanes with the same value, and whether one has something.
+/// The mask of lanes with the same value; whether any lane passes true.
 inline uint32_t matchAny(uint64_t value) {
   return __nvvm_match_any_sync_i64(wholeWarp, value);
 }
@@ -68,8 +68,8 @@ inline bool voteAny(bool mine) { return __nvvm_vote_any_sync(wholeWarp, mine); }
 #else
 #define TAI_SHARED
 #define TAI_SHARED_VARIABLE
-inline void meetBlock() { tai_emu_block_barrier(); }
-inline void meetWarp() { tai_emu_warp_barrier(); }
+inline void syncBlock() { tai_emu_block_barrier(); }
+inline void syncWarp() { tai_emu_warp_barrier(); }
 inline uint32_t getLane() {
   return static_cast<uint32_t>(tai_emu_thread_id()) % warpSize;
 }
@@ -85,7 +85,7 @@ inline bool voteAny(bool mine) {
 }
 #endif
 
-/// The host writes to this address by itself.
+/// A volatile read: the host writes to this address asynchronously.
 #ifdef __NVPTX__
 inline uint32_t lookAt(uint32_t *stop) {
   return *static_cast<volatile uint32_t *>(stop);
@@ -105,9 +105,9 @@ inline void *allocateBytes(uint64_t bytes) { return tai_emu_allocate(bytes); }
 inline void freeBytes(void *memory) { tai_emu_free(memory); }
 #endif
 
-/// Does body(values, thread, threads) for the values of each thread that comes
-/// here at the same time, of a warp on a GPU: together, as threads 0 to threads
-/// - 1. `meet`, in between, waits for all of them.
+/// For each converged thread of the warp, all of them run body(values, all,
+/// thread, threads) with the values of that one, as threads 0 to threads - 1.
+/// `all.meet()` is a barrier for them.
 #ifdef __NVPTX__
 struct Together {
   uint32_t mask;
@@ -143,8 +143,8 @@ inline void forEachTogether(const uint64_t (&own)[count], const Body &body) {
 }
 #endif
 
-/// What was there before. Other threads of the device see it happen at once,
-/// but it does not order other accesses.
+/// Atomic operations, relaxed, with the scope of the device. They return the
+/// previous value.
 template <typename T> inline T atomicAdd(T *target, T value) {
   return __scoped_atomic_fetch_add(target, value, __ATOMIC_RELAXED,
                                    __MEMORY_SCOPE_DEVICE);
@@ -170,7 +170,7 @@ template <typename T> inline T atomicRead(T *source) {
                                 __MEMORY_SCOPE_DEVICE);
 }
 
-/// Updates `seen` with what is there if that is not what is expected.
+/// Compare-exchange. On failure, sets `seen` to the current value.
 template <typename T> inline bool atomicReplace(T *target, T &seen, T value) {
   return __scoped_atomic_compare_exchange_n(target, &seen, value, /*weak=*/true,
                                             __ATOMIC_RELAXED, __ATOMIC_RELAXED,

@@ -1,4 +1,4 @@
-//===- Threads.cpp - Places of threads, barriers --------------------------===//
+//===- Threads.cpp - Thread numbers and barriers --------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

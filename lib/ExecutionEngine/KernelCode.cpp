@@ -482,7 +482,7 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
       plan.flags.push_back(std::move(flags));
   }
   plan.arrays = told->arrays;
-  plan.reruns = told->reexecutes;
+  plan.reexecutes = told->reexecutes;
   if (told->parts.empty())
     return runtime::Status::success();
   ParserConfig config(source.module->getContext());

@@ -26,8 +26,8 @@ extern "C" {
 
 typedef struct TaiRuntime TaiRuntime;
 
-/// What one launch of a kernel is given. Offsets are part of the interface:
-/// compiled code reads the fields by position.
+/// The context of one launch: memory, arguments, results. Offsets are part of
+/// the interface: compiled code reads the members by position.
 typedef struct TaiFrame {
   /// Base address of each tree that the module of the kernel declares, in the
   /// order of its `tai.tree` ops.
@@ -44,7 +44,8 @@ typedef struct TaiFrame {
   /// Seed of the context and number of this launch, for `tai.random`.
   uint64_t seed;
   uint64_t launch;
-  /// The last tick that this launch has seen; see tai_rt_safepoint.
+  /// The last tick of the safepoint clock that this launch has seen; see
+  /// tai_rt_safepoint.
   uint64_t tick;
 } TaiFrame;
 
@@ -62,8 +63,8 @@ typedef int32_t (*TaiKernelFn)(TaiFrame *frame);
 typedef void (*TaiLoopBody)(TaiFrame *frame, void *closure, int64_t begin,
                             int64_t end, int64_t part);
 
-/// A stack of scalars in slots of eight bytes. The first TAI_STACK_SLOTS have
-/// their place behind the structure.
+/// A stack of scalars in slots of eight bytes. The first TAI_STACK_SLOTS are
+/// stored inline, directly behind the structure.
 #define TAI_STACK_SLOTS 13
 typedef struct TaiStack {
   char *slots;
@@ -87,7 +88,8 @@ enum TaiFailure {
   TAI_FAIL_CHECK = 4
 };
 
-/// An operation with a shadow. Behind it stands "operation\nkernel\nplace".
+/// An operation that shadow execution observes. The structure is followed in
+/// memory by the text "operation\nkernel\nplace".
 typedef struct TaiShadowSite {
   uint64_t log; // the log that knows it, or 0
   void *site;   // how the log knows it
@@ -101,8 +103,8 @@ enum TaiShadowUpdate {
   TAI_SHADOW_MAX = 3,
   TAI_SHADOW_XCHG = 4
 };
-/// The bits of an address that say where its shadow stands: at twice their
-/// value, in the table of shadows.
+/// The bits of an address that index the table of shadows: the shadow is at
+/// twice their value.
 #define TAI_SHADOW_MASK ((UINT64_C(1) << 34) - 1)
 
 #define TAI_ENTRY(result, name, parameters) result tai_rt_##name parameters;

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // The layout of the arrays that a checked kernel (`tai-instrument-accesses`)
-// takes as additional arguments: a shadow array of 32-bit words for each field
-// with an adjoint, a log of 64-bit words, and the number before that of its
-// first access.
+// has as additional arguments: a shadow array of 32-bit words for each field
+// with an adjoint, a log of 64-bit words, and the number that precedes that of
+// its first access.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,17 +24,18 @@ namespace mlir::tai::runtime::accesslog {
 enum class ShadowWord : int64_t { Reader, Writer, Loop, Iteration };
 constexpr int64_t kShadowWords = 4;
 
-/// What is kept for each access of a launch: how many violations there were,
-/// and (the other access, component, kind) of the first.
+/// The log of each access of a launch: the number of violations, and (the other
+/// access, component, kind) of the first ones.
 constexpr int64_t kLogEntries = 4;
 constexpr int64_t kLogWords = 1 + 3 * kLogEntries;
 
 enum class ViolationKind : int64_t {
-  /// A store to an element that was read: its reader's derivative needs it.
+  /// A store to an element that was read; the derivative of the read needs the
+  /// value.
   OverwrittenAfterRead,
   /// An accumulation into an element that was read.
   AccumulatedAfterRead,
-  /// A second store, or one over a sum.
+  /// A second store, or a store to an element that was accumulated into.
   WrittenTwice,
   /// A second store by another iteration of the same loop.
   Race,

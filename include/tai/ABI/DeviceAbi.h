@@ -1,4 +1,4 @@
-//===- DeviceAbi.h - What device code may call ------------------*- C++ -*-===//
+//===- DeviceAbi.h - Functions that device code may call -------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -24,32 +24,32 @@
 extern "C" {
 #endif
 
-/// The place of the thread. Blocks and grids have one dimension.
+/// The position of the thread. Blocks and grids have one dimension.
 int32_t tai_dev_thread_id(void);
 int32_t tai_dev_block_id(void);
 int32_t tai_dev_block_dim(void);
 int32_t tai_dev_grid_dim(void);
 
-/// All threads of the block wait for each other, and see what the others wrote
-/// before.
+/// A barrier for all threads of the block; writes before it are visible after
+/// it.
 void tai_dev_block_barrier(void);
 
-/// All threads of the grid, of `blocks` blocks, do. They must run at the same
-/// time: see LaunchShape::cooperative. `state` is a word in device memory that
-/// was zero before its first use; `barrier` of TaiDeviceState is one.
+/// A barrier for all threads of the grid, which has `blocks` blocks. All blocks
+/// must be resident at the same time: see LaunchShape::cooperative. `state` is
+/// a word in device memory that was zero before its first use; `barrier` of
+/// TaiDeviceState is one.
 void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
-/// The same in two halves: what a block does between them is not waited for.
-/// The second takes what the first has yielded.
+/// The same as a split barrier: work between arrival and wait is not waited
+/// for. `before` is the result of the arrival.
 uint32_t tai_dev_grid_arrive(uint32_t *state, uint32_t blocks);
 void tai_dev_grid_await(uint32_t *state, uint32_t before);
 
 // Combine the values of all threads of a block, and update the target with the
 // result by one atomic operation. Every thread of the block calls them, at the
 // same place; the block may have any size. The order in which values are
-// combined is not said. Minima and maxima of floats are NaN if any of the
-// values is, and count -0 as less than 0, as on the CPU. A thread that has
-// nothing to contribute gives what leaves others as they are (0, 1, infinity,
-// all bits).
+// combined is unspecified. Minima and maxima of floats are NaN if any of the
+// values is, and count -0 as less than 0, as on the CPU. A thread without a
+// contribution passes the neutral element (0, 1, infinity, all bits).
 #define TAI_DEVICE_REDUCTION(op, suffix, type)                                 \
   void tai_dev_reduce_##op##_##suffix(type *target, type value);
 #include "tai/ABI/DeviceReductions.def"
@@ -58,23 +58,25 @@ void tai_dev_grid_await(uint32_t *state, uint32_t before);
 // Additions of one warp in a fixed order
 //===----------------------------------------------------------------------===//
 //
-// The first so many threads of the grid call these, all of them at the same
-// place, and no others: a warp, or one thread on the emulated device. Each
-// comes with an address, or null where it adds nothing. Values for one element
-// are added up by lanes, in pairs, and their sum is added to what is there: a
-// function of the addresses and values alone.
+// Called by the first tai_dev_ordered_lanes() threads of the grid, by all of
+// them at the same place, and by no others: a warp, or one thread on the
+// emulated device. Each passes an address, or null where it adds nothing.
+// Values for one element are summed pairwise in the order of lanes, and the sum
+// is added to the element: the result depends on the addresses and values
+// alone.
 
-/// How many threads; ends the kernel where blocks have fewer.
+/// The number of these threads; traps where blocks have fewer.
 uint32_t tai_dev_ordered_lanes(void);
 
-/// They wait for each other, and see what all of them wrote.
+/// A barrier for them; writes before it are visible after it.
 void tai_dev_ordered_meet(void);
 
-/// How sums are taken of lanes that have the same address.
+/// The order of summation for lanes that have the same address.
 uint64_t tai_dev_ordered_plan(const void *address);
 
-/// Does it: `target` is a certain distance from the address in all lanes that
-/// had one, and is not looked at in others.
+/// Adds in the order of `plan`. `target` lies at the same distance from the
+/// address that was planned for in all lanes that had one; other lanes ignore
+/// it.
 void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value);
 void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value);
 
@@ -82,12 +84,13 @@ void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value);
 // Memory of one thread, out of the heap of the device
 //===----------------------------------------------------------------------===//
 
-/// Null where there is none, which has then been said: in `text`, "{}" stands
-/// for the bytes. For no bytes there always is an address.
+/// Null if the heap is exhausted, after reporting `text` as a failure at
+/// `where`; "{}" in it stands for the bytes. An allocation of 0 bytes succeeds.
 void *tai_rt_local_alloc(TaiFrame *frame, uint64_t bytes, const char *text,
                          const char *where);
 void tai_rt_local_free(void *memory);
-/// As tai_rt_stack_grow; what it says where there is no memory.
+/// As tai_rt_stack_grow; `text` and `where` are for the failure if the heap is
+/// exhausted.
 void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
                           const char *where);
 
@@ -95,66 +98,73 @@ void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
 // Loops that may be long
 //===----------------------------------------------------------------------===//
 
-/// Null where the thread is to end, which has then been noted. The compiler
-/// asks every so many iterations of a loop, and says how many: a power of two.
+/// A safepoint: null if the host asked kernels to stop, which is then
+/// acknowledged in the state; the thread must exit. The compiler calls it every
+/// `every` iterations of a loop, a power of two.
 void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 
 //===----------------------------------------------------------------------===//
 // Programs
 //===----------------------------------------------------------------------===//
 //
-// A program does the work of a sequence of launches in one kernel. What repeats
-// in the sequence is a loop in its code. For the rest it has a table of rows of
-// `stride` words: the number of a part, and the parameters of that. The kernel
-// takes a table, the stride, a header, and the words of the parameters of its
-// loops. See docs/decisions/0011-device-programs.md.
+// A program does the work of a sequence of launches in one kernel. Repeated
+// subsequences are loops in its code. The rest is a table with a row of
+// `stride` words for each step: the number of a part, and the parameters of the
+// part. The parameters of the kernel are the table, the stride, a header, and
+// the words of the parameters of its loops. See
+// docs/decisions/0011-device-programs.md.
 
-/// Its name.
+/// The name of the kernel.
 #define TAI_PROGRAM_FUNCTION "tai_program"
 
-/// Who meets at the barrier after a step: the threads of one block, of a
-/// cluster of blocks, or of the grid.
+/// The scope of the barrier after a step: one block, a cluster of blocks, or
+/// the grid.
 #define TAI_SCOPE_BLOCK 0
 #define TAI_SCOPE_CLUSTER 1
 #define TAI_SCOPE_GRID 2
-/// No program, but kernels of the library itself.
+/// Not a program: kernels of the device library itself.
 #define TAI_SCOPE_NONE (-1)
-/// No program, but a kernel of each part, which may start while the one before
-/// still runs and waits for its end by itself.
+/// Not a program: a kernel for each part, which may start while the one before
+/// still runs and waits for its end by itself (programmatic dependent launch).
 #define TAI_SCOPE_LAUNCHES (-2)
 
-/// Parts that every program has. Their parameters: an address, eight bytes of a
-/// pattern, its size and how often; two addresses, to and from, and a size.
+/// Parts that every program has. Parameters of a fill: address, pattern of
+/// eight bytes, its size, number of repetitions; of a copy: destination,
+/// source, bytes.
 #define TAI_PART_FILL 0
 #define TAI_PART_COPY 1
-/// The same for rows: the address of the first, from one to the next, the bytes
-/// of a row and their number; then a pattern and its size, or the address of
-/// the first row of the other side and from one to the next there; and from one
-/// group of such rows to the next and their number, which is 1 but for fills.
+/// The same for rows: address of the first, stride, bytes of a row, number of
+/// rows; then a pattern and its size, or address and stride of the rows of the
+/// other side; then the stride and the number of groups of such rows (1 except
+/// for fills).
 #define TAI_PART_FILL_ROWS 2
 #define TAI_PART_COPY_ROWS 3
 #define TAI_PART_SWAP_ROWS 4
 /// The number of the first part that is the body of a kernel.
 #define TAI_FIRST_PART 5
-/// Added to the number of a part where nobody has to wait before the next step:
-/// no thread touches there what another one has written since they last met.
+/// Added to the number of a part where no barrier is needed before the next
+/// step: no thread of that step accesses what another one has written since the
+/// last barrier.
 #define TAI_PART_APART ((uint64_t)1 << 32)
 
-/// The most words of a row.
+/// The maximum of words in a row.
 #define TAI_PROGRAM_STRIDE 128
-/// The most words of parameters of loops: kernels take 4096 bytes.
+/// The maximum of words of loop parameters: a kernel has 4096 bytes of
+/// parameters.
 #define TAI_PROGRAM_WORDS 500
 
-/// In the header of a program, at this byte: the address of one more number
-/// than there are steps, for the first thread's clock before the first step and
-/// after each; null for none.
+/// The byte of a program's header with the address of the time stamps, or null:
+/// the first thread stores its clock there before the first step and after each
+/// step.
 #define TAI_PROGRAM_CLOCKS 128
-/// A word for the second barrier of a program, in two halves.
+/// The byte of the header with the word of the split barrier (arrive and
+/// await).
 #define TAI_PROGRAM_ARRIVALS 64
 #define TAI_PROGRAM_HEADER 256
 
-/// `header` starts with a word as tai_dev_grid_barrier wants it. `first` is the
-/// number of the first of these steps in the program.
+/// Run a table of steps. `header` starts with the state of
+/// tai_dev_grid_barrier; `first` is the number of the first of these steps in
+/// the program.
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
                            uint64_t stride, uint32_t *header, uint64_t first);
 void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
@@ -162,47 +172,46 @@ void tai_dev_program_cluster(const uint64_t *table, uint64_t steps,
 void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
                           uint64_t stride, uint32_t *header, uint64_t first);
 
-/// All threads of the program meet.
+/// A barrier for all threads of the program.
 void tai_dev_program_wait_block(uint32_t *header);
 void tai_dev_program_wait_cluster(uint32_t *header);
 void tai_dev_program_wait_grid(uint32_t *header);
 
-/// Between the two, no block waits for another.
+/// The same as a split barrier of the grid.
 uint32_t tai_dev_program_arrive(uint32_t *header);
 void tai_dev_program_await(uint32_t *header, uint32_t before);
 
 /// Runs a part that every program has.
 void tai_dev_program_part(uint64_t part, const uint64_t *slots);
 
-/// Notes the clock after so many steps.
+/// Stores the clock after `steps` steps.
 void tai_dev_program_clock(const uint32_t *header, uint64_t steps);
 
 //===----------------------------------------------------------------------===//
-// What the host's build of the library asks of the emulated device
+// Functions that the library's build for the host calls on the emulated device
 //===----------------------------------------------------------------------===//
 
 int32_t tai_emu_thread_id(void);
 int32_t tai_emu_block_id(void);
 int32_t tai_emu_block_dim(void);
 int32_t tai_emu_grid_dim(void);
-/// All threads of the block or the warp meet.
+/// Barriers for the block and the warp.
 void tai_emu_block_barrier(void);
 void tai_emu_warp_barrier(void);
-/// The value of another lane of the warp, all of which call; one's own where
-/// there is no such lane.
+/// A shuffle: the value of lane `from`, or the lane's own where there is none.
+/// All lanes of the warp call it.
 uint64_t tai_emu_exchange(uint64_t value, uint32_t from);
-/// The lanes of the warp that have the same value; all of it call.
+/// The mask of lanes that pass the same value. All lanes of the warp call it.
 uint32_t tai_emu_match(uint64_t value);
-/// Looks whether the host wants the kernel to end, and then says so at the
-/// address.
+/// Sets `*stop` if the host asked the kernel to stop.
 void tai_emu_look(uint32_t *stop);
 void *tai_emu_allocate(uint64_t bytes);
 void tai_emu_free(void *memory);
 
 /// A program on the emulated device runs as several threads, in an order that
-/// is another one after each barrier. Yields how many.
+/// changes after each barrier. Returns the number of threads.
 int32_t tai_emu_begin_group(void);
-/// Whoever runs from now on is the next of them.
+/// From now on, the next of these threads runs.
 void tai_emu_next_in_group(void);
 void tai_emu_end_group(void);
 

@@ -1,15 +1,15 @@
-//===- DeviceAccesses.h - What a device function touches --------*- C++ -*-===//
+//===- DeviceAccesses.h - Accesses of a device function --------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The compiler says of each device function which bytes it reads and writes, in
-// terms of its parameters: those of a launch are then known from its slots
-// alone, and launches that touch different rows of a field are told apart. It
-// also says which iteration touches what, so that launches in which each
-// thread goes on with its own elements need not wait for each other. See
+// The bytes that each device function reads and writes, in terms of its
+// parameters, as the compiler found them: the accesses of a launch follow from
+// its parameter slots alone, so that launches on different rows of a field are
+// independent. The accesses are also given by iteration, so that launches in
+// which each thread accesses its own elements need no barrier between them. See
 // docs/decisions/0012-fused-launches.md.
 //
 //===----------------------------------------------------------------------===//
@@ -23,7 +23,7 @@
 
 namespace mlir::tai::runtime {
 
-/// The most threads that a block of any GPU has.
+/// The maximum of threads in a block, on any GPU.
 constexpr unsigned kMostBlockThreads = 1024;
 
 /// The accesses of one operation of a device function. Iteration (i0, i1, ...)
@@ -31,17 +31,16 @@ constexpr unsigned kMostBlockThreads = 1024;
 ///   address(slot) + offset + sum of terms + sum of strides * i
 /// and `window` bytes from there on. Inside of the window its accesses are
 /// `step` bytes apart, as are all elements of this operation over all
-/// iterations, and have `size` bytes; a step of 0 says that there is one
-/// element only.
+/// iterations, and have `size` bytes; a step of 0 means a single element.
 struct DeviceAccess {
   enum Kind : int64_t {
     Read,
     Write,
-    /// An atomic addition whose result nobody uses. Additions may change
-    /// places; in deterministic mode those of floats are no sums but writes.
+    /// An atomic addition whose result is unused. Additions commute; in
+    /// deterministic mode those of floats are classified as writes.
     Sum,
   };
-  /// An integer parameter, sign-extended from so many bits, times a factor.
+  /// An integer parameter, sign-extended from `bits` bits, times a factor.
   struct Term {
     int64_t slot;
     int64_t bits;
@@ -57,9 +56,9 @@ struct DeviceAccess {
   int64_t window = 0;
   int64_t step = 0;
   int64_t size = 0;
-  /// Not 0 where the program multiplies in 32 bits: then all of this holds as
-  /// long as offset, terms and strides together stay far below 2^31 times so
-  /// many bytes.
+  /// Non-zero where the program computes indices in 32 bits: the access then
+  /// holds as long as offset, terms and strides together stay far below 2^31
+  /// times `unit` bytes.
   int64_t unit = 0;
   /// One for each dimension of the loop.
   std::vector<int64_t> strides;
@@ -73,9 +72,9 @@ struct DeviceAccess {
   }
 };
 
-/// Behind the name of a device function, that of the one that does an iteration
-/// of its loop, and what that calls with an address and the number of a site,
-/// for the address to take instead.
+/// The suffix of the variant of a device function that runs one iteration of
+/// its loop, and the function that this variant calls with an address and the
+/// number of a site, to get the address to access instead.
 constexpr char tileSuffix[] = "_tile";
 constexpr char tileSiteFunction[] = "tai_tile_site";
 
@@ -93,11 +92,12 @@ struct TileSite {
              shift == other.shift && wraps == other.wraps;
     }
   };
-  /// Where `isRegular`, offset and terms lead to cell 0, and strides are zeros.
+  /// Where `isRegular`, offset and terms give the address of cell 0, and
+  /// strides are zero.
   DeviceAccess access;
-  /// The digits say which cell it is; else the access says all that is known.
+  /// The digits give the cell; otherwise only the access is known.
   bool isRegular = false;
-  /// Every iteration does it, once.
+  /// Every iteration executes it exactly once.
   bool isCertain = false;
   std::vector<Digit> digits;
 
@@ -107,25 +107,27 @@ struct TileSite {
   }
 };
 
-/// All accesses of a device function: what is not listed it does not touch. A
-/// function of which this cannot be said has none of these.
+/// All accesses of a device function; it touches nothing else. Absent for a
+/// function whose accesses are not all known.
 struct FunctionAccesses {
-  /// Iteration number i, counted over all dimensions with the last one running
-  /// fastest, is of thread i modulo the threads of the grid.
-  bool isPlain = false;
-  /// Of the loop; -1 for what is not known.
+  /// Iterations are distributed with the stride of the grid: iteration number
+  /// i, counted over all dimensions with the last one fastest, is executed by
+  /// thread i modulo the threads of the grid.
+  bool isGridStride = false;
+  /// Extents of the loop; -1 for one that is not known.
   std::vector<int64_t> extents;
   std::vector<DeviceAccess> accesses;
 
-  /// Where the loop begins, and its loads and stores; none if it cannot run in
-  /// tiles. In this case there is another function, with one more parameter for
-  /// each dimension, that does one iteration.
+  /// Lower bounds of the loop, and its loads and stores. Empty if it cannot run
+  /// in tiles; otherwise there is a variant of the function that runs one
+  /// iteration, with an additional parameter for each dimension.
   std::vector<int64_t> lower;
   std::vector<TileSite> sites;
 
-  /// As a list of numbers, to be kept with the code.
+  /// As a list of numbers, stored with the code.
   std::vector<int64_t> encode() const {
-    std::vector<int64_t> words{isPlain, static_cast<int64_t>(extents.size())};
+    std::vector<int64_t> words{isGridStride,
+                               static_cast<int64_t>(extents.size())};
     words.insert(words.end(), extents.begin(), extents.end());
     for (const DeviceAccess &access : accesses)
       encode(access, words);
@@ -153,7 +155,7 @@ struct FunctionAccesses {
   }
   static constexpr int64_t sitesFollow = -1;
 
-  /// Nothing for an empty list, and for what no list of these is.
+  /// None for an empty list, and for one that `encode` cannot have made.
   static std::optional<FunctionAccesses>
   decode(const std::vector<int64_t> &words) {
     size_t at = 0;
@@ -163,7 +165,7 @@ struct FunctionAccesses {
     if (!has(2))
       return std::nullopt;
     FunctionAccesses result;
-    result.isPlain = words[at++] != 0;
+    result.isGridStride = words[at++] != 0;
     int64_t rank = words[at++];
     if (!has(rank))
       return std::nullopt;

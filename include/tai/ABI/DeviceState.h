@@ -1,4 +1,4 @@
-//===- DeviceState.h - What device code leaves for the host -----*- C++ -*-===//
+//===- DeviceState.h - Failures and output of device code ------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -20,11 +20,12 @@
 #define TAI_DEVICE_STATE_MAGIC 0x74616964u
 #define TAI_DEVICE_STATE_VERSION 1u
 
-/// The most bytes of a record; what does not fit is cut off and counted.
+/// The maximum of bytes in a record; a longer one is truncated, and the loss
+/// counted.
 #define TAI_DEVICE_RECORD_BYTES 2048u
 
-/// A number of bytes, for people; in records of device code alone, next to the
-/// kinds of Abi.h.
+/// A value kind besides those of Abi.h, in records of device code only: a
+/// number of bytes, printed with a unit.
 #define TAI_DEVICE_VALUE_BYTES 64
 
 #ifdef __cplusplus
@@ -36,15 +37,15 @@ extern "C" {
 /// with the zero at its end, which its length does not count. A multiple of
 /// eight bytes.
 typedef struct TaiDeviceRecord {
-  /// All of it.
+  /// Size of the record.
   uint32_t bytes;
-  /// Of failures, an enum TaiFailure; of lines, 0.
+  /// An enum TaiFailure; 0 for a printed line.
   int32_t kind;
   int32_t count;
   int32_t slots;
   uint32_t textBytes;
   uint32_t whereBytes;
-  /// Values, and characters of the text and of the place, that found no room.
+  /// Values, and characters of the text and of the place, that were cut off.
   uint32_t lostValues;
   uint32_t lostBytes;
 } TaiDeviceRecord;
@@ -55,21 +56,21 @@ typedef struct TaiDeviceState {
   uint32_t version;
   /// Non-zero once `failure` has been claimed.
   uint32_t failed;
-  /// Lines that found no room.
+  /// Lines dropped because the buffer was full.
   uint32_t lostLines;
   uint64_t outputCapacity;
-  /// Bytes that were claimed, in order; may be more than there are.
+  /// Bytes that were claimed, in order; may exceed the capacity.
   uint64_t outputUsed;
-  /// Where the records end if more was claimed than there is.
+  /// The end of the records, if more than the capacity was claimed.
   uint64_t outputEnd;
-  /// The most bytes that a stack may have.
+  /// The maximum of bytes in a stack.
   uint64_t stackLimit;
-  /// For tai_dev_grid_barrier: blocks that have arrived, and rounds.
+  /// State of tai_dev_grid_barrier: blocks that have arrived, and generations.
   uint32_t barrier[2];
-  /// Not zero while loops that may be long are to end: the number of the thread
-  /// of the host that wants it.
+  /// Non-zero while kernels are asked to stop: the number of the host thread
+  /// that asks.
   uint32_t stop;
-  /// The same of a thread of the device that has ended for it.
+  /// The value of `stop` that a device thread has exited for.
   uint32_t stopped;
   /// The first failure, a TaiDeviceRecord.
   uint64_t failure[TAI_DEVICE_RECORD_BYTES / 8];

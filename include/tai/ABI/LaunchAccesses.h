@@ -1,12 +1,13 @@
-//===- LaunchAccesses.h - What a launch touches -----------------*- C++ -*-===//
+//===- LaunchAccesses.h - Elements that a launch accesses ------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The compiler says of each kernel which elements it touches, in terms of its
-// arguments; the runtime evaluates that for the arguments of a launch.
+// The elements that a kernel accesses, in terms of its arguments, as the
+// compiler found them; the runtime evaluates that for the arguments of a
+// launch.
 //
 //===----------------------------------------------------------------------===//
 
@@ -52,8 +53,8 @@ struct FixedIndex {
   }
 };
 
-/// Elements that a launch stores, every one of them: those from one index up to
-/// another along each dimension, if none of `loops` is empty.
+/// Elements that a launch certainly stores: along each dimension the half-open
+/// range [lower, upper), if none of the ranges `loops` is empty.
 struct StoredBox {
   struct Range {
     FixedIndex lower, upper;

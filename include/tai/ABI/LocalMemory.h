@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Functions that device code calls in the place of malloc and free: the device
-// library has them, but for the last one, which stands for its argument. Where
-// the first or the last gives null, the calling function does nothing more.
+// Functions that device code calls instead of malloc and free. The device
+// library defines the first two; `tai_rt_local_given` only marks its argument,
+// memory that an earlier function of the kernel allocated. Where the first or
+// the last returns null, the calling thread exits.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,8 +20,7 @@ namespace mlir::tai {
 constexpr char kLocalAllocate[] = "tai_rt_local_alloc";
 constexpr char kLocalFree[] = "tai_rt_local_free";
 constexpr char kLocalGiven[] = "tai_rt_local_given";
-/// Asks whether a loop that may be long goes on, every so many iterations: null
-/// where it does not.
+/// The safepoint of loops that may run long: null where the thread must exit.
 constexpr char kGoOn[] = "tai_rt_go_on";
 
 } // namespace mlir::tai

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What only kernels with a mode of sums ask of the runtime, besides Abi.h.
+// Additions to Abi.h for kernels that name the mode of their sums.
 //
 //===----------------------------------------------------------------------===//
 
@@ -14,12 +14,12 @@
 
 #include "tai/ABI/Abi.h"
 
-/// A field of f64, and private buffers of pairs of f64: a sum, and what it has
-/// rounded away. One more of the kinds of `tai_rt_combine`.
+/// A further kind of `tai_rt_combine`: a field of f64 with private buffers of
+/// pairs of f64, each a sum and its rounding error (compensated summation).
 enum { kSumsPairs = kSumsWide + 1 };
 
-/// Of `tai_rt_parts`: the parts follow from the loop alone, whatever the
-/// context says. 1 is for loops that reduce.
+/// An argument of `tai_rt_parts`, besides 0 and, for reductions, 1: the
+/// partition depends on the loop alone, whatever the options of the context.
 enum { kPartsFixed = 2 };
 
 #endif // TAI_ABI_SUMMODES_H

@@ -27,9 +27,9 @@ def LowerStructFor : Pass<"tai-lower-struct-for"> {
     }
     ```
 
-    With the skip `activity-tests`, a write to the cell of the iteration
-    does not ask whether it is active. Without `repeated-lookups`, every
-    element of a sparse field reads the list of cells again.
+    With the skip `activity-tests`, a write to the cell of the iteration does
+    not test whether it is active. Without `repeated-lookups`, every element of
+    a sparse field reads the list of cells again.
   }];
   let options = [
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",
@@ -47,12 +47,12 @@ def LowerStructFor : Pass<"tai-lower-struct-for"> {
 def NarrowIndices : Pass<"tai-narrow-indices", "::mlir::ModuleOp"> {
   let summary = "find modules whose indices fit 32 bits";
   let description = [{
-    Device code computes addresses in 32 bits where nothing can get lost. This
+    Device code computes addresses in 32 bits where that cannot overflow. This
     pass puts `tai.index_bits = 32` on a module where that is proven: every
     value of type `index` in its kernels, computed in 64 bits, lies in the range
     of i32; so do the counters of loops, the numbers of iterations of parallel
-    loops and all that an address in one of its trees is made of. Ranges follow
-    from types, constants, extents of fields and the arithmetic between them.
+    loops and all terms of addresses in one of its trees. Ranges are inferred
+    from types, constants, extents of fields and arithmetic.
 
     Where that is not proven, indices have 64 bits: a kernel takes an array,
     whose extents are known at its launch, a bound is an i64, or a product of
@@ -83,19 +83,19 @@ def LowerLayout : Pass<"tai-lower-layout"> {
   let summary = "turn accesses to fields into loads and stores of memory";
   let description = [{
     Replaces accesses to fields by address arithmetic on the base of their tree
-    (`tai_rt.tree_base`) and accesses of the LLVM dialect, and accesses to `memref`
-    arguments likewise. Fields do not overlap: each access says so by alias
+    (`tai_rt.tree_base`) and accesses of the LLVM dialect, and accesses to
+    `memref` arguments likewise. Fields do not overlap: each access has alias
     scopes, one for each place of a tree.
 
     With `bounds-check`, an access outside its field or array is reported by
     `tai.assert` and skipped; a skipped load yields zero. Accesses with the
-    attribute `tai.in_range` need no check (see `tai-check-bounds`). A float that
-    no integer stands for, such as NaN, is no index either: it is reported where
-    it is used as one.
+    attribute `tai.in_range` need no check (see `tai-check-bounds`). A float
+    that cannot be converted to an integer, such as NaN, is reported too if it
+    is used as an index.
 
     With `on-device`, accesses carry the strides and extents of their indices
-    (`tai.digits`), from which `convert-tai-to-gpu` tells what a device function
-    touches.
+    (`tai.digits`), from which `convert-tai-to-gpu` finds the accesses of a
+    device function.
   }];
   let options = [
     Option<"boundsCheck", "bounds-check", "bool", /*default=*/"false",
@@ -115,10 +115,11 @@ def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
   let summary = "turn kernels into functions, and parallel loops into calls";
   let description = [{
     A kernel becomes `i32 @name(ptr frame)`; a parallel loop becomes a function
-    that runs one partition of its iterations, handed to the runtime with what
-    it captures; a loop too small to be worth a fork stays where it is. Host
-    functions become `i32 @name(ptr frame)` too, and their launches calls of the
-    runtime. See tai/Runtime/Abi.h. Control flow stays in `scf`.
+    that runs one partition of its iterations, passed to the runtime with a
+    closure of its captured values; a loop too small to be worth a fork stays
+    inline. Host functions become `i32 @name(ptr frame)` too, and their launches
+    calls of the runtime. See tai/ABI/Abi.h. Control flow stays in `scf`. The
+    pass can also be called `convert-tai-to-host`.
   }];
   let options = [
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",
@@ -134,14 +135,14 @@ def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
 }
 
 def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
-  let summary = "take kernels apart into device functions and their launches";
+  let summary = "split kernels into device functions and host code that launches them";
   let description = [{
-    Each parallel loop becomes a function of the `gpu.module @kernels`, a loop
-    over the iterations with the stride of the grid, whose parameters are the
-    values that it uses from outside. Serial code that touches memory becomes
-    such a function too, run by one thread; what it hands on goes through slots
-    of device memory. What is left stays in `i32 @name(ptr frame)`, which
-    launches the functions (`gpu.launch_func`).
+    Each parallel loop becomes a function of the `gpu.module @kernels`, a
+    grid-stride loop over the iterations, whose parameters are the captured
+    values. Serial code that accesses memory becomes such a function too, run by
+    one thread; its results go through slots of device memory. The remaining
+    code is `i32 @name(ptr frame)`, which launches the functions
+    (`gpu.launch_func`).
 
     ```mlir
     tai.kernel @k(%s: f32) {
@@ -173,10 +174,10 @@ def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
     }
     ```
 
-    The number of blocks follows from the number of iterations; 0 stands for one
-    that only the device knows. Functions are right for any number of threads:
-    the runtime may take others. `tai.index_bits`, by `tai-narrow-indices`, moves
-    from the module to the `gpu.module`.
+    The number of blocks follows from the number of iterations; 0 stands for a
+    number that only the device knows. Functions are correct for any number of
+    threads: the runtime may choose others. `tai.index_bits`, by
+    `tai-narrow-indices`, moves from the module to the `gpu.module`.
   }];
   let options = [
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",
@@ -197,7 +198,7 @@ def LowerLaunches : Pass<"tai-lower-launches", "::mlir::ModuleOp"> {
   let description = [{
     `gpu.launch_func` in functions of the host becomes a call of
     `tai_rt_device_launch`, with the number of the function in its `gpu.module`
-    and its parameters in slots; see tai/Runtime/Abi.h.
+    and its parameters in slots; see tai/ABI/Abi.h.
   }];
   let dependentDialects = ["::mlir::arith::ArithDialect",
                            "::mlir::LLVM::LLVMDialect"];
@@ -206,14 +207,13 @@ def LowerLaunches : Pass<"tai-lower-launches", "::mlir::ModuleOp"> {
 def ConvertToNVVM : Pass<"tai-convert-to-nvvm", "::mlir::ModuleOp"> {
   let summary = "convert device functions to the NVVM and LLVM dialects";
   let description = [{
-    Functions of `gpu.module`s become what the NVPTX backend takes, with one
-    conversion over upstream's patterns: mathematical functions become calls of
-    libdevice, numbers of threads reads of special registers. Indices have 64
-    bits, or as many as `tai.index_bits` of the `gpu.module` says.
+    Converts functions of `gpu.module`s for the NVPTX backend, in one conversion
+    with upstream's patterns: mathematical functions become calls of libdevice,
+    thread numbers reads of special registers. Indices have 64 bits, or the
+    number in `tai.index_bits` of the `gpu.module`.
 
-    With `emulated`, they become what the CPU can run: numbers of threads are
-    asked for by calls (`tai_dev_thread_id`, …), mathematical functions those of
-    libm.
+    With `emulated`, converts for the CPU: thread numbers become calls
+    (`tai_dev_thread_id`, …), mathematical functions calls of libm.
   }];
   let options = [
     Option<"fastMath", "fast-math", "bool", /*default=*/"false",
@@ -253,25 +253,26 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
 }
 
 def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
-  let summary = "compute each float once more with more digits, and compare";
+  let summary = "compute each float again in higher precision, and compare";
   let description = [{
-    Gives each float of the functions of a module that is lowered to the LLVM
-    dialect a shadow: what the same operations yield from the shadows of their
-    operands, in f64 for a f32 and in `f64-shadow` for a f64. Control flow, and
-    what selects take, follow the floats, which are what they were.
+    Gives each float in the functions of a module in the LLVM dialect a shadow:
+    the result of the same operations on the shadows of their operands, in f64
+    for f32 and in `f64-shadow` for f64. The floats are not changed, and control
+    flow and selects follow them.
 
-    A shadow in memory stands in a table of the process, with a copy of its
-    float; where that is another float now, somebody else wrote it, and the
-    shadow is the float.
+    The shadow of a float in memory is in a table of the process, with a copy of
+    the float; if that differs from the current float, code without shadows
+    wrote it, and the shadow is the float.
 
-    Operations that lose digits are compared: where less than half of the bits
-    of a result are right while those of its operands are, the runtime is told
-    the place. Comparisons and conversions to integers report where they come
-    out otherwise for the shadows. What only rounds (products, quotients, square
-    roots) is compared where its result is stored or leaves the block.
+    Operations that can lose digits are compared: if less than half of the bits
+    of a result are correct while those of its operands are, the location is
+    reported to the runtime. Comparisons and conversions to integers are
+    reported if the shadows give another result. Operations that only round
+    (products, quotients, square roots) are compared where their result is
+    stored or leaves the block.
 
-    Functions whose first parameter is no pointer, that is, no frame, stay as
-    they are. Fails where the module has shadows already.
+    Functions whose first parameter is not a pointer (the frame) are not
+    changed. Fails if the module already has shadows.
 
     ```mlir
     llvm.func @k(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
@@ -305,18 +306,18 @@ def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
 }
 
 def CheckLowerable : Pass<"tai-check-lowerable", "::mlir::ModuleOp"> {
-  let summary = "check that a program holds only what the lowering knows";
+  let summary = "check that a program holds only ops that can be lowered";
   let description = [{
-    Fails at each operation of a dialect that no pass behind it lowers, such as
-    one of a plugin: there and with its name, while the program is as it was
-    written, and not where the last pass finds what is left of it.
+    Fails at each operation of a dialect that no later pass lowers, such as one
+    of a plugin. The error is at the original op with its name, not at what the
+    last pass finds.
   }];
 }
 
 def VerifyLLVM : Pass<"tai-verify-llvm", "::mlir::ModuleOp"> {
   let summary = "check that only the LLVM dialect is left";
   let description = [{
-    Fails at each operation of another dialect, by its name.
+    Fails at each operation of another dialect, with its name.
   }];
 }
 

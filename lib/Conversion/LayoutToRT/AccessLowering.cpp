@@ -1,4 +1,4 @@
-//===- AccessLowering.cpp - What lowerings of accesses share --------------===//
+//===- AccessLowering.cpp - State of access lowerings ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,12 +1,12 @@
-//===- AccessLowering.h - What lowerings of accesses share ------*- C++ -*-===//
+//===- AccessLowering.h - State of access lowerings ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The patterns of `tai-lower-layout` see one of these: the addresses that they
-// have in common, the checks of indices, and what aliases what.
+// The shared state of the patterns of `tai-lower-layout`: base addresses,
+// checks of indices, and alias scopes.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,12 +21,12 @@
 
 namespace mlir::tai {
 
-/// Groups of accesses that do not depend on those of other iterations. Each is
-/// an attribute of its own that a context keeps for ever, with 4 KiB for the
-/// first that a thread makes; so those of one module serve the next.
+/// Access groups of loops with independent iterations. Each is a distinct
+/// attribute, which a context never frees (with 4 KiB for the first of each
+/// thread); so the groups of one module are reused for the next.
 class AccessGroups {
 public:
-  /// Hands all groups out again.
+  /// Makes all groups available again.
   void reuse() { used = 0; }
   void forget() {
     groups.clear();
@@ -34,8 +34,8 @@ public:
   }
 
   /// The group of the independent loop around an access, if there is one.
-  /// Arrays may be one another, but iterations do not communicate through them
-  /// either.
+  /// Arrays may alias each other, but iterations do not communicate through
+  /// them either.
   ArrayAttr get(Operation *op) {
     auto loop = op->getParentOfType<ParallelForOp>();
     if (!loop || !loop->hasAttr(kIndependentAttrName) ||
@@ -58,12 +58,12 @@ private:
   size_t used = 0;
 };
 
-/// Emits what `access` does in the place of `op`, where the condition holds.
-/// Yields its value, or zero where not; null if nobody uses that of `op`.
+/// Emits `access` in place of `op`, under `condition`. Returns its value, or
+/// zero where the condition is false; null if the result of `op` is unused.
 Value emitWhere(OpBuilder &builder, Operation *op, Value condition,
                 llvm::function_ref<Value(OpBuilder &)> access);
 
-/// What the lowerings of the accesses of one kernel or function share.
+/// The shared state of the lowerings of one kernel's or function's accesses.
 class AccessLowering {
 public:
   AccessLowering(FunctionOpInterface function, FieldTable &fields,
@@ -85,7 +85,7 @@ public:
     scopes.groups = groups.get(op);
     return scopes;
   }
-  /// Whether accesses lie in the code of a kernel on a device.
+  /// Whether accesses are in device code.
   bool isOnDevice() const { return onDevice && isa<KernelOp>(function); }
 
   /// The address of the first component of the field, and of its tree, built
@@ -93,18 +93,19 @@ public:
   Value getFieldBase(const FieldInfo &field);
   Value getTreeBase(const FieldInfo &field);
 
-  /// Makes the cell of an element active, or only asks whether it is where the
-  /// kernel keeps activity as it is. Yields whether it is then.
+  /// Activates the cell of an element, or, in a kernel that must not change
+  /// activity, only tests it. Returns an i1: whether the cell is active
+  /// afterwards.
   Value emitActivation(OpBuilder &builder, Location loc, const FieldInfo &field,
                        ValueRange zeroBased);
 
-  /// Puts what `access` emits, if `inRange` holds (always, if null), in the
-  /// place of `op`: its results become what that yields, or zero.
+  /// Replaces `op` by the ops that `access` emits, under `inRange` (always, if
+  /// null); its results become their value, or zero.
   void replaceGuarded(PatternRewriter &rewriter, Operation *op, Value inRange,
                       function_ref<Value(OpBuilder &)> access);
 
-  /// Emits an assertion before `op` that each index is in its range; null if
-  /// unchecked.
+  /// Emits before `op` an assertion that each index is in its range, and
+  /// returns the condition; null if unchecked.
   Value checkRange(Operation *op, ValueRange zeroBased,
                    ArrayRef<OpFoldResult> extents, const Twine &what,
                    ValueRange shown);

@@ -1,4 +1,4 @@
-//===- CountWrites.cpp - Writes that test activity, and not ---------------===//
+//===- CountWrites.cpp - Count activity tests of writes -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- CountWrites.h - Writes that test activity, and not -------*- C++ -*-===//
+//===- CountWrites.h - Count activity tests of writes ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,8 +12,8 @@ namespace mlir {
 class Operation;
 namespace tai {
 
-/// Counts the writes to sparse fields below `root`: those whose cell is known
-/// to be active, and those that ask.
+/// Updates the skip counters of writes to sparse fields below `root`: those
+/// whose cell is known to be active, and those that test or activate it.
 void countWrites(Operation *root);
 
 } // namespace tai

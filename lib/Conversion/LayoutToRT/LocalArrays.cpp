@@ -1,4 +1,4 @@
-//===- LocalArrays.cpp - Arrays that a kernel makes -----------------------===//
+//===- LocalArrays.cpp - Arrays local to a kernel -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

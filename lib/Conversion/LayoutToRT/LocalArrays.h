@@ -1,4 +1,4 @@
-//===- LocalArrays.h - Arrays that a kernel makes ---------------*- C++ -*-===//
+//===- LocalArrays.h - Arrays local to a kernel ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,9 +12,9 @@
 
 namespace mlir::tai {
 
-/// Lowers the memrefs that a kernel allocates for itself, such as the history
-/// of a loop in an adjoint, with all accesses to them: `memref.alloc` to
-/// `malloc`, `memref.alloca` outside of loops to the stack of the kernel.
+/// Lowers the memrefs that a kernel allocates, such as the history of a loop in
+/// an adjoint, with all accesses to them: `memref.alloc` to `malloc`,
+/// `memref.alloca` outside of loops to the stack of the kernel.
 LogicalResult lowerLocalArrays(FunctionOpInterface function);
 
 } // namespace mlir::tai

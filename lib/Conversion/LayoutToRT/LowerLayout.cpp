@@ -7,10 +7,9 @@
 //
 // Replaces tai.load, tai.store and tai.atomic, and accesses to the arrays that
 // a kernel takes, by address arithmetic and accesses of the LLVM dialect: a
-// pattern for each op.
-// Atomics for which `tai-relax-atomics` chose a register or a private buffer
-// stay: their address depends on the partition, which only
-// `convert-tai-to-scf` knows.
+// pattern for each op. Atomics for which `tai-relax-atomics` chose a register
+// or a private buffer are not lowered here: their address depends on the
+// partition, which is known only in `convert-tai-to-scf`.
 //
 //===----------------------------------------------------------------------===//
 

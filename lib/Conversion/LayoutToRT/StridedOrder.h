@@ -12,15 +12,16 @@
 
 namespace mlir::tai {
 
-/// On a parallel loop: its iterations do not depend on one another, but LLVM
-/// must not be told so.
+/// On a parallel loop: its iterations are independent, but LLVM must not be
+/// told so.
 constexpr llvm::StringLiteral kKeepsOrderAttrName = "tai.keeps_order";
 
 /// Whether an iteration of the loop stores something and then accesses what may
 /// be the same element, where LLVM could combine accesses of several iterations
-/// at a stride. LLVM's vectoriser does not look for dependences in a loop that
-/// is annotated as parallel, those within an iteration included, and moves such
-/// groups past one another. All fields of the loop are in the table.
+/// into strided (interleaved) groups. LLVM's vectoriser does not look for
+/// dependences in a loop that is annotated as parallel, those within an
+/// iteration included, and moves such groups past one another. All fields of
+/// the loop are in the table.
 bool needsOrderWithin(ParallelForOp loop, FieldTable &fields);
 
 } // namespace mlir::tai

@@ -1,14 +1,13 @@
-//===- BlockSizes.cpp - Loops that say how large their blocks are ---------===//
+//===- BlockSizes.cpp - Block sizes specified by loops --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A loop may say how many threads its blocks have on a GPU. The function of the
-// loop carries the number to whoever launches it, and as a limit to the
-// assembler of the driver: a thread then has no more registers than leave room
-// for a whole block.
+// A loop may specify its block size on a GPU. The function of the loop carries
+// the number to the runtime, and as a limit to the driver's assembler, which
+// then limits the registers of a thread so that a whole block fits.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Takes kernels apart into functions for the device and a part for the host
-// that launches them; see docs/decisions/0010-cuda.md.
+// Splits kernels into device functions and host code that launches them; see
+// docs/decisions/0010-cuda.md.
 //
 //===----------------------------------------------------------------------===//
 

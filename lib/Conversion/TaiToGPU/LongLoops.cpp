@@ -1,19 +1,18 @@
-//===- LongLoops.cpp - Loops of device code that can be told to end -------===//
+//===- LongLoops.cpp - Safepoints in loops of device code -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A GPU does not stop a kernel that runs. A loop of one thread that may take
-// longer than a person waits therefore asks, every so many iterations, whether
-// it goes on (`tai_rt_go_on`): one whose end nobody knows, and one whose
-// iterations come to more than some ten million operations. Loops that are
-// known to be short do not ask, nor does one with a number of iterations that
-// the program reads somewhere and a short body, such as that over a particle's
-// neighbours, unless a single thread runs it.
+// A running kernel cannot be stopped from outside. So loops of a thread that
+// may run long poll a stop word periodically (`tai_rt_go_on`): loops with an
+// unknown end, and those with more than some ten million operations in total.
+// Loops known to be short do not poll, nor do loops with a data-dependent trip
+// count and a short body, such as those over a particle's neighbours, unless
+// they are run by a single thread.
 //
-// The question counts as a use of the device's state, which such a kernel gets.
+// The poll uses the device state, which such a kernel gets as an argument.
 //
 //===----------------------------------------------------------------------===//
 

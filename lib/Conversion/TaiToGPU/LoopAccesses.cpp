@@ -1,14 +1,14 @@
-//===- LoopAccesses.cpp - What a parallel loop touches --------------------===//
+//===- LoopAccesses.cpp - Accesses of a parallel loop ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Addresses are sums of values from outside, of the indices of the loop and of
-// loops inside it, times constants. An index that is anything else, such as one
-// that is wrapped around a border or was read from memory, lies in its range:
-// kernels do not leave their fields.
+// Addresses are sums of captured values, and of indices of the loop and of
+// inner loops times constants. Any other index, such as one that is wrapped
+// around a border or was read from memory, is only known to be in range:
+// out-of-range accesses are undefined.
 //
 //===----------------------------------------------------------------------===//
 
@@ -394,7 +394,7 @@ void LoopAccesses::addSum(Value target, Type type, bool isAddition,
                    : DeviceAccess::Write,
                {});
   // The iterations of each number of a fixed one are then of one thread.
-  isPlain = false;
+  isGridStride = false;
   add(target, storage, DeviceAccess::Write, {});
   if (isKnown)
     widen(addresses.back(), threads, getSize(storage));
@@ -426,14 +426,14 @@ DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
   if (!isKnown)
     return {};
   runtime::FunctionAccesses result;
-  result.isPlain = isPlain;
+  result.isGridStride = isGridStride;
   // A warp that meets in front of the loop and behind it is like one thread.
   bool inWarp = loop.getInWarp();
   bool isSingle = inWarp && box && !hasSums;
   if (isSingle)
     foldIterations();
   else if (inWarp)
-    result.isPlain = false;
+    result.isGridStride = false;
   for (size_t d = 0; d < loop.getInductionVars().size(); ++d)
     result.extents.push_back(
         isSingle ? 1

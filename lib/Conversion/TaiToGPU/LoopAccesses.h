@@ -1,4 +1,4 @@
-//===- LoopAccesses.h - What a parallel loop touches ------------*- C++ -*-===//
+//===- LoopAccesses.h - Accesses of a parallel loop ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -18,43 +18,43 @@ namespace mlir::tai {
 
 class RuntimeCalls;
 
-/// On a device function: what it touches, as FunctionAccesses encodes it.
+/// On a device function: its accesses, as FunctionAccesses encodes them.
 constexpr llvm::StringLiteral kAccessesAttrName = "tai.accesses";
 
-/// The same, of what can run in tiles: where the loop begins and its sites, as
-/// FunctionAccesses::encodeSites does.
+/// On one that can run in tiles: lower bounds of the loop and its sites, as
+/// FunctionAccesses::encodeSites encodes them.
 constexpr llvm::StringLiteral kTilesAttrName = "tai.tiles";
 
 /// On a load or store in the body of such a loop: its number.
 constexpr llvm::StringLiteral kSiteAttrName = "tai.site";
 
-/// Follows the addresses in a loop whose accesses have been lowered to those of
-/// memory, before it becomes a function. Made as long as the loop is whole;
-/// asked when the parameters of the function are known.
+/// Collects the addresses in a loop whose accesses have been lowered to memory,
+/// before it is outlined. Constructed from the loop; encoded when the
+/// parameters of the outlined function are known.
 class LoopAccesses {
 public:
   LoopAccesses(ParallelForOp loop, bool deterministic);
 
-  /// A sum of all iterations that goes to this address, or whose `threads`
-  /// partial sums are stored from there on.
+  /// Adds a sum over all iterations that goes to this address, or whose
+  /// `threads` partial sums are stored from there on.
   void addSum(Value target, Type type, bool isAddition, int64_t threads);
 
-  /// Finds the number of the parameter that a value from outside has become,
-  /// and how far behind that an address is.
+  /// Maps a captured value to the number of the parameter it has become, and
+  /// the offset of an address from that parameter.
   using ParameterFinder =
       llvm::function_ref<std::optional<std::pair<int64_t, int64_t>>(Value)>;
 
-  /// The list, with values from outside by the numbers of their parameters;
-  /// null where it is not known what the loop touches.
+  /// The list, with captured values by the numbers of their parameters; null
+  /// where not all accesses are known.
   DenseI64ArrayAttr encode(ParameterFinder getParameter);
 
-  /// Whether iterations touch memory by loads and stores alone, so that they
-  /// can be run again; these are then numbered.
+  /// Whether iterations access memory by loads and stores alone, so that they
+  /// can be repeated in overlapping tiles. Numbers these accesses if so.
   bool canRunInTiles();
   DenseI64ArrayAttr encodeSites(ParameterFinder getParameter);
 
 private:
-  /// An address with values from outside, which have no numbers yet.
+  /// An address with captured values, which have no numbers yet.
   struct Address {
     runtime::DeviceAccess access;
     Value base;
@@ -87,30 +87,30 @@ private:
   bool deterministic;
   std::optional<LoopBox> box;
   bool isKnown = true;
-  bool isPlain = true;
+  bool isGridStride = true;
   bool hasSums = false;
   bool isTileable = true;
   SmallVector<Address> addresses;
   std::vector<Site> sites;
 };
 
-/// Makes the function of one iteration, whose indices come behind the other
-/// parameters, from that of all, which has them in `iterations`. Each address
-/// that is a site goes through `tai_tile_site`, for programs that keep its cell
-/// somewhere else. Null where the indices cannot be told apart.
+/// Makes the function of one iteration, with the indices as additional last
+/// parameters, from that of all, whose loop is `iterations`. The address of
+/// each site goes through a call of `tai_tile_site`, by which programs redirect
+/// it to an overlay. Null where the uses of the indices cannot be separated.
 LLVM::LLVMFuncOp makeTileFunction(LLVM::LLVMFuncOp function,
                                   scf::ForOp iterations,
                                   ArrayRef<Value> indices, RuntimeCalls &calls);
 
-/// Takes the state of the device, which it does not use, from the parameters of
-/// that, and notes its sites; without any, it goes.
+/// Removes the unused device state from the parameters of `tile`, and sets its
+/// sites; without sites, erases it.
 void finishTileFunction(LLVM::LLVMFuncOp tile, LLVM::LLVMFuncOp function,
                         DenseI64ArrayAttr sites);
 
 /// An integer constant of at most 64 bits.
 std::optional<int64_t> getWholeConstant(Value value);
 
-/// The parts of a sum.
+/// Appends the summands of a sum.
 void collectParts(Value sum, SmallVectorImpl<Value> &parts);
 
 } // namespace mlir::tai

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 //
 // An index is 64 bits wide unless this pass proves that 32 are enough: device
-// code is a fifth faster with them, and wrong where a single value is cut.
+// code is a fifth faster with them, and wrong if a single value is truncated.
 //
 // The proof is by induction over the execution: each value of type index must
-// fit if its operands did. What loops, branches, locals and stacks hand on is
-// one of the values that are put in, each of which is looked at itself.
+// fit if its operands did. Values forwarded by loops, branches, locals and
+// stacks are copies of values that are checked themselves.
 //
 //===----------------------------------------------------------------------===//
 

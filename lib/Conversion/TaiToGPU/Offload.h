@@ -1,4 +1,4 @@
-//===- Offload.h - What of a kernel runs where ------------------*- C++ -*-===//
+//===- Offload.h - Splitting host and device code --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -18,55 +18,57 @@
 
 namespace mlir::tai {
 
-/// What the parts share while one module is lowered.
+/// Shared state while one module is lowered.
 struct DeviceLowering {
-  /// Of the host's part, and of the functions in `kernels`.
+  /// The lowerings of host code, and of the functions in `kernels`.
   ModuleLowering &host, &device;
   gpu::GPUModuleOp kernels;
   bool deterministic;
 };
 
 /// On an unrealized_conversion_cast from an address to a value: the value is in
-/// device memory at that address. A second operand is a guess of it.
+/// device memory at that address. A second operand is a prediction of the
+/// value.
 constexpr llvm::StringLiteral kDeviceSlotAttrName = "tai.device_slot";
 
-/// On an unrealized_conversion_cast in a loop: the address to which its sum of
-/// this number goes.
+/// On an unrealized_conversion_cast in a loop: the address of the target of the
+/// loop's sum with this number.
 constexpr llvm::StringLiteral kSumTargetAttrName = "tai.sum_target";
 
-/// On an op of the host's part that makes an address: how it is aligned.
+/// On an op of host code that produces an address: its alignment in bytes.
 constexpr llvm::StringLiteral kAlignmentAttrName = "tai.alignment";
 
-/// What every device gives a tree, as much as its widest access needs.
+/// The alignment, in bytes, of a tree on every device; enough for the widest
+/// access.
 constexpr int64_t kTreeAlignment = 16;
 
-/// On that, in deterministic mode: each thread stores a sum of its own, from
-/// that address on.
+/// On the cast with kSumTargetAttrName, in deterministic mode: the address is
+/// that of an array of partial sums, one for each thread.
 constexpr llvm::StringLiteral kPartialSumAttrName = "tai.partial_sum";
 
-/// On a module, by `tai-narrow-indices`, and then on its gpu.module: how many
-/// bits an index needs; 64 where it is not there.
+/// On a module, by `tai-narrow-indices`, and then on its gpu.module: the width
+/// of an index in bits; 64 where absent.
 constexpr llvm::StringLiteral kIndexBitsAttrName = "tai.index_bits";
 
 /// True for a loop that becomes a device function.
 bool isDeviceLoop(Operation *op);
 
-/// Wraps what must run on the device and is in no parallel loop, after `start`,
-/// into loops of one iteration. Values that later code uses go through device
-/// memory.
+/// Wraps code after `start` that must run on the device and is not in a
+/// parallel loop into loops of one iteration. Values that later code uses go
+/// through device memory.
 LogicalResult offloadSerialCode(LLVM::LLVMFuncOp host, Operation *start,
                                 Value frame, DeviceLowering &lowering);
 
-/// The lengths of lists of active cells stand in device memory, in front of the
-/// lists.
+/// Loads the lengths of lists of active cells on the device, from the word in
+/// front of each list, instead of on the host.
 void readLengthsOnDevice(LLVM::LLVMFuncOp host);
 
-/// Fetches the values in device memory that the host's part still uses.
+/// Copies to the host the values in device memory that host code still uses.
 void fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
                      DeviceLowering &lowering);
 
-/// Finds the sums that the iterations of a loop keep in registers, and computes
-/// before the loop where they go.
+/// Finds the sums that the iterations of a loop can keep in registers, and
+/// computes their target addresses before the loop.
 LogicalResult prepareSums(ParallelForOp loop, Value frame,
                           DeviceLowering &lowering);
 
@@ -77,24 +79,23 @@ LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
 /// Fails where a GPU has no blocks of the size that the loop asks for.
 LogicalResult checkBlockSize(ParallelForOp loop);
 
-/// Says on the function of a loop how many threads its blocks have, if the loop
-/// does.
+/// Sets the block size on the function of a loop, if the loop specifies one.
 void noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function);
 
-/// Leaves so many threads room, if the function says how many there are.
+/// Limits registers so that a block of the function's size fits, if it has one.
 void limitRegisters(LLVM::LLVMFuncOp function);
 
-/// Makes loops that may be long inside the iterations of a device function,
-/// whose first argument is the state of the device, ask whether they go on.
+/// Inserts safepoints into loops that may run long inside the iterations of a
+/// device function, whose first argument is the device state.
 void pollLongLoops(LLVM::LLVMFuncOp function, scf::ForOp iterations,
                    bool runsAlone, RuntimeCalls &runtime);
 
-/// Makes a device function, whose first argument is the state of the device,
-/// say where it finds no memory.
+/// Makes a device function, whose first argument is the device state, report
+/// failed allocations.
 void guardAllocations(LLVM::LLVMFuncOp function, RuntimeCalls &runtime);
 
-/// The address of memory that an earlier function of the kernel has allocated,
-/// for one that ends where there is none.
+/// Marks the address of memory that an earlier function of the kernel
+/// allocated: a thread exits if that allocation failed.
 Value markHandedOn(OpBuilder &builder, Location loc, Value address,
                    RuntimeCalls &runtime);
 

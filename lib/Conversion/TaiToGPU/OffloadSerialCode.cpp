@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Outside of its parallel loops, a kernel is serial code. What touches memory
-// of fields, and what is computed from that, runs on the device: runs of such
+// Outside of its parallel loops, a kernel is serial code. Accesses to fields,
+// and computations that depend on them, run on the device: sequences of such
 // ops become loops of one iteration, which one thread executes. Arithmetic on
 // arguments, and control flow around loops, stays on the host.
 //

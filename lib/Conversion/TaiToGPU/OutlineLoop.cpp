@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The function of a loop runs over all iterations with the stride of the grid,
-// so that it is right for any number of blocks and threads. Its parameters are
-// the values that the loop uses from outside, each one of its own.
+// The function of a loop is a grid-stride loop over all iterations, so that it
+// is correct for any number of blocks and threads. Its parameters are the
+// captured values, one for each.
 //
 //===----------------------------------------------------------------------===//
 
@@ -53,7 +53,7 @@ struct Iterations {
 } // namespace
 
 /// Emits the loop over the iterations of this thread and moves the body in.
-/// Programs count on which they are: see FunctionAccesses::isPlain.
+/// Programs count on which they are: see FunctionAccesses::isGridStride.
 static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
                                  MutableArrayRef<Sum> sums,
                                  RuntimeCalls &runtime) {
@@ -105,14 +105,14 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
     builder.setInsertionPointAfter(number);
   }
   if (warp.lane)
-    emitMeeting(builder, loc, warp, runtime);
+    emitWarpBarrier(builder, loc, warp, runtime);
   auto iterations = scf::ForOp::create(builder, loc, thread, count, threads);
   // The number of iterations may be close to the largest index: behind it there
   // is room for the stride of the grid if the comparison has no sign.
   if (extents.size() == 1 && !getConstantIntValue(count) && !warp.lane)
     iterations.setUnsignedCmp(true);
   if (warp.lane)
-    emitMeeting(builder, loc, warp, runtime);
+    emitWarpBarrier(builder, loc, warp, runtime);
   Block *block = iterations.getBody();
   builder.setInsertionPointToStart(block);
   IndexMath in(builder, loc);

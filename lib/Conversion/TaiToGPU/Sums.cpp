@@ -5,10 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Sums of all iterations are kept in a register of each thread, and added up
-// over a block before they go to memory. In deterministic mode those of floats
-// belong to a fixed number of threads, and loops behind this one add them up.
-// A thread adds up f32 in f64: one number after another, each addition rounds.
+// Sums over all iterations are accumulated in a register of each thread, and
+// reduced over a block before they are added to memory. In deterministic mode,
+// a fixed number of threads keeps partial float sums, and later loops add them
+// up. A thread accumulates f32 in f64, to reduce the rounding error of
+// sequential addition.
 //
 //===----------------------------------------------------------------------===//
 

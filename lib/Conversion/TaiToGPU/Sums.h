@@ -18,25 +18,24 @@ struct Sum {
   SmallVector<Operation *> updates;
   AtomicKind kind;
   Type type;
-  /// Of what a thread keeps: f64 for sums of f32.
+  /// The accumulator type of a thread: f64 for sums of f32.
   Type kept;
-  /// Where it goes, or the first of the partial sums.
+  /// The target address, or that of the first partial sum.
   Value target;
   bool isPartial = false;
   ArrayAttr scope;
   Value slot;
 };
 
-/// How many threads keep a float sum of this loop in deterministic mode.
-/// Depends on the loop alone.
+/// The number of threads that keep partial float sums in deterministic mode.
+/// Depends on the loop alone, not on the device.
 int64_t getSumThreads(ParallelForOp loop);
 
-/// Finds the sums again that prepareSums has numbered, and takes the marks
-/// away.
+/// Collects the sums that prepareSums has numbered, and removes the marks.
 SmallVector<Sum> collectSums(ParallelForOp loop, FieldTable &fields);
 
-/// Makes the slot in which a thread keeps its part, lets the updates go there,
-/// and adds what is there to the target.
+/// Create the thread's accumulator, redirect the updates to it, and add it to
+/// the target.
 void emitSumStart(OpBuilder &builder, Location loc, Sum &sum);
 void rewriteUpdates(Sum &sum);
 void emitSumEnd(OpBuilder &builder, Location loc, Sum &sum,

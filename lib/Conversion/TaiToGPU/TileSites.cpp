@@ -1,14 +1,14 @@
-//===- TileSites.cpp - Which cell an access touches -----------------------===//
+//===- TileSites.cpp - The cells that accesses touch ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Of loads and stores whose place is that of the iteration, shifted along each
-// dimension, programs can keep copies close to where they are used: see
-// docs/decisions/0012-fused-launches.md. Here it is found out of which this
-// holds. What does not fit is no error: it is found in memory.
+// Finds loads and stores of the element at the iteration's index shifted along
+// each dimension, of which programs can keep copies in shared memory: see
+// docs/decisions/0012-fused-launches.md. Other accesses are allowed; they use
+// global memory.
 //
 //===----------------------------------------------------------------------===//
 
@@ -31,7 +31,7 @@ static constexpr size_t kMostSites = 64;
 static constexpr size_t kMostDimensions = 3;
 
 bool LoopAccesses::canRunInTiles() {
-  return isKnown && isTileable && isPlain && box &&
+  return isKnown && isTileable && isGridStride && box &&
          !loop.getInductionVars().empty() &&
          loop.getInductionVars().size() <= kMostDimensions &&
          llvm::any_of(sites, [](const Site &site) {

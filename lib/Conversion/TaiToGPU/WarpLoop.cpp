@@ -1,16 +1,16 @@
-//===- WarpLoop.cpp - Loops that one warp runs ----------------------------===//
+//===- WarpLoop.cpp - Loops that one warp executes ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Iteration 32 * k + n is of thread n of the first warp, for k = 0, 1, ...:
-// what the threads add to memory, they add together, in an order that their
-// numbers fix (lib/DeviceLibrary/Ordered.cpp). All of them must come to each
-// addition. So additions leave the branches in which they stand, which yield an
-// address, or null, and a value; and in the last round, threads that have no
-// iteration left do the last one once more, without its effects.
+// Iteration 32 * k + n is of thread n of the first warp, for k = 0, 1, ...: the
+// threads execute additions to memory together, in an order fixed by their
+// numbers (lib/DeviceLibrary/Ordered.cpp). All of them must reach each
+// addition. So additions are moved out of branches, which then yield an
+// address, or null, and a value; and in the last batch, threads without an
+// iteration repeat the last one, without its effects.
 //
 //===----------------------------------------------------------------------===//
 
@@ -116,8 +116,8 @@ WarpPart tai::emitWarpPart(OpBuilder &builder, ParallelForOp loop, Value thread,
   return part;
 }
 
-void tai::emitMeeting(OpBuilder &builder, Location loc, const WarpPart &part,
-                      RuntimeCalls &runtime) {
+void tai::emitWarpBarrier(OpBuilder &builder, Location loc,
+                          const WarpPart &part, RuntimeCalls &runtime) {
   auto branch = scf::IfOp::create(builder, loc, part.isHere);
   OpBuilder inside = branch.getThenBodyBuilder();
   runtime.call(inside, loc, "tai_dev_ordered_meet", Type(), {});

@@ -1,4 +1,4 @@
-//===- WarpLoop.h - Loops that one warp runs --------------------*- C++ -*-===//
+//===- WarpLoop.h - Loops that one warp executes ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,44 +12,45 @@
 
 namespace mlir::tai {
 
-/// Threads of the block in which such a loop runs.
+/// Threads in the block of such a loop.
 constexpr int64_t kWarpSize = 32;
 
-/// On a call that does an addition in order: the scopes of what it updates, or
-/// a unit where they are not known.
+/// On a call of an ordered addition: the alias scopes of the updated memory, or
+/// a unit attribute where unknown.
 constexpr llvm::StringLiteral kOrderedScopeAttrName = "tai.ordered_scope";
 
-/// The part of a thread in a loop that tai-relax-atomics has given to a warp.
+/// The share of a thread in a loop that tai-relax-atomics assigned to a warp.
 struct WarpPart {
-  /// The numbers from `first` on, in steps, are the first of those that the
-  /// warp does at a time.
+  /// The warp runs batches of iterations; the batches start at the numbers from
+  /// `first` on, in steps of `step`.
   Value first, step;
-  /// Whether this thread is one of the warp.
+  /// An i1: whether this thread belongs to the warp.
   Value isHere;
-  /// The number of the thread; null where one thread does all, since the
-  /// others could not come to the additions with it.
+  /// The number of the thread in the warp; null where one thread runs all
+  /// iterations, because the others might not reach the additions together with
+  /// it.
   Value lane;
 };
 
-/// Brings the loop into the form in which most can be found out about it.
+/// Simplifies the loop, so that its additions can be analysed.
 void prepareWarpLoop(ParallelForOp loop);
 
-/// Decides how the threads do `loop`, of `count` iterations, as long as it is
-/// whole; `thread` is the number of this one.
+/// Distributes `loop`, of `count` iterations, over the threads; call before the
+/// loop is taken apart. `thread` is the number of this thread.
 WarpPart emitWarpPart(OpBuilder &builder, ParallelForOp loop, Value thread,
                       Value count, RuntimeCalls &runtime);
 
-/// Lets the threads of the warp wait for each other and see what all wrote.
-void emitMeeting(OpBuilder &builder, Location loc, const WarpPart &part,
-                 RuntimeCalls &runtime);
+/// Emits a barrier for the threads of the warp.
+void emitWarpBarrier(OpBuilder &builder, Location loc, const WarpPart &part,
+                     RuntimeCalls &runtime);
 
-/// Makes the additions in `body`, which all threads of the warp run together,
-/// ordered ones. Threads that have no iteration, so that `isActive` is false,
-/// have the number of another one and do nothing else.
+/// Replaces the additions in `body`, which all threads of the warp run
+/// together, by ordered ones. Threads without an iteration (`isActive` is
+/// false) run with the number of another iteration and have no other effect.
 void orderAdditions(Block *body, Value isActive, RuntimeCalls &runtime);
 
-/// Stores the parts that threads of the warp have of a sum, and that of others,
-/// which changes nothing.
+/// Stores the partial sums of the threads of the warp, and zeros for the
+/// remaining partial sums.
 void storeParts(OpBuilder &builder, Location loc, Sum &sum, Value thread,
                 Value threads, int64_t count);
 

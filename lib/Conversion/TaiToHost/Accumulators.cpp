@@ -725,7 +725,7 @@ void Accumulators::emitExit(OpBuilder &builder, Location loc) {
   }
 }
 
-LogicalResult tai::lowerPlainly(AtomicOp atomic, FieldTable &fields) {
+LogicalResult tai::lowerNonAtomic(AtomicOp atomic, FieldTable &fields) {
   FailureOr<const FieldInfo *> field =
       fields.lookup(atomic, atomic.getFieldAttr());
   if (failed(field))

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Does the accumulations that `tai-relax-atomics` took out of memory: each
-// partition sums in registers and in buffers of its own, and the kernel adds
-// the partial sums to the fields afterwards, in the order of the partitions.
+// Lowers the accumulations that `tai-relax-atomics` has privatised: each
+// partition sums in registers and in private buffers, and the kernel adds the
+// partial sums to the fields after the loop, in the order of the partitions.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,11 +24,11 @@ namespace mlir::tai {
 
 class Accumulators {
 public:
-  /// Iterations whose sums are added up apart: few enough that their sum in the
-  /// type itself is good, and so many that adding the sums of a vector's lanes
-  /// up is not seen.
+  /// Iterations in a block with a sum of its own: few enough that the rounding
+  /// error of a sum in the type itself is small, and enough to amortise the
+  /// horizontal addition of vector lanes.
   static constexpr int64_t kBlock = 2048;
-  /// The same where WidenSums keeps them in f64: where all updates are made by
+  /// The same where WidenSums keeps the sums in f64: where all updates are in
   /// the innermost loop itself.
   static constexpr int64_t kWidenedBlock = 8192;
 
@@ -38,25 +38,25 @@ public:
 
   bool empty() const { return registers.empty() && buffers.empty(); }
 
-  /// The number of partitions that pays for the buffers, at most `parts`.
+  /// The number of partitions for which buffers are worth their cost, at most
+  /// `parts`.
   Value limitParts(OpBuilder &builder, Location loc, Value parts, Value count,
                    double iterationsPerCount);
 
-  /// In the kernel, before the loop: makes room for partial sums.
+  /// In the kernel, before the loop: allocates partial sums.
   void emitBefore(OpBuilder &builder, Location loc, Value frame, Value parts);
 
-  /// In the function of the loop, before its loops, at the place where the
-  /// partition is known.
+  /// In the outlined function, before its loops, where the partition is known.
   void emitEntry(OpBuilder &builder, Location loc, Value part);
-  /// Replaces the updates, once they have been moved into the function.
+  /// Replaces the updates, after they have been moved into the function.
   void rewriteUpdates();
-  /// The iterations of a block of the innermost loop, at most, where there are
-  /// sums that want such blocks: 0 where there are none.
+  /// The maximum number of iterations in a block of the innermost loop, or 0 if
+  /// no sum needs blocks.
   int64_t getBlockLength() const;
-  /// Whether blocks must not be longer than that, in loops over rows, too.
+  /// Whether that limit is strict, in loops over rows, too.
   bool keepsTerms() const;
-  /// After each block of iterations, which `loop` runs: adds its sums to those
-  /// of the blocks.
+  /// After each block of iterations, run by `loop`: adds its sums to the
+  /// totals.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
   /// After the loops.
   void emitExit(OpBuilder &builder, Location loc);
@@ -70,30 +70,31 @@ private:
     Register(const FieldInfo *field, SmallVector<AtomicOp> atomics,
              AtomicKind kind, Type type, SmallVector<Value> indices,
              SmallVector<Value> components);
-    /// Sums blocks of iterations apart, where these are floats.
+    /// Enables sums by blocks of iterations, for floats.
     void sumInBlocks();
     SmallVector<Operation *> getUpdates() const;
 
     const FieldInfo *field;
     SmallVector<AtomicOp> atomics;
     AtomicKind kind; // how partial sums are combined
-    /// Of the sum over a block, and of the sum of blocks and of partitions.
+    /// The type of the sum over a block, and of the totals over blocks and
+    /// partitions.
     Type type, totalType;
     bool isBlocked = false;
-    /// What the sum rounds away is summed beside it: compensated sums of f64.
+    /// A compensated sum of f64: rounding errors are summed beside it.
     bool isPair = false;
     /// Added to the field in `totalType`, and rounded once.
     bool isCompensated = false;
     // In the kernel:
     SmallVector<Value> indices, components;
-    /// Where a local sum goes, which is of no field.
+    /// The address of the target of a local sum, which belongs to no field.
     Value address;
     SmallVector<LLVM::AtomicRMWOp> updates;
     Type localType;
-    // In the function of the loop: of the block, and of those before it; what a
-    // pair has rounded away.
+    // In the outlined function: the sum of the block, the total of earlier
+    // blocks, and the rounding error of a pair.
     Value slot, total, rest;
-    /// Of a pair whose terms are kept for a block of iterations.
+    /// A pair whose terms are stored for a block of iterations; see PairSums.h.
     bool keepsTerms = false;
     std::optional<PairLanes> lanes;
   };
@@ -102,9 +103,9 @@ private:
     AccumulationGroup group;
     FieldSlice slice;
     double updatesPerIteration;
-    /// Sums in f64 of a field of f32, in a buffer of every partition.
+    /// Sums in f64 for a field of f32, in a buffer for every partition.
     bool isWide = false;
-    /// Pairs of f64, for compensated sums of f64: also in all partitions.
+    /// Pairs of f64, for compensated sums of f64; also in every partition.
     bool isPair = false;
     // In the kernel:
     Value target, memory, partStride, cellStride;
@@ -120,7 +121,8 @@ private:
         return 2 * int64_t(sizeof(double));
       return isWide ? int64_t(sizeof(double)) : group.field->scalarSize;
     }
-    /// Whether no partition updates the field itself.
+    /// Whether every partition has a buffer, so that none updates the field
+    /// itself.
     bool isApart() const { return isWide || isPair; }
     int64_t compactStride() const {
       return group.field->numComponents * group.field->scalarSize;
@@ -129,7 +131,7 @@ private:
   };
 
   explicit Accumulators(ModuleLowering &lowering) : lowering(&lowering) {}
-  /// Sums in arrays that the kernel makes for them.
+  /// Collects sums in local arrays of the kernel.
   void collectLocalSums(ParallelForOp loop);
   Value emitTarget(OpBuilder &builder, Location loc, const Buffer &buffer);
   void emitBlockSums(OpBuilder &builder, Location loc);
@@ -137,7 +139,7 @@ private:
   int64_t getPartialBytes() const;
 
   ModuleLowering *lowering;
-  /// Of sums that are not compensated.
+  /// For sums that are not compensated.
   int64_t blockLength = kBlock;
   /// Whether sums are kept with twice the digits of their type.
   bool compensated = false;
@@ -147,13 +149,13 @@ private:
   std::vector<Buffer> buffers;
   /// The innermost loop, in the function.
   scf::ForOp innermost;
-  /// Room for the registers of all partitions, in the kernel.
+  /// Memory for the register sums of all partitions, in the kernel.
   Value partials;
   Value insidePartials;
 };
 
-/// Does an update where only one thread runs.
-LogicalResult lowerPlainly(AtomicOp atomic, FieldTable &fields);
+/// Lowers an update in serial code, without an atomic.
+LogicalResult lowerNonAtomic(AtomicOp atomic, FieldTable &fields);
 
 } // namespace mlir::tai
 

@@ -1,4 +1,4 @@
-//===- Closure.cpp - Functions made from pieces of others -----------------===//
+//===- Closure.cpp - Outlining with closures ------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

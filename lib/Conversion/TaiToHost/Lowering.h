@@ -16,10 +16,10 @@
 
 namespace mlir::tai {
 
-/// What the parts share while one module is lowered.
+/// Shared state while one module is lowered.
 struct ModuleLowering {
-  /// `table`: where functions of the runtime are declared, by default the
-  /// module itself.
+  /// `table`: the symbol table for declarations of runtime functions, by
+  /// default the module itself.
   ModuleLowering(ModuleOp module, bool deterministic, bool debug,
                  Operation *table = nullptr);
 
@@ -31,9 +31,8 @@ struct ModuleLowering {
   llvm::DenseMap<StringAttr, int64_t> treeIndex;
 };
 
-/// Moves code out of a function into one that gets a closure: what the code
-/// uses from outside is stored to slots at the call, and loaded on entry.
-/// Constants are copied instead.
+/// Outlines code into a function with a closure: captured values are stored to
+/// slots at the call, and loaded on entry. Constants are copied instead.
 class Closure {
 public:
   /// `frame` is the frame in the function around `call`, the point before
@@ -44,11 +43,11 @@ public:
   /// The value inside for a value outside.
   FailureOr<Value> get(Value outer);
 
-  /// Replaces what the ops of `region`, which was moved into the inner
-  /// function, use from outside.
+  /// Replaces the values that `region`, which was moved into the inner
+  /// function, captures.
   LogicalResult capture(Region &region);
 
-  /// Stores the captured values and yields the address of the closure.
+  /// Stores the captured values and returns the address of the closure.
   Value emit(RuntimeCalls &runtime);
 
 private:
@@ -64,30 +63,30 @@ LLVM::LLVMFuncOp createFunction(ModuleOp module, Location loc, StringRef name,
                                 Type result, ArrayRef<Type> arguments,
                                 bool isInternal);
 
-/// Yields the address to use for an array of the caller, from that in the slots
-/// and the extents.
+/// Computes the address to use for an array argument, from the address in its
+/// slot and the extents.
 using ArrayAddress =
     llvm::function_ref<Value(OpBuilder &builder, BlockArgument array,
                              Value address, ValueRange extents)>;
 
-/// Replaces the operands of ops in the region that are outside by what `get`
-/// makes of them.
+/// Replaces operands of ops in the region for which `isOutside` holds by the
+/// result of `get`.
 LogicalResult replaceOutside(Region &region,
                              function_ref<bool(Value)> isOutside,
                              function_ref<FailureOr<Value>(Value)> get);
 
-/// Loads arguments from the slots of the frame in place of the arguments of
-/// `function`, which are replaced; arrays are replaced use by use.
+/// Replaces the arguments of `function` by loads from the slots of the frame;
+/// arrays are replaced at each use.
 LogicalResult replaceArguments(FunctionOpInterface function, Value frame,
                                OpBuilder &builder, RuntimeCalls &runtime,
                                ArrayAddress arrayAddress = nullptr);
 
-/// Stores returned values to the slots of the frame, in the place of what ends
-/// the function, at which `builder` stands afterwards.
+/// Replaces the terminator `ret` by stores of its operands to the slots of the
+/// frame; `builder` is left at that point.
 void replaceReturn(Operation *ret, Location loc, Value frame,
                    OpBuilder &builder, RuntimeCalls &runtime);
 
-/// Each lowers one op, or all ops of a kind in a function.
+/// Lower one op, or all ops of a kind in a function.
 LogicalResult lowerKernel(KernelOp kernel, ModuleLowering &lowering);
 LogicalResult lowerHostFunction(func::FuncOp function,
                                 ModuleLowering &lowering);
@@ -98,17 +97,17 @@ LogicalResult lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                                ModuleLowering &lowering,
                                SmallVectorImpl<LLVM::LLVMFuncOp> &functions);
 LogicalResult lowerLeafOps(LLVM::LLVMFuncOp function, ModuleLowering &lowering);
-/// Replaces a parallel loop by serial ones where it stands; its updates become
-/// plain.
+/// Replaces a parallel loop by serial ones in place; its updates become
+/// non-atomic.
 LogicalResult lowerSerially(ParallelForOp loop, FieldTable &fields);
-/// Lowers the preconditions of a kernel that is done otherwise: it returns
-/// before anything runs where one does not hold.
+/// Lowers the preconditions of a kernel that has been lowered: it returns
+/// early, before any effect, where one does not hold.
 void lowerPreconditions(LLVM::LLVMFuncOp function, ModuleLowering &lowering);
 LogicalResult lowerStack(StackCreateOp op, Value frame, RuntimeCalls &runtime);
 
-/// Gives each tai.random below `loop` its iteration number, and a count to
-/// those that may draw more than once in one; `loop` may be null, for the
-/// serial code of a kernel.
+/// Gives each tai.random below `root` its iteration number in `loop`, and a
+/// counter to those that may draw more than once in an iteration; `loop` is
+/// null for the serial code of a kernel.
 void numberDraws(Operation *root, ParallelForOp loop);
 
 } // namespace mlir::tai

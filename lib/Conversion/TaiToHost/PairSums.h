@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A compensated sum of f64 is a pair: the sum, and the sum of what it has
-// rounded away. LLVM may not reorder such sums, and vectorises no loop that
-// forms one. So a loop over iterations stores its terms, which LLVM vectorises,
-// and behind each block of iterations they are added up in lanes.
+// A compensated sum of f64 is a pair: the sum, and the sum of its rounding
+// errors. LLVM must not reorder such sums, and does not vectorise a loop that
+// forms one. So the loop over iterations stores its terms, which LLVM
+// vectorises, and after each block of iterations the terms are summed in lanes.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,38 +20,38 @@
 
 namespace mlir::tai {
 
-/// A sum of f64, and the sum of what that has rounded away; or vectors of them.
+/// A sum of f64, and the sum of its rounding errors; or vectors of them.
 struct Pair {
   Value sum, rest;
 };
 
-/// The pair with a number more. Its operations have no flags of floats, and the
-/// number is not fused into one of them.
+/// Adds `x` to the pair (two-sum). The operations have no fast-math flags, and
+/// `x` is not contracted into them.
 Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x);
 
-/// Whether all these updates are made at most once in an iteration of the
-/// innermost loop that takes the place of `loop`, by that loop.
+/// Whether each update runs at most once in an iteration of the innermost loop
+/// that `loop` is lowered to, directly in its body.
 bool areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop);
 
-/// A pair in lanes, and the terms of a block of iterations.
+/// A pair for each vector lane, and the terms of a block of iterations.
 class PairLanes {
 public:
-  /// Iterations of a block. Their terms stay in the first cache.
+  /// Iterations in a block. Their terms fit into the L1 cache.
   static constexpr int64_t kBlock = 1024;
 
-  /// Whether these updates can be summed so, and are worth the memory.
+  /// Whether these updates can be summed this way, and are worth the memory.
   static bool canHold(ArrayRef<Operation *> updates, ParallelForOp loop);
 
-  /// At the entry of a function, for so many updates of an iteration.
+  /// At the entry of a function, for `updates` updates in an iteration.
   PairLanes(OpBuilder &builder, Location loc, size_t updates);
 
-  /// At an update, in the innermost loop: keeps its term. A term that is not
-  /// there must be a zero.
+  /// At update number `update`, in the innermost loop: stores its term. Must
+  /// run in every iteration; the term of a skipped update is zero.
   void emitTerm(OpBuilder &builder, Location loc, size_t update,
                 scf::ForOp loop, Value term);
-  /// Behind that loop: adds its terms up.
+  /// After that loop: sums its terms.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
-  /// The pair of all lanes.
+  /// The sum over all lanes.
   Pair emitTotal(OpBuilder &builder, Location loc);
 
 private:
@@ -59,7 +59,7 @@ private:
   static constexpr int64_t kVectors = 2;
 
   VectorType type;
-  /// Of each update.
+  /// The buffer of terms of each update.
   SmallVector<Value> terms;
   SmallVector<Value> sums, rests;
 };

@@ -96,7 +96,7 @@ static LogicalResult lowerSerially(ParallelForOp loop, const Box &box,
   SmallVector<AtomicOp> atomics;
   loop.walk([&](AtomicOp atomic) { atomics.push_back(atomic); });
   for (AtomicOp atomic : atomics)
-    if (failed(lowerPlainly(atomic, fields)))
+    if (failed(lowerNonAtomic(atomic, fields)))
       return failure();
   OpBuilder builder(loop);
   SmallVector<Value> ivs;

@@ -5,9 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A launch tests once whether all preconditions hold. Which does not, and what
-// is to be said about it, is found out in a block of its own, away from the
-// code that runs.
+// A launch tests once whether all preconditions hold. Which one does not, and
+// its message, is determined in a separate block, off the fast path.
 //
 //===----------------------------------------------------------------------===//
 

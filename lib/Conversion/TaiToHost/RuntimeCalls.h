@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The compiled side of tai/Runtime/Abi.h: reading the frame, slots, constant
-// strings and arrays, and calls by name.
+// The compiler's side of tai/ABI/Abi.h: emits reads of the frame, slots,
+// constant strings and arrays, and calls of runtime functions.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,7 @@
 
 namespace mlir::tai {
 
-/// MLIR's types for those of a C function of Abi.def.
+/// The MLIR types of a C function of Abi.def.
 template <typename Function> struct EntryTypes;
 template <typename Result, typename... Parameters>
 struct EntryTypes<Result(Parameters...)> {
@@ -47,12 +47,13 @@ private:
 
 class RuntimeCalls {
 public:
-  /// `table` is the module, or the part of it that is compiled for a device:
-  /// what is called is declared there.
+  /// `table` is the module, or the gpu.module in it: called functions are
+  /// declared there.
   explicit RuntimeCalls(Operation *table);
 
   /// A method for each row of Abi.def: emits a call of the function of the same
-  /// name, with a value for each parameter. Null where it returns nothing.
+  /// name, with a value for each parameter. Returns null if the function
+  /// returns void.
 #define TAI_ENTRY(result, name, parameters)                                    \
   template <typename... Arguments>                                             \
   Value tai_rt_##name(OpBuilder &builder, Location loc,                        \
@@ -63,8 +64,8 @@ public:
 #include "tai/ABI/Abi.def"
 
   /// Calls another function, of the device library for example; a null `result`
-  /// stands for void. Pure functions neither read nor write memory that the
-  /// kernel sees.
+  /// stands for void. `pure` functions neither read nor write memory that the
+  /// kernel accesses.
   Value call(OpBuilder &builder, Location loc, StringRef name, Type result,
              ValueRange arguments, bool pure = false);
 
@@ -105,9 +106,9 @@ private:
   llvm::DenseMap<Attribute, LLVM::GlobalOp> globals;
 };
 
-/// Room for `count` slots of eight bytes in the frame of the function that
-/// encloses the insertion point: allocated once on entry, so that a loop does
-/// not grow the stack.
+/// Allocates `count` slots of eight bytes in the stack frame of the function
+/// around the insertion point, at its entry, so that a loop does not grow the
+/// stack.
 Value emitStackSlots(OpBuilder &builder, Location loc, int64_t count);
 
 /// The address of slot `index`.
@@ -117,15 +118,15 @@ Value emitSlot(OpBuilder &builder, Location loc, Value slots, int64_t index);
 void emitSlotStore(OpBuilder &builder, Location loc, Value value, Value slot);
 Value emitSlotLoad(OpBuilder &builder, Location loc, Type type, Value slot);
 
-/// The number of slots that a value takes (see TaiFrame).
+/// The number of slots that a value of this type occupies (see TaiFrame).
 int64_t getNumSlots(Type type);
 
 /// The values of a message, in slots, with their kinds and shapes.
 struct MessageValues {
   Value count, kinds, shapes, slots;
 };
-/// `shapes` is the number of components of each value, which stand one after
-/// another in `values`; empty if all are scalars.
+/// `shapes` is the number of components of each value, which are consecutive in
+/// `values`; empty if all are scalars.
 MessageValues emitMessageValues(RuntimeCalls &runtime, OpBuilder &builder,
                                 Location loc, ValueRange values,
                                 ArrayRef<int32_t> shapes);

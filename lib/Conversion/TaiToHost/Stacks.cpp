@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A stack is a TaiStack in the frame of the function, followed by its first
-// slots. Pushing and popping are a few instructions; the runtime is called to
-// grow, and to free what has grown.
+// A stack is a TaiStack in the stack frame of the function, followed by its
+// first slots. Push and pop are a few instructions; the runtime is called to
+// grow the stack, and to free a grown one.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The libraries' functions of f32 are off by up to two units in the last place.
-// Those of f64, rounded to f32, are off by hardly more than half of one. The
-// exponential, the logarithm and the hyperbolic tangent of f32 are arithmetic
-// in f64 already; see WideMath.cpp. Those of f64 that the library does not keep
-// within one unit take the way by a wider float.
+// The errors of the libraries' f32 functions are up to two units in the last
+// place. Those of the f64 functions, rounded to f32, are hardly more than half
+// a unit. The exponential, the logarithm and the hyperbolic tangent of f32 are
+// arithmetic in f64 already; see WideMath.cpp. f64 functions for which the
+// library's error exceeds one unit are computed in a wider float.
 //
 //===----------------------------------------------------------------------===//
 

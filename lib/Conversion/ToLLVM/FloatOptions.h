@@ -1,4 +1,4 @@
-//===- FloatOptions.h - How exact float arithmetic is -----------*- C++ -*-===//
+//===- FloatOptions.h - Float semantics of lowered code --------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -17,14 +17,13 @@ class LLVMTypeConverter;
 
 namespace mlir::tai {
 
-/// Adds float options to all arithmetic below `root` that does not carry them
-/// yet.
+/// Sets fast-math flags on all arithmetic below `root` that has none yet.
 void setFloatOptions(Operation *root, bool fastMath, bool contract);
 
-/// Adds what hosts and devices share: upstream's conversions of control flow
-/// and arithmetic, the expansions of operations for which upstream has none, or
-/// a wrong one, and casts of floats to integers that yield one number, whatever
-/// the float.
+/// Adds the patterns shared by hosts and devices: upstream's conversions of
+/// control flow and arithmetic, expansions of operations for which upstream has
+/// none or a wrong one, and float-to-integer casts that are defined for every
+/// float.
 void populateSharedToLLVM(const LLVMTypeConverter &converter,
                           RewritePatternSet &patterns);
 
@@ -38,9 +37,10 @@ void populateWideMath(RewritePatternSet &patterns, PatternBenefit benefit);
 void populateAccurateMath(RewritePatternSet &patterns, PatternBenefit benefit,
                           bool onDevice = false);
 
-/// Lets the functions of the module `root` treat denormal numbers as zero, by
-/// the control word of the processor, which they put back: those of kernels
-/// with `ftz`. Fails after an error where the processor has no such thing.
+/// Makes the functions in module `root` that belong to kernels with `ftz` flush
+/// denormals to zero, by setting the processor's control word on entry and
+/// restoring it on exit. Fails after an error if the processor has no such
+/// mode.
 LogicalResult flushDenormals(Operation *root);
 
 } // namespace mlir::tai

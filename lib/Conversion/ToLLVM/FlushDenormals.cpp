@@ -1,15 +1,15 @@
-//===- FlushDenormals.cpp - Functions that take denormals for zero --------===//
+//===- FlushDenormals.cpp - Flush-to-zero functions -----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A processor flushes by its control word, which belongs to the thread. Each
-// function that the runtime may call sets it and puts it back, so that neither
-// the caller nor another launch on the same worker sees any of it. LLVM does
-// not know that arithmetic depends on the word: the body is a function of its
-// own, which is not inlined.
+// Flushing is a mode in the processor's control word, which is per thread. Each
+// function that the runtime may call sets and restores it, so that neither the
+// caller nor another launch on the same worker is affected. LLVM does not know
+// that arithmetic depends on the mode, so the body is a separate function that
+// is not inlined.
 //
 //===----------------------------------------------------------------------===//
 

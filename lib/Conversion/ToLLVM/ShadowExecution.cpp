@@ -5,13 +5,14 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The last pass in front of LLVM: every float is a value of the LLVM dialect
-// here, whatever it was made from, and still knows its place in the source.
-// Shadows are values too; block arguments have a block argument each.
+// The last pass before LLVM IR: every float is a value of the LLVM dialect
+// here, whatever it was lowered from, and still has its source location.
+// Shadows are values too; each float block argument gets a block argument for
+// its shadow.
 //
-// A comparison must not cost much where nothing is wrong. The tests of several
-// operations of a block become one branch, behind which the runtime is told of
-// each of them.
+// The check must be cheap if nothing is reported. The tests of several
+// operations of a block are combined into one branch, in which each of them is
+// reported to the runtime.
 //
 //===----------------------------------------------------------------------===//
 

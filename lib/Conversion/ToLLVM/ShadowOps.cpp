@@ -1,4 +1,4 @@
-//===- ShadowOps.cpp - Operations that have shadows -----------------------===//
+//===- ShadowOps.cpp - Operations in shadow execution ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

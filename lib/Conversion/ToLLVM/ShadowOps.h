@@ -1,11 +1,11 @@
-//===- ShadowOps.h - Operations that have shadows ---------------*- C++ -*-===//
+//===- ShadowOps.h - Operations in shadow execution ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What `tai-shadow-execution` knows of the operations of the LLVM dialect.
+// Properties of LLVM dialect operations for `tai-shadow-execution`.
 //
 //===----------------------------------------------------------------------===//
 
@@ -16,16 +16,16 @@
 
 namespace mlir::tai {
 
-/// What an operation does, as users say it.
+/// The name of an operation for users, as in a report.
 std::string nameOperation(Operation *op);
 
-/// The function of libm for a wider type, or "".
+/// The libm function that corresponds to `name` for the wider type, or "".
 std::string nameWiderCall(StringRef name, Type type, Type shadow);
 
-/// Rounds at the most; is as right as its operands.
+/// True for an operation whose only error is rounding: well conditioned.
 bool onlyRounds(Operation *op);
 
-/// Computes nothing.
+/// True for an operation that copies values without computing.
 bool onlyMoves(Operation *op);
 
 } // namespace mlir::tai

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 //
 // A call into libm keeps a loop from being vectorised, and its function works
-// on one number at a time. In f64 an exponential and a logarithm that are right
-// for f32 need no table and no branch: a short polynomial is exact to 2^-35, so
-// that what is rounded to f32 is off by hardly more than half a unit in the
-// last place (libm: up to 1, and 2 for tanh). The same for a number alone as
-// for a vector of them.
+// on one number at a time. In f64 an exponential and a logarithm that are
+// accurate for f32 need no table and no branch: the error of a short polynomial
+// is 2^-35, so that the error after rounding to f32 is hardly more than half a
+// unit in the last place (libm: up to 1, and 2 for tanh). Results are the same
+// for scalars and vectors.
 //
 //===----------------------------------------------------------------------===//
 

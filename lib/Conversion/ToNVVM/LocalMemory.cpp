@@ -1,15 +1,16 @@
-//===- LocalMemory.cpp - Memory that one thread of a device asks for ------===//
+//===- LocalMemory.cpp - Heap memory of device threads --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What a gradient records of a loop lies in memory that each thread allocates.
-// The heap of a device is small, and thousands of threads ask at the same time:
-// that it is used up is said with kernel, line and size, and the thread ends
-// before it writes anywhere. Its end is put in when the code is in LLVM's form
-// (see LocalMemory.cpp of the execution engine), where it can be jumped to.
+// The history of a loop in a gradient is in memory that each thread allocates.
+// The heap of a device is small, and thousands of threads allocate at the same
+// time: a failure is reported with kernel, line and size, and the thread exits
+// before it writes to memory. The exit is inserted in LLVM IR (see
+// lib/CodeGen/Passes/LocalMemory.cpp), where a branch to the end of the
+// function is possible.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // An entry is a header, the key and the bytes. The header holds the sizes and a
-// checksum over all three, and the key is compared whole: an entry that was
-// cut, changed or renamed is not the entry that was asked for. All files are
-// reached through the descriptor of the folder that was checked.
+// checksum over all three, and the key is compared whole: so an entry that was
+// truncated, changed or renamed is detected. All files are reached through the
+// descriptor of the folder that was checked.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// One stream carries everything: launches, copies, fills and the end of memory
-// are then in order without events. The context is the primary one of the
-// device, which other libraries of the process use too.
+// Everything is queued on one stream, so that launches, copies, fills and frees
+// are ordered without events. The context is the primary one of the device,
+// which other libraries of the process use too.
 //
 //===----------------------------------------------------------------------===//
 
@@ -111,7 +111,7 @@ private:
     return failure(result, what);
   }
   Status failure(Result result, const char *what) const;
-  /// Another library may have made another context that of this thread.
+  /// Another library may have set another context for this thread.
   bool isCurrent() const {
     Context current = nullptr;
     return cu.ctxGetCurrent(&current) == kSuccess && current == context;
@@ -123,16 +123,17 @@ private:
   }
   Status allocateOnce(int64_t bytes, Address &address);
   Status setHeap(size_t memoryBytes);
-  /// What is queued in `second` from now on comes after what is in `first`.
+  /// Makes later work in `second` wait for the work now in `first`.
   Status order(Stream first, Stream second);
   Status launchOverlapped(Function handle, const LaunchShape &shape,
                           void **parameters);
   Status fillByKernel(const std::vector<const DeviceFill *> &fills);
   Status fillAlone(const DeviceFill &fill);
-  /// Whether kernels of our own are made ready early now.
+  /// Whether the runtime's own kernels are launched with programmatic dependent
+  /// launch now.
   bool doesOverlap() const { return isCapturing && capturesOverlaps; }
 
-  /// Small copies go through memory that the device reads and writes itself.
+  /// Small copies go through pinned host memory.
   static constexpr int64_t stagingBytes = 256 << 10;
   static constexpr int64_t largestStaged = 32 << 10;
 
@@ -140,13 +141,12 @@ private:
   DeviceNumber number;
   Context context = nullptr;
   Stream stream = nullptr;
-  /// Whether a graph is being recorded, and whether what it has recorded last
-  /// is a kernel.
+  /// Whether a graph is being captured, and whether its last node is a kernel.
   bool isCapturing = false, isAfterKernel = false;
-  /// Whether our own kernels overlap in the graph that is being recorded.
+  /// Whether the runtime's own kernels overlap in the graph being captured.
   bool capturesOverlaps = false;
-  /// Another stream, for a branch of a graph; null for none. Whether there is
-  /// one that nothing has waited for yet, and whether it is being recorded.
+  /// A second stream, for a branch of a graph, or null. Whether the branch has
+  /// not been joined yet, and whether it is being captured.
   Stream side = nullptr;
   bool isAside = false, isFillingAside = false;
   Pool pool = nullptr;
@@ -159,24 +159,25 @@ private:
 
   CudaKernels kernels{*this};
 
-  /// The first launches that a graph that is recorded shall let change.
+  /// The number of first launches in the captured graph that can be changed.
   size_t numChangeable = 0;
 
-  /// Waits in safepoints until the driver no longer says that it is not ready.
+  /// Polls, with safepoints, until `query` is no longer "not ready".
   template <typename Query>
   Status waitUntilReady(const Query &query, Result &result);
-  /// Tells loops that ask whether they go on to end, and waits a moment for it.
+  /// Asks kernels with safepoints to stop, and waits briefly for that.
   template <typename Query> void stopLoops(const Query &query);
   bool isStopWritten(uint32_t who, std::chrono::steady_clock::time_point end);
 
-  /// The word by which they are told, or 0; a stream of its own, which passes
-  /// what is queued; and what it copies from: no thread, and one that asks.
+  /// The stop word in device memory, or 0; a separate stream to write it while
+  /// kernels run; and the source of the copies: zero, and the number of the
+  /// thread that asks.
   DevicePtr stopWord = 0;
   Stream stopStream = nullptr;
   uint32_t *stopSource = nullptr;
   std::mutex stopMutex;
 
-  /// Puts streams in order; made when it is needed.
+  /// For ordering streams; created on first use.
   std::mutex orderMutex;
   Event orderEvent = nullptr;
 
@@ -195,13 +196,13 @@ struct CudaGraph : DeviceGraph {
     if (recorded)
       (void)device.cu.graphDestroy(recorded);
   }
-  /// Finds the nodes of the first launches, which come one after another.
+  /// Finds the nodes of the first `count` launches, which are sequential.
   void findNodes(size_t count);
 
   CudaDevice &device;
   ExecutableGraph handle = nullptr;
-  /// What it was made from, which its nodes are named by; null where none of
-  /// them change.
+  /// The graph that it was instantiated from, which owns the node handles; null
+  /// if no node changes.
   Graph recorded = nullptr;
   std::vector<Node> nodes;
 };

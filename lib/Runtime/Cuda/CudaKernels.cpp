@@ -1,4 +1,4 @@
-//===- CudaKernels.cpp - Kernels of our own -------------------------------===//
+//===- CudaKernels.cpp - Kernels of the runtime itself --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- CudaKernels.h - Kernels of our own -----------------------*- C++ -*-===//
+//===- CudaKernels.h - Kernels of the runtime itself -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,9 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Kernels that copy, swap and fill rows of memory: see Rows.cu and FillTable.h.
-// The driver takes a microsecond for each row, and what comes next is made
-// ready only when it is done; several fills are one kernel, which can overlap
-// as others do.
+// The driver takes a microsecond for each row, and its copies do not overlap
+// with the next launch; here several fills are one kernel, which can overlap.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,17 +25,17 @@ public:
 
   explicit CudaKernels(Device &device) : device(device) {}
 
-  /// Not when they are first used: that may be while a graph is recorded.
+  /// Loads them. Not done on first use, which may be during a graph capture.
   Status load();
-  /// While the device can still be used.
+  /// Call while the device can still be used.
   void unload() { module.reset(); }
 
-  /// One of those that take rows here and rows there. `overlaps`: it is made
-  /// ready early.
+  /// Runs a kernel on two sets of rows. `overlaps`: with programmatic dependent
+  /// launch.
   Status runPairs(Kernel kernel, const DeviceRows &one, DevicePtr other,
                   int64_t otherStep, bool overlaps);
-  /// Fills all of these, with no more blocks than `mostBlocks`; as many as run
-  /// at a time if that is 0.
+  /// Runs all fills, with at most `mostBlocks` blocks; if that is 0, as many as
+  /// can be resident.
   Status fill(const std::vector<const DeviceFill *> &fills, bool overlaps,
               unsigned mostBlocks);
 
@@ -45,14 +44,14 @@ private:
                  std::initializer_list<uint64_t> parameters);
   struct Filling;
 
-  /// Bytes, words, pairs of them and quads.
+  /// Units of 1, 4, 8 and 16 bytes.
   static constexpr int kUnits = 4;
 
   Device &device;
   std::unique_ptr<DeviceModule> module;
   DeviceFunction *rows[kUnits][2] = {};
   DeviceFunction *filler = nullptr;
-  /// So many of its blocks run at a time.
+  /// The number of its blocks that can be resident.
   unsigned fillBlocks = 1;
 };
 

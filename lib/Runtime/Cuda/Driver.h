@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What the runtime uses of the binary interface of libcuda.so.1, which is there
-// on machines with a GPU and nowhere else: found when a device is opened, so
-// that neither building nor running on the CPU needs any part of CUDA.
+// The part of the binary interface of libcuda.so.1 that the runtime uses. The
+// library exists only on machines with a GPU, and is loaded when a device is
+// opened, so that neither building nor running on the CPU needs any part of
+// CUDA.
 //
 //===----------------------------------------------------------------------===//
 
@@ -42,7 +43,7 @@ constexpr Result kDeinitialized = 4;
 constexpr Result kNoDevice = 100;
 constexpr Result kInvalidPtx = 218;
 constexpr Result kUnsupportedPtxVersion = 222;
-// What a kernel has done that used memory which is none of its own.
+// Errors after a kernel has accessed memory out of range.
 constexpr Result kIllegalAddress = 700;
 constexpr Result kHardwareStackError = 714;
 constexpr Result kIllegalInstruction = 715;
@@ -74,26 +75,26 @@ constexpr int kFunctionAnyCluster = 14;
 constexpr unsigned kLaunchCooperative = 2;
 constexpr unsigned kLaunchCluster = 4;
 constexpr unsigned kLaunchOverlapped = 6;
-// Of captures: other threads may do what they like.
+// Of captures: calls of other threads are not restricted.
 constexpr int kCaptureThreadLocal = 1;
 // Of nodes of graphs.
 constexpr int kNodeKernel = 0;
-// Of streams: not in order with the default one.
+// Of streams: no implicit order with the default stream.
 constexpr unsigned kStreamNonBlocking = 1;
 // Of events.
 constexpr unsigned kEventDefault = 0;
 constexpr unsigned kEventNoTiming = 2;
-// The default stream, on which all others wait that are not made otherwise.
+// The legacy default stream, which synchronises with all blocking streams.
 constexpr uintptr_t kLegacyStream = 1;
 // Of pools.
 constexpr int kPoolReleaseThreshold = 4;
-// Of managed memory: not for one stream alone.
+// Of managed memory: accessible from all streams.
 constexpr unsigned kAttachGlobal = 1;
 // Of addresses.
 constexpr int kAddressMemoryType = 2;
 constexpr unsigned kMemoryTypeDevice = 2;
 constexpr unsigned kMemoryTypeUnified = 4;
-// Options of the compiler of PTX.
+// Options of the PTX compiler.
 constexpr int kJitInfoBuffer = 3;
 constexpr int kJitInfoBytes = 4;
 constexpr int kJitErrorBuffer = 5;
@@ -127,14 +128,14 @@ struct LaunchConfiguration {
 };
 static_assert(sizeof(LaunchConfiguration) == 56, "the layout is the driver's");
 
-/// What stands in the way of changing an executable graph.
+/// Why an executable graph could not be updated (CUgraphExecUpdateResultInfo).
 struct GraphUpdate {
   int result = 0;
   void *node = nullptr;
   void *from = nullptr;
 };
 
-/// A launch in a graph.
+/// A kernel node of a graph (CUDA_KERNEL_NODE_PARAMS).
 struct KernelNodeParameters {
   Function function;
   unsigned grid[3];
@@ -145,8 +146,8 @@ struct KernelNodeParameters {
 };
 static_assert(sizeof(KernelNodeParameters) == 56, "the layout is the driver's");
 
-/// Every function that the runtime calls: its name here, the symbol, and its
-/// parameters.
+/// Every driver function that the runtime calls: its name here, the symbol, and
+/// its parameters.
 #define TAI_CUDA_FUNCTIONS(DO)                                                 \
   DO(init, "cuInit", (unsigned))                                               \
   DO(driverGetVersion, "cuDriverGetVersion", (int *))                          \

@@ -6,43 +6,44 @@
 //===----------------------------------------------------------------------===//
 //
 // A table of fills is the parameter of a kernel, so that a graph holds it and
-// it changes as parameters do. Each fill is cut into tiles, which all blocks
-// take in turn. In C, for the kernel itself, for the host that makes the table,
-// and for tests, where the driver without a GPU runs the same code.
+// it can be updated like other parameters. Each fill is divided into tiles,
+// which are distributed to blocks in turn. In C, for the kernel itself, for the
+// host that builds the table, and for tests, where the fake driver runs the
+// same code.
 //
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_LIB_RUNTIME_CUDA_FILLTABLE_H
 #define TAI_LIB_RUNTIME_CUDA_FILLTABLE_H
 
-// What stands in front of functions.
+// Qualifiers of the functions below.
 #ifndef TAI_FILL_FUNCTION
 #define TAI_FILL_FUNCTION static inline
 #endif
 
 typedef unsigned long long TaiFillSize;
 
-/// The threads of a block, and how many units each of them stores of a tile.
+/// Entries of a table, threads of a block, and units of a tile that each thread
+/// stores.
 enum { taiFillEntries = 16, taiFillThreads = 256, taiFillEach = 4 };
 
-/// Units of rows are counted in 32 bits.
+/// The maximum of bytes in several rows: their units are counted in 32 bits.
 static const TaiFillSize taiFillMostBytes = 0xf0000000;
 
-/// Rows of units, and some bytes in front of and behind them.
+/// Rows of units, with some bytes before and after them.
 typedef struct {
-  /// Of the first unit, a multiple of its size.
+  /// The address of the first unit, aligned to its size.
   TaiFillSize address;
-  /// What rows start with, again and again.
+  /// The pattern that each row starts with and repeats.
   TaiFillSize pattern;
-  /// All units, and those of a row.
+  /// Number of units in total, and in a row.
   TaiFillSize units, rowUnits;
-  /// Of a group of rows; from one row to the next, and from one group to the
-  /// next, in units.
+  /// Number of rows in a group; strides of rows and of groups, in units.
   TaiFillSize rows, step, outerStep;
-  /// The tiles of this entry and of those before it.
+  /// The number of tiles up to and including this entry.
   TaiFillSize end;
-  /// The bytes of a unit: 1, 4, 8 or 16. Less than 16 bytes before the first
-  /// unit, and behind the last, where there is one row.
+  /// The bytes of a unit: 1, 4, 8 or 16. For a single row, the number of bytes
+  /// (below 16) before the first unit and after the last.
   unsigned char unitBytes, head, tail;
 } TaiFillEntry;
 
@@ -51,9 +52,9 @@ typedef struct {
   TaiFillEntry entries[taiFillEntries];
 } TaiFillTable;
 
-/// Adds a fill of `outer` times `rows` rows, for which there is room. Each
-/// starts with the pattern, of eight bytes. Of several rows there are less than
-/// taiFillMostBytes bytes.
+/// Adds a fill of `outer` groups of `rows` rows; the table must not be full.
+/// Each row starts with the pattern of eight bytes. Several rows must be
+/// smaller than taiFillMostBytes in total.
 TAI_FILL_FUNCTION void taiFillAdd(TaiFillTable *table, TaiFillSize address,
                                   TaiFillSize step, TaiFillSize rowBytes,
                                   TaiFillSize rows, TaiFillSize outerStep,
@@ -92,13 +93,13 @@ TAI_FILL_FUNCTION void taiFillAdd(TaiFillTable *table, TaiFillSize address,
   if (entry.units == 0 && entry.head == 0 && entry.tail == 0)
     return;
   entry.end = before + (entry.units + tileUnits - 1) / tileUnits;
-  // Some bytes are worth a tile, too.
+  // A fill without whole units still needs a tile.
   if (entry.units == 0)
     entry.end = before + 1;
   table->entries[table->count++] = entry;
 }
 
-/// Where unit i lies, in units behind the first, and in its row.
+/// The position of unit i, in units from the first, and `*at`, in its row.
 TAI_FILL_FUNCTION TaiFillSize taiFillPlace(const TaiFillEntry *entry,
                                            TaiFillSize i, TaiFillSize *at) {
   *at = i;
@@ -122,7 +123,7 @@ typedef unsigned long long TaiFillPair __attribute__((may_alias));
 typedef unsigned long long TaiFillQuad
     __attribute__((may_alias, vector_size(16)));
 
-// The memory of the device, where that is one of several.
+// The global address space of the device.
 #ifdef __NVPTX__
 #define TAI_FILL_GLOBAL __attribute__((address_space(1)))
 #else
@@ -137,7 +138,7 @@ typedef unsigned long long TaiFillQuad
           (value);                                                             \
     }
 
-/// What one thread of a block does of a tile.
+/// The part of a tile for one thread of a block.
 TAI_FILL_FUNCTION void taiFillTile(const TaiFillEntry *entry, TaiFillSize tile,
                                    unsigned thread) {
   TaiFillSize i = tile * (taiFillThreads * taiFillEach) + thread, at = 0;
@@ -163,7 +164,7 @@ TAI_FILL_FUNCTION void taiFillTile(const TaiFillEntry *entry, TaiFillSize tile,
   }
 }
 
-/// What one thread of a block does of all.
+/// The part of all fills for one thread of a block.
 TAI_FILL_FUNCTION void taiFillAll(const TaiFillTable *table, TaiFillSize block,
                                   TaiFillSize blocks, unsigned thread) {
   TaiFillSize all = table->entries[table->count - 1].end, first = 0;

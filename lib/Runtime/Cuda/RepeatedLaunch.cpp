@@ -1,4 +1,4 @@
-//===- RepeatedLaunch.cpp - A launch that comes again and again -----------===//
+//===- RepeatedLaunch.cpp - Repeated launches as graphs -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

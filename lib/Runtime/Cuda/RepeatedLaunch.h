@@ -1,13 +1,13 @@
-//===- RepeatedLaunch.h - A launch that comes again and again ---*- C++ -*-===//
+//===- RepeatedLaunch.h - Repeated launches as graphs ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The driver takes less time to queue a graph of one kernel, whose parameters
-// are changed before, than to queue the kernel: 1.2 to 1.5 microseconds rather
-// than 3.2 to 3.5, on the host of an H200 with driver 580, from C++ alone.
+// The driver takes less time to update and queue a graph of one kernel than to
+// queue the kernel: 1.2 to 1.5 microseconds rather than 3.2 to 3.5, on the host
+// of an H200 with driver 580, from C++ alone.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,7 @@
 
 namespace mlir::tai::runtime::cuda {
 
-/// A launch as a graph holds it.
+/// The node parameters of a launch.
 inline KernelNodeParameters nodeOf(Function function, const LaunchShape &shape,
                                    void **parameters) {
   return {function,          {shape.blocks, 1, 1}, {shape.threads, 1, 1},
@@ -32,13 +32,14 @@ inline KernelNodeParameters nodeOf(Function function, const LaunchShape &shape,
 class RepeatedLaunch {
 public:
   explicit RepeatedLaunch(const Driver &driver) : cu(driver) {}
-  /// In the context of the device.
+  /// The context of the device must be current.
   ~RepeatedLaunch() { release(); }
   RepeatedLaunch(const RepeatedLaunch &) = delete;
   RepeatedLaunch &operator=(const RepeatedLaunch &) = delete;
 
-  /// False where the launch has to be queued by itself: it has not come often
-  /// enough, another thread is at it, or the driver refuses.
+  /// Queues a launch as a graph. False if the caller must queue it directly: it
+  /// has not been repeated often enough, another thread is using the graph, or
+  /// the driver rejects it.
   bool queue(Function function, Stream stream, const LaunchShape &shape,
              const uint64_t *slots, int count, void **parameters);
 
@@ -47,7 +48,7 @@ private:
               const uint64_t *slots, int count);
   void release();
 
-  /// A graph takes memory of the device.
+  /// Thresholds, because a graph takes memory of the device.
   static constexpr unsigned launchesBefore = 32;
   static constexpr int mostGraphs = 256;
 
@@ -58,7 +59,7 @@ private:
   Graph graph = nullptr;
   Node node = nullptr;
   ExecutableGraph executable = nullptr;
-  /// What the graph holds.
+  /// The launch that the graph holds.
   unsigned blocks = 0, threads = 0, sharedBytes = 0;
   std::vector<uint64_t> values;
 };

@@ -5,11 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What the driver's own copies do not do, or do slowly: rows of a few bytes,
-// such as the elements of a field whose cells hold other fields too. Compiled
-// to PTX while the project is built. Rows and the distances between them are in
-// units: of 16 bytes, or the largest of eight, four and one that fits. Compiled
-// a second time for devices whose launches overlap, with TAI_OVERLAPS.
+// For copies that the driver does not support, or does slowly: rows of a few
+// bytes, such as the elements of a field whose cells hold other fields too.
+// Compiled to PTX while the project is built. Rows and the distances between
+// them are in units: of 16 bytes, or the largest of eight, four and one that
+// fits. Compiled a second time for devices whose launches overlap, with
+// TAI_OVERLAPS.
 //
 //===----------------------------------------------------------------------===//
 

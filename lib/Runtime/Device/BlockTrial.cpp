@@ -1,4 +1,4 @@
-//===- BlockTrial.cpp - How large blocks should be ------------------------===//
+//===- BlockTrial.cpp - Autotuning of block sizes -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

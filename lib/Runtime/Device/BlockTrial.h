@@ -1,20 +1,19 @@
-//===- BlockTrial.h - How large blocks should be ----------------*- C++ -*-===//
+//===- BlockTrial.h - Autotuning of block sizes ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// How many threads a block should have depends on registers, caches and the
-// order in which blocks reach memory: it is measured. Early launches of a
-// function over many iterations try several sizes in turn, with events around
-// them; some launches later, when the device has come there, the quickest
-// stays. Results do not depend on it but by the order of float additions, so
-// that there are no trials in deterministic mode.
+// The best block size depends on registers, caches and the order in which
+// blocks access memory, so it is measured. Early launches of a function over
+// many iterations try several sizes in turn, between events; some launches
+// later, when the events have passed, the fastest size is chosen. The size
+// affects results only through the order of float additions; there are no
+// trials in deterministic mode.
 //
-// What is best for a million iterations need not be for a hundred: launches of
-// similar numbers of iterations have trials of their own. What they have found
-// is kept for the next process, which then makes none.
+// The best size depends on the number of iterations: launches are classified by
+// it, and each class has its own trial. Results are stored for later processes.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,26 +33,26 @@ class BlockTrial {
 public:
   struct Size {
     unsigned threads;
-    /// That many blocks of so many threads run at a time.
+    /// The maximum number of blocks of the grid.
     unsigned mostBlocks;
   };
   static constexpr unsigned kAnyBlocks = ~0u >> 1;
-  /// Launches over fewer iterations say little.
+  /// Launches over fewer iterations are not timed.
   static constexpr int64_t kLeastIterations = int64_t(1) << 20;
 
-  /// The first is the one to take unless another is quicker. `found` is told
-  /// what the trials have shown.
+  /// The first size is the default unless another is faster. `found` is called
+  /// with the result.
   explicit BlockTrial(std::vector<Size> sizes,
                       std::function<void(Size)> found = nullptr)
       : sizes(std::move(sizes)), found(std::move(found)) {}
 
-  /// Takes this one of the sizes, without trials.
+  /// Chooses sizes[size] without trials.
   void choose(size_t size);
 
   bool hasEnded();
-  /// The best that is known.
+  /// The best size known so far.
   Size best();
-  /// Makes one launch, which `launch` queues with the size that it is given.
+  /// Runs one launch: `launch` queues it with the size passed to it.
   Status run(Device &device, int64_t iterations,
              const std::function<Status(Size)> &launch);
 
@@ -76,16 +75,17 @@ private:
   bool isOver = false;
 };
 
-/// The trials of a function.
+/// The trials of a function, by number of iterations.
 class BlockTrials {
 public:
-  /// `key` says which function on which device this is; empty where nobody else
-  /// knows.
+  /// `key` identifies the function and the device in `kept`; empty if results
+  /// are not stored.
   BlockTrials(std::vector<BlockTrial::Size> sizes, KeptBlockSizes kept = {},
               std::string key = "")
       : sizes(std::move(sizes)), kept(std::move(kept)), key(std::move(key)) {}
 
-  /// Those of launches with as many iterations up to the next power of two.
+  /// The trial for launches with this number of iterations, rounded up to a
+  /// power of two.
   BlockTrial &of(int64_t iterations);
 
 private:

@@ -1,4 +1,4 @@
-//===- DeviceHeap.cpp - Memory that device code asks for ------------------===//
+//===- DeviceHeap.cpp - The heap of device code ---------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 //
 // Runs the device functions of kernels where there is no GPU, for tests. Its
-// memory is not that of the host's side, so that what was not copied is not
-// there, and holds garbage until it is written. Blocks run one after another in
-// an order that changes from launch to launch. They have one thread, which
-// makes barriers and shuffles right by themselves, unless TAI_EMULATED_THREADS
-// asks for more; see EmulatedThreads.h. Programs always have one.
+// memory is separate from the host's, so that missing copies are detected, and
+// holds garbage until it is written. Blocks run one after another in an order
+// that changes from launch to launch. They have one thread, for which barriers
+// and shuffles are trivial, unless TAI_EMULATED_THREADS requests more; see
+// EmulatedThreads.h. Programs always have one.
 //
 //===----------------------------------------------------------------------===//
 

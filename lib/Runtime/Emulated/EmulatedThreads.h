@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs the threads of a block of the emulated device, each on a stack of its
-// own, one after another up to the next barrier. Each launch and each barrier
-// has another order, so that a barrier which is missing shows.
+// Runs the threads of a block of the emulated device as coroutines, each with
+// its own stack, one after another up to the next barrier. The order changes
+// with each launch and each barrier, so that missing barriers show up in tests.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,12 +22,11 @@ namespace mlir::tai::runtime {
 
 constexpr unsigned kEmulatedWarp = 32;
 
-/// Threads per block, as TAI_EMULATED_THREADS says, in whole warps; 1 without
-/// it.
+/// The block size from TAI_EMULATED_THREADS, in whole warps; 1 if not set.
 unsigned emulatedThreads();
 
-/// Calls body() as each of `threads` threads of a block. Returns false if some
-/// wait for others that never come.
+/// Calls body() as each of `threads` threads of a block. Returns false on a
+/// deadlock: some wait at a barrier that others never reach.
 bool runEmulatedBlock(unsigned threads, uint64_t order,
                       const std::function<void()> &body);
 

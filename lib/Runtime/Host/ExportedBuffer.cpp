@@ -1,4 +1,4 @@
-//===- ExportedBuffer.cpp - Field memory that other libraries use ---------===//
+//===- ExportedBuffer.cpp - Field memory used by others -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,14 +1,14 @@
-//===- FieldCopies.cpp - Whole fields at once -----------------------------===//
+//===- FieldCopies.cpp - Copies of whole fields ---------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Copies between a field and a row-major host array, and fills. A field whose
-// elements lie in row-major order is one copy; else the rows along the last
-// index are visited, and each row is one copy, a strided loop or a gather,
-// whichever its levels allow. Large fields are split over the workers.
+// Copies between a field and a row-major host array, and fills. A field that is
+// contiguous in row-major order is one copy; otherwise each row along the last
+// index is one copy, a strided loop or a gather, depending on its levels. Large
+// fields are distributed to worker threads.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- Gradients.cpp - Adjoints and tangents as a whole -------------------===//
+//===- Gradients.cpp - Clearing of gradients ------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

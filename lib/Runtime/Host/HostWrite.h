@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A change from outside of kernels, as data: a tape records it and makes it
-// again in a forward replay.
+// A write of the host as data: a tape records it and repeats it in a forward
+// replay.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,13 +22,13 @@ struct HostWrite {
 
   What what;
   Field *field;
-  /// A scalar of the type of the field, or, for an array, all of them.
+  /// A scalar of the field's type, or, for an array, all scalars.
   const void *bytes;
-  /// Of an element.
+  /// For `What::Element`.
   const int64_t *index = nullptr;
   int64_t component = 0;
 
-  /// Whether nothing stays of what the field held.
+  /// Whether it overwrites the whole field.
   bool replacesAll() const {
     return what != What::Element ||
            field->numElements() * field->numComponents() == 1;

@@ -1,4 +1,4 @@
-//===- HostWrites.cpp - Changes that the host makes to fields -------------===//
+//===- HostWrites.cpp - Writes of the host to fields ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -34,7 +34,7 @@ void HostWrites::perform(const HostWrite &write) {
 }
 
 /// Whether the write would change nothing. Of a fill, nobody has asked yet.
-static bool isVain(const HostWrite &write) {
+static bool changesNothing(const HostWrite &write) {
   const Field &field = *write.field;
   if (write.what == HostWrite::What::Array)
     return Slabs(field, -1).equal(0, field.numElements(),
@@ -131,7 +131,8 @@ Status HostWrites::change(const HostWrite &write) {
     return tape->write(write);
   // On a device it would take a copy, and a wait, to find out; only tapes that
   // need what the field held want to know.
-  if ((devices.isThere() && !recordings.minds(field)) || !isVain(write))
+  if ((devices.isThere() && !recordings.needsValues(field)) ||
+      !changesNothing(write))
     field.countChange();
   perform(write);
   return devices.takeFailure();

@@ -46,7 +46,7 @@ void Recordings::begin(Recorder &tape) {
     ++numRecording;
   }
   state.beginSpecial();
-  letLaunchesSee();
+  publishState();
 }
 
 void Recordings::end(Recorder &tape) {
@@ -67,9 +67,10 @@ void Recordings::remove(Recorder &tape) {
   tapes.erase(std::find(tapes.begin(), tapes.end(), &tape));
 }
 
-bool Recordings::minds(const Field &field) const {
-  return std::any_of(tapes.begin(), tapes.end(),
-                     [&](const Recorder *tape) { return tape->minds(field); });
+bool Recordings::needsValues(const Field &field) const {
+  return std::any_of(tapes.begin(), tapes.end(), [&](const Recorder *tape) {
+    return tape->needsValues(field);
+  });
 }
 
 Recordings::ReverseFunction::ReverseFunction(Recordings &recordings,
@@ -106,7 +107,7 @@ void Recordings::setForward(bool on) {
 void Recordings::beginHolding() {
   ++numHolding;
   state.beginSpecial();
-  letLaunchesSee();
+  publishState();
 }
 
 void Recordings::endHolding() {
@@ -166,7 +167,7 @@ Status Recordings::checkRunning(const Field &field, HoldKind kind) {
 Status Recordings::hold(const Recorder &tape, Field &field, HoldKind kind) {
   if (Status status = noteHold(tape, field, kind); !status)
     return status;
-  if (__builtin_expect(!launches || !launches->areThere(), true))
+  if (__builtin_expect(!launches || !launches->areAny(), true))
     return Status::success();
   // What begins from now on sees the hold.
   std::atomic_thread_fence(std::memory_order_seq_cst);

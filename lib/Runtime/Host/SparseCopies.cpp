@@ -1,12 +1,12 @@
-//===- SparseCopies.cpp - Whole sparse fields at once ---------------------===//
+//===- SparseCopies.cpp - Copies of whole sparse fields -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Work on all active cells of a field, split over the workers where there is
-// much of it. Inactive cells stay what they are: zeros.
+// Operations on all active cells of a field, distributed to worker threads if
+// there are many. Inactive cells are zero and are not changed.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The part of Abi.h by which the host's part of a kernel queues work. The way
-// of a launch takes no lock and allocates nothing.
+// The functions of Abi.h by which host code of a kernel queues work. The path
+// of a launch takes no lock and does not allocate.
 //
 //===----------------------------------------------------------------------===//
 

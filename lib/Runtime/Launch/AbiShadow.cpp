@@ -1,4 +1,4 @@
-//===- AbiShadow.cpp - What kernels with shadows call ---------------------===//
+//===- AbiShadow.cpp - Entry points for shadow execution ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

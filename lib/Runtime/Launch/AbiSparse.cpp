@@ -1,4 +1,4 @@
-//===- AbiSparse.cpp - What compiled kernels call for sparse levels -------===//
+//===- AbiSparse.cpp - Entry points for sparse levels ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AccessChecks.cpp - Watching the accesses of a tape -----------------===//
+//===- AccessChecks.cpp - Checked accesses under a tape -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,16 +1,16 @@
-//===- FlowTracker.h - Where derivatives end on their way -------*- C++ -*-===//
+//===- FlowTracker.h - Where derivatives are cut off -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Follows launches in their order and knows, for each field and array, which
-// stores have cut a derivative that what it holds should have: a value was kept
-// where derivatives end, and read from there on the way.
+// Tracks launches in order and knows, for each field and array, the cuts in the
+// derivative of its values: stores of a value with a derivative to memory
+// without one, from which the value was read again.
 //
-// Where a launch changes nothing of what is known, and depends on no argument,
-// the next launch of its kernel costs one look.
+// If a launch changes nothing of this state, and does not depend on its
+// arguments, the next launch of its kernel costs one look-up.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,7 +24,7 @@
 
 namespace mlir::tai::runtime {
 
-/// An array of a launch, which is contiguous.
+/// The addresses of an array argument, which is contiguous.
 inline ArrayRange rangeOf(const FlowPlace &place, const uint64_t *args) {
   auto bytes = static_cast<uint64_t>(place.elementBytes);
   uint64_t all = bytes;
@@ -40,42 +40,41 @@ public:
   /// Numbers of cuts, ascending.
   using CutSet = std::vector<unsigned>;
 
-  /// `fields`: all that there are.
+  /// `fields`: all fields of the runtime.
   FlowTracker(Mode mode, const std::vector<FieldPtr> &fields);
 
-  /// In forward mode: what the field holds has a tangent.
+  /// In forward mode: marks the field as having a tangent.
   void addSource(const Field &field);
-  /// Some memory holds the elements of an array for a launch to come.
+  /// Notes that memory at `address` is a copy of an array, for a later launch.
   void addCopy(uint64_t address, const ArrayRange &array) {
     copies[address] = array;
   }
 
   void launch(Kernel &kernel, const uint64_t *args);
-  /// The host has replaced what is there.
+  /// The host has overwritten the field or array.
   void overwrite(const Field &field);
   void overwrite(const ArrayRange &array);
 
-  /// The cuts on the way to what the field holds.
+  /// The cuts in the derivative of the field's values.
   const CutSet &cutsOf(const Field &field) const;
-  /// The same for results of kernels that `isWanted` and for arrays with
-  /// gradients whose adjoint is.
+  /// The same for arrays with gradients whose adjoint `isWanted`.
   using Wants = std::function<bool(uint64_t adjoint, uint64_t bytes)>;
   CutSet cutsOfArrays(const Wants &isWanted) const;
   const CutSet &cutsOfResults() const { return fromResults; }
 
-  /// A cut in words: its kernel and place, for those who want to say it once,
-  /// and the sentence.
+  /// nameOf: a key (kernel and location) to report a cut only once. describe:
+  /// the warning text.
   std::string nameOf(unsigned cut) const;
   std::string describe(unsigned cut) const;
 
 private:
   struct State {
-    /// Of a field with a dual: it may hold a tangent.
+    /// For a field with a dual: it may have a tangent.
     bool isActive = false;
     CutSet cuts;
 
     bool empty() const { return !isActive && cuts.empty(); }
-    /// Returns true if there was something new.
+    /// Returns true if the state has changed.
     bool add(const State &more);
   };
   struct ArrayState {
@@ -106,10 +105,10 @@ private:
   bool dependsOnArguments(Kernel &kernel) const;
 
   Mode mode;
-  /// Adjoints and duals.
+  /// Fields that are adjoints or duals of others.
   std::unordered_set<const Field *> companions;
   std::unordered_map<const Field *, State> ofFields;
-  /// By their first byte.
+  /// By their first address.
   std::multimap<uint64_t, ArrayState> ofArrays;
   uint64_t longest = 0;
   std::unordered_map<uint64_t, ArrayRange> copies;
@@ -117,7 +116,7 @@ private:
   std::map<std::pair<std::string, std::string>, unsigned> cutNumbers;
   CutSet fromResults;
   std::unordered_map<const Kernel *, Known> kernels;
-  /// Of all states.
+  /// Incremented with each change of any state.
   uint64_t version = 1;
 };
 

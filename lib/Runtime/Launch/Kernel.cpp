@@ -1,11 +1,11 @@
-//===- Kernel.cpp - Kernels and their summaries ---------------------------===//
+//===- Kernel.cpp - Kernels of the runtime --------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Lazy compilation of kernels and adjoints, and what summaries say.
+// Lazy compilation of kernels and adjoints, and queries of summaries.
 //
 //===----------------------------------------------------------------------===//
 
@@ -156,7 +156,7 @@ const AdjointPlan &Kernel::plan() {
   planFailure = info.provider->planAdjoint(*this, *adjointPlan);
   if (!planFailure)
     *adjointPlan = AdjointPlan();
-  adjointReruns = adjointPlan->reruns;
+  adjointReexecutes = adjointPlan->reexecutes;
   loadsStored = adjointPlan->loadsStored;
   alwaysZeroes = adjointPlan->zeroes;
   return *adjointPlan;

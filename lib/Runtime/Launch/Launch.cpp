@@ -183,8 +183,8 @@ bool mlir::tai::runtime::mayAlias(const OwedZeros &zeros, const Access &access,
   if (!access.fixed)
     return true;
   int64_t dimension = access.fixed->dimension;
-  return zeros.meets(dimension, access.fixed->evaluate(args) -
-                                    access.field->firstIndex(dimension));
+  return zeros.contains(dimension, access.fixed->evaluate(args) -
+                                       access.field->firstIndex(dimension));
 }
 
 bool mlir::tai::runtime::findElements(const StoredBox &box, const Field &field,

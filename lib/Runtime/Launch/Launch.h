@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Every frame that a kernel sees is the base of a Launch: the runtime alone
-// makes frames. Launches are reused, and with them their scratch memory, so
+// Every TaiFrame passed to a kernel is the base of a Launch, because only the
+// runtime creates frames. Launches are reused with their scratch memory, so
 // that a launch allocates nothing.
 //
 //===----------------------------------------------------------------------===//
@@ -22,7 +22,7 @@
 
 namespace mlir::tai::runtime {
 
-/// Memory that is handed out piece by piece and taken back all at once.
+/// A bump allocator whose memory is freed all at once.
 class Arena {
 public:
   Arena() = default;
@@ -30,11 +30,10 @@ public:
   Arena(const Arena &) = delete;
   Arena &operator=(const Arena &) = delete;
 
-  /// `bytes` (a multiple of 64) bytes aligned to 64, or null. `dirtyBytes` are
-  /// those at the start that may hold something else than zeros. Any thread.
+  /// Allocates `bytes` bytes (a multiple of 64) aligned to 64, or returns null.
+  /// The first `dirtyBytes` of them may be non-zero. Thread-safe.
   char *allocate(int64_t bytes, int64_t &dirtyBytes);
-  /// Takes everything back. What is kept is one block of the size that was
-  /// needed, so that the next launch finds it in one piece.
+  /// Frees everything. One block of the total size is kept for the next launch.
   void reset();
   bool used() const { return anyUsed; }
 
@@ -43,7 +42,7 @@ private:
     char *address;
     int64_t size;
     int64_t used;
-    int64_t touched; // bytes that have ever been handed out
+    int64_t touched; // bytes that have ever been allocated
   };
   static bool map(int64_t bytes, Block &block);
   static void unmap(const Block &block);
@@ -69,81 +68,83 @@ struct Launch : TaiFrame {
   }
 
   Runtime &owner() const { return *static_cast<Runtime *>(runtime); }
-  /// Keeps the first failure.
+  /// Sets the failure of the launch, unless it has one.
   void fail(Status status);
   bool hasFailed() const { return failed.load(std::memory_order_relaxed); }
-  /// A safepoint of the thread that launched, or of one that helps it. False
-  /// where the launch is to end.
+  /// A safepoint of the launching thread, or of a worker. False if the launch
+  /// must stop.
   bool passSafepoint() {
     return __builtin_expect(__atomic_load_n(&tick, __ATOMIC_RELAXED) ==
                                 safepoint::now(),
                             true) ||
            look();
   }
-  /// The same once there has been a tick.
+  /// The slow path, after a tick.
   bool look();
   Status takeFailure();
-  /// Into how many parts a loop is cut. Loops about which the estimate does not
-  /// decide are measured.
+  /// The number of partitions of a loop. Loops for which the estimate is not
+  /// decisive are timed.
   int64_t partition(int64_t n, int64_t cost, bool reduces);
-  /// Scratch memory that a launch which has failed may write to.
+  /// Memory that a failed launch may write to.
   void *sink(int64_t bytes);
 
-  /// The cells that a loop over a sparse level goes over; kept until the kernel
-  /// returns. Fails where the launch is an adjoint and its primal has none to
-  /// give.
+  /// The cells that a loop over a sparse level visits; valid until the kernel
+  /// returns. Fails the launch if it is an adjoint and the cells of its primal
+  /// are not known.
   const std::vector<int64_t> &cellsFor(SparseNode &node);
-  /// The same with those whose incoming adjoints are zero.
+  /// The same, including cells whose incoming adjoints are zero.
   const std::vector<int64_t> &visitedCells(SparseNode &node);
-  /// As a list; null after a failure.
+  /// The same as a list; null after a failure.
   ActiveListPtr visitedList(SparseNode &node);
-  /// Of adjoints: what the loops of the primal over the level went over.
+  /// For adjoints: the cells that the primal's loops over the level visited.
   const LoopLists::Entry *findGiven(SparseNode &node);
-  /// Of those: the ones with others around that are not vain.
+  /// Of cellsFor: the cells within `reach` of one whose incoming adjoints are
+  /// not all zero.
   const std::vector<int64_t> &gatheredCellsFor(SparseNode &node, int64_t reach);
 
-  // What each launch looks at.
+  // Read by each launch.
   std::atomic<bool> failed{false};
-  /// Whether other threads know of it by the fields that its kernel changes
-  /// alone: it is neither recorded nor part of a sweep.
-  std::atomic<bool> isPlain{true};
-  /// The kernel whose code runs, or null, and the thread that launched it; see
+  /// Whether the launch is neither recorded nor part of a sweep: other threads
+  /// then check only the fields that its kernel changes.
+  std::atomic<bool> isUnrecorded{true};
+  /// The running kernel, or null, and the thread that launched it; see
   /// RunningLaunches.cpp.
   std::atomic<const Kernel *> running{nullptr};
   std::atomic<const void *> thread{nullptr};
   bool isOfThisThread() const {
     return thread.load(std::memory_order_relaxed) == __builtin_thread_pointer();
   }
-  /// The state of the runtime has to be looked at after `begin`.
+  /// After `begin`, the state of the runtime must be read again.
   void begin(const Kernel &kernel) {
     running.store(&kernel, std::memory_order_release);
     std::atomic_signal_fence(std::memory_order_seq_cst);
   }
   void end() { running.store(nullptr, std::memory_order_release); }
-  /// Of the kernel that runs, or null; and the loop to be measured, once its
-  /// partition has been asked for.
+  /// The loop times of the running kernel, or null; and the entry of the loop
+  /// that is being timed.
   LoopTimes *loopTimes = nullptr;
   LoopTimes::Entry *measured = nullptr;
-  /// What it has on the device; `DeviceLaunch::code` is null where it runs on
-  /// the CPU.
+  /// Its device state; `DeviceLaunch::code` is null if it runs on the CPU.
   std::unique_ptr<DeviceLaunch> onDevice;
-  /// What the loops of this launch went over.
+  /// The cells that the loops of this launch visited.
   LoopLists loops;
   Arena arena;
-  /// Of adjoints: what those of the primal did, and its name.
+  /// For adjoints: the cells that the primal's loops visited, and its name.
   const LoopLists *given = nullptr;
   const std::string *primalName = nullptr;
-  /// Of adjoints: which cells their loops may leave out, and what is left.
+  /// For adjoints: in which cells loops can be skipped, and the remaining
+  /// cells.
   const std::vector<ZeroAdjoints> *flags = nullptr;
   std::vector<std::unique_ptr<std::vector<int64_t>>> filtered;
-  /// Lists that were brought from a device.
+  /// Lists that were copied from a device.
   std::vector<ActiveListPtr> fetched;
-  const std::vector<int64_t> &withoutVain(const SparseNode &node,
-                                          const std::vector<int64_t> &cells);
+  const std::vector<int64_t> &
+  withoutZeroAdjoints(const SparseNode &node,
+                      const std::vector<int64_t> &cells);
   std::mutex failureMutex;
   Status failure;
   HostState *host = nullptr;
-  /// For kernels with results when the caller wants none.
+  /// Results of a kernel when the caller passes no memory for them.
   std::vector<uint64_t> unwanted;
   std::vector<std::pair<void *, size_t>> sinks;
   ~Launch();
@@ -162,11 +163,11 @@ inline HoldKind holdKindOf(AccessKind kind) {
   __builtin_unreachable();
 }
 
-/// Whether a launch may touch one of the elements by this access.
+/// Whether this access of a launch may touch one of the elements.
 bool mayAlias(const OwedZeros &zeros, const Access &access,
               const uint64_t *args);
-/// The elements of a box in a launch with these arguments, those within the
-/// field; false where there are none.
+/// The elements of a box in a launch with these arguments, clipped to the
+/// field; false if there are none.
 bool findElements(const StoredBox &box, const Field &field,
                   const uint64_t *args, OwedZeros::Box &elements);
 

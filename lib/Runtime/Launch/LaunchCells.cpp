@@ -1,4 +1,4 @@
-//===- LaunchCells.cpp - The cells that loops of a launch go over ---------===//
+//===- LaunchCells.cpp - Cells that the loops of a launch visit -----------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -75,7 +75,7 @@ ActiveListPtr Launch::visitedList(SparseNode &node) {
 
 const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
   const std::vector<int64_t> &cells = visitedCells(node);
-  return flags ? withoutVain(node, cells) : cells;
+  return flags ? withoutZeroAdjoints(node, cells) : cells;
 }
 
 //===----------------------------------------------------------------------===//
@@ -129,7 +129,8 @@ findSources(const std::vector<ZeroAdjoints> &flags, const SparseNode &node,
 }
 
 const std::vector<int64_t> &
-Launch::withoutVain(const SparseNode &node, const std::vector<int64_t> &cells) {
+Launch::withoutZeroAdjoints(const SparseNode &node,
+                            const std::vector<int64_t> &cells) {
   std::vector<const Field *> sources =
       findSources(*flags, node, owner().options().deterministic);
   if (sources.empty() || cells.empty())
@@ -245,7 +246,7 @@ const std::vector<int64_t> &Launch::gatheredCellsFor(SparseNode &node,
   const std::vector<int64_t> &cells = visitedCells(node);
   if (!flags || reach < 0)
     return cells;
-  const std::vector<int64_t> &busy = withoutVain(node, cells);
+  const std::vector<int64_t> &busy = withoutZeroAdjoints(node, cells);
   if (&busy == &cells)
     return cells;
   auto loop =

@@ -1,4 +1,4 @@
-//===- Launcher.cpp - The way of a launch ---------------------------------===//
+//===- Launcher.cpp - The path of a launch --------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -44,7 +44,7 @@ Launcher::lostTangents(const std::vector<FieldPtr> &outputs) {
 
 void Launcher::forgetTangents() { tangentFlows.reset(); }
 
-bool Launcher::runsPlainly() const {
+bool Launcher::runsDirectly() const {
   return fusesLaunches && !parts.devices.isThere() &&
          !parts.recordings.isForward() && !parts.options.profiler;
 }
@@ -179,7 +179,7 @@ Status Launcher::runCode(Launch &launch, Kernel &kernel, const uint64_t *args,
   Status status;
   // A tape of another thread may have begun while this kernel was compiled.
   if (__builtin_expect(parts.recordings.areAnyHeld(), false) &&
-      launch.isPlain.load(std::memory_order_relaxed)) {
+      launch.isUnrecorded.load(std::memory_order_relaxed)) {
     std::atomic_thread_fence(std::memory_order_seq_cst);
     status = checkHolds(kernel);
   }
@@ -304,7 +304,7 @@ Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   if (__builtin_expect(!tape && parts.recordings.areAnyHeld(), false))
     if (Status status = checkHolds(kernel); !status)
       return status;
-  Launch *launch = acquire(/*isPlain=*/!tape);
+  Launch *launch = acquire(/*isUnrecorded=*/!tape);
   uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
   kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
   Status status = __builtin_expect(tape != nullptr, false)
@@ -350,7 +350,7 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
     status = kernel.checkActivity(loops, wasLaunched);
   if (!status)
     return status;
-  Launch *launch = acquire(/*isPlain=*/!parts.recordings.sweeping());
+  Launch *launch = acquire(/*isUnrecorded=*/!parts.recordings.sweeping());
   uint64_t number = kernel.prepared.lastLaunch.load(std::memory_order_relaxed);
   if (adjoint)
     status = runAdjoint(*launch, kernel, *adjoint, args, number,

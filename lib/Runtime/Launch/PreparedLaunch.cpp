@@ -1,4 +1,4 @@
-//===- PreparedLaunch.cpp - The short way of a launch ---------------------===//
+//===- PreparedLaunch.cpp - The fast path of a launch ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Most launches are of a kernel that was launched before, with the same storage
-// and no tape, profiler or forward mode. What they have in common is kept with
-// the kernel, and one number says whether it still holds. On a device the
-// driver leaves little of the caches, so that it counts how many places of
-// memory a launch looks at.
+// and no tape, profiler or forward mode. Their common data is kept with the
+// kernel, and one number tells whether it is still valid. On a device the
+// driver evicts most of the caches, so the number of cache lines that a launch
+// reads matters.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,10 +25,10 @@ using namespace mlir::tai::runtime;
 // Launches, to be used again
 //===----------------------------------------------------------------------===//
 
-Launch *Launcher::acquire(bool isPlain) {
+Launch *Launcher::acquire(bool isUnrecorded) {
   Launch *launch = take();
-  if (__builtin_expect(!isPlain, false))
-    launch->isPlain.store(false, std::memory_order_relaxed);
+  if (__builtin_expect(!isUnrecorded, false))
+    launch->isUnrecorded.store(false, std::memory_order_relaxed);
   return launch;
 }
 
@@ -72,8 +72,9 @@ inline Launch *Launcher::take() {
 void Launcher::release(Launch *launch) {
   if (__builtin_expect(!launch->loops.empty(), false))
     launch->loops.clear();
-  if (__builtin_expect(!launch->isPlain.load(std::memory_order_relaxed), false))
-    launch->isPlain.store(true, std::memory_order_relaxed);
+  if (__builtin_expect(!launch->isUnrecorded.load(std::memory_order_relaxed),
+                       false))
+    launch->isUnrecorded.store(true, std::memory_order_relaxed);
   if (__builtin_expect(launch == hot.launch.load(std::memory_order_relaxed),
                        true)) {
     hot.isTaken = false;
@@ -146,7 +147,7 @@ void Launcher::prepare(Kernel &kernel) {
     // while the state is another one.
     bool isUsed = false;
     if (before != 0) {
-      runningLaunches.letThemSee();
+      runningLaunches.publishState();
       runningLaunches.visit([&](const Launch &launch, const Kernel &other) {
         isUsed |= &other == &kernel && !launch.isOfThisThread();
       });

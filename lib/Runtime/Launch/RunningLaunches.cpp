@@ -1,4 +1,4 @@
-//===- RunningLaunches.cpp - Which kernels run in which thread ------------===//
+//===- RunningLaunches.cpp - Running launches of all threads --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -47,7 +47,7 @@ void RunningLaunches::forgetParents() {
   guard->rearm();
 }
 
-bool RunningLaunches::areThere() const {
+bool RunningLaunches::areAny() const {
   size_t made = count.load(std::memory_order_seq_cst);
   return made > 1 || (made == 1 && first.load(std::memory_order_relaxed) !=
                                        __builtin_thread_pointer());
@@ -65,8 +65,8 @@ static void fenceAllThreads() {
     (void)syscall(SYS_membarrier, MEMBARRIER_CMD_PRIVATE_EXPEDITED, 0, 0);
 }
 
-void RunningLaunches::letThemSee() const {
-  if (areThere())
+void RunningLaunches::publishState() const {
+  if (areAny())
     fenceAllThreads();
 }
 
@@ -84,7 +84,7 @@ void RunningLaunches::visitChanges(
         &visitChange) {
   visit([&](const Launch &launch, const Kernel &kernel) {
     if (launch.isOfThisThread() ||
-        !launch.isPlain.load(std::memory_order_relaxed))
+        !launch.isUnrecorded.load(std::memory_order_relaxed))
       return;
     for (const Access &access : kernel.summary())
       if (access.kind != AccessKind::Read)
@@ -93,7 +93,7 @@ void RunningLaunches::visitChanges(
 }
 
 Status RunningLaunches::checkUnused(const Tree &tree, const TreeStore &store) {
-  letThemSee();
+  publishState();
   Status status;
   visit([&](const Launch &launch, const Kernel &kernel) {
     if (!kernel.uses(tree))

@@ -1,4 +1,4 @@
-//===- ShadowLog.cpp - What shadow execution finds ------------------------===//
+//===- ShadowLog.cpp - Results of shadow execution ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

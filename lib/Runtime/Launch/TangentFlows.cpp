@@ -1,4 +1,4 @@
-//===- TangentFlows.cpp - Tangents that end where there is none -----------===//
+//===- TangentFlows.cpp - Lost tangents in forward mode -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,11 +1,11 @@
-//===- TangentFlows.h - Tangents that end where there is none ---*- C++ -*-===//
+//===- TangentFlows.h - Lost tangents in forward mode ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Forward mode records nothing: what ends tangents is found as launches come.
+// Forward mode has no tape: the loss of tangents is detected at each launch.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,12 +25,13 @@ public:
 
   void launch(Kernel &kernel, const uint64_t *args);
   void overwrite(const Field &field) override;
-  /// One line for each cut on the way to the outputs that is not among `said`.
+  /// A line for each cut in the derivative of the outputs that is not in
+  /// `said`; adds them to `said`.
   std::vector<std::string> describe(const std::vector<FieldPtr> &outputs,
                                     std::unordered_set<std::string> &said);
 
 private:
-  /// Several threads may launch.
+  /// Several threads may launch at once.
   std::mutex mutex;
   FlowTracker tracker;
   bool hasLaunched = false;

@@ -1,4 +1,4 @@
-//===- TapedKernel.h - What tapes see of a kernel ---------------*- C++ -*-===//
+//===- TapedKernel.h - Kernel internals for tapes --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,7 +12,7 @@
 
 namespace mlir::tai::runtime {
 
-/// What tapes use of kernels beyond what these offer to everybody.
+/// Access of tapes to private parts of kernels.
 struct TapedKernel {
   static KernelInfo &info(Kernel &kernel) { return kernel.info; }
   static const KernelInfo &info(const Kernel &kernel) { return kernel.info; }
@@ -22,8 +22,8 @@ struct TapedKernel {
   static std::atomic<uint64_t> &lastLaunch(Kernel &kernel) {
     return kernel.prepared.lastLaunch;
   }
-  /// Whether calling the function, with its trees and arguments, is all that a
-  /// launch does.
+  /// Whether a launch is a mere call of the function with its trees and
+  /// arguments.
   static bool isDirect(const Kernel &kernel) {
     return kernel.sparseNodes.empty() && kernel.loopLevels.empty() &&
            kernel.info.resultSlots == 0 &&
@@ -34,8 +34,8 @@ struct TapedKernel {
     launch.loopTimes = &kernel.loopTimes;
     return kernel.function.load(std::memory_order_relaxed)(&launch);
   }
-  /// What a tape knows of it, if that is the tape with the stamp that has
-  /// looked last.
+  /// The data of the tape with this stamp, if it was the last tape to set it;
+  /// or null.
   static const void *knownTo(const Kernel &kernel, uint64_t stamp) {
     return kernel.tapeStamp == stamp ? kernel.tapeUses : nullptr;
   }
@@ -64,14 +64,15 @@ struct TapedKernel {
   static const AdjointPlan &adjointPlan(const Kernel &kernel) {
     return *kernel.adjointPlan;
   }
-  static bool adjointReruns(const Kernel &kernel) {
-    return kernel.adjointReruns;
+  static bool adjointReexecutes(const Kernel &kernel) {
+    return kernel.adjointReexecutes;
   }
   static bool loadsStored(const Kernel &kernel) { return kernel.loadsStored; }
   /// The adjoint always zeroes the adjoints of what the kernel overwrites.
   static bool alwaysZeroes(const Kernel &kernel) { return kernel.alwaysZeroes; }
 
-  /// A form of the adjoint if it has been found, and whether it was asked for.
+  /// A variant of the adjoint if it is known, and whether it has been
+  /// requested.
   static Kernel *known(const Kernel &kernel, bool zeroes, bool stored) {
     return form(kernel, zeroes, stored).known.load(std::memory_order_acquire);
   }

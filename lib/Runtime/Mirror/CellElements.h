@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Where the elements of a sparse field lie, cell by cell of the innermost
-// sparse level above it, so that work on a whole field is work on active cells.
+// The addresses of a sparse field's elements, for each cell of the innermost
+// sparse level above it, so that operations on the whole field can iterate over
+// active cells.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,20 +23,18 @@ public:
   /// The field must lie below a sparse level.
   explicit CellElements(const Field &field);
 
-  /// Memory of the field in one cell, without gaps: pieces of this many bytes
-  /// at these distances from `base`.
+  /// A contiguous piece of the field in one cell; `offset` is from `base`.
   struct Run {
     int64_t offset;
     int64_t bytes;
   };
   const std::vector<Run> &runs() const { return pieces; }
-  /// The distance between consecutive cells where it is always the same, else
-  /// 0.
+  /// The stride of consecutive cells if uniform, else 0.
   int64_t evenCellStride() const { return uniform ? cellStride : 0; }
   int64_t bytes() const { return total; }
 
-  /// The first component of the first element in the cell. Who writes there
-  /// asks for Field::writable before.
+  /// The address of the first component of the first element in the cell. Call
+  /// Field::writable before writing there.
   char *base(int64_t cell) const {
     char *address = const_cast<char *>(field->readable());
     if (uniform)
@@ -53,8 +52,8 @@ public:
   void clear(int64_t cell) const;
   bool isZero(int64_t cell) const;
 
-  /// The elements in a cell: distance from `base`, and from `firstNumber(cell)`
-  /// in a row-major array of the field.
+  /// An element in a cell: its offset from `base`, and its number relative to
+  /// `firstNumber(cell)` in a row-major array of the field.
   struct Element {
     int64_t offset;
     int64_t number;
@@ -68,19 +67,19 @@ public:
   int64_t position(int64_t cell, int dimension) const;
 
 private:
-  /// Calls body(offset, constant size, position in the buffer) for all pieces
+  /// Calls body(offset, constant size, position in the buffer) for all runs
   /// until it returns false.
   template <typename Body> bool forEachRun(const Body &body) const;
 
   const Field *field;
   std::vector<Run> pieces;
   int64_t total = 0;
-  /// Where there are many pieces of one size, evenly spaced, as in records of
-  /// several fields: the distance between them, else 0.
+  /// If there are many runs of one size at a uniform distance, as in records of
+  /// several fields: that distance, else 0.
   int64_t step = 0;
   std::vector<Element> inner;
-  /// The digits that count cells; `divisor` is what a step adds to the number
-  /// of the element.
+  /// The digits that count cells; `divisor` is the increment of the element's
+  /// number for a step.
   std::vector<LayoutLevel> outer;
   bool uniform = false;
   int64_t cellStride = 0;

@@ -5,8 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What CellElements does for one cell in the memory of the host, for many cells
-// in the memory of a device.
+// The counterpart of CellElements on a device: copies many cells at once.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,43 +21,43 @@ class Mirror;
 
 class CellMover {
 public:
-  /// The one for a field. Null where it is not on a device that can do this,
-  /// which is no failure.
+  /// The mover for a field. Succeeds with null if the field is not on a device
+  /// that supports this.
   static Status find(const Field &field, const CellElements &elements,
                      std::shared_ptr<CellMover> &mover);
 
-  /// Cells by their numbers, in memory of the device; for a negative count, it
-  /// stands in the word in front of them.
+  /// Cells by their numbers, in device memory; if `count` is negative, the
+  /// count is in the word in front of them.
   struct Cells {
     DevicePtr numbers;
     int64_t count;
   };
-  /// A copy of numbers of the host's, for as long as `memory` lives.
+  /// Copies numbers from the host; valid while `memory` lives.
   Status bring(const int64_t *numbers, int64_t count,
                std::unique_ptr<DeviceBlock> &memory, Cells &cells) const;
 
-  // The elements of these cells, to or from a dense array in the memory of the
-  // device, or both at once. The device is made current, and with all but
-  // `load` the host is not.
+  // Copy the elements of these cells to or from a dense array in device memory,
+  // or exchange them. Make the device current, and, except for `load`, the host
+  // stale.
   Status load(Cells cells, DevicePtr to) const;
   Status store(Cells cells, DevicePtr from) const;
   Status exchange(Cells cells, DevicePtr with) const;
-  /// Every scalar of them becomes this one.
+  /// Sets every scalar of the cells to one value.
   Status fill(Cells cells, const void *value) const;
 
-  /// The same with numbers and contents in the memory of the host.
+  /// The same with numbers and contents in host memory.
   Status load(const std::vector<int64_t> &cells, char *to) const;
   Status store(const std::vector<int64_t> &cells, const char *from) const;
   Status clear(const std::vector<int64_t> &cells) const;
 
-  /// Of one cell.
+  /// Bytes of one cell.
   int64_t bytes() const { return cellBytes; }
 
 private:
   CellMover(Mirror &mirror, int64_t scalarBytes, int64_t cellBytes)
       : mirror(mirror), scalarBytes(scalarBytes), cellBytes(cellBytes) {}
   Status run(Cells cells, DevicePtr other, uint64_t what) const;
-  /// Calls `move` with the cells, and an array for them, on the device.
+  /// Calls `move` with the cells and a dense array for them on the device.
   template <typename Move>
   Status moveDense(const std::vector<int64_t> &cells, const Move &move) const;
 

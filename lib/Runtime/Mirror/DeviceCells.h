@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A list that device code makes and loops go over, and that the host need not
-// know. Launches that are queued after it has been asked for find it made.
+// A list that is computed and used on the device, and not copied to the host.
+// Launches queued after the list was requested can use it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,8 @@ namespace mlir::tai::runtime {
 
 class DeviceCells {
 public:
-  /// Zeroed, so that it shows nothing yet. With room for `capacity` cells.
+  /// Allocates a list for up to `capacity` cells, zeroed, so that its version
+  /// is that of no activity.
   static Status make(std::shared_ptr<DeviceContext> context, int64_t capacity,
                      std::shared_ptr<DeviceCells> &list);
   ~DeviceCells() { context->free(memory); }
@@ -33,7 +34,7 @@ public:
   int64_t capacity() const { return most; }
   Device &device() const { return context->get(); }
 
-  /// The state of the tree when it was last asked for.
+  /// DeviceActivity::generation when it was last requested.
   uint64_t generation = 0;
 
   static constexpr DevicePtr cellsOffset = 256;
@@ -51,7 +52,7 @@ private:
 /// Waits for the device, and copies the list.
 Status fetchCells(const DeviceCells &list, std::vector<int64_t> &cells);
 
-/// Whether loops over the level went over different cells.
+/// Whether loops over the level visited different cells.
 Status findDifference(const LoopLists &lists, const SparseNode &node,
                       bool &differs);
 

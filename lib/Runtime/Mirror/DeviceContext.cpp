@@ -1,4 +1,4 @@
-//===- DeviceContext.cpp - What a runtime keeps on its device -------------===//
+//===- DeviceContext.cpp - Device resources of a runtime ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

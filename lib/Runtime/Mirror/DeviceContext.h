@@ -1,12 +1,12 @@
-//===- DeviceContext.h - What a runtime keeps on its device -----*- C++ -*-===//
+//===- DeviceContext.h - Device resources of a runtime ---------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The device of a runtime, the account of its memory, the state that device
-// code uses for failures and output, and the code of each kernel there.
+// The device of a runtime, accounting of its memory, the state that device code
+// uses for failures and output, and the loaded code of kernels.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,7 +27,7 @@ class Mirror;
 
 class DeviceContext {
 public:
-  /// With at most `limit` bytes there; 0 for what it has.
+  /// `limit`: maximum of bytes there; 0 for all of its memory.
   DeviceContext(const DeviceServices &services, std::unique_ptr<Device> device,
                 int64_t limit, std::shared_ptr<Profiler> profiler);
   ~DeviceContext();
@@ -37,38 +37,38 @@ public:
   const DeviceServices &host() const { return services; }
   Device &get() const { return *device; }
   DeviceQueue &queue() const { return *device; }
-  /// What lies between the queue and the device.
+  /// The device as seen by the queue.
   WatchedDevice &watch() const { return *watched; }
   LibraryKernels &library() { return *libraryKernels; }
 
-  /// Memory for a tree, or for another purpose; where there is none, the
-  /// failure says who has it. Any thread.
+  /// Allocates memory; if there is too little, the failure lists the owners of
+  /// what is allocated. Thread-safe.
   Status allocate(int64_t bytes, const std::string &owner, DevicePtr &memory);
-  /// Memory that takes room where it is touched; see Device::reserve.
+  /// Reserves memory that is committed on use; see Device::reserve.
   Status reserve(int64_t bytes, const std::string &owner, DevicePtr &memory);
   void free(DevicePtr memory);
-  /// The same for what work in order alone uses, such as values that tapes
-  /// keep: the memory of one recording is that of the next one, at the same
+  /// Pooled memory that only queued work uses, such as saved values of tapes:
+  /// the memory of one recording is reused for the next one, at the same
   /// addresses.
   Status take(int64_t bytes, const std::string &owner, DevicePtr &memory);
   void giveBack(int64_t bytes, DevicePtr memory);
-  /// The most that the program can have, and what is left of it for memory that
-  /// is reserved, some of which has taken its room already.
+  /// The limit of memory, and what is left of it for reserved memory, of which
+  /// `taken` bytes are already committed.
   int64_t mostBytes() const;
   int64_t leftToReserved(int64_t taken);
 
-  /// The state that device code uses, made at the first call.
+  /// The TaiDeviceState, allocated at the first call.
   Status state(DevicePtr &memory);
-  /// Device code may have left something there.
+  /// Notes that device code may have written to it.
   void noteStateUsed() { stateUsed.store(true, std::memory_order_relaxed); }
-  /// To be called when the device has been waited for: prints what device code
-  /// has printed, and fails where it has failed.
+  /// Call after waiting for the device: prints the output of device code, and
+  /// returns its failure.
   Status report();
 
-  /// Work that is collected from now on uses the same scratch memory as that
-  /// which was collected before, so that it can be the same work.
+  /// Starts collecting work, with the same scratch memory as the work collected
+  /// before, so that both can be the same graph.
   void beginCollecting(bool isReplay) {
-    // Launches that have been kept have begun with it.
+    // Launches that were kept already use it.
     if (!device->keepsLaunches() && !device->isGathering())
       collections.fetch_add(1, std::memory_order_relaxed);
     device->beginCollecting(isReplay);
@@ -79,14 +79,14 @@ public:
       collections.fetch_add(1, std::memory_order_relaxed);
     return status;
   }
-  /// The same around what a tape records; see DeviceQueue.
+  /// The same around the recording of a tape; see DeviceQueue.
   void beginRecording();
   void endRecording(bool isSwept);
   uint64_t numCollections() const {
     return collections.load(std::memory_order_relaxed);
   }
 
-  /// Keeps the first failure of a call that could not say so itself.
+  /// Keeps the first failure of calls that cannot return it.
   void note(Status status);
   bool hasNoted() const { return noted.load(std::memory_order_relaxed); }
   Status take() {
@@ -100,7 +100,7 @@ private:
   Status allocateNow(int64_t bytes, DevicePtr &memory);
   void dropSpare();
 
-  // What each launch looks at.
+  // Read by each launch.
   std::unique_ptr<DeviceQueue> device;
   std::atomic<bool> noted{false};
   std::atomic<bool> stateUsed{false};
@@ -116,7 +116,7 @@ private:
     int64_t bytes;
   };
   std::map<DevicePtr, Holding> holdings;
-  /// By their bytes, in the order in which they were given back.
+  /// Pooled memory by size, in the order in which it was returned.
   std::multimap<int64_t, DevicePtr> spare;
   int numRecordings = 0;
   int64_t held = 0;
@@ -124,7 +124,7 @@ private:
   Status failure;
 };
 
-/// Device memory that goes with its owner.
+/// Owned device memory.
 class DeviceBlock {
 public:
   ~DeviceBlock() {
@@ -144,7 +144,7 @@ public:
       block.reset(new DeviceBlock(context, memory, 0));
     return status;
   }
-  /// For values that a tape keeps.
+  /// From the pool, for values that a tape saves.
   static Status makeKept(const std::shared_ptr<DeviceContext> &context,
                          int64_t bytes, std::unique_ptr<DeviceBlock> &block) {
     DevicePtr memory = 0;
@@ -167,8 +167,7 @@ private:
 
 class BlockTrials;
 
-/// The device code of a kernel, once it has been loaded, and the trees that it
-/// uses.
+/// The loaded device code of a kernel, and the trees that it uses.
 struct DeviceCode {
   explicit DeviceCode(std::shared_ptr<DeviceContext> context)
       : context(std::move(context)) {}
@@ -176,11 +175,11 @@ struct DeviceCode {
   struct Function {
     DeviceFunction *function;
     unsigned threads;
-    /// That many blocks of so many threads run at a time.
+    /// The number of blocks of `threads` threads that can be resident.
     unsigned mostBlocks;
-    /// Whether all launches have blocks of that size: the loop says so.
+    /// Whether the loop specifies `threads`, so that it is not tuned.
     bool hasSize;
-    /// Finds better numbers, where they may be looked for.
+    /// Autotuning of the block size; null if that is off.
     std::shared_ptr<BlockTrials> trials;
   };
 
@@ -188,24 +187,24 @@ struct DeviceCode {
   std::shared_ptr<const DeviceImage> image;
   std::unique_ptr<DeviceModule> module;
   std::vector<Function> functions;
-  /// In the order of the trees of the kernel; some of them are changed by it.
+  /// The mirrors of the kernel's trees, in order; and those that it changes.
   std::vector<Mirror *> mirrors, changed;
   std::vector<void *> bases;
-  /// State of the storage for which these hold.
+  /// The epoch of the storage for which these are valid.
   std::atomic<uint64_t> epoch{0};
 };
 
-/// What a launch has on the device, kept for the launches after it.
+/// The device state of a launch object, reused for later launches.
 struct DeviceLaunch {
   explicit DeviceLaunch(std::shared_ptr<DeviceContext> deviceContext)
       : context(std::move(deviceContext)),
         multiprocessors(context->get().limits().multiprocessors) {}
   ~DeviceLaunch();
 
-  /// Zeroed memory. It is handed out from a block that is zeroed anew when it
-  /// has been used up, which is in order with the launches that used it.
+  /// Zeroed scratch memory, from a block that is zeroed again, in order with
+  /// launches, when it is used up.
   Status scratch(int64_t bytes, DevicePtr &memory);
-  /// Device memory that holds what the caller's does.
+  /// Device memory with a copy of the caller's array.
   Status array(void *host, int64_t bytes, bool written, DevicePtr &memory);
   /// The tree that has this base on the device, or null.
   Mirror *mirrorOf(const void *base) const {
@@ -214,20 +213,20 @@ struct DeviceLaunch {
         return code->mirrors[i];
     return nullptr;
   }
-  /// Brings arrays back, and lets go of what the launch alone has used.
+  /// Copies written arrays back, and frees temporary memory.
   Status finish();
-  /// Whether there is nothing to do for a launch that has been queued.
+  /// Whether a queued launch needs no further steps.
   bool isFinished() const { return !usesState && !usesMemory; }
 
   std::shared_ptr<DeviceContext> context;
   const DeviceCode *code = nullptr;
   unsigned multiprocessors;
   bool usesState = false;
-  /// The device was waited for after the last work was queued.
+  /// The device has been synchronised since the last work was queued.
   bool waited = false;
-  /// It has scratch memory or arrays.
+  /// It uses scratch memory or arrays.
   bool usesMemory = false;
-  /// It has memory of another library, and may be kept.
+  /// It uses device memory of another library.
   bool usesOthers = false;
 
 private:
@@ -240,10 +239,10 @@ private:
   std::vector<Array> arrays;
   DevicePtr block = 0;
   int64_t blockBytes = 0, used = 0;
-  /// Where this launch has begun in the block.
+  /// Where the scratch memory of this launch begins in the block.
   int64_t start = 0;
   std::vector<DevicePtr> outgrown;
-  /// The collection of work for which memory was last handed out.
+  /// The collection for which memory was last allocated.
   uint64_t collection = 0;
 };
 

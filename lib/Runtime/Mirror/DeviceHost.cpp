@@ -1,4 +1,4 @@
-//===- DeviceHost.cpp - The device that a runtime may have ----------------===//
+//===- DeviceHost.cpp - The device of a runtime ---------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The device makes lists where it is asked for them, and keeps the lengths to
-// itself. The host knows which launches may have changed activity, and no more:
-// after such a one it queues the making of a list anew, which ends at once
-// where nothing has changed.
+// The device computes lists on demand, and their lengths stay on the device.
+// The host knows only which launches may have changed activity: after such a
+// launch it queues the computation again, which returns at once if nothing has
+// changed.
 //
 //===----------------------------------------------------------------------===//
 

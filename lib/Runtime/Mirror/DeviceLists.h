@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Those that the device makes of what is active there, and those that the host
-// has made and sent.
+// Lists that the device computes from its activity, and lists that the host has
+// computed and uploaded.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,9 +18,9 @@
 
 namespace mlir::tai::runtime {
 
-/// How far the host knows what is active on a device. States are numbered: the
-/// last one, the one from which on they are known to be the same, and the one
-/// at which cells were last made inactive.
+/// The host's knowledge of the activity on a device. States are numbered: the
+/// current one, the oldest one known to be the same, and the last one at which
+/// cells were deactivated.
 struct DeviceActivity {
   std::atomic<bool> behind{false};
   uint64_t generation = 1, unchangedFrom = 1, lastRemoval = 0;
@@ -31,14 +31,14 @@ struct DeviceActivity {
     if (removes)
       lastRemoval = generation;
   }
-  /// Whether a list is known to show what is active.
+  /// Whether a list is known to be up to date.
   bool isShownBy(const DeviceCells &cells) const {
     return isBehind() ? cells.generation == generation
                       : cells.generation >= unchangedFrom;
   }
 };
 
-/// The place of a level among those of its tree.
+/// The number of a level among those of its tree.
 size_t numberOf(const Tree &tree, const SparseNode &node);
 
 class DeviceLists {
@@ -51,18 +51,18 @@ public:
   DeviceLists(const DeviceLists &) = delete;
   DeviceLists &operator=(const DeviceLists &) = delete;
 
-  /// Where the tree is on the device, and room for sums of its tiles.
+  /// Sets the device address of the tree, and scratch memory for sums of tiles.
   void setMemory(DevicePtr treeBase, DevicePtr tileSums) {
     base = treeBase;
     sums = tileSums;
   }
-  /// Where the device finds a list, which the caller keeps, with its length in
-  /// front.
+  /// The device address of an uploaded list, preceded by its length. The caller
+  /// keeps `list` alive.
   Status find(const ActiveListPtr &list, DevicePtr &address);
-  /// The list of cells that are active when the work queued before is done,
-  /// made there: the host waits for nothing. Null where this device cannot.
+  /// Queues the computation of the list of active cells, after the work queued
+  /// before; the host does not wait. Null if the device does not support this.
   Status list(SparseNode &node, DeviceCellsPtr &cells);
-  /// How many cells may be active, for who decides how much should run.
+  /// An estimate of the number of active cells, to choose the size of a grid.
   int64_t guessActive(const SparseNode &node) const;
 
 private:

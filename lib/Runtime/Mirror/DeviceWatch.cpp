@@ -1,14 +1,13 @@
-//===- DeviceWatch.cpp - Times and names of a device's work ---------------===//
+//===- DeviceWatch.cpp - Profiling of a device's work ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Devices tell how long it is from one event to another, not when they were.
-// One event is therefore recorded while the host knows the time, and each
-// further one is placed by its distance from the one before, which is short and
-// hence exact.
+// Devices measure the time between events, not absolute times. So one event is
+// recorded at a known host time, and each further one is placed by its distance
+// from the one before, which is short and therefore accurate.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,14 +1,14 @@
-//===- DeviceWatch.h - Times and names of a device's work -------*- C++ -*-===//
+//===- DeviceWatch.h - Profiling of a device's work ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Stands in front of a device and, while the profiler is on, puts an event
-// before and behind each piece of work. Nothing waits for them: they are read
-// when there are many, or when somebody asks. Where a tool of NVIDIA listens,
-// work is queued in ranges with its name.
+// Wraps a device and, while the profiler is on, records an event before and
+// after each piece of work. Nothing waits for the events: they are read when
+// there are many, or on demand. If an NVTX tool is attached, work is queued in
+// named ranges.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,12 +26,12 @@ public:
                 std::shared_ptr<Profiler> profiler);
   ~WatchedDevice() override;
 
-  /// Hands the times of all that is queued to the profiler; waits for it.
+  /// Waits for queued work and adds its times to the profiler.
   Status collect();
-  /// Whether somebody wants to know where functions stand in the source.
+  /// Whether the source locations of functions are used.
   bool wantsPlaces() const { return nvtx || profiler->isOn(); }
-  /// What launches go to while the profiler is off; null where they have ranges
-  /// all the same.
+  /// The device for launches while the profiler is off; null if they need NVTX
+  /// ranges anyway.
   Device *unwatched() const { return nvtx ? nullptr : device.get(); }
 
   DeviceKind kind() const override { return device->kind(); }
@@ -110,18 +110,18 @@ public:
 
 private:
   struct Module;
-  /// What is known of a function.
+  /// Profile data of a function.
   struct Entry {
     Profiler::Item item = 0;
-    /// For ranges.
+    /// The name of its NVTX range.
     std::string label;
     bool isKnown = false;
     DeviceFunctionFacts facts;
-    /// The shape for which the rest holds.
+    /// The launch shape for which `occupancy` is valid.
     LaunchShape shape;
     double occupancy = -1;
   };
-  /// Work whose times have not been read.
+  /// Work whose times have not been read yet.
   struct Pending {
     Profiler::Item item;
     std::unique_ptr<DeviceEvent> begin, end;
@@ -148,7 +148,7 @@ private:
   std::unordered_map<const DeviceFunction *, Entry> entries;
   std::deque<Pending> pending;
   std::vector<std::unique_ptr<DeviceEvent>> unused;
-  /// An event, and when it was by the clock of the host.
+  /// An event and its time on the host's clock, to align both clocks.
   std::unique_ptr<DeviceEvent> anchor;
   int64_t anchorNs = 0;
 };

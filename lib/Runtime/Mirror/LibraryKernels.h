@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Functions of the device library that the runtime itself launches (see
-// tai/Runtime/DeviceSparse.h). They are launched like those of any kernel, and
-// become part of graphs and programs like them.
+// Kernels of the device library that the runtime itself launches (see
+// tai/ABI/DeviceSparse.h). They are launched like any other kernel, and can
+// become part of graphs and programs.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,10 +34,11 @@ class LibraryKernels {
 public:
   explicit LibraryKernels(DeviceQueue &queue) : queue(queue) {}
 
-  /// Makes them at the first call. False where nobody is there to make them.
+  /// Loads them at the first call. Sets `isThere` to false if no compiler is
+  /// available to make them.
   Status load(bool &isThere);
-  /// Queues a launch of as many threads as a block can have, up to `threads`;
-  /// with `blocks` 0, of as many blocks as run at a time.
+  /// Queues a launch with blocks of the maximum size, up to `threads`; with
+  /// `blocks` 0, with as many blocks as can be resident.
   Status launch(LibraryKernel kernel, unsigned blocks, unsigned threads,
                 std::initializer_list<uint64_t> slots);
 

@@ -5,7 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What moves between host and device, and what is done on the device instead.
+// Copies between host and device, and operations that run on the device
+// instead.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A tree has its memory on the host and, from its first use there, on the
-// device. At least one of them is current. Launches bring a tree to the device
-// and change it there; host access brings it back, or reaches for the elements
-// that it wants.
+// A tree has memory on the host and, from its first use there, on the device.
+// At least one of them is current. Launches make the device current, and writes
+// there make the host stale; a host access copies the tree back, or only the
+// accessed elements.
 //
 //===----------------------------------------------------------------------===//
 
@@ -46,29 +46,30 @@ public:
 
   /// Makes the memory of the host current.
   Status toHost() { return onHost() ? Status::success() : download(); }
-  /// The host is about to change it, all of it being current there.
+  /// Marks the device as stale, before the host writes; the host must be
+  /// current.
   void hostWrites() {
     hostCurrent.store(true, std::memory_order_relaxed);
     deviceCurrent.store(false, std::memory_order_relaxed);
     pristine = false;
   }
-  /// The memory on the device, which need not be current.
+  /// The memory on the device, allocated if necessary; it need not be current.
   Status allocate(DevicePtr &address);
   /// Makes the memory of the device current.
   Status toDevice() { return onDevice() ? Status::success() : upload(); }
-  /// Work that changes it has been queued.
+  /// Marks the host as stale, after work that writes was queued.
   void deviceWrites() {
     hostCurrent.store(false, std::memory_order_relaxed);
     reads = writes = 0;
     pristine.store(false, std::memory_order_relaxed);
   }
 
-  /// Others have its address on the device, and may write there at any time:
-  /// what the host has read is not current any more then.
+  /// Other libraries have its device address, and may write there at any time:
+  /// the host's copy is then always stale.
   bool isExported() const {
     return exports.load(std::memory_order_relaxed) > 0;
   }
-  /// The memory of the device is current.
+  /// The device must be current.
   void addExport() {
     exports.fetch_add(1, std::memory_order_relaxed);
     deviceWrites();
@@ -79,18 +80,18 @@ public:
     context().queue().unshare();
   }
 
-  /// A few bytes, from or to wherever they can be had at the least cost.
+  /// Accesses a few bytes, on the cheaper side.
   Status read(int64_t offset, void *to, int64_t bytes);
   Status write(int64_t offset, const void *from, int64_t bytes);
 
-  /// Copies a whole field from or to an array of the host, or fills it, where
-  /// the device has it. False where that is better done on the host.
+  /// Copies a whole field from or to an array of the host, or fills it, on the
+  /// device. False if that is better done on the host.
   bool copyOut(const Field &field, void *array);
   bool copyIn(const Field &field, const void *array);
   bool fill(const Field &field, const void *scalarBytes);
 
-  /// Elements of a field that lie evenly in the tree, from number `first` on;
-  /// the memory of the device must be there.
+  /// The rows of `count` elements from number `first` on, of a field with a
+  /// uniform stride; device memory must be allocated.
   DeviceRows rows(const Field &field, int64_t first, int64_t count) const {
     int64_t bytes = field.numComponents() * byteSize(field.scalar());
     int64_t step = field.evenStep();
@@ -99,7 +100,7 @@ public:
       return {address, 0, count * bytes, 1};
     return {address, step, bytes, count};
   }
-  /// A place in the memory of the device, which must be there.
+  /// The device address of an offset; device memory must be allocated.
   DevicePtr at(int64_t offset) const {
     return memory + static_cast<DevicePtr>(offset);
   }
@@ -114,9 +115,9 @@ private:
   std::mutex mutex;
   std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
   std::atomic<int> exports{0};
-  /// Nobody has written to it: it holds zeros.
+  /// The tree has never been written: it holds zeros.
   std::atomic<bool> pristine{true};
-  /// Elements read and written one by one since the last launch.
+  /// Single elements read and written since the last launch.
   int64_t reads = 0, writes = 0;
   DevicePtr memory = 0;
 };

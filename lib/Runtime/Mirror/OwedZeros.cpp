@@ -1,4 +1,4 @@
-//===- OwedZeros.cpp - Zeros that whoever looks stores --------------------===//
+//===- OwedZeros.cpp - Zeros that are stored on demand --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -33,7 +33,7 @@ void OwedZeros::add(Box box, int64_t dimension) {
   boxes.push_back(std::move(box));
 }
 
-bool OwedZeros::meets(int64_t dimension, int64_t position) const {
+bool OwedZeros::contains(int64_t dimension, int64_t position) const {
   auto d = static_cast<size_t>(dimension);
   return std::any_of(boxes.begin(), boxes.end(), [&](const Box &box) {
     return box.lower[d] <= position && position < box.upper[d];

@@ -1,4 +1,4 @@
-//===- OwedZeros.h - Zeros that whoever looks stores ------------*- C++ -*-===//
+//===- OwedZeros.h - Zeros that are stored on demand -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // After a reverse sweep the adjoint of an element that the recorded launches
-// have overwritten is zero. Most of these elements nobody ever looks at: they
-// are the later slots of a field with a time axis, and are cleared with the
-// whole field before the next sweep. So they are zeroed by the first who looks,
-// be it the host or a launch; see docs/decisions/0017-overwritten-gradients.md.
+// have overwritten is zero. Most of these elements are never read: they are the
+// later slots of a field with a time axis, and are cleared with the whole field
+// before the next sweep. So they are zeroed lazily, before the first access of
+// the host or of a launch; see docs/decisions/0017-overwritten-gradients.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,17 +21,17 @@
 namespace mlir::tai::runtime {
 
 struct OwedZeros {
-  /// Positions along each dimension, counted from 0: the first, and the one
-  /// behind the last.
+  /// A half-open box of positions, counted from 0 along each dimension.
   struct Box {
     std::vector<int64_t> lower, upper;
   };
   std::vector<Box> boxes;
 
-  /// Adds a box; one that goes on where the last has ended becomes part of it.
+  /// Adds a box; merges it with the last one if it continues that one along the
+  /// dimension.
   void add(Box box, int64_t dimension);
-  /// Whether one of the elements has this position along a dimension.
-  bool meets(int64_t dimension, int64_t position) const;
+  /// Whether an element has this position along the dimension.
+  bool contains(int64_t dimension, int64_t position) const;
   void store(const Field &field) const;
 };
 

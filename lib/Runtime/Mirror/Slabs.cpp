@@ -1,4 +1,4 @@
-//===- Slabs.cpp - Parts of fields, moved to and from buffers -------------===//
+//===- Slabs.cpp - Parts of fields in buffers -----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Slabs.h - Parts of fields, moved to and from buffers -----*- C++ -*-===//
+//===- Slabs.h - Parts of fields in buffers --------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,12 +6,11 @@
 //===----------------------------------------------------------------------===//
 //
 // Numbers the elements of a field so that all with the same index along one
-// dimension stand together, and copies ranges of such numbers, whatever the
-// layout is.
+// dimension are consecutive, and copies ranges of such numbers, for any layout.
 //
-// Of a sparse field, only cells count that have ever been active: what is
-// numbered is its part of each such cell, in the order in which they were first
-// seen. The others hold zeros.
+// In a sparse field, only elements in cells that have ever been active are
+// numbered, in the order in which the cells were first seen. The others are
+// zero.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,38 +34,39 @@ public:
   int64_t elements() const { return slabElements; }
   int64_t elementBytes() const { return bytes; }
 
-  /// Where cells are numbered: how many there are, and those of one slab.
+  /// Whether elements are numbered by cells; the number of cells, and the cells
+  /// of a slab.
   bool byCell() const { return cells != nullptr; }
   int64_t numCells() const { return static_cast<int64_t>(numbered.size()); }
   const std::vector<int64_t> &cellsOf(int64_t slab) const {
     return slabCells[slab];
   }
-  /// Numbers the cells of the list that have no number yet. Returns how many
-  /// had one.
+  /// Numbers the cells of the list that have no number yet. Returns the number
+  /// of cells that had one.
   int64_t addCells(const ActiveListPtr &list);
 
-  /// Copies `count` elements from number `first` on, densely.
+  /// Copies `count` elements from number `first` on, to or from a dense buffer.
   void load(int64_t first, int64_t count, char *to) const;
   void store(int64_t first, int64_t count, const char *from) const;
-  /// True where they hold these bytes.
+  /// True if they equal these bytes.
   bool equal(int64_t first, int64_t count, const char *expected) const;
-  /// Stores elements and takes what they held, and compares with zeros or
-  /// stores them; where cells are numbered.
+  /// Exchange elements with a buffer, compare them with zeros, or zero them;
+  /// only if byCell().
   void exchange(int64_t first, int64_t count, char *contents) const;
   bool isZero(int64_t first, int64_t count) const;
   void clear(int64_t first, int64_t count) const;
-  /// Stores zeros, where cells are not numbered.
+  /// Zeroes elements; only if not byCell().
   void zero(int64_t first, int64_t count) const;
 
-  /// Whether a device has the field and can keep ranges of it in its own
-  /// memory; how it does that, brings them back, or does both. Where the
-  /// dimension is not the first, a range is one slab.
+  /// Whether the field is on a device that can save ranges of it in device
+  /// memory; then: save, restore, and exchange. Unless the dimension is the
+  /// first, a range must be one slab.
   bool onDevice() const {
     return mover || (isEven && field->tree().mirror() != nullptr);
   }
   Status keepOnDevice(int64_t first, int64_t count,
                       std::unique_ptr<DeviceBlock> &block) const;
-  /// Memory for as many elements, holding zeros.
+  /// Zeroed device memory for `count` elements.
   Status zerosOnDevice(int64_t count,
                        std::unique_ptr<DeviceBlock> &block) const;
   void storeOnDevice(int64_t first, int64_t count,
@@ -76,7 +76,8 @@ public:
 
 private:
   DeviceRows rowsOf(int64_t first, int64_t count) const;
-  /// Changes a range there: by `moveCells` where cells are numbered.
+  /// Changes a range on the device: by `moveCells` if byCell(), else by
+  /// `moveRows`.
   template <typename MoveCells, typename MoveRows>
   void changeOnDevice(int64_t first, int64_t count, const MoveCells &moveCells,
                       const MoveRows &moveRows) const;
@@ -91,11 +92,11 @@ private:
   int64_t slabs = 1;
   int64_t slabElements = 1;
   int64_t bytes;
-  /// What `onDevice` asks of the layout; and whether numbers count up in
-  /// row-major order, and elements lie without gaps.
+  /// Whether the stride is uniform, as `onDevice` requires; and whether numbers
+  /// are in row-major order and elements contiguous.
   bool isEven, isContiguous;
-  /// For each dimension, the slow one first: its extent, and how an index moves
-  /// the address: by a constant step, or by a table.
+  /// A dimension, the slow one first: its extent, and the address offset of an
+  /// index: by a constant step, or by a table.
   struct Dimension {
     int64_t extent;
     int64_t step;
@@ -108,16 +109,16 @@ private:
   std::vector<Dimension> dimensions;
 
   std::shared_ptr<CellElements> cells;
-  /// Where cells are numbered and a device has them; and `numbered` there.
+  /// If byCell() on a device: the mover, and a copy of `numbered` there.
   std::shared_ptr<CellMover> mover;
   struct Numbers;
   std::shared_ptr<Numbers> numbersOnDevice;
   Status bringNumbers(int64_t first, int64_t count,
                       CellMover::Cells &found) const;
-  /// By number, and ascending.
+  /// Cells by number, and sorted.
   std::vector<int64_t> numbered, known;
   ActiveListPtr lastAdded;
-  /// Numbers, for each slab.
+  /// Cell numbers of each slab.
   std::vector<std::vector<int64_t>> slabCells;
 };
 

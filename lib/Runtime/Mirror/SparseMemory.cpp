@@ -5,14 +5,14 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A small tree gets memory for all of its cells at once. One that would take
-// much of the device, or more than it has, reserves addresses instead, and the
-// device gives memory to pieces that are touched. Nothing here goes over such a
-// tree as a whole: not over its cells, nor over its bits.
+// A small tree is allocated for all of its cells at once. A tree that would
+// take a large part of the device's memory, or more, reserves addresses
+// instead, and the device commits pieces on first use. No code here may iterate
+// over all cells or all bits of such a tree.
 //
-// Where memory runs out, the driver moves pieces to the host and back, and
-// everything slows to a crawl. So pieces with active cells are counted, and a
-// kernel that would need one too many fails.
+// If memory is exhausted, the driver pages pieces to the host and back, which
+// is extremely slow. So pieces with active cells are counted, and a kernel that
+// would exceed the limit fails.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,11 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A sparse tree has memory for all of its cells on the device, zero where
-// nothing is active. Device code changes activity there and makes lists of
-// active cells; the host gets to know of it when it asks. What moves between
-// them is what may hold something: pieces of the tree that have ever been
-// active.
+// A sparse tree has device memory for all of its cells, zero where nothing is
+// active. Device code changes activity and computes lists of active cells
+// there; the host fetches the activity on demand. Only parts of the tree that
+// have ever been active are copied between them.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,31 +34,32 @@ public:
   SparseMirror(const SparseMirror &) = delete;
   SparseMirror &operator=(const SparseMirror &) = delete;
 
-  /// Whether the tree can be on this device at all.
+  /// Fails if such a tree cannot be on this device.
   static Status check(const DeviceContext &context, const std::string &name,
                       int64_t bytes, const std::vector<SparseInfo> &levels);
 
-  /// Zeroed memory for the tree, with what device code must know around it.
+  /// Allocates zeroed memory for the tree, with its descriptor (TaiDeviceTree).
   Status allocate(DevicePtr &base);
   Status upload();
-  /// Activity is brought along.
+  /// Also fetches activity.
   Status download();
 
-  /// Work has been queued that may change activity, or `removes` cells.
+  /// Notes that queued work may change activity; `removes`: may deactivate
+  /// cells.
   void deviceActivates(bool removes) {
     state.change(removes);
     state.behind.store(true, std::memory_order_release);
   }
   void hostChanges(bool removes) override;
-  /// Keeps what has happened to activity so far on the device, without waiting:
-  /// when somebody asks, the host goes to that state first, and `seen` is
-  /// called while it is there. False where the host has to look at once.
+  /// Queues a snapshot of the activity so far on the device, without waiting:
+  /// when the host later fetches activity, it first moves to that state, and
+  /// `seen` is called in it. False if the host must fetch at once.
   bool keepActivity(std::function<void()> seen);
   bool canKeepActivity() const;
   bool isBehind() const override { return state.isBehind(); }
   uint64_t getGeneration() const override { return state.generation; }
   uint64_t getLastRemoval() const override { return state.lastRemoval; }
-  /// Makes what the host knows of activity current.
+  /// Fetches the activity, if the host's knowledge is stale.
   Status fetchActivity() { return isBehind() ? fetch() : Status::success(); }
   void bringActivity() override { context.note(fetchActivity()); }
 
@@ -68,20 +68,19 @@ public:
   void uploadActivity(const SparseNode &node,
                       const std::vector<int64_t> &changed) override;
 
-  /// Where it is, sets the elements of all active cells of a field there. False
-  /// where that is better done on the host.
+  /// Fills the elements of a field in all active cells, on the device. False if
+  /// that is better done on the host.
   bool fillActive(const Field &field, const CellElements &elements,
                   const void *scalarBytes);
 
   DeviceLists &lists() { return cellLists; }
-  /// Whether a list is known to show what is active.
+  /// Whether a list is known to be up to date.
   bool isShownBy(const DeviceCells &cells) const {
     return state.isShownBy(cells);
   }
 
   DeviceContext &getContext() const { return context; }
-  /// What moves the elements of a field and of those in the same place; see
-  /// CellMover.
+  /// The cell mover of a field, shared by fields of the same place.
   std::shared_ptr<CellMover> &moverOf(const Field &field);
 
 private:
@@ -95,7 +94,7 @@ private:
   Status sendActivity();
   Status sendAccount();
   Status sendWords(const SparseNode &node, const std::vector<int64_t> &changed);
-  /// Copies the activity of a level, without parts that nobody has changed.
+  /// Uploads the activity of a level, except unchanged parts.
   Status sendBits(const SparseNode &node);
   void touch(int64_t begin, int64_t end);
   void touchOutside(int64_t begin, int64_t end, const SparseNode *above,
@@ -110,26 +109,25 @@ private:
   DeviceActivity state;
   DeviceLists cellLists;
   DevicePtr block = 0, base = 0;
-  /// The memory takes room where it is touched; then, which pieces are known to
-  /// have done so lies behind the account.
+  /// The memory is reserved and committed on use; bits of the committed pieces
+  /// follow the account.
   bool isReserved = false;
   int64_t pieceBytes = 0, numPieces = 0;
-  /// Behind the tree: a TaiDeviceActivity of each level, then what was removed
-  /// from each, its marks, and sums of tiles of the largest.
+  /// After the tree in memory: a TaiDeviceActivity for each level; removed
+  /// cells and marks of each; sums of tiles for the largest.
   DevicePtr activity = 0, account = 0, pieces = 0;
   std::vector<DevicePtr> removed, marks;
-  /// Epochs of the levels for which both sides have the same activity.
+  /// The epoch of each level at which both sides had the same activity.
   std::vector<uint64_t> sharedEpochs;
-  /// States that are kept, in their order, and memory for them, which serves
-  /// the next ones again: the same work is then the same.
+  /// Snapshots in order, and their memory, which is reused in the same order,
+  /// so that repeated work has the same addresses.
   std::vector<std::function<void()>> kept;
   std::vector<DevicePtr> keptMemory;
   uint64_t keptGeneration = 0;
   bool isFetching = false;
-  /// Parts of the tree that may hold something else than zeros on either side:
-  /// where each begins, and where it ends.
+  /// Ranges of the tree (begin to end) that may be non-zero on either side.
   std::map<int64_t, int64_t> touched;
-  /// What device code knows of the tree.
+  /// Memory of the descriptor.
   std::vector<DevicePtr> descriptions;
   std::map<std::array<int64_t, 3>, std::shared_ptr<CellMover>> movers;
 };

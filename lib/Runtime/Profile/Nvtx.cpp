@@ -1,4 +1,4 @@
-//===- Nvtx.cpp - Names for tools of NVIDIA -------------------------------===//
+//===- Nvtx.cpp - Ranges for NVIDIA's tools -------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

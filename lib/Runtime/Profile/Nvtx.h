@@ -1,14 +1,14 @@
-//===- Nvtx.h - Names for tools of NVIDIA -----------------------*- C++ -*-===//
+//===- Nvtx.h - Ranges for NVIDIA's tools ----------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Ranges of NVTX, which tools such as Nsight Systems show with the work that
-// was queued in them. A tool gives itself away by the environment variable
-// NVTX_INJECTION64_PATH, the name of a library that takes what is said here; or
-// the library libnvToolsExt.so.1 of an older CUDA is there and finds it.
+// NVTX ranges, which tools such as Nsight Systems show with the work that was
+// queued in them. A tool names its library in the environment variable
+// NVTX_INJECTION64_PATH; with older versions of CUDA, libnvToolsExt.so.1 is
+// loaded and finds the tool.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,13 +19,13 @@ namespace mlir::tai::runtime {
 
 class Nvtx {
 public:
-  /// Null where nobody listens. What has been loaded stays loaded.
+  /// Null if no tool is attached. The library stays loaded.
   static const Nvtx *get();
 
   void push(const char *name) const { (void)pushRange(name); }
   void pop() const { (void)popRange(); }
 
-  /// A range while it lives; without NVTX, nothing.
+  /// RAII range; does nothing if `nvtx` is null.
   class Range {
   public:
     Range(const Nvtx *nvtx, const char *name) : nvtx(nvtx) {

@@ -1,4 +1,4 @@
-//===- Profiler.cpp - How long kernels take -------------------------------===//
+//===- Profiler.cpp - Times of kernels and device work --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- DeviceProgram.cpp - A sequence of work that comes again ------------===//
+//===- DeviceProgram.cpp - A repeated sequence of work --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

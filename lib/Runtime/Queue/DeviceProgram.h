@@ -1,12 +1,12 @@
-//===- DeviceProgram.h - A sequence of work that comes again ----*- C++ -*-===//
+//===- DeviceProgram.h - A repeated sequence of work -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Chooses among the ways to run a sequence: those that a model takes for good
-// are run in turn, and measured.
+// Chooses among the ways to run a sequence: those that a cost model predicts to
+// be good are timed in turn.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,25 +19,25 @@
 
 namespace mlir::tai::runtime {
 
-/// A sequence that has come before, and the ways to run it.
+/// A repeated sequence, and the ways to run it.
 class DeviceQueue::Program {
 public:
   Program(Device &device, Sequence sequence)
       : sequence(std::move(sequence)), device(device),
         schedules(device, this->sequence), prefixed(device) {}
 
-  /// `same`: with the slots of the last time.
+  /// `same`: the slots are those of the last run.
   Status run(bool same, ProgramMode mode, const ProgramMaker &maker);
-  /// The same behind a sequence that comes before it.
+  /// The same after the launches of `prefix`.
   Status run(const Sequence &prefix, bool same, ProgramMode mode,
              const ProgramMaker &maker);
-  /// Whether there are ways to run it.
+  /// Whether ways to run it have been set up.
   bool isPrepared() const {
     return !ways.empty() && !(chosen && current == ways.size());
   }
   std::string explain() const;
   bool uses(const Module &module) const;
-  /// What it takes, for those who collect recordings.
+  /// Its times in milliseconds, for RecordedLaunches::Outcome.
   void tellTimes(double &chosenMs, double &graphMs) const;
 
   Sequence sequence;
@@ -57,10 +57,10 @@ private:
   OverlappingKernels overlapping;
   int runs = 0, changes = 0;
   std::vector<std::unique_ptr<Way>> ways;
-  /// The way that is being tried, or that has been chosen.
+  /// The way that is being timed, or that has been chosen.
   size_t current = 0;
   bool chosen = false;
-  /// Times that the current way has been run while it is tried.
+  /// The number of timed runs of the current way.
   int tries = 0;
   PrefixedGraphs prefixed;
 };

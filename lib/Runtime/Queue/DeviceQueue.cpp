@@ -1,4 +1,4 @@
-//===- DeviceQueue.cpp - Work for a device, run again and again -----------===//
+//===- DeviceQueue.cpp - Work for a device, collected ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -17,8 +17,8 @@ using namespace mlir::tai::runtime;
 DeviceQueue::DeviceQueue(std::unique_ptr<Device> device, Device *unwatched)
     : device(std::move(device)), unwatched(unwatched),
       collected(std::make_unique<Sequence>()),
-      lead(std::make_unique<Sequence>()),
-      leads(std::make_unique<SequencePrefixes>()),
+      prefix(std::make_unique<Sequence>()),
+      prefixes(std::make_unique<SequencePrefixes>()),
       recorded(std::make_unique<RecordedLaunches>()) {
   setOneByOne(false);
 }
@@ -202,7 +202,7 @@ void DeviceQueue::free(DevicePtr memory) {
   // tape has kept need not wait.
   if (!records)
     (void)settle();
-  if (collected->empty() && lead->empty())
+  if (collected->empty() && prefix->empty())
     device->free(memory);
   else
     released.push_back(memory);
@@ -236,13 +236,13 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
 }
 
 Status DeviceQueue::flush(bool isWhole) {
-  if (collected->empty() && lead->empty())
+  if (collected->empty() && prefix->empty())
     return Status::success();
   isKeeping = false;
   // Nothing of this may be collected in its turn.
-  Sequence sequence = std::move(*collected), before = std::move(*lead);
+  Sequence sequence = std::move(*collected), before = std::move(*prefix);
   *collected = Sequence();
-  *lead = Sequence();
+  *prefix = Sequence();
   std::vector<DevicePtr> unused;
   unused.swap(released);
   Status status;
@@ -278,7 +278,7 @@ std::string DeviceQueue::explain() const {
   std::string text;
   for (const auto &[hash, program] : programs)
     text += program->explain() + "\n";
-  return text + leads->explain() + recorded->explain();
+  return text + prefixes->explain() + recorded->explain();
 }
 
 //===----------------------------------------------------------------------===//

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Replays and sweeps are collected as a whole. What a tape records is collected
-// where the same was recorded before, and with it the sweep that follows at
-// once: the program is then that of a replay. Whatever cannot wait until the
-// recording ends has what was collected queued first, in the same order. What
-// is launched between two replays is kept for the second one.
+// Replays and sweeps are collected as a whole. A recording is collected if the
+// same was recorded before, together with the sweep that follows at once: the
+// program is then that of a replay. An operation that cannot wait until the
+// recording ends first queues what was collected, in order. Launches between
+// two replays are deferred to the second one.
 //
 //===----------------------------------------------------------------------===//
 
@@ -45,11 +45,11 @@ void DeviceQueue::beginCollecting(bool replay) {
     failure = flush(/*isWhole=*/false);
   }
   if (isReplay && watches) {
-    leads->begin();
+    prefixes->begin();
   } else {
     (void)noteOther();
     // Fills go on.
-    if (Status status = runLead(); !status)
+    if (Status status = runPrefix(); !status)
       failure = std::move(status);
   }
   watches = false;
@@ -60,7 +60,7 @@ Status DeviceQueue::endCollecting() {
     return Status::success();
   Status status = flush(/*isWhole=*/true);
   watches = isReplay && hasProgram && !records;
-  leads->end(watches);
+  prefixes->end(watches);
   Status before = std::move(failure);
   failure = Status::success();
   return before ? std::move(status) : std::move(before);
@@ -68,7 +68,7 @@ Status DeviceQueue::endCollecting() {
 
 bool DeviceQueue::noteOther() {
   if (watches)
-    leads->interrupt();
+    prefixes->interrupt();
   if (!records || collecting > 0)
     return false;
   if (hasRecorded)
@@ -93,9 +93,9 @@ Status DeviceQueue::beginRecording() {
   recorded->begin();
   // What is launched between recordings becomes part of the second one.
   if (watches && recorded->areAnyKnown())
-    leads->begin();
+    prefixes->begin();
   else if (watches)
-    leads->interrupt();
+    prefixes->interrupt();
   watches = false;
   records = true;
   return status;
@@ -113,7 +113,7 @@ Status DeviceQueue::endRecording(bool isSwept) {
   } else if (isGathering()) {
     status = flush();
     watches = hasProgram;
-    leads->end(watches);
+    prefixes->end(watches);
   } else {
     recorded->end();
   }
@@ -170,30 +170,30 @@ Status DeviceQueue::copyKept(const DeviceRows &to, DevicePtr from,
 // Keeping launches
 //===----------------------------------------------------------------------===//
 
-bool DeviceQueue::keepsLaunches() const { return !lead->empty(); }
+bool DeviceQueue::keepsLaunches() const { return !prefix->empty(); }
 bool DeviceQueue::expectsLaunches() const {
-  return watches && leads->areAnyKnown();
+  return watches && prefixes->areAnyKnown();
 }
 
 bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
                        const uint64_t *slots, int count) {
   // Those who use memory by themselves do not ask for what is kept.
   if (numShared.load(std::memory_order_relaxed) > 0)
-    leads->interrupt();
-  else if (leads->expects(&function, shape, count)) {
-    lead->append(*collected);
+    prefixes->interrupt();
+  else if (prefixes->expects(&function, shape, count)) {
+    prefix->append(*collected);
     *collected = Sequence();
-    lead->addLaunch(function, shape, slots, count);
+    prefix->addLaunch(function, shape, slots, count);
     isKeeping = true;
     return true;
   }
-  watches = leads->isOpen();
+  watches = prefixes->isOpen();
   return false;
 }
 
-Status DeviceQueue::runLead() {
-  Sequence before = std::move(*lead);
-  *lead = Sequence();
+Status DeviceQueue::runPrefix() {
+  Sequence before = std::move(*prefix);
+  *prefix = Sequence();
   return StepRunner::runAlone(*device, before);
 }
 

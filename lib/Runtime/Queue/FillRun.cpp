@@ -1,4 +1,4 @@
-//===- FillRun.cpp - Fills that follow one another ------------------------===//
+//===- FillRun.cpp - Consecutive fills ------------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,13 +1,13 @@
-//===- FillRun.h - Fills that follow one another ----------------*- C++ -*-===//
+//===- FillRun.h - Consecutive fills ---------------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Fills with nothing in between are given to the device together, and it does
-// them in any order. So none may overlap another that fills with other bytes:
-// what a later one fills again is taken from the earlier one here.
+// Consecutive fills are passed to the device together, and run in any order. So
+// none may overlap another with different bytes: a part that a later fill
+// overwrites is removed from the earlier one here.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,28 +18,28 @@
 
 namespace mlir::tai::runtime {
 
-/// The pattern of a fill again and again, to eight bytes.
+/// Repeats the pattern of a fill to eight bytes.
 uint64_t repeatPattern(const void *pattern, int patternBytes);
 
-/// A fill of so many bytes or more is by itself: the driver and a kernel write
-/// them as fast as memory takes them, in more than ten microseconds on an H200.
+/// The size from which a fill is not merged: driver and kernel are limited by
+/// memory bandwidth, and take more than ten microseconds on an H200.
 int64_t largeFillBytes();
 
-/// Whether the rows have nothing in between.
+/// Whether the rows are contiguous.
 bool isDense(const DeviceRows &rows);
 
-/// Whether the pattern consists of one byte again and again.
+/// Whether all bytes of the pattern are the same.
 bool isUniform(uint64_t pattern);
 
-/// Whether the two may change places.
+/// Whether the two fills commute.
 bool canChangePlaces(const DeviceFill &a, const DeviceFill &b);
 
-/// Whether all that `earlier` fills is filled by `later`, too.
+/// Whether `later` overwrites all of `earlier`.
 bool isFilledAgain(const DeviceFill &earlier, const DeviceFill &later);
 
 class FillRun {
 public:
-  /// Adds one behind the others. False where it must come after them.
+  /// Adds a fill. False if it must run after the others.
   bool add(const DeviceFill &fill);
   const std::vector<DeviceFill> &get() const { return fills; }
   void clear() { fills.clear(); }

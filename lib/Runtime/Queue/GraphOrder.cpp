@@ -1,4 +1,4 @@
-//===- GraphOrder.cpp - In which order a graph does its steps -------------===//
+//===- GraphOrder.cpp - The order of a graph's steps ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

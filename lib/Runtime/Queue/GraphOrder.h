@@ -1,12 +1,13 @@
-//===- GraphOrder.h - In which order a graph does its steps -----*- C++ -*-===//
+//===- GraphOrder.h - The order of a graph's steps -------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Which fills of a sequence a graph does before all launches, and which beside
-// the first of them: clears of gradients, say, beside all of the forward pass.
+// Which fills of a sequence run before all launches, and which in parallel with
+// the first ones: the clearing of gradients, for example, in parallel with the
+// forward pass.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,8 +18,8 @@
 
 namespace mlir::tai::runtime {
 
-/// The steps in their order, but fills as early as they can join others, or
-/// stand in front of all: between launches each would be waited for by itself.
+/// The steps in order, except that fills are moved to earlier fills, or to the
+/// front: between launches each of them would be a separate node.
 class DeviceQueue::GraphOrder {
 public:
   explicit GraphOrder(const Sequence &sequence);
@@ -28,14 +29,14 @@ public:
     return sequence.steps[order[place]];
   }
 
-  /// The fills in front of a sequence: those that come first, and those beside
-  /// what follows, up to a place in the order.
+  /// The fills at the front of a sequence: those that run first, and those in
+  /// parallel with later steps, up to the step `join` in the order.
   struct FrontFills {
     std::vector<DeviceFill> first, aside;
-    /// How many steps they were, and the place of the first that waits for all.
+    /// The number of these steps, and the first step that waits for all.
     size_t count = 0, join = 0;
   };
-  /// Nothing where there is little to gain.
+  /// None if the gain would be small.
   std::optional<FrontFills> splitFront() const;
 
 private:

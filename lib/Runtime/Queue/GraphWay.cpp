@@ -1,4 +1,4 @@
-//===- GraphWay.cpp - Sequences of launches as graphs ---------------------===//
+//===- GraphWay.cpp - Sequences as graphs ---------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- GraphWay.h - Sequences of launches as graphs -------------*- C++ -*-===//
+//===- GraphWay.h - Sequences as graphs ------------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,8 +12,8 @@
 
 namespace mlir::tai::runtime {
 
-/// Kernels that wait by themselves for what comes before them, one for each
-/// function of a sequence. With fills beside launches, they are the same.
+/// Kernels for programmatic dependent launch, one for each function of a
+/// sequence. Shared by the modes Overlapped and Aside.
 class DeviceQueue::OverlappingKernels {
 public:
   bool areMade() const { return !functions.empty(); }
@@ -52,7 +52,7 @@ private:
   const ProgramMaker &maker;
   OverlappingKernels *overlapping;
   std::unique_ptr<DeviceGraph> graph;
-  /// The pieces of work that come one after another.
+  /// The number of sequential nodes.
   size_t numNodes = 0;
 };
 

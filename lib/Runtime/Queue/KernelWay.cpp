@@ -1,4 +1,4 @@
-//===- KernelWay.cpp - Sequences of work as one kernel --------------------===//
+//===- KernelWay.cpp - Sequences as one kernel ----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,14 +1,14 @@
-//===- KernelWay.h - Sequences of work as one kernel ------------*- C++ -*-===//
+//===- KernelWay.h - Sequences as one kernel -------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A table of steps, and a kernel that goes through it: all its threads run a
-// step together, and meet at a barrier before the next one. A barrier costs a
-// fraction of a launch, and the fewer threads take part the less. The table is
-// made again when parameters change, the kernel never.
+// A table of steps, and a persistent kernel that executes it: all its threads
+// run a step together, with a barrier before the next one. A barrier costs a
+// fraction of a launch, less for fewer threads. When parameters change, the
+// table is written again, but the kernel is not recompiled.
 //
 //===----------------------------------------------------------------------===//
 
@@ -53,9 +53,9 @@ private:
   DeviceFunction *function = nullptr;
   DevicePtr table = 0;
   int64_t tableBytes = 0;
-  /// One number for each step and one more, or none.
+  /// The time stamps (number of steps + 1), or 0.
   DevicePtr clocks = 0;
-  /// What repeats, and the parameters of that.
+  /// The loops and tables, and the loop parameters.
   ProgramLoops loops;
   std::vector<uint64_t> words;
 };

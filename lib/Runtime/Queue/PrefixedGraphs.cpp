@@ -1,4 +1,4 @@
-//===- PrefixedGraphs.cpp - Sequences behind other launches ---------------===//
+//===- PrefixedGraphs.cpp - Sequences after other launches ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

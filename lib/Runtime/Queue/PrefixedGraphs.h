@@ -1,13 +1,13 @@
-//===- PrefixedGraphs.h - Sequences behind other launches -------*- C++ -*-===//
+//===- PrefixedGraphs.h - Sequences after other launches -------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What was launched between two replays runs with the second one, as one graph
-// where the device has graphs. The program of the replay stays as it is, so one
-// that comes without them needs nothing new. See
+// Launches between two replays run together with the second one, as one graph
+// if the device has graphs. The program of the replay itself is unchanged, so
+// that a replay without them needs nothing new. See
 // docs/decisions/0014-launches-between-replays.md.
 //
 //===----------------------------------------------------------------------===//
@@ -23,9 +23,9 @@ class DeviceQueue::PrefixedGraphs {
 public:
   explicit PrefixedGraphs(Device &device) : device(device) {}
 
-  /// Runs the launches of `prefix`, then the way.
+  /// Runs the launches of `prefix`, then `way`.
   Status run(const Sequence &prefix, Way &way);
-  /// The ways hold other slots now.
+  /// Notes that the slots of the ways have changed.
   void noteChange();
   bool uses(const Module &module) const;
   std::string explain() const;
@@ -34,7 +34,7 @@ private:
   struct Prefixed {
     Sequence prefix;
     std::unique_ptr<DeviceGraph> graph;
-    /// Whether the graph has what the ways have now.
+    /// Whether the graph has the current slots.
     bool isCurrent = false;
     std::string refused;
     int runs = 0, changes = 0;
@@ -44,7 +44,7 @@ private:
   bool change(Prefixed &entry, const Sequence &prefix);
 
   Device &device;
-  /// The latest last.
+  /// Most recently used last.
   std::vector<std::unique_ptr<Prefixed>> entries;
 };
 

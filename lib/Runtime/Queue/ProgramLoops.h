@@ -1,14 +1,14 @@
-//===- ProgramLoops.h - What repeats in a sequence of work ------*- C++ -*-===//
+//===- ProgramLoops.h - Loops in sequences of work -------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The steps of a simulation come again and again, with parameters that mostly
-// stay as they are or grow by the same amount each time. Such a run of steps
-// becomes a loop in the code of a program: no step has to look up what to do,
-// and most parameters are constants of the kernel.
+// The steps of a simulation repeat, with parameters that are mostly constant or
+// grow by a constant each time. Such a run of steps becomes a loop in the code
+// of a program: no step is looked up in the table, and most parameters are
+// constants of the kernel.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,11 +20,11 @@
 
 namespace mlir::tai::runtime {
 
-/// One step, as far as loops are concerned.
+/// One step of a sequence.
 struct LoopStep {
-  /// The number of the part; see tai/Runtime/DeviceAbi.h.
+  /// The number of the part; see tai/ABI/DeviceAbi.h.
   uint64_t part;
-  /// Whether all threads meet after it.
+  /// Whether a barrier follows.
   bool waits;
   const uint64_t *slots;
   size_t numSlots;
@@ -34,20 +34,20 @@ struct LoopStep {
 class ProgramLoops {
 public:
   ProgramLoops() = default;
-  /// `useLoops`: otherwise all is one table.
+  /// Without `useLoops`, all steps are rows of one table.
   ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops);
 
-  /// False for more chains than there is room for: they cannot be rows.
+  /// False if there are too many chains, which cannot be rows of a table.
   bool isComplete() const { return fits; }
   const std::vector<ProgramSegment> &getSegments() const { return segments; }
-  /// How many words of parameters the loops take.
+  /// The number of words of loop parameters.
   size_t numWords() const { return origins.size(); }
   size_t numLoopSteps() const;
-  /// The words of a row of the table.
+  /// The number of words in a row of the table.
   size_t getStride() const { return stride; }
 
-  /// Makes parameters and table for these steps, which are of the same kinds as
-  /// the first ones. False if they do not fit: parameters change in another way
+  /// Makes parameters and table for steps of the same structure as those of the
+  /// constructor. False if they do not fit, because parameters vary differently
   /// from step to step.
   bool pack(const std::vector<LoopStep> &steps, std::vector<uint64_t> &words,
             std::vector<uint64_t> &table) const;
@@ -59,8 +59,8 @@ private:
                 const std::vector<LoopStep> &steps,
                 const std::vector<uint64_t> &words, uint64_t *list) const;
 
-  /// The parameter of the first of two steps that a word is taken from, and,
-  /// for what it grows by, that of the second.
+  /// The source of a parameter word: a slot of `step`, or, if `isGrowth`, the
+  /// difference of this slot in steps `next` and `step`.
   struct Origin {
     size_t step, slot;
     size_t next;

@@ -1,16 +1,15 @@
-//===- ProgramSchedule.cpp - Where steps wait for each other --------------===//
+//===- ProgramSchedule.cpp - Order and barriers of steps ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// In a program every thread goes through all steps, so that a step need not
-// wait where it touches other memory than the steps before it, or where each of
-// its threads touches nothing but what the same thread has touched before.
-// Steps come together in groups, with barriers between the groups. Each step
-// goes into the earliest group that it may, so that those of a later part of
-// the sequence that wait for nothing fill gaps of an earlier one.
+// In a program every thread executes all steps, so no barrier is needed before
+// a step that accesses other memory than the steps before it, or whose threads
+// access only what the same thread has accessed before. Steps are grouped, with
+// barriers between groups. Each step goes into the earliest possible group, so
+// that independent steps from later in the sequence fill gaps.
 //
 //===----------------------------------------------------------------------===//
 
@@ -45,7 +44,7 @@ Footprint::Footprint(const FunctionAccesses &accesses) {
   const std::vector<int64_t> &extents = accesses.extents;
   bool isKnown = std::all_of(extents.begin(), extents.end(),
                              [](int64_t extent) { return extent >= 0; });
-  isSingle = isKnown && accesses.isPlain &&
+  isSingle = isKnown && accesses.isGridStride &&
              std::all_of(extents.begin(), extents.end(),
                          [](int64_t extent) { return extent <= 1; });
   for (const DeviceAccess &access : accesses.accesses) {
@@ -55,7 +54,7 @@ Footprint::Footprint(const FunctionAccesses &accesses) {
       line.low += std::min<int64_t>(reach, 0);
       line.high += std::max<int64_t>(reach, 0);
     }
-    if (isKnown && accesses.isPlain)
+    if (isKnown && accesses.isGridStride)
       line.map = makeMap(extents, access.strides);
     lines.push_back(std::move(line));
   }

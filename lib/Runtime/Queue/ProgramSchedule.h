@@ -1,4 +1,4 @@
-//===- ProgramSchedule.h - Where steps wait for each other ------*- C++ -*-===//
+//===- ProgramSchedule.h - Order and barriers of steps ---------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,52 +13,51 @@
 
 namespace mlir::tai::runtime {
 
-/// What a device function touches, made ready to be asked for launches.
+/// The accesses of a device function, prepared for queries about launches.
 struct Footprint {
   explicit Footprint(const FunctionAccesses &accesses);
 
-  /// How addresses follow the number of an iteration: extents and strides in
-  /// bytes of its digits, the last one that counts first, neighbours that are
-  /// one in memory as one.
+  /// The address as a function of the iteration number: extents and strides in
+  /// bytes of its digits, the fastest first, with contiguous digits merged.
   using Map = std::vector<std::pair<int64_t, int64_t>>;
   struct Line {
     DeviceAccess access;
-    /// How far iterations reach from the address of the first.
+    /// The range of addresses relative to the first iteration.
     int64_t low = 0, high = 0;
-    /// Empty where it does not say which thread touches what.
+    /// Empty if it is not known which thread accesses what.
     Map map;
   };
   std::vector<Line> lines;
-  /// There is one iteration.
+  /// The loop has one iteration.
   bool isSingle = false;
 };
 
-/// The memory that a step touches.
+/// The memory that a step accesses.
 struct StepMemory {
   struct Piece {
     DeviceAccess::Kind kind;
-    /// Of the first window, and of all of it.
+    /// Start of the first window, and the whole range.
     uint64_t first, begin, end;
     int64_t window, step, size;
-    /// As in the footprint; null for none.
+    /// See Footprint::Line::map; null for none.
     const Footprint::Map *map;
   };
-  /// Those that are read and nothing else, and the others.
+  /// Pieces that are only read, and the others.
   std::vector<Piece> reads, changes;
-  /// Nothing else is touched.
+  /// The pieces are all accesses.
   bool isKnown = false;
-  /// The first thread does it all.
+  /// The first thread does all accesses.
   bool isSingle = false;
 
   static StepMemory ofLaunch(const Footprint *footprint, const uint64_t *slots,
                              size_t numSlots);
-  /// Adds bytes of which it is not known which thread touches them.
+  /// Adds a range for which it is not known which thread accesses what.
   void add(DeviceAccess::Kind kind, uint64_t begin, uint64_t bytes);
-  /// Adds rows.
+  /// Adds strided rows.
   void addRows(DeviceAccess::Kind kind, uint64_t begin, uint64_t step,
                uint64_t rowBytes, uint64_t rows);
-  /// Adds numbers of so many bytes, each thread having its own as in a loop
-  /// over them.
+  /// Adds `count` numbers of `bytes` bytes, distributed to threads as in a
+  /// grid-stride loop over them.
   void addNumbers(DeviceAccess::Kind kind, uint64_t begin, int64_t bytes,
                   int64_t count);
 
@@ -67,7 +66,7 @@ private:
     (piece.kind == DeviceAccess::Read ? reads : changes).push_back(piece);
   }
 
-  /// Maps of pieces that no footprint has.
+  /// Storage for maps that are not from a footprint.
   std::shared_ptr<Footprint::Map> ownMap;
 };
 
@@ -78,19 +77,19 @@ struct ProgramSchedule {
 
   /// Numbers of steps.
   std::vector<uint32_t> order;
-  /// For each place in that order: whether all threads meet after the step.
+  /// For each position in that order: whether a barrier follows the step.
   std::vector<bool> waits;
-  /// How often that is.
+  /// The number of barriers.
   size_t numBarriers = 0;
 };
 
-/// What one step must ask of an earlier one.
+/// The dependence of a step on an earlier one.
 enum class StepRelation {
-  /// Nothing: they may change places.
+  /// Independent: they may be reordered.
   None,
-  /// That each thread runs them in this order.
+  /// Program order within each thread is enough.
   SameThread,
-  /// That all threads are done with it.
+  /// A barrier is needed between them.
   Barrier
 };
 StepRelation getRelation(const StepMemory &a, const StepMemory &b);

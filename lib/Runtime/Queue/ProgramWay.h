@@ -12,7 +12,7 @@
 
 namespace mlir::tai::runtime {
 
-/// What stands for a sequence on the device: a graph, or a kernel.
+/// The representation of a sequence on the device: a graph, or a kernel.
 class DeviceQueue::Way {
 public:
   Way(Device &device, ProgramMode mode, double predicted)
@@ -22,32 +22,32 @@ public:
   virtual ~Way() = default;
 
   const ProgramMode mode;
-  /// By the model, and as measured: milliseconds. Negative for not yet.
+  /// Predicted and measured time in milliseconds; negative if not measured yet.
   double predicted, measured = -1;
-  /// Why it cannot be taken.
+  /// Why it cannot be used; empty if it can.
   std::string refused;
   bool isReady = false;
 
   virtual bool isGraph() const = 0;
-  /// Whether its launches wait by themselves.
+  /// Whether it uses programmatic dependent launch.
   virtual bool overlaps() const { return false; }
   /// Whether it runs chains in tiles.
   virtual bool hasTiles() const { return false; }
 
-  /// Makes it, for the first time.
+  /// Creates it.
   virtual Status prepare() = 0;
-  /// The sequence has other slots now.
+  /// Notes that the slots of the sequence have changed.
   void noteChange() { isCurrent = false; }
-  /// Makes it hold the present slots.
+  /// Updates it to the current slots.
   Status makeCurrent();
-  /// Runs it, by itself.
+  /// Runs it alone.
   virtual Status launch() = 0;
-  /// Makes it ready for runSteps.
+  /// Prepares it for runSteps.
   virtual Status prepareSteps() = 0;
-  /// Queues its work behind other steps, which a graph records.
+  /// Queues its work as part of a graph that is being captured.
   virtual Status runSteps(StepRunner &runner) = 0;
 
-  /// What it consists of, and where the time of its last run went.
+  /// Describe its composition, and the times of the steps of its last run.
   virtual std::string describe() const = 0;
   virtual std::string explainClocks() const { return ""; }
 

@@ -1,4 +1,4 @@
-//===- RecordedLaunches.cpp - Recordings that come again ------------------===//
+//===- RecordedLaunches.cpp - Repeated recordings -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,13 +1,13 @@
-//===- RecordedLaunches.h - Recordings that come again ----------*- C++ -*-===//
+//===- RecordedLaunches.h - Repeated recordings ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Learns what tapes record: the launches between two things that nobody could
-// have put off, such as the host's reading a number. Where the same launches
-// are likely to come again, they may be collected and run as one sequence
+// Learns the sequences of launches that tapes record between two operations
+// that cannot be deferred, such as a read by the host. If the same launches
+// will probably be repeated, they may be collected and run as one sequence
 // (docs/decisions/0015-recordings-that-come-again.md).
 //
 //===----------------------------------------------------------------------===//
@@ -27,46 +27,47 @@ class RecordedLaunches {
 public:
   using Item = SentLaunch;
 
-  /// What became of a sequence that had been collected.
+  /// The result of running a collected sequence.
   struct Outcome {
-    /// Whether there are ways to run it.
+    /// Whether ways to run it have been set up.
     bool isPrepared = false;
-    /// What it takes on the device in the way that was chosen, and as a graph;
-    /// negative for not known. Milliseconds.
+    /// Device time in milliseconds in the chosen way, and as a graph; negative
+    /// if not known.
     double chosenMs = -1, graphMs = -1;
-    /// All steps, those after the recording included.
+    /// All steps, including those after the recording.
     size_t steps = 0;
-    /// What it took the host to hand it to the device.
+    /// Host time to queue it.
     int64_t hostNs = 0;
   };
 
-  /// TAI_COLLECT_RECORDINGS=1 has all collected that comes again, and 0 has
-  /// nothing collected, for tests and measurements.
+  /// For tests and measurements, TAI_COLLECT_RECORDINGS=1 collects all repeated
+  /// recordings, and 0 none.
   RecordedLaunches();
 
-  /// A tape begins to record.
+  /// A tape starts to record.
   void begin();
-  /// It has ended.
+  /// The recording has ended.
   void end();
-  /// A launch. Whether it is collected, with all that came since the last
-  /// interruption.
+  /// Notes a launch. Returns whether to collect it, with all launches since the
+  /// last interruption.
   bool expects(const Item &item);
-  /// Something has come that cannot wait. Whether what was collected is all of
-  /// what was expected: then judge() is to be told what becomes of it. `isEnd`:
-  /// it is a sweep, which goes on with it however little there is.
+  /// Notes an operation that cannot be deferred. Returns whether the collected
+  /// launches are a complete known sequence: then call judge() with the
+  /// outcome. `isEnd`: the operation is a sweep, which runs together with
+  /// whatever has been collected.
   bool interrupt(bool isEnd = false);
-  /// The same without an end: whether it would be.
+  /// Whether interrupt() would return true.
   bool isWhole() const { return collects && findWhole(); }
 
   bool isCollecting() const { return collects; }
-  /// Whether it is likely that launches will be collected.
+  /// Whether any sequence is likely to be collected.
   bool areAnyKnown() const;
 
-  /// Whether an outcome is waited for.
+  /// Whether judge() is expected.
   bool hasRun() const { return running != nullptr; }
   void judge(const Outcome &outcome);
 
-  /// Functions that have gone: others may have their addresses.
+  /// Forgets sequences with destroyed functions, whose addresses may be reused.
   template <typename HasGone> void forget(const HasGone &hasGone) {
     auto uses = [&](const auto &entry) {
       return std::any_of(
@@ -79,7 +80,7 @@ public:
                   known.end());
   }
 
-  /// Finds out what a launch costs the host.
+  /// Runs `work`, a launch; times some of them to estimate the host's cost.
   template <typename Work> auto timed(const Work &work) {
     constexpr size_t distance = 16;
     if (__builtin_expect(run.size() % distance != 1, true))
@@ -91,21 +92,21 @@ public:
   }
   static int64_t now();
 
-  /// Some lines, or none.
+  /// A description in several lines, or empty.
   std::string explain() const;
 
 private:
   struct Known {
     std::vector<Item> items;
-    /// How often they have come, how often they must have, and how often in a
-    /// row they were collected for nothing.
+    /// How often they occurred, how often they must occur to be collected, and
+    /// how often in a row collecting them was in vain.
     int seen = 0, wanted = 2, lost = 0;
-    /// How often in a row there was no program for the sequence, and it was not
-    /// worth the while.
+    /// How often in a row there was no program for the sequence, and it was
+    /// slower than single launches.
     int unprepared = 0, slow = 0;
-    /// Of the last times.
+    /// Host times of the last run.
     int64_t collectNs = 0, hostNs = -1;
-    /// Why they are not collected any more.
+    /// Why they are no longer collected; empty if they are.
     std::string refused;
     bool isLikely() const { return seen >= wanted && refused.empty(); }
   };
@@ -117,9 +118,9 @@ private:
 
   enum class Wish { Judge, Always, Never };
   Wish wish = Wish::Judge;
-  /// The latest last.
+  /// Most recently used last.
   std::vector<std::unique_ptr<Known>> known;
-  /// The launches since the last interruption, and what is expected.
+  /// The launches since the last interruption, and the sequence expected.
   std::vector<Item> run;
   bool collects = false;
   Known *expected = nullptr, *running = nullptr;

@@ -1,12 +1,12 @@
-//===- SentLaunch.h - What launches that come again share -------*- C++ -*-===//
+//===- SentLaunch.h - The identity of a launch -----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What the queue compares to see whether a launch has come before: everything
-// but its parameters.
+// The key by which the queue recognises a repeated launch: everything but the
+// values of its parameters.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,7 +20,7 @@ namespace mlir::tai::runtime {
 struct SentLaunch {
   const DeviceFunction *function;
   unsigned blocks, threads;
-  /// Of parameters.
+  /// The number of parameters.
   int count;
   bool operator==(const SentLaunch &other) const {
     return function == other.function && blocks == other.blocks &&

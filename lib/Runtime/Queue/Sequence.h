@@ -18,16 +18,17 @@ namespace mlir::tai::runtime {
 struct DeviceQueue::Function : DeviceFunction {
   DeviceFunction *function = nullptr;
   std::string name;
-  /// Shared by all functions of a module, which may go before its programs.
+  /// Shared by all functions of a module, which may be destroyed before
+  /// programs that use it.
   std::shared_ptr<const std::string> bitcode;
-  /// Null where it is not known what it touches.
+  /// Null if its accesses are not known.
   std::shared_ptr<const Footprint> footprint;
-  /// Null where it cannot run in tiles.
+  /// Null if it cannot run in tiles.
   std::shared_ptr<const FunctionAccesses> accesses;
 };
 
 struct DeviceQueue::Module : DeviceModule {
-  /// What has been kept may launch its functions.
+  /// Deferred work may refer to its functions.
   ~Module() override {
     if (queue)
       queue->forget(*this);
@@ -56,26 +57,26 @@ struct DeviceQueue::Step {
     SwapRows
   };
   Kind kind;
-  /// Of launches.
+  /// For launches.
   unsigned numSlots = 0;
   Function *function = nullptr;
   LaunchShape shape;
-  /// In the slots of the sequence: the parameters; of a fill the address, the
-  /// pattern, its size and the count; of a copy both addresses and the size. Of
-  /// rows these four numbers, and the other address and step, or the pattern
-  /// and its size.
+  /// The first of its slots in the sequence. Launch: the parameters. Fill:
+  /// address, pattern, its size, count. Copy: destination, source, bytes. Rows:
+  /// address, step, rowBytes, rows; other address and step, or pattern and its
+  /// size; outerStep, outer.
   size_t firstSlot = 0;
-  /// Of the sequence in front of it.
+  /// The hash of the sequence before this step.
   uint64_t hashBefore = 0;
 
   bool isFill() const { return kind == Kind::Fill || kind == Kind::FillRows; }
 };
 
-/// Work, in order.
+/// A sequence of steps.
 struct DeviceQueue::Sequence {
   std::vector<Step> steps;
   std::vector<uint64_t> slots;
-  /// Of what the steps are, without the slots.
+  /// A hash of the steps without their slots.
   uint64_t hash = 14695981039346656037ull;
 
   bool empty() const { return steps.empty(); }
@@ -86,9 +87,8 @@ struct DeviceQueue::Sequence {
     slots.insert(slots.end(), values, values + count);
     add(step);
   }
-  /// Fills with nothing but fills between them that lie side by side are one
-  /// step: those of fields that share their cells, say. What is filled again
-  /// before anything else happens is left out.
+  /// Merges adjacent consecutive fills into one step, such as those of fields
+  /// that share cells, and drops parts that are filled again immediately.
   void addFill(const DeviceRows &rows, const void *pattern, int patternBytes);
   DeviceFill fillOf(const Step &step) const;
   void addCopy(DevicePtr to, DevicePtr from, int64_t bytes) {
@@ -105,19 +105,19 @@ struct DeviceQueue::Sequence {
              static_cast<uint64_t>(rows.outer)});
   }
 
-  /// Adds all of the other one.
+  /// Appends all steps of another sequence.
   void append(const Sequence &other);
   bool hasStructureOf(const Sequence &other) const;
   /// Queues a step.
   Status run(Device &device, const Step &step) const;
   StepMemory memoryOf(const Step &step) const;
-  /// The most threads that a step has work for.
+  /// The maximum of threads that a step has work for.
   unsigned getWidth() const;
-  /// So many launches come before anything else.
+  /// The number of launches before the first other step.
   size_t countFirstLaunches() const;
-  /// The functions of its launches, in the order in which they come first.
+  /// The functions of its launches, in order of first use.
   std::vector<const Function *> listParts() const;
-  /// Whether programs can be made of them.
+  /// Whether all functions can be parts of programs.
   bool areAllPartsKnown() const;
   /// Whether it launches functions of the module.
   bool uses(const Module &module) const;

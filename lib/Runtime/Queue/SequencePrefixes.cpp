@@ -1,4 +1,4 @@
-//===- SequencePrefixes.cpp - Launches that come before sequences ---------===//
+//===- SequencePrefixes.cpp - Launches before sequences -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -36,9 +36,10 @@ bool SequencePrefixes::expects(const DeviceFunction *function,
   }
   if (run.empty()) {
     start = now();
-    auto found = leads.find(function);
-    expected = found != leads.end() && found->second.isKnown() ? &found->second
-                                                               : nullptr;
+    auto found = prefixes.find(function);
+    expected = found != prefixes.end() && found->second.isKnown()
+                   ? &found->second
+                   : nullptr;
   }
   Item item{function, shape.blocks, shape.threads, count};
   if (expected && (run.size() == expected->items.size() ||
@@ -64,7 +65,7 @@ void SequencePrefixes::lose() {
 
 void SequencePrefixes::count() {
   numKnown = static_cast<size_t>(
-      std::count_if(leads.begin(), leads.end(),
+      std::count_if(prefixes.begin(), prefixes.end(),
                     [](const auto &entry) { return entry.second.isKnown(); }));
 }
 
@@ -74,22 +75,22 @@ void SequencePrefixes::interrupt() {
 }
 
 void SequencePrefixes::begin() {
-  constexpr size_t mostLeads = 64;
+  constexpr size_t mostPrefixes = 64;
   open = false;
   if (run.empty())
     return;
   bool isQuick = now() - start <= longestNs;
   numTaken += expected != nullptr;
   expected = nullptr;
-  if (leads.size() >= mostLeads)
-    leads.clear();
-  Lead &lead = leads[run.front().function];
-  if (lead.items != run) {
-    lead.items = run;
-    lead.seen = 0;
+  if (prefixes.size() >= mostPrefixes)
+    prefixes.clear();
+  Prefix &prefix = prefixes[run.front().function];
+  if (prefix.items != run) {
+    prefix.items = run;
+    prefix.seen = 0;
   }
-  lead.seen = isQuick ? std::min(lead.seen + 1, lead.wanted) : 0;
-  lead.lost = 0;
+  prefix.seen = isQuick ? std::min(prefix.seen + 1, prefix.wanted) : 0;
+  prefix.lost = 0;
   count();
   run.clear();
 }

@@ -1,13 +1,14 @@
-//===- SequencePrefixes.h - Launches in front of sequences ------*- C++ -*-===//
+//===- SequencePrefixes.h - Launches before sequences ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Learns which launches come directly before a sequence, each time: those of an
-// optimiser between two replays of a tape. What has been learnt may be kept and
-// queued with the sequence (docs/decisions/0014-launches-between-replays.md).
+// Learns which launches repeatedly occur directly before a sequence, such as
+// those of an optimiser between two replays of a tape. Known ones may be
+// deferred and queued with the sequence
+// (docs/decisions/0014-launches-between-replays.md).
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,39 +22,38 @@ namespace mlir::tai::runtime {
 
 class SequencePrefixes {
 public:
-  /// The most launches before a sequence, and between two of them.
+  /// The maximum of launches before a sequence, and between two sequences.
   static constexpr size_t kMostLaunches = 16, kMostBetween = 32;
 
-  /// TAI_KEEP_LAUNCHES_US says how long launches may be kept, for tests and
-  /// measurements.
+  /// For tests and measurements, TAI_KEEP_LAUNCHES_US sets how long, in
+  /// microseconds, launches may be deferred.
   SequencePrefixes();
 
-  /// A launch that is in no sequence. Whether it is likely that the same
-  /// sequence of launches as ever comes, and a sequence right after it.
+  /// Notes a launch outside of sequences. Returns whether it probably starts or
+  /// continues a known prefix.
   bool expects(const DeviceFunction *function, const LaunchShape &shape,
                int count);
-  /// Something else has come.
+  /// Notes other work.
   void interrupt();
-  /// A sequence begins that takes what has been kept.
+  /// A sequence begins, which includes the deferred launches.
   void begin();
-  /// A sequence has ended. Whether it is worth the while to look at what
-  /// follows.
+  /// A sequence has ended. `isWorthIt`: observe the launches that follow.
   void end(bool isWorthIt);
 
-  /// Whether launches are looked at.
+  /// Whether launches are being observed.
   bool isOpen() const { return open; }
-  /// Whether any are likely to come.
+  /// Whether any prefix is known.
   bool areAnyKnown() const { return numKnown > 0; }
-  /// One line, or none.
+  /// A description in one line, or empty.
   std::string explain() const;
 
 private:
   using Item = SentLaunch;
-  /// Launches by the first of them.
-  struct Lead {
+  /// A prefix, found by its first launch.
+  struct Prefix {
     std::vector<Item> items;
-    /// How often they have come in a row, how often they must have, and how
-    /// often in a row they were kept for nothing.
+    /// How often in a row they occurred, how often they must occur to be
+    /// deferred, and how often in a row deferring them was in vain.
     int seen = 0, wanted = 2, lost = 0;
     bool isKnown() const { return seen >= wanted; }
   };
@@ -61,16 +61,16 @@ private:
   void count();
 
   int64_t longestNs;
-  std::unordered_map<const DeviceFunction *, Lead> leads;
+  std::unordered_map<const DeviceFunction *, Prefix> prefixes;
   size_t numKnown = 0;
   bool open = false;
   /// Launches since the last sequence.
   size_t between = 0;
-  /// The launches since something else came last, when the first one came, and
-  /// what is expected; null for nothing.
+  /// The launches since the last other work, the time of the first one, and the
+  /// prefix expected, or null.
   std::vector<Item> run;
   int64_t start = 0;
-  Lead *expected = nullptr;
+  Prefix *expected = nullptr;
   size_t numTaken = 0, numLost = 0;
 };
 

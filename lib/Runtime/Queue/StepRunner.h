@@ -13,17 +13,17 @@
 
 namespace mlir::tai::runtime {
 
-/// Queues steps one after another, and fills that follow one another together.
+/// Queues steps in order, and consecutive fills together.
 class DeviceQueue::StepRunner {
 public:
   explicit StepRunner(Device &device) : device(device) {}
   Status run(const Sequence &sequence, const Step &step);
   Status runAll(const Sequence &sequence);
-  /// Runs all steps, with nothing before or after them.
+  /// Runs all steps, and finishes.
   static Status runAlone(Device &device, const Sequence &sequence);
-  /// Runs what has been held back: before anything else is queued.
+  /// Queues pending fills; call before other work is queued.
   Status finish();
-  /// How many pieces of work that has been.
+  /// The number of separate pieces of work so far.
   size_t numPieces() const { return pieces; }
 
 private:

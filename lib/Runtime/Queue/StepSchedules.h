@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// In which order programs do the steps of a sequence, and where their threads
-// meet: once step by step, and once with launches that can share tiles standing
-// together as one.
+// The order and the barriers of a sequence's steps in programs: one schedule
+// with single steps, and one in which launches that form tile chains are one
+// unit.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,7 +25,8 @@ public:
   StepSchedules(const Device &device, const Sequence &sequence)
       : device(device), sequence(sequence) {}
 
-  /// Steps of the sequence that stand together in a program: one, or a chain.
+  /// Consecutive steps that are one unit of a program: a single step, or a
+  /// chain.
   struct Unit {
     size_t first, count;
     /// The number of the chain; -1 for none.
@@ -33,16 +34,17 @@ public:
   };
   struct Schedule {
     std::vector<Unit> units;
-    /// Of the units.
+    /// The schedule of the units.
     ProgramSchedule order;
     const Unit &unit(size_t at) const { return units[order.order[at]]; }
   };
 
-  /// Makes them. `wantsTiles`: that with tiles, too, if there is a use for it.
+  /// Computes the schedules. `wantsTiles`: also the one with tiles, if chains
+  /// exist.
   void make(bool wantsTiles);
-  /// Makes them again where parameters have changed that matter for them.
+  /// Computes them again if parameters that affect them have changed.
   void update();
-  /// Nobody wants that with tiles any more.
+  /// The schedule with tiles is no longer needed.
   void dropTiles() { wantsTiles = false; }
 
   /// Whether there are chains.
@@ -52,15 +54,15 @@ public:
   }
   /// A block for each tile, and a thread for each of its cells.
   LaunchShape getTileShape() const;
-  /// So many steps come before the program, each by itself.
+  /// The number of steps that run separately before the program.
   size_t countBefore() const { return numBefore; }
-  /// Steps of which it is not known what they touch.
+  /// The number of steps whose accesses are not known.
   size_t countUnknown() const { return numUnknown; }
 
   /// The steps with the numbers of their parts, in the order of the schedule.
   std::vector<LoopStep> listSteps(bool withTiles) const;
-  /// Adds the functions of iterations, whose numbers follow those of the
-  /// others, and the chains that call them.
+  /// Adds the single-iteration functions, numbered after the other parts, and
+  /// the chains that call them.
   void addTiles(ProgramPlan &plan) const;
   std::string describe(const Unit &unit) const;
   std::string describeChains() const;
@@ -72,13 +74,13 @@ private:
 
   const Device &device;
   const Sequence &sequence;
-  /// That with tiles is empty where there are no chains.
+  /// `tiled` is empty if there are no chains.
   Schedule plain, tiled;
   bool wantsTiles = false;
-  /// All that there have been so far, by their numbers.
+  /// All chains so far, by number.
   std::vector<TileChain> chains;
   size_t numBefore = 0, numUnknown = 0;
-  /// The slots that say which memory the steps touch, and what they held.
+  /// The slots that determine which memory the steps access, and their values.
   std::vector<size_t> decisiveSlots;
   std::vector<uint64_t> decisiveValues;
 };

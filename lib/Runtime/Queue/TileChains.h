@@ -1,4 +1,4 @@
-//===- TileChains.h - Which launches share tiles ----------------*- C++ -*-===//
+//===- TileChains.h - Finds launches that share tiles ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,28 +12,28 @@
 
 namespace mlir::tai::runtime {
 
-/// A launch, as far as chains are concerned.
+/// A launch, as input of the analysis.
 struct ChainStep {
-  /// Null for what cannot run in tiles.
+  /// Null if it cannot run in tiles.
   const FunctionAccesses *function = nullptr;
   const uint64_t *slots = nullptr;
   size_t numSlots = 0;
-  /// The number of the part that does an iteration of it.
+  /// The number of the part that runs one of its iterations.
   uint64_t part = 0;
 };
 
 struct TileLimits {
-  /// Tiles of all blocks, bytes of the overlay of one, and cells of a tile with
-  /// its halo.
+  /// Maxima: number of tiles, bytes of shared memory in a block, and cells of a
+  /// tile with its halo.
   int64_t mostTiles = 1, mostBytes = 0, mostCells = 0;
 };
 
-/// The chain of `count` steps; nothing if they are none.
+/// The chain of `count` steps; none if they do not form one.
 std::optional<TileChain> makeChain(const ChainStep *steps, size_t count,
                                    const TileLimits &limits);
 
-/// The longest chain at the start of `count` steps whose last launch has to do
-/// with the others, and its length.
+/// The longest chain at the start of `count` steps whose last launch shares
+/// data with the others, and its length.
 std::optional<std::pair<TileChain, size_t>>
 findChain(const ChainStep *steps, size_t count, const TileLimits &limits);
 

@@ -1,4 +1,4 @@
-//===- Sparse.cpp - Which cells of a tree are active ----------------------===//
+//===- Sparse.cpp - Activity of sparse levels -----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,11 +1,11 @@
-//===- Field.cpp - Single elements of fields ------------------------------===//
+//===- Field.cpp - Access to single elements ------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Where an element lies, and its conversion from and to the host's numbers.
+// The address of an element, and conversions from and to numbers of the host.
 //
 //===----------------------------------------------------------------------===//
 

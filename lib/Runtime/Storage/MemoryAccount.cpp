@@ -1,4 +1,4 @@
-//===- MemoryAccount.cpp - What trees may take and do take ----------------===//
+//===- MemoryAccount.cpp - The limit and use of memory --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Scalars.cpp - Numbers of the host and of fields --------------------===//
+//===- Scalars.cpp - Conversions of scalars -------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Scalars.h - Numbers of the host and of fields ------------*- C++ -*-===//
+//===- Scalars.h - Conversions of scalars ----------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -29,15 +29,14 @@ uint16_t bfloatFromDouble(double value);
 double doubleFromHalf(uint16_t bits);
 double doubleFromBfloat(uint16_t bits);
 
-/// The conversions of these types that compiled code calls.
+/// Appends the conversion functions of these types that compiled code calls.
 void appendHalfCalls(std::vector<RuntimeSymbol> &symbols);
 
-/// The distance from one element to the next along an index; false where it
-/// varies.
+/// The stride of elements along an index; false if it is not uniform.
 bool findConstantStep(const std::vector<LayoutLevel> &levels, int64_t &step);
 
-/// The distance from one element to the next in row-major order; 0 where it
-/// varies. That of a single element is its size.
+/// The stride of elements in row-major order; 0 if it is not uniform. For a
+/// single element, its size.
 int64_t findEvenStep(const FieldLayout &layout,
                      const std::vector<int64_t> &shape, int64_t elementBytes);
 

@@ -1,12 +1,12 @@
-//===- SkipReport.cpp - What was left out, in numbers ---------------------===//
+//===- SkipReport.cpp - Counters of skips as text -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Most counters are advanced where something is left out. How much memory is in
-// use is what the system says when it is asked.
+// Most counters are incremented where something is skipped. The amount of
+// memory in use is queried from the operating system.
 //
 //===----------------------------------------------------------------------===//
 

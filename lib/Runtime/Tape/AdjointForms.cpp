@@ -1,4 +1,4 @@
-//===- AdjointForms.cpp - Which form of its adjoint a record runs ---------===//
+//===- AdjointForms.cpp - The variant of each adjoint ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

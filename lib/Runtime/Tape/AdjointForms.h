@@ -1,16 +1,15 @@
-//===- AdjointForms.h - Which form of its adjoint a record runs -*- C++ -*-===//
+//===- AdjointForms.h - The variant of each adjoint ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// An adjoint comes in up to four forms: it leaves the adjoints of what the
-// kernel overwrites to others, or zeroes them; it computes values that the
-// kernel has stored once more, or loads them. A launch is reversed by the
-// second if the fields still hold what it stored. Else that form runs which
-// computes them from what the tape keeps for it anyway, so that no value is
-// saved for the sake of this.
+// An adjoint has up to four variants: it zeroes the adjoints of overwritten
+// elements, or not; it loads stored outputs of the kernel, or recomputes them.
+// The loading variant is used if the fields still hold the stored values.
+// Otherwise the other one recomputes them from values that the tape saves
+// anyway, so that nothing is saved just for this.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,17 +27,18 @@ public:
                const TapePlan &plan, const TapeMemory &memory)
       : services(services), recording(recording), plan(plan), memory(memory) {}
 
-  /// Something that no record stands for has changed fields that launches have
-  /// stored to.
+  /// Notes whether fields with stored outputs have been changed by something
+  /// that is not recorded.
   void setLostStored(bool lost) { lostStored = lost; }
 
-  /// Whether the adjoint of a launch loads what the launch has stored, if there
-  /// is such a form.
+  /// Whether the adjoint of a launch should be the variant that loads stored
+  /// outputs, if it exists.
   bool loadsStored(size_t index) const;
-  /// The adjoint of a launch by the plan, made now if need be; null where there
-  /// is nothing to differentiate.
+  /// The adjoint of a launch, in the variant of the plan, compiled if
+  /// necessary; null if there is nothing to differentiate.
   Status find(size_t index, Kernel *&adjoint) const;
-  /// Those that a sweep by the plan will ask for and that nobody has asked for.
+  /// The adjoints that a sweep by the plan needs and that have not been
+  /// requested.
   std::vector<PendingAdjoint> pending() const;
 
 private:

@@ -1,4 +1,4 @@
-//===- AdjointHealth.cpp - What adjoints leave in a sweep -----------------===//
+//===- AdjointHealth.cpp - Statistics of adjoints in a sweep --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

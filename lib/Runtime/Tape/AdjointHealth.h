@@ -1,12 +1,12 @@
-//===- AdjointHealth.h - What adjoints leave in a sweep ---------*- C++ -*-===//
+//===- AdjointHealth.h - Statistics of adjoints in a sweep -----*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Looks at the numbers that each replayed record leaves in the adjoints of what
-// it has read. It costs nothing while it is not asked for.
+// Examines, after the adjoint of each record, the adjoint fields that it has
+// added to. No cost unless turned on.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,15 +24,15 @@ public:
     examined.clear();
   }
   bool isWatching() const { return watching; }
-  /// A sweep begins.
+  /// Call at the start of a sweep.
   void clear() { examined.clear(); }
 
-  /// After the adjoint of a launch; and after the reverse of a host function,
-  /// where only `live` fields may have adjoints.
+  /// Call after the adjoint of a launch; and after the reverse of a host
+  /// function, when only adjoints of `live` fields may be non-zero.
   void examine(const TapeRecording &recording, size_t index);
   void examine(size_t index, const std::vector<Field *> &live);
 
-  /// Of the last sweep, in its order.
+  /// The findings of the last sweep, in its order.
   const std::vector<RecordHealth> &found() const { return examined; }
 
 private:

@@ -1,4 +1,4 @@
-//===- ChangeWatch.cpp - What has changed since a sequence ran ------------===//
+//===- ChangeWatch.cpp - Changes after a sequence ran ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -41,7 +41,7 @@ Status ChangeWatch::check(const TapeMemory &memory,
   });
   auto check = [&](const std::vector<Field *> &changed, const char *how) {
     for (Field *field : changed) {
-      if (memory.minds(*field))
+      if (memory.needsValues(*field))
         return Status::failure(
             StatusCode::Usage,
             "field '" + field->name() + "' was changed " + how +

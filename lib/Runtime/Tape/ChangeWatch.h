@@ -1,12 +1,12 @@
-//===- ChangeWatch.h - What has changed since a sequence ran ----*- C++ -*-===//
+//===- ChangeWatch.h - Changes after a sequence ran ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Remembers what the host had done to fields when the sequence of a tape last
-// ran, and finds out what it and kernels have changed since.
+// Detects changes of fields, by the host or by kernels, since the sequence of a
+// tape last ran.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,19 +22,19 @@ class ChangeWatch {
 public:
   explicit ChangeWatch(TapeServices services) : services(services) {}
 
-  /// The sequence has run: from now on changes count.
+  /// Call when the sequence has run: later changes count.
   void begin(const TapeMemory &memory);
-  /// Fails if a field has changed that the reverse sweep needs as it was. Of
-  /// the others that the sequence uses it adds a line to `notes`.
-  /// `lostStored`: launches have stored to one of them.
+  /// Fails if a field has changed whose values the reverse sweep needs. Adds a
+  /// line to `notes` for other fields of the sequence that have changed.
+  /// `lostStored`: one of them has stored outputs.
   Status check(const TapeMemory &memory, std::vector<std::string> &notes,
                bool &lostStored) const;
 
 private:
   TapeServices services;
-  /// Changes by the host so far.
+  /// Field::version() of each field at begin().
   std::vector<std::pair<FieldPtr, uint64_t>> versions;
-  /// The number of the next launch then.
+  /// The number of the next launch at begin().
   uint64_t endLaunch = 0;
 };
 

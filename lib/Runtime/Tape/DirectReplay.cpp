@@ -1,4 +1,4 @@
-//===- DirectReplay.cpp - Sequences that need nothing between launches ----===//
+//===- DirectReplay.cpp - Replays without extra steps ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -24,7 +24,8 @@ bool DirectReplay::findReverse(const TapePlan &plan,
   uint64_t epoch = services.epoch();
   for (const KernelPtr &kernel : recording.kernels())
     if (!TapedKernel::bind(*kernel, epoch) || !TapedKernel::isDirect(*kernel) ||
-        TapedKernel::adjointReruns(*kernel) || !kernel->plan().activity.empty())
+        TapedKernel::adjointReexecutes(*kernel) ||
+        !kernel->plan().activity.empty())
       return false;
   adjoints.clear();
   targets.clear();

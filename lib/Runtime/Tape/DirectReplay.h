@@ -1,18 +1,19 @@
-//===- DirectReplay.h - Launches with nothing between -----------*- C++ -*-===//
+//===- DirectReplay.h - Replays without extra steps ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Between two launches of a replay the runtime looks for values to be saved or
-// put back, for cells that have become active, for a device, a profiler and so
-// on, which costs as much as a loop over a hundred elements. Where the sequence
-// has none of that, which is found out once for all of it, its functions are
-// called one after another. The order, and so every bit, stays the same.
+// Between two launches of a replay the runtime normally checks for values to
+// save or restore, for newly active cells, a device, a profiler and so on,
+// which costs as much as a loop over a hundred elements. If a sequence needs
+// none of these steps, which is checked once for all of it, its functions are
+// called one after another. The order, and so every bit of the results, is the
+// same.
 //
-// Whether anything but launches stands between them (host functions, saved
-// values, sparse trees) is the question of those who ask for this.
+// The caller checks that the sequence has no host functions, saved values or
+// sparse trees.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,11 +31,11 @@ public:
 
   /// Whether the kernels can be called directly.
   bool findForward() const;
-  /// Whether the adjoints can that the plan names; they are kept until the next
-  /// call.
+  /// Whether the adjoints of the plan can be called directly; keeps them for
+  /// runReverse.
   bool findReverse(const TapePlan &plan, const AdjointForms &forms);
 
-  /// To be called after the above have found so.
+  /// Call after findForward or findReverse has returned true.
   Status runForward(Launch &launch) const;
   Status runReverse(Launch &launch, const TapePlan &plan) const;
 

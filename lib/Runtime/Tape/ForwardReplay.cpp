@@ -1,4 +1,4 @@
-//===- ForwardReplay.cpp - Executes recorded sequences again --------------===//
+//===- ForwardReplay.cpp - Re-execution of recorded sequences -------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

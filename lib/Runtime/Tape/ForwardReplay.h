@@ -1,4 +1,4 @@
-//===- ForwardReplay.h - Executes recorded sequences again ------*- C++ -*-===//
+//===- ForwardReplay.h - Re-execution of recorded sequences ----*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -15,8 +15,8 @@
 
 namespace mlir::tai::runtime {
 
-/// One replay of all records, on what fields hold now. What it overwrites and
-/// adjoints read is saved as when the sequence was recorded.
+/// One replay of all records, on the current contents of fields. Overwritten
+/// values are saved for adjoints as while the sequence was recorded.
 class ForwardReplay {
 public:
   ForwardReplay(TapeServices services, const TapeRecording &recording,
@@ -35,13 +35,13 @@ private:
   TapeMemory &memory;
   TapeTopology &topology;
   Launch &launch;
-  /// Some record so far was a launch.
+  /// Whether a record so far was a launch.
   bool launched = false;
 };
 
-/// Executes one record again, with the random numbers that it had.
-/// `changesMemory`: whether a host function did; then it must be one that can
-/// be called again.
+/// Re-executes one record, with the same random numbers. `changesMemory`: the
+/// record is a host function that changed memory; fails if it cannot be called
+/// again.
 Status replayRecord(const TapeServices &services,
                     const TapeRecording &recording, Launch &launch,
                     size_t index, bool changesMemory);

@@ -1,4 +1,4 @@
-//===- HostProgram.cpp - What host programs call --------------------------===//
+//===- HostProgram.cpp - Host programs ------------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Launches, tapes and gradient checks in a `func.func` that runs on the host.
-// The check needs the region to be run many times from the same state: the
-// trees are saved before and put back for every evaluation.
+// The check runs the region many times from the same state: the trees are saved
+// before, and restored for every evaluation.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- LostGradients.cpp - Gradients that end where there is none ---------===//
+//===- LostGradients.cpp - Gradients lost in plain fields -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,15 +1,15 @@
-//===- LostGradients.h - Gradients that end where there is none -*- C++ -*-===//
+//===- LostGradients.h - Gradients lost in plain fields --------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A value that is computed from a field with a gradient, kept in a float field
-// or an array without one, and read from there on the way to the loss, passes
-// no derivative on. That may be meant, and is said once. The look at the
-// records is the second step: most sequences have no kernel that could do so,
-// or are made of kernels that have been looked at together.
+// If a value with a derivative is stored in a float field or an array without
+// gradient, and read from there on the way to the loss, the derivative is cut
+// off. That may be intended, so it is a warning, given once. Records are
+// examined in a second step only: most sequences have no kernel that could do
+// this, or consist of kernels that have been examined before.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,9 +24,9 @@ namespace mlir::tai::runtime {
 
 class LostGradients {
 public:
-  /// Launches hold addresses. What else tells which of them use the same array:
-  /// some memory is a copy for one launch; the host has changed an array before
-  /// a record.
+  /// Launches record addresses of arrays. To match these: `address` holds a
+  /// copy of an array for one launch; the host has changed an array before a
+  /// record.
   void noteCopy(uint64_t address, const ArrayRange &array) {
     copies[address] = array;
   }
@@ -34,16 +34,17 @@ public:
     written.emplace_back(record, array);
   }
 
-  /// Whether the kernels of the recording could lose a gradient at all.
+  /// Whether kernels of the recording could lose a gradient at all.
   static bool mayHave(const TapeRecording &recording);
-  /// Adds a line to `notes` for each kernel and place where a derivative ends,
-  /// once in a runtime. `live`: fields whose adjoints may be non-zero.
+  /// Adds a line to `notes` for each kernel and source location where a
+  /// derivative is cut off, once in a runtime. `live`: fields whose adjoints
+  /// may be non-zero.
   void find(const TapeServices &services, const TapeRecording &recording,
             const std::vector<Field *> &live,
             std::vector<std::string> &notes) const;
 
 private:
-  /// Equal for sequences in which the same is lost.
+  /// Equal for sequences that lose the same gradients.
   size_t hash(const TapeRecording &recording, bool hasArrays) const;
 
   /// By the address of the copy.

@@ -1,4 +1,4 @@
-//===- Overwrites.cpp - Elements that are stored again --------------------===//
+//===- Overwrites.cpp - Overwritten elements ------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

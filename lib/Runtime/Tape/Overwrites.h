@@ -1,17 +1,17 @@
-//===- Overwrites.h - Elements that are stored again ------------*- C++ -*-===//
+//===- Overwrites.h - Overwritten elements ---------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Which launches store elements that an earlier one has used, as far as
-// summaries tell: their adjoints leave zero there while the sweep runs. The
-// elements that others store, which are the first to touch them, no adjoint
-// reaches after their own, so that they may be zeroed as late as one likes,
-// where it is known which they are. A kernel may have hundreds of accesses at
-// constant indices (the columns of a matrix of weights), which are the same in
-// all its launches: they are looked at once.
+// Which launches overwrite elements that an earlier one has used, according to
+// summaries: their adjoints must zero the adjoints of these elements during the
+// sweep. If a launch is the first to access the elements that it stores, no
+// later adjoint in the sweep reads their adjoints, so these can be zeroed after
+// the sweep (OwedZeros.h), if it is known which they are. A kernel may have
+// hundreds of accesses at constant indices (the columns of a matrix of
+// weights), which are the same in all its launches: these are analysed once.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,17 +24,17 @@
 namespace mlir::tai::runtime {
 
 struct Overwrites {
-  /// For each record, whether it stores elements with an adjoint that an
-  /// earlier one has used, as far as summaries tell.
+  /// For each record, whether it may store elements with an adjoint that an
+  /// earlier one has used.
   std::vector<bool> isRepeated;
-  /// What the others store, which no record has used before: after a sweep the
-  /// adjoints of these elements are zero. By adjoint fields.
+  /// By adjoint field, the elements that other records store for the first
+  /// time: after a sweep their adjoints are zero.
   using Zeros =
       std::vector<std::pair<FieldPtr, std::shared_ptr<const OwedZeros>>>;
   Zeros storedOnce;
 };
 
-/// `mark`: a number that no analysis has had; see TapeServices::nextMark.
+/// `mark`: a number that no analysis has used; see TapeServices::nextMark.
 Overwrites findOverwrites(const TapeRecording &recording, uint64_t mark);
 
 } // namespace mlir::tai::runtime

@@ -1,4 +1,4 @@
-//===- Rematerialiser.cpp - Reverse sweeps that recompute values ----------===//
+//===- Rematerialiser.cpp - Checkpointed reverse sweeps -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -65,13 +65,13 @@ Status Rematerialiser::recompute(Launch &launch, size_t index, bool saving,
   if (status && saving)
     status = memory.beforeReplay(static_cast<uint32_t>(index),
                                  static_cast<uint32_t>(oldest));
-  topology.runsAgain(static_cast<uint32_t>(index));
+  topology.beginReexecution(static_cast<uint32_t>(index));
   if (status)
     status = replayRecord(services, recording, launch, index,
                           !memory.partsAt(index).empty());
   checkpoints->settle();
   memory.settle();
-  topology.ranAgain(static_cast<uint32_t>(index));
+  topology.endReexecution(static_cast<uint32_t>(index));
   ++executed;
   executedAt.resize(recording.size());
   ++executedAt[index];

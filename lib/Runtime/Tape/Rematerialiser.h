@@ -1,15 +1,15 @@
-//===- Rematerialiser.h - Reverse sweeps that recompute values --*- C++ -*-===//
+//===- Rematerialiser.h - Checkpointed reverse sweeps ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// With a checkpoint policy, a tape keeps snapshots while it records and nothing
-// else. The reverse sweep goes from one to the one before: it executes the
-// records in between again, and saves what they overwrite only there. Where
-// even that is too much, it takes more snapshots on the way, where the binomial
-// schedule (Griewank and Walther, "revolve") wants them.
+// With a checkpoint policy, a tape keeps only snapshots while it records. The
+// reverse sweep proceeds from each snapshot to the one before: it re-executes
+// the records in between, and saves overwritten values for these only. If even
+// that is too much, it takes further snapshots on the way, by the binomial
+// schedule (Griewank and Walther, "revolve").
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,20 +28,19 @@ public:
       : services(services), recording(recording), plan(plan), memory(memory),
         topology(topology), reverse(reverse) {}
 
-  /// Whether there is a policy; and sets one. To be called before anything is
+  /// Whether there is a policy; setPolicy sets one, before anything is
   /// recorded.
   bool isOn() const { return checkpoints != nullptr; }
   Status setPolicy(CheckpointPolicy policy);
 
-  /// Forgets what was executed again: the sequence is about to run from its
-  /// start.
+  /// Resets counts of re-execution, before the sequence runs from its start.
   void restart();
-  /// The same sequence once more, forward, with new snapshots.
+  /// Runs the sequence again, forward, with new snapshots.
   Status replay(Launch &launch);
-  /// The reverse sweep by the plan. Memory is what it was when all is done.
+  /// Runs the reverse sweep by the plan. Afterwards memory is as before.
   Status sweep();
 
-  /// How often the record has been executed again.
+  /// How often the record has been re-executed.
   uint32_t countAt(size_t index) const {
     return index < executedAt.size() ? executedAt[index] : 0;
   }
@@ -66,10 +65,10 @@ private:
   TapeTopology &topology;
   ReverseSweep &reverse;
   std::unique_ptr<Checkpoints> checkpoints;
-  /// How often records were executed again, and each of them.
+  /// Re-executed records, in total and for each record.
   int64_t executed = 0;
   std::vector<uint32_t> executedAt;
-  /// Only the first snapshot is left.
+  /// After a sweep: only the first snapshot is left.
   bool sweptBefore = false;
 };
 

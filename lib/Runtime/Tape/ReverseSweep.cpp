@@ -34,7 +34,7 @@ Status ReverseSweep::reverse(Launch &launch, size_t index) {
   Status status;
   if (plan[index] == Decision::Callback) {
     topology.enter(static_cast<uint32_t>(index));
-    memory.enter(static_cast<uint32_t>(index), /*reruns=*/false);
+    memory.enter(static_cast<uint32_t>(index), /*reexecutes=*/false);
     status = callHost(index);
     if (status && health.isWatching())
       health.examine(index, liveFields());
@@ -53,7 +53,7 @@ Status ReverseSweep::replay(Launch &launch, size_t index) {
     return zeroWritten(recording.write(record));
   if (memory.empty())
     return runAdjoint(launch, index);
-  bool changes = TapedKernel::adjointReruns(*record.kernel);
+  bool changes = TapedKernel::adjointReexecutes(*record.kernel);
   memory.enter(static_cast<uint32_t>(index), changes);
   Status status = runAdjoint(launch, index);
   memory.leave(changes);

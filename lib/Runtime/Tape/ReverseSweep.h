@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Launches the adjoints of records, from the last to the first, in the states
-// of memory and activity that they want, and calls the reverse of host
-// functions in between.
+// Launches the adjoints of records, from last to first, restoring the memory
+// and activity that each one reads, and calls the reverse of host functions in
+// between.
 //
 //===----------------------------------------------------------------------===//
 
@@ -29,36 +29,37 @@ public:
       : services(services), tape(tape), recording(recording), plan(plan),
         forms(forms), memory(memory), topology(topology), health(health) {}
 
-  /// All that the plan replays; for sequences without reverse host functions.
+  /// Runs the records of the plan; for sequences without reverse host
+  /// functions.
   Status runPlanned(Launch &launch);
-  /// All records, deciding on each when its turn comes: host functions may have
-  /// made adjoints non-zero of which the plan knows nothing.
+  /// Runs all records, with a decision on each at its turn: host functions may
+  /// have written adjoints in ways that the plan does not know.
   Status runDeciding(Launch &launch);
-  /// One record of such a sweep, or of one in pieces.
+  /// Reverses one record, of such a sweep, or of a checkpointed one.
   Status reverse(Launch &launch, size_t index);
 
-  /// What the loops of a kernel went over that the host function launched whose
-  /// reverse is running. Fails as checkActivity does.
+  /// During the reverse of a host function: the cells that the loops of a
+  /// kernel, launched by the function, visited. Fails like checkActivity.
   Status findLoops(Kernel &kernel, LoopLists &lists);
 
-  /// To be told what may have an adjoint when a host function is through, if
-  /// somebody watches.
+  /// Returns the fields whose adjoints may be non-zero; for AdjointHealth after
+  /// a host function.
   std::function<std::vector<Field *>()> liveFields;
 
 private:
-  /// Runs the adjoint of a record and, where it stored elements again, zeroes
-  /// the adjoints of those.
+  /// Runs the adjoint of a record and zeroes the adjoints of overwritten
+  /// elements.
   Status replay(Launch &launch, size_t index);
   Status runAdjoint(Launch &launch, size_t index);
   Status callHost(size_t index);
-  /// Zeroes the adjoint of what the host has written.
+  /// Zeroes the adjoints of elements that the host has written.
   Status zeroWritten(const HostWrite &write);
-  /// Fails if the adjoint of a kernel asks for activity that the record itself
-  /// has changed.
+  /// Fails if the adjoint of a kernel reads activity that the record itself has
+  /// changed.
   Status checkActivity(Kernel &kernel, size_t index) const;
 
   TapeServices services;
-  /// To which launches of host functions belong; no part of it is looked at.
+  /// Only passed on, for launches of host functions.
   Tape &tape;
   const TapeRecording &recording;
   TapePlan &plan;

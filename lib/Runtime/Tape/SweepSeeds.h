@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Losses, what their adjoints are at the start of a sweep, and which other
-// adjoints may be non-zero then.
+// Losses with the seeds of their adjoints, and which other adjoints may be
+// non-zero at the start of a sweep.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,25 +26,25 @@ public:
   /// "'loss', 'other'"
   std::string names() const;
 
-  /// Adds a loss, which the tape uses from then on. A field of one number is a
-  /// sum: it is set to zero, and its seed is 1.
+  /// Adds a loss, which the tape holds from then on. A field of one number is
+  /// treated as a sum: it is set to zero, and its seed is 1.
   Status add(FieldPtr loss, TapeHolds &holds);
   /// A row-major array of the scalar type of the adjoint.
   Status set(const Field &loss, const void *array);
-  /// Sets the sums to zero, before the sequence runs again.
+  /// Sets the losses that are sums to zero, before the sequence runs again.
   void clearSums() const;
   /// Stores the seeds to the adjoints of the losses.
   Status store() const;
 
-  /// The fields whose adjoints may be non-zero when a sweep starts; what
-  /// another thread has left is no concern of the tape. `cleared`: gradients
-  /// are zero then, but for those that others may write to.
+  /// The fields whose adjoints may be non-zero when a sweep starts, except
+  /// those written by other threads only. `cleared`: gradients are then zero,
+  /// except exported ones.
   std::vector<Field *> liveFields(bool cleared, const TapeHolds &holds) const;
 
 private:
   struct Loss {
     FieldPtr field;
-    /// Of the adjoint; empty for 1.
+    /// Bytes of the adjoint; empty for 1.
     std::vector<char> seed;
   };
   void clearSum(Field &loss) const;

@@ -5,8 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What a tape is asked for when it has recorded: the order in which its parts
-// do their work.
+// The operations of a tape after recording: coordinates its parts.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,8 +17,8 @@ using namespace mlir::tai::runtime;
 // Fields and losses
 //===----------------------------------------------------------------------===//
 
-bool Tape::minds(const Field &field) const {
-  return parts->memory.minds(field);
+bool Tape::needsValues(const Field &field) const {
+  return parts->memory.needsValues(field);
 }
 
 bool Tape::uses(const FieldPtr &field) const { return parts->holds.has(field); }

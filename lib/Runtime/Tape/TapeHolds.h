@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What a tape uses, it holds: what other threads do to such a field meanwhile
-// fails where it would change a gradient; see
+// A tape holds the fields that it uses: an access of another thread to a held
+// field fails if it would change a gradient; see
 // docs/decisions/0022-tapes-of-threads.md.
 //
 //===----------------------------------------------------------------------===//
@@ -20,21 +20,21 @@ namespace mlir::tai::runtime {
 
 class TapeHolds {
 public:
-  /// `tape`: in whose name. `clears`: it begins with gradients of zero, and
-  /// they are its own.
+  /// `tape`: the owner of the holds. `clears`: it zeroes gradients at its
+  /// start, and uses them exclusively.
   TapeHolds(TapeServices services, const Tape &tape, bool clears)
       : services(services), tape(tape), clears(clears) {}
 
   bool has(const FieldPtr &field) const { return used.count(field); }
-  /// Notes what a launch uses, until release(), and takes over gradients that
-  /// other threads have left.
+  /// Holds the fields of a launch, until release(), and takes over gradients
+  /// that other threads have written.
   Status add(const Kernel &kernel);
   Status add(const FieldPtr &field, HoldKind kind);
-  /// How the tape uses the gradients that its sweep adds to.
+  /// The kind of hold on gradients that its sweep adds to.
   HoldKind gradientKind() const {
     return clears ? HoldKind::Write : HoldKind::Add;
   }
-  /// Holds all of that for the calling thread, again.
+  /// Holds all these fields again, for the calling thread.
   Status hold();
   void release();
 

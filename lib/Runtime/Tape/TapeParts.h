@@ -1,4 +1,4 @@
-//===- TapeParts.h - What a tape is made of ---------------------*- C++ -*-===//
+//===- TapeParts.h - The parts of a tape -----------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -20,7 +20,7 @@
 
 namespace mlir::tai::runtime {
 
-/// In the order in which they use each other.
+/// In the order of their dependencies.
 struct Tape::Parts {
   Parts(Runtime &runtime, Tape &tape, uint64_t stamp, bool clears)
       : stamp(stamp), services(runtime), holds(services, tape, clears),
@@ -32,12 +32,12 @@ struct Tape::Parts {
     reverse.liveFields = [this] { return seeds.liveFields(false, holds); };
   }
 
-  /// No other tape of the runtime has it.
+  /// Unique among the tapes of the runtime.
   uint64_t stamp;
   TapeServices services;
   bool isOpen = false;
-  /// How often it was suspended, and the number of the first launch of the host
-  /// function to come.
+  /// The nesting depth of suspend(), and the number of the next launch at the
+  /// first one.
   int suspended = 0;
   uint64_t suspendedAt = UINT64_MAX;
 
@@ -57,7 +57,7 @@ struct Tape::Parts {
   Rematerialiser rematerialiser;
   TapeReport report;
 
-  /// Nothing but launches is to be done in a replay.
+  /// Whether a replay consists of launches only, without other steps.
   bool isDirect() const {
     return services.runsDirectly() && !rematerialiser.isOn() &&
            !health.isWatching() && recording.onlyLaunches() &&

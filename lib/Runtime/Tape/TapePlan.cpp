@@ -1,4 +1,4 @@
-//===- TapePlan.cpp - What a reverse sweep will do ------------------------===//
+//===- TapePlan.cpp - The plan of a reverse sweep -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,15 +1,15 @@
-//===- TapePlan.h - What a reverse sweep will do ----------------*- C++ -*-===//
+//===- TapePlan.h - The plan of a reverse sweep ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The decision for each record, made once for a sequence of records and a set
-// of adjoints that are non-zero at the start of the sweep. A callback may touch
-// anything, so that from there on one decides as one goes, from the dirty flags
-// of the adjoint fields, which every launch and every host write keep. Nothing
-// is launched here.
+// A decision for each record, made once for a sequence of records and a set of
+// adjoints that are non-zero at the start of the sweep. A host function may
+// change any adjoint, so from there on decisions are made during the sweep,
+// from the dirty flags of adjoint fields, which every launch and every write of
+// the host maintain. Nothing is launched here.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,44 +26,44 @@ class TapePlan {
 public:
   enum class Decision : uint8_t {
     Replay,
-    SkipNoDerivative, // the kernel has none
+    SkipNoDerivative, // the kernel has no derivative
     SkipUnreached,    // changes no field with a live adjoint
     SkipNoEffect,     // reads no field with an adjoint, overwrites none
     Callback,
     SkipCallback, // nothing to call in reverse
     Unpruned,     // replayed although it has no effect: pruning is off
-    Overwrite     // the adjoint of what the host wrote becomes zero
+    Overwrite // a write of the host: the adjoint of its elements becomes zero
   };
   static bool isReplayed(Decision decision) {
     return decision == Decision::Replay || decision == Decision::Overwrite ||
            decision == Decision::Unpruned;
   }
 
-  /// Decides on all records, from the summaries of their kernels alone. `live`:
-  /// the fields whose adjoints may be non-zero at the start.
+  /// Decides on all records from the summaries of kernels. `live`: the fields
+  /// whose adjoints may be non-zero at the start.
   void make(const TapeServices &services, const TapeRecording &recording,
             std::vector<Field *> live);
-  /// Whether there are decisions for these records, whatever they hold for.
+  /// Whether there are decisions for these records, valid or not.
   bool isMade(const TapeRecording &recording) const {
     return decisions.size() == recording.size();
   }
-  /// Whether they hold in this state of the storage and with these adjoints.
+  /// Whether they are valid for this epoch of the storage and these adjoints.
   bool holds(const TapeRecording &recording, uint64_t epoch,
              const std::vector<Field *> &live) const {
     return isMade(recording) && plannedEpoch == epoch && plannedLive == live;
   }
-  /// Decides on a record again, by the adjoints that are dirty now.
+  /// Decides on a record again, from the adjoints that are dirty now.
   void decideAgain(const TapeRecording &recording, size_t index);
 
   Decision operator[](size_t index) const { return decisions[index]; }
-  /// The records that are replayed, from the last to the first.
+  /// The replayed records, from last to first.
   const std::vector<uint32_t> &replayed() const { return needed; }
   bool replaysAny() const;
   int64_t numSkipped() const;
-  /// Whether the adjoint of a record is to zero the adjoints of what it
-  /// overwrites.
+  /// Whether the adjoint of a record must zero the adjoints of overwritten
+  /// elements.
   bool zeroesAt(size_t index) const { return overwrites.isRepeated[index]; }
-  /// Adjoints of elements that are zero after the sweep.
+  /// Elements whose adjoints are zero after the sweep.
   const Overwrites::Zeros &zerosAfter() const { return overwrites.storedOnce; }
 
 private:
@@ -74,7 +74,7 @@ private:
   std::vector<Decision> decisions;
   std::vector<uint32_t> needed;
   Overwrites overwrites;
-  /// What they hold for.
+  /// The state for which the decisions are valid.
   std::vector<Field *> plannedLive;
   uint64_t plannedEpoch = 0;
   bool prunes = true;

@@ -1,4 +1,4 @@
-//===- TapeRecord.cpp - Recording of launches and of what hosts do --------===//
+//===- TapeRecord.cpp - Recording of launches and host writes -------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // The path of a launch while a tape records. It runs hundreds of thousands of
-// times: what is known of a kernel is found by a pointer, and what a launch
-// changes is compared with what is read in reverse by a few loads.
+// times: the data about a kernel is found by one pointer, and a few loads
+// compare what a launch changes with what is read in reverse.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- TapeRecording.cpp - What a tape has recorded -----------------------===//
+//===- TapeRecording.cpp - The recorded sequence --------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

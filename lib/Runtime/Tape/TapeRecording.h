@@ -1,12 +1,12 @@
-//===- TapeRecording.h - What a tape has recorded ---------------*- C++ -*-===//
+//===- TapeRecording.h - The recorded sequence -----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The sequence as data: launches with their arguments, functions and writes of
-// the host. It launches nothing and decides nothing.
+// The sequence as data only: launches with their arguments, host functions, and
+// writes of the host.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,38 +34,38 @@ public:
   const Record &operator[](size_t index) const { return records[index]; }
   std::vector<Record>::const_iterator begin() const { return records.begin(); }
   std::vector<Record>::const_iterator end() const { return records.end(); }
-  /// The number of the record to come.
+  /// The number of the next record.
   uint32_t next() const { return static_cast<uint32_t>(records.size()); }
 
-  /// Of a launch.
+  /// The arguments and the number of a launch.
   const uint64_t *args(const Record &record) const {
     return slots.data() + record.payload;
   }
   uint64_t number(const Record &record) const {
     return firstLaunch + record.launch;
   }
-  /// Of a host function.
+  /// The functions of a host function record.
   const TapeCallback &callback(const Record &record) const {
     return callbacks[record.payload];
   }
-  /// Of a write of the host.
+  /// The data of a write record.
   HostWrite write(const Record &record) const {
     return writes[record.payload]->get();
   }
-  /// For those who read: "@f", "(write of @x)", "(host function)".
+  /// For display: "@f", "(write of @x)", "(host function)".
   std::string describe(const Record &record) const;
 
-  /// Those that were launched, in the order in which they came first.
+  /// The launched kernels, in order of first launch.
   const std::vector<KernelPtr> &kernels() const { return kept; }
   bool hasCallbacks() const { return !callbacks.empty(); }
   bool onlyLaunches() const { return callbacks.empty() && writes.empty(); }
-  /// Some host function has a reverse.
+  /// Whether some host function has a reverse.
   bool callsInReverse() const { return reverseCallbacks; }
 
-  /// As summaries tell, in the order of the records.
+  /// By the summaries of kernels, in the order of the records.
   std::vector<FieldOverwrite> overwrites() const;
 
-  /// Keeps a kernel alive that is launched.
+  /// Keeps a launched kernel alive.
   void keep(Kernel &kernel);
   void addLaunch(Kernel &kernel, const uint64_t *args, uint64_t number) {
     if (!anyLaunch) {
@@ -76,18 +76,18 @@ public:
     records.push_back({&kernel, lastLaunch, slots.size()});
     slots.insert(slots.end(), args, args + kernel.tapeSlots());
   }
-  /// `start`: the number that its first launch had, or would have had. `next`:
-  /// that of the next launch.
+  /// `start`: the number of its first launch (or what it would have been).
+  /// `next`: the number of the next launch.
   void addCallback(TapeCallback callback, uint64_t start, uint64_t next);
   void addWrite(FieldPtr field, const HostWrite &write);
 
-  /// How many launches the records stand for, and a new number for the first of
-  /// them: the others keep their distances.
+  /// The number of launch numbers used by the records; and sets the first,
+  /// which shifts all of them.
   uint64_t numLaunches() const { return anyLaunch ? lastLaunch + 1 : 0; }
   void renumber(uint64_t first) { firstLaunch = first; }
 
 private:
-  /// Owns what a HostWrite points to.
+  /// Owns the data that a HostWrite refers to.
   struct Write {
     Write(FieldPtr fieldPtr, const HostWrite &write);
     HostWrite get() const;

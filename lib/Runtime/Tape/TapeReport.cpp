@@ -1,4 +1,4 @@
-//===- TapeReport.cpp - What a tape tells about its sweeps ----------------===//
+//===- TapeReport.cpp - Texts about sweeps --------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

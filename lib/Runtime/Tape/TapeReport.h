@@ -1,4 +1,4 @@
-//===- TapeReport.h - What a tape tells about its sweeps --------*- C++ -*-===//
+//===- TapeReport.h - Texts about sweeps -----------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,23 +12,22 @@
 
 namespace mlir::tai::runtime {
 
-/// The text of `explain`, and the lines of the last sweep that a careful user
-/// should know.
+/// The text of `explain`, and the warnings about the last sweep.
 class TapeReport {
 public:
   std::vector<std::string> notes;
 
   void begin() { text.clear(); }
-  /// One line: what becomes of the record, and why.
+  /// Adds a line with the decision on a record, and its reason.
   void addRecord(const TapeRecording &recording, const TapePlan &plan,
                  const AdjointForms &forms, size_t index, int64_t savedBytes,
                  uint32_t timesRecomputed);
-  /// A replay calls so many functions directly.
+  /// Adds a line: a replay calls `count` functions directly.
   void addDirect(size_t count, const char *what);
   void add(const std::string &lines) { text += lines; }
   const std::string &get() const { return text; }
 
-  /// Notes where a sweep has had nothing to do, though there are losses.
+  /// Adds a warning if a sweep with losses had nothing to do.
   void checkEffect(const TapeRecording &recording, const TapePlan &plan,
                    const std::string &losses);
 

@@ -1,13 +1,12 @@
-//===- TapeServices.h - What tapes ask of the runtime -----------*- C++ -*-===//
+//===- TapeServices.h - The runtime as seen by tapes -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// All that the parts of a tape use of a runtime, its kernels and fields beyond
-// what these offer to everybody. Everything is inline: the path of a replayed
-// launch goes through here.
+// The operations of a runtime, its kernels and fields that only the parts of a
+// tape use. All are inline, because they are on the path of a replayed launch.
 //
 //===----------------------------------------------------------------------===//
 
@@ -55,12 +54,13 @@ public:
     runtime.noteFailure(std::move(status));
   }
   uint64_t seed() const { return runtime.options().seed; }
-  /// Whether nothing but the code of kernels runs in a launch, as far as the
-  /// runtime is concerned.
-  bool runsDirectly() const { return runtime.runsPlainly(); }
+  /// Whether launches need no steps of the runtime around the call of the
+  /// kernel's code.
+  bool runsDirectly() const { return runtime.runsDirectly(); }
 
-  /// The number of the next launch; takes so many of them; and sets it, for
-  /// launches that are made again. Returns what it was.
+  /// The number of the next launch; takeLaunches reserves `count` numbers, and
+  /// exchangeNextLaunch sets it for re-executed launches; both return the
+  /// previous number.
   uint64_t nextLaunch() const {
     return runtime.launcher().numbers().load(std::memory_order_relaxed);
   }
@@ -81,7 +81,7 @@ public:
   void beginRecording(Tape &tape) const { runtime.recordings().begin(tape); }
   void endRecording(Tape &tape) const { runtime.recordings().end(tape); }
   bool anyRecording() const { return runtime.recordings().isAny(); }
-  /// Several tapes record at a time.
+  /// Whether several tapes record at the same time.
   bool recordsTogether() const { return runtime.recordings().areTogether(); }
   Status hold(const Tape &tape, Field &field, HoldKind kind) const {
     return runtime.recordings().hold(tape, field, kind);
@@ -92,14 +92,14 @@ public:
   Status checkHold(const Field &field, HoldKind kind) const {
     return runtime.checkHold(field, kind);
   }
-  /// Between the two, a tape holds fields.
+  /// Bracket a period in which a tape holds fields.
   void beginHolding() const { runtime.recordings().beginHolding(); }
   void endHolding() const { runtime.recordings().endHolding(); }
   FieldPtr firstOf(const Tree &tree) const {
     return runtime.store().firstOf(tree);
   }
 
-  /// While it lives, the sweep of a tape has called a function of the host.
+  /// RAII scope of a call of a host function by a sweep.
   class HostFunction {
   public:
     HostFunction(const TapeServices &services, Tape &tape)
@@ -115,7 +115,7 @@ public:
 
   const std::vector<FieldPtr> &fields() const { return runtime.fields(); }
   uint64_t epoch() const { return runtime.storageEpoch(); }
-  /// A number that no plan has had.
+  /// A unique number for marks of analyses.
   uint64_t nextMark() const { return runtime.recordings().nextStamp(); }
   void perform(const HostWrite &write) const { runtime.perform(write); }
   Status activateFor(const HostWrite &write) const {
@@ -126,13 +126,13 @@ public:
                 std::shared_ptr<const OwedZeros> zeros) const {
     runtime.oweZeros(adjoint, std::move(zeros));
   }
-  /// Calls body(kernel) for those that there are. Other threads may define
-  /// kernels meanwhile.
+  /// Calls body(kernel) for each kernel. Other threads may create kernels at
+  /// the same time.
   template <typename Body> void forEachKernel(const Body &body) const {
     runtime.launcher().kernels().forEach(body);
   }
-  /// True once for each sequence of launches in which derivatives may end, and
-  /// for each place where they do.
+  /// True once for each sequence that is checked for lost gradients, and for
+  /// each cut.
   bool isNewSequence(size_t hash) const {
     return runtime.recordings().sequencesSeen.insert(hash).second;
   }
@@ -144,7 +144,7 @@ private:
   Runtime &runtime;
 };
 
-/// The same of fields.
+/// The same for fields.
 struct TapedField {
   static const TreePtr &tree(const Field &field) { return field.sharedTree(); }
   static const FieldPtr &adjoint(const Field &field) {
@@ -152,11 +152,11 @@ struct TapedField {
   }
   static uint64_t hostVersion(const Field &field) { return field.version(); }
   static void setClean(Field &field) { field.markClean(); }
-  /// Marks of plans; see TapeServices::nextMark.
+  /// See Field::Marks and TapeServices::nextMark.
   static uint64_t &planMark(Field &field) { return field.marks.plan; }
   static uint64_t planMark(const Field &field) { return field.marks.plan; }
-  /// The number of a field among those that an analysis has seen; `isNew` if
-  /// this is the first time, and the number is `next`.
+  /// Numbers the fields of an analysis: returns the number of a field, which is
+  /// `next` if it `isNew`.
   static size_t number(Field &field, uint64_t mark, size_t next, bool &isNew) {
     isNew = field.marks.seen != mark;
     if (isNew) {
@@ -167,7 +167,7 @@ struct TapedField {
   }
 };
 
-/// A launch for as long as a sweep or a replay takes.
+/// RAII owner of a launch object, for a sweep or a replay.
 class HeldLaunch {
 public:
   explicit HeldLaunch(const TapeServices &services)

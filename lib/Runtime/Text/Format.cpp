@@ -1,4 +1,4 @@
-//===- Format.cpp - The text of values ------------------------------------===//
+//===- Format.cpp - Formatting of values ----------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

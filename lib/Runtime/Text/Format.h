@@ -1,4 +1,4 @@
-//===- Format.h - The text of values ----------------------------*- C++ -*-===//
+//===- Format.h - Formatting of values -------------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,7 +14,8 @@
 namespace mlir::tai::runtime {
 
 /// Replaces each "{}" and "{:...}" (see FormatSpec.h) of the format by the next
-/// value.
+/// value. `kinds`: TaiValueKind of each value; `shapes`: number of its
+/// components; null for scalars.
 std::string formatValues(const char *format, int32_t count,
                          const int32_t *kinds, const int32_t *shapes,
                          const uint64_t *slots);

@@ -1,4 +1,4 @@
-//===- FormatSpec.cpp - How a number is written ---------------------------===//
+//===- FormatSpec.cpp - Format specifications of numbers ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

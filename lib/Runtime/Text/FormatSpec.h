@@ -1,4 +1,4 @@
-//===- FormatSpec.h - How a number is written -------------------*- C++ -*-===//
+//===- FormatSpec.h - Format specifications of numbers ---------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -9,8 +9,8 @@
 //
 //   [[fill]align][sign]["#"]["0"][width]["." precision][type]["u"]
 //
-// The "u" behind it is ours: the bits of a whole number, to which IR gives no
-// sign, are those of an unsigned one.
+// The suffix "u" is an extension: an integer, which is signless in the IR, is
+// printed as unsigned.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,12 +34,12 @@ struct FormatSpec {
   char type = 0;      // One of "bdoxXeEfFgG%", or 0.
   bool isUnsigned = false;
 
-  /// Nothing where the text is no specification.
+  /// None if the text is not a specification.
   static std::optional<FormatSpec> parse(std::string_view text);
 
   std::string apply(uint64_t magnitude, bool negative) const;
-  /// `shortest` is what is written where neither a type nor a precision is
-  /// asked for, without a sign.
+  /// `shortest`: the text, without sign, to use if neither type nor precision
+  /// is given.
   std::string apply(double value, const std::string &shortest) const;
 
 private:

@@ -1,4 +1,4 @@
-//===- Printer.cpp - Where printed lines go -------------------------------===//
+//===- Printer.cpp - Output of kernels ------------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Safepoint.cpp - Where running work looks up ------------------------===//
+//===- Safepoint.cpp - Points of interruption -----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -5,12 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Launches of a simulation come back to back, a few microseconds apart, so the
+// Launches of a simulation follow each other within a few microseconds, so a
 // fork must cost far less than that: workers spin for a moment before they
 // sleep. Each thread owns a contiguous share of the parts (the same one in each
-// launch, so that its cache holds the data) and takes from the others' shares
-// when its own is done; the caller can run all of them itself, so a worker that
-// the system does not schedule delays nothing but the part it is in.
+// launch, so that its cache holds the data) and steals from others when its own
+// is done; the caller can run all parts itself, so a worker that the system
+// does not schedule delays only the part that it is running.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,13 +27,13 @@
 
 namespace mlir::tai::runtime {
 
-/// Tells a forked child from the process that made this object, without a
-/// handler that outlives it: the kernel wipes the page in the child.
+/// Detects a forked child without an atfork handler: the operating system
+/// zeroes a page in the child (MADV_WIPEONFORK).
 class ForkGuard {
 public:
   ForkGuard();
   ~ForkGuard();
-  /// True in the process that armed the guard last.
+  /// True in the process that created or last rearmed the guard.
   bool sameProcess() const;
   void rearm();
 
@@ -44,7 +44,7 @@ private:
 
 class WorkerPool {
 public:
-  /// `threads` counts the caller.
+  /// `threads` includes the caller.
   explicit WorkerPool(int threads);
   ~WorkerPool();
   WorkerPool(const WorkerPool &) = delete;
@@ -53,9 +53,10 @@ public:
   using Task = void (*)(void *context, int64_t part);
 
   /// Calls task(context, p) once for each p in [0, parts) and returns when all
-  /// have returned. Returns false, with nothing done, where the workers are
-  /// taken by another call (a nested loop, or another thread). While the caller
-  /// waits for workers, it calls `look`, unless that is null, at each tick.
+  /// have returned. Returns false, with nothing done, if the workers are busy
+  /// with another call (a nested loop, or another thread). While the caller
+  /// waits for workers, it calls `look`, unless null, at each tick of the
+  /// safepoint clock.
   bool tryRun(Task task, void *context, int64_t parts,
               void (*look)(void *context) = nullptr);
 
@@ -67,9 +68,9 @@ public:
   }
 
 private:
-  /// Parts [next, end) still to be taken, packed so that one atomic addition
-  /// takes one: a late worker that adds to a share that has been refilled in
-  /// the meantime simply takes part in the new job.
+  /// The remaining parts [next, end), packed so that one atomic addition takes
+  /// one: a late worker that adds to a share which has been refilled in the
+  /// meantime simply works on the new job.
   struct alignas(64) Share {
     std::atomic<uint64_t> range{0};
   };
@@ -77,7 +78,7 @@ private:
   static void *workerMain(void *argument);
   void workerLoop(int self);
   void work(int self);
-  /// Waits for a job newer than `seen`; false where the pool closes.
+  /// Waits for a job newer than `seen`; false if the pool is closing.
   bool awaitJob(uint32_t &seen);
 
   int numThreads;
@@ -97,8 +98,8 @@ private:
   std::condition_variable sleepCondition;
 };
 
-/// Number of threads that this process may run at once: its affinity mask and
-/// the quota of its control group.
+/// The number of threads that this process may run at once, by its affinity
+/// mask and the quota of its control group.
 int availableThreads();
 
 } // namespace mlir::tai::runtime

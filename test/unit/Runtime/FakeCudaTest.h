@@ -1,12 +1,12 @@
-//===- FakeCudaTest.h - Tests above a driver without a GPU ---- -*- C++ -*-===//
+//===- FakeCudaTest.h - Tests with the fake CUDA driver --------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A queue above a CUDA driver that counts what it is asked for, and does it on
-// memory of the CPU.
+// A queue on top of a fake CUDA driver, which counts calls and executes them on
+// the CPU.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,7 +34,7 @@ protected:
           "TAI_COLLECT_RECORDINGS", "TAI_FILLS_TOGETHER_BYTES"})
       unsetenv(name);
   }
-  /// `words`: what the driver is to do otherwise.
+  /// `words`: options of the fake driver (TAI_FAKE_CUDA).
   void openQueue(const char *words) {
     close();
     setenv("TAI_CUDA_DRIVER", TAI_FAKE_CUDA_LIBRARY, 1);
@@ -62,8 +62,8 @@ protected:
   void *library = nullptr;
 };
 
-/// Two functions that do not commute, and what they leave in memory when they
-/// run one by one.
+/// Two functions that do not commute, and the expected result of running them
+/// one by one.
 class FakeCudaSteps : public FakeCudaTest {
 protected:
   void openSteps(const char *words) {

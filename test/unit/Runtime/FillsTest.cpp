@@ -225,7 +225,7 @@ protected:
     });
     // Each changes n numbers, and touches nothing else.
     FunctionAccesses accesses;
-    accesses.isPlain = true;
+    accesses.isGridStride = true;
     accesses.extents = {n};
     DeviceAccess access;
     access.window = access.step = access.size = 8;

@@ -97,7 +97,7 @@ TEST_F(ProgramSchedules, OtherLoopsHaveOtherThreads) {
   EXPECT_EQ(relate(function({at(Write)}), function({transposed}, {8, 10})),
             StepRelation::Barrier);
   FunctionAccesses strange = function({at(Read)});
-  strange.isPlain = false;
+  strange.isGridStride = false;
   EXPECT_EQ(relate(function({at(Write)}), strange), StepRelation::Barrier);
 }
 
@@ -228,7 +228,7 @@ TEST(FunctionAccesses, AreEncoded) {
   FunctionAccesses accesses = function({at(Read, 2, 4), anyOf(Sum)});
   auto decoded = FunctionAccesses::decode(accesses.encode());
   ASSERT_TRUE(decoded);
-  EXPECT_EQ(decoded->isPlain, accesses.isPlain);
+  EXPECT_EQ(decoded->isGridStride, accesses.isGridStride);
   EXPECT_EQ(decoded->extents, accesses.extents);
   EXPECT_TRUE(decoded->accesses == accesses.accesses);
   std::vector<int64_t> words = accesses.encode();

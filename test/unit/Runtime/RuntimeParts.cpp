@@ -78,7 +78,9 @@ struct Heard final : Recorder {
   Status changeActivity(const TreePtr &, std::function<Status()>) override {
     return Status::success();
   }
-  bool minds(const Field &field) const override { return &field == used.get(); }
+  bool needsValues(const Field &field) const override {
+    return &field == used.get();
+  }
   bool uses(const FieldPtr &field) const override { return field == used; }
 
   FieldPtr used;
@@ -273,8 +275,8 @@ TEST(Recordings, RefuseWhatWouldChangeAnotherGradient) {
 namespace {
 /// A kernel that another thread runs and that changes a field.
 struct RunsElsewhere final : OtherLaunches {
-  bool areThere() const override { return true; }
-  void letThemSee() const override { ++numSeen; }
+  bool areAny() const override { return true; }
+  void publishState() const override { ++numSeen; }
   void visitChanges(const std::function<void(const std::string &, const Field &,
                                              HoldKind)> &visit) override {
     visit("k", *changed, kind);

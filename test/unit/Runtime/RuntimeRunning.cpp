@@ -193,9 +193,9 @@ TEST(RuntimeRunning, ChildrenFreeWhatTheirParentUses) {
 TEST(RuntimeRunning, LaunchesThatAreDroppedAreForgotten) {
   Scene scene;
   EXPECT_OK(scene.runtime.launch(*scene.read, nullptr, 0, nullptr));
-  std::thread([&] { EXPECT_TRUE(scene.runtime.running().areThere()); }).join();
+  std::thread([&] { EXPECT_TRUE(scene.runtime.running().areAny()); }).join();
   scene.runtime.launcher().dropLaunches();
-  std::thread([&] { EXPECT_FALSE(scene.runtime.running().areThere()); }).join();
+  std::thread([&] { EXPECT_FALSE(scene.runtime.running().areAny()); }).join();
   EXPECT_OK(scene.runtime.destroyTree("x_tree"));
 }
 

@@ -17,7 +17,8 @@
 #include "gtest/gtest.h"
 #include <cstring>
 
-// The sanitizers keep freed memory for a while, so that its size says nothing.
+// Sanitizers keep freed memory for a while, so that memory sizes cannot be
+// tested.
 #if defined(__has_feature)
 #if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
 #define TAI_TEST_SANITIZED 1
@@ -40,7 +41,7 @@ inline ::testing::AssertionResult isOk(const Status &status) {
 #define ASSERT_OK(expression)                                                  \
   ASSERT_TRUE(::mlir::tai::runtime::test::isOk(expression))
 
-/// Makes what a test says, and of the rest what every provider makes.
+/// A provider with callbacks for a test, and the defaults otherwise.
 class TestProvider final : public KernelProvider {
 public:
   std::function<Status(Kernel &, TaiKernelFn &)> onCompile;
@@ -70,7 +71,7 @@ public:
   }
 };
 
-/// The provider of a kernel that is to be made.
+/// The test provider of a kernel that will be created.
 inline TestProvider &provide(KernelInfo &info) {
   if (!info.provider)
     info.provider = std::make_shared<TestProvider>();

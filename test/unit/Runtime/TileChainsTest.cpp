@@ -53,7 +53,7 @@ FunctionAccesses function(std::vector<TileSite> sites,
                           std::vector<int64_t> extents = {10, 8},
                           std::vector<int64_t> lower = {0, 0}) {
   FunctionAccesses accesses;
-  accesses.isPlain = true;
+  accesses.isGridStride = true;
   accesses.extents = std::move(extents);
   accesses.lower = std::move(lower);
   accesses.sites = std::move(sites);

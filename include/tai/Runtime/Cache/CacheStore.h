@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Keeps compiled code between processes. Compiled code is run, so the folder
-// must belong to this user alone; and a process may be killed at any point, so
-// an entry appears by rename, whole, and is checked whenever it is read. A
-// cache that cannot be used costs time and never a result: no call here fails.
+// Keeps compiled code between processes. The code is executed, so the folder
+// must belong to this user alone; a process may be killed at any point, so an
+// entry is renamed into place when complete, and verified on each read. An
+// unusable cache costs time and never a result: no call here fails.
 //
 //===----------------------------------------------------------------------===//
 
@@ -37,9 +37,10 @@ struct CacheStats {
 
 class CacheStore {
 public:
-  /// Uses `folder`, made with mode 0700 where missing; "" is no cache. At most
-  /// `maxBytes` are kept, those used last. `warn` is told at most once about
-  /// each kind of trouble; the standard error by default.
+  /// Uses `folder`, created with mode 0700 if missing; "" disables the cache.
+  /// Keeps at most `maxBytes` bytes, the most recently used entries. `warn`, by
+  /// default the standard error, gets at most one message for each kind of
+  /// problem.
   using Warn = std::function<void(const std::string &message)>;
   explicit CacheStore(std::string folder, int64_t maxBytes = int64_t(1) << 30,
                       Warn warn = nullptr);
@@ -47,36 +48,37 @@ public:
   CacheStore(const CacheStore &) = delete;
   CacheStore &operator=(const CacheStore &) = delete;
 
-  /// False where there is no folder that may be trusted and written.
+  /// False if there is no trusted and writable folder.
   bool usable() const { return folderDescriptor >= 0; }
   const std::string &folder() const { return path; }
 
-  /// The bytes stored for the key; nothing if there are none or if the entry
-  /// is not exactly what was stored. Any bytes make a key. Any thread.
+  /// The bytes stored for the key; none if there is no entry or if it is
+  /// damaged. Keys are arbitrary bytes. Thread-safe.
   std::optional<std::string> get(std::string_view key);
-  /// Stores; false if that was not possible. Any thread.
+  /// Stores an entry; false if that was not possible. Thread-safe.
   bool put(std::string_view key, std::string_view bytes);
-  /// The same on a thread of its own, since waiting for the disk takes
-  /// milliseconds. Until it is done, get() may not find the entry.
+  /// The same on a background thread, since the disk takes milliseconds. Until
+  /// it has finished, get() may not find the entry.
   void putLater(std::string key, std::string bytes);
-  /// The right to make the entry of a key. Processes that want it meanwhile
-  /// wait, and then find it. Given back when the last copy goes, or when the
-  /// process ends, however it does.
+  /// The exclusive right, among processes, to make the entry of a key: a file
+  /// lock. Others wait, and then find the entry. Released with the last copy,
+  /// or when the process ends for whatever reason.
   using Claim = std::shared_ptr<void>;
-  /// Waits for whoever has the right now, but no longer than so many seconds:
-  /// then, or where no file can be locked, the claim is null, and two may make
-  /// the entry. `goesOn`, if there is one, is asked at least every 20 ms
-  /// whether to wait on. Any thread.
+  /// Waits until the current owner releases the claim, at most `mostSeconds`:
+  /// after that, or where files cannot be locked, the result is null, and two
+  /// processes may make the entry. `goesOn`, if given, is called at least every
+  /// 20 ms; waiting ends when it returns false. Thread-safe.
   Claim claim(std::string_view key, double mostSeconds = 60,
               const std::function<bool()> &goesOn = nullptr);
-  /// Waits for what putLater has begun; so does the destructor.
+  /// Waits for pending putLater calls; so does the destructor.
   void flush();
-  /// Removes least recently used entries beyond the limit, and what killed
-  /// processes left behind.
+  /// Removes least recently used entries beyond the limit, and temporary files
+  /// of killed processes.
   void prune();
   /// Removes every entry.
   void clean();
-  /// Checks every entry, removes the broken ones; returns how many were good.
+  /// Verifies every entry and removes the damaged ones; returns the number of
+  /// good ones.
   int64_t verify();
 
   CacheStats stats() const;
@@ -85,7 +87,7 @@ public:
   };
   Size size() const;
 
-  /// The name of the entry of a key inside the folder.
+  /// The file name of the entry of a key in the folder.
   static std::string fileName(std::string_view key);
 
 private:
@@ -112,7 +114,7 @@ private:
   std::unique_ptr<Writer> writer;
 };
 
-/// XXH64, a fast hash of 64 bits that is not cryptographic.
+/// XXH64, a fast non-cryptographic hash.
 uint64_t xxh64(const void *data, size_t length, uint64_t seed = 0);
 
 } // namespace mlir::tai::runtime

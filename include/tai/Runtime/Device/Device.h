@@ -1,14 +1,14 @@
-//===- Device.h - A processor with memory of its own ------------*- C++ -*-===//
+//===- Device.h - A device with its own memory -----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What the runtime asks of a GPU: memory, copies, code and launches, in the
-// order of one queue. There are two: that of the CUDA driver, and one that runs
-// the same device functions on the CPU, for tests on machines without a GPU.
-// See docs/decisions/0010-cuda.md.
+// The runtime's interface to a GPU: memory, copies, code and launches, in the
+// order of one queue. There are two implementations: the CUDA driver, and an
+// emulation that runs the same device functions on the CPU, for tests on
+// machines without a GPU. See docs/decisions/0010-cuda.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,35 +25,36 @@
 
 namespace mlir::tai::runtime {
 
-/// An address in the memory of the device; 0 is none.
+/// An address in the memory of the device; 0 is null.
 using DevicePtr = uint64_t;
 
-/// What device code is compiled for.
+/// The kind of device that code is compiled for.
 enum class DeviceKind { Cuda, Emulated };
 
-/// Code that has been loaded. Made and owned by a Device.
+/// Loaded code. Created by a Device.
 class DeviceModule {
 public:
   virtual ~DeviceModule() = default;
 };
 
-/// A function of a module that can be launched. Lives as long as the module.
+/// A kernel of a module. Lives as long as the module.
 class DeviceFunction {
 public:
   virtual ~DeviceFunction() = default;
 };
 
-/// How many blocks of how many threads run a function.
+/// The launch configuration of a function.
 struct LaunchShape {
   unsigned blocks = 1;
   unsigned threads = 1;
   unsigned sharedBytes = 0;
-  /// All blocks must run at the same time: the function has barriers over the
-  /// grid.
+  /// A cooperative launch: all blocks must be resident, because the function
+  /// has grid barriers.
   bool cooperative = false;
   /// Blocks of a cluster; 0 for no clusters.
   unsigned cluster = 0;
-  /// The function waits for the launch before it by itself.
+  /// Programmatic dependent launch: the function itself waits for the launch
+  /// before it.
   bool overlaps = false;
 };
 
@@ -61,66 +62,64 @@ struct DeviceLimits {
   unsigned multiprocessors = 1;
   unsigned threadsPerBlock = 1;
   int64_t memoryBytes = 0;
-  /// How many threads a multiprocessor can hold; 0 for not known.
+  /// Resident threads of a multiprocessor; 0 if not known.
   unsigned threadsPerMultiprocessor = 0;
-  /// Sequences of work can be recorded and run again.
+  /// Work can be captured as graphs.
   bool hasGraphs = false;
-  /// All blocks of a kernel can wait for each other.
+  /// Cooperative launches are supported.
   bool hasGridBarriers = false;
-  /// The most blocks of a cluster; 1 for no clusters.
+  /// The maximum of blocks in a cluster; 1 if clusters are not supported.
   unsigned mostClusterBlocks = 1;
-  /// Of memory that is reserved, so many bytes take room at a time; 0 where
-  /// none can be.
+  /// The granularity, in bytes, in which reserved memory is committed; 0 if
+  /// `reserve` is not supported.
   int64_t reservedPieceBytes = 0;
-  /// A kernel can be made ready while the one before it runs.
+  /// Programmatic dependent launch is supported.
   bool hasOverlaps = false;
 };
 
-/// Work that has been recorded. Made by a Device.
+/// Captured work. Created by a Device.
 class DeviceGraph {
 public:
   virtual ~DeviceGraph() = default;
 };
 
-/// A place in the queue of a device. Made by a Device.
+/// A position in the queue of a device. Created by a Device.
 class DeviceEvent {
 public:
   virtual ~DeviceEvent() = default;
 };
 
-/// What a thread or a block of a function takes of the device. Negative where
-/// that is not known.
+/// The resources of a function. Negative where not known.
 struct DeviceFunctionFacts {
   int registers = -1;
-  /// Of a block; of a thread, for what found no room in registers; of
-  /// constants.
+  /// Shared memory of a block; local memory (spills) of a thread; constant
+  /// memory.
   int sharedBytes = -1, localBytes = -1, constantBytes = -1;
 };
 
-/// A compiled kernel's device code, as the compiler leaves it and the cache
-/// keeps it: PTX text for Cuda, an object file for the host for Emulated.
+/// A compiled kernel's device code, as it is emitted and cached: PTX text for
+/// Cuda, an object file for the host for Emulated.
 struct DeviceImage {
   DeviceKind kind = DeviceKind::Cuda;
   std::string bytes;
-  /// Names of the functions in the order in which the host's part numbers
-  /// them.
+  /// Names of the functions, in the order of their numbers in host code.
   std::vector<std::string> functions;
-  /// Where each of them stands in the source, as "file:line:column"; empty
-  /// where nobody has asked for it.
+  /// The source location of each of them, as "file:line:column"; empty unless
+  /// requested.
   std::vector<std::string> places;
-  /// LLVM bitcode of the same, to be put together with that of other kernels.
-  /// Null where that is not wanted.
+  /// LLVM bitcode of the same code, for fusing kernels into programs; null if
+  /// that is not needed.
   std::shared_ptr<const std::string> bitcode;
-  /// What each function touches, as FunctionAccesses encodes it. May have fewer
-  /// entries than there are functions.
+  /// The accesses of each function, as FunctionAccesses encodes them. May have
+  /// fewer entries than there are functions.
   std::vector<std::vector<int64_t>> accesses = {};
-  /// How many threads the blocks of each function have, where its loop says so;
-  /// 0 for any number. May have fewer entries than there are functions.
+  /// The block size of each function that its loop specifies; 0 for any. May
+  /// have fewer entries than there are functions.
   std::vector<int64_t> blockSizes = {};
-  /// What the cache knows the code by; empty without one.
+  /// The cache key of the code; empty without a cache.
   std::string key = {};
-  /// Of code from the cache: compiles it anew, and puts it there in the place
-  /// of this, which the device does not take.
+  /// For code from the cache that the device rejects: compiles it again, and
+  /// replaces the entry.
   std::function<Status(DeviceImage &fresh)> makeAgain = nullptr;
 
   unsigned blockSize(size_t function) const {
@@ -137,19 +136,19 @@ struct DeviceRows {
   int64_t step;
   int64_t rowBytes;
   int64_t rows;
-  /// All of that so many times, one starting `outerStep` bytes after the one
-  /// before. Fills alone look at these.
+  /// For fills only: `outer` groups of such rows, with the stride `outerStep`
+  /// in bytes.
   int64_t outerStep = 0;
   int64_t outer = 1;
 };
 
-/// Rows of a pattern, which stands here again and again, to eight bytes.
+/// A fill of rows by a pattern, which is repeated here to fill eight bytes.
 struct DeviceFill {
   DeviceRows rows;
   uint64_t pattern;
   int patternBytes;
-  /// Made of several that lay side by side, perhaps in pieces of memory that
-  /// were allocated apart: a kernel may write them in one go, the driver not.
+  /// Merged from adjacent fills, possibly of separate allocations: a kernel may
+  /// write across them, but a driver call may not.
   bool isJoined = false;
 };
 
@@ -158,10 +157,10 @@ public:
   virtual ~Device() = default;
 
   virtual DeviceKind kind() const = 0;
-  /// For people: "NVIDIA H200", "emulated".
+  /// For display: "NVIDIA H200", "emulated".
   virtual std::string name() const = 0;
   virtual DeviceLimits limits() const = 0;
-  /// What the code must be compiled for: "sm_90"; the CPU for an emulation.
+  /// The target of compilation: "sm_90"; the CPU for an emulation.
   virtual std::string target() const = 0;
 
   //===--------------------------------------------------------------------===//
@@ -170,36 +169,36 @@ public:
   //===--------------------------------------------------------------------===//
 
   virtual Status allocate(int64_t bytes, DevicePtr &memory) = 0;
-  /// Addresses of memory that holds zeros and may be larger than the device: it
-  /// takes room in pieces, where it is touched. It counts as nothing that is
-  /// allocated. See DeviceLimits::reservedPieceBytes.
+  /// Reserves zero-initialised memory, possibly more than the device has: it is
+  /// committed in pieces when first touched. Not included in allocatedBytes().
+  /// See DeviceLimits::reservedPieceBytes.
   virtual Status reserve(int64_t bytes, DevicePtr &memory);
-  /// Waits, where it must, for what uses the memory.
+  /// Waits, if necessary, for queued work that uses the memory.
   virtual void free(DevicePtr memory) = 0;
-  /// What is allocated now, and what the device has left.
+  /// Bytes allocated through this object; bytes left on the device.
   virtual int64_t allocatedBytes() const = 0;
   virtual int64_t freeBytes() const = 0;
 
   virtual Status copyIn(DevicePtr to, const void *from, int64_t bytes) = 0;
   virtual Status copyOut(void *to, DevicePtr from, int64_t bytes) = 0;
   virtual Status copy(DevicePtr to, DevicePtr from, int64_t bytes) = 0;
-  /// `count` times a pattern of 1, 2, 4 or 8 bytes, to an address that is a
-  /// multiple of its size.
+  /// Stores `count` copies of a pattern of 1, 2, 4 or 8 bytes; `to` must be
+  /// aligned to its size.
   virtual Status fill(DevicePtr to, const void *pattern, int patternBytes,
                       int64_t count) = 0;
-  /// The same for memory that is not dense. Rows of both sides have the bytes
-  /// of `to`; they do not overlap.
+  /// The same for strided rows. The rows of both sides have the size given in
+  /// `to` (or `one`), and do not overlap.
   virtual Status copyRows(const DeviceRows &to, DevicePtr from,
                           int64_t fromStep) = 0;
   virtual Status swapRows(const DeviceRows &one, DevicePtr other,
                           int64_t otherStep) = 0;
-  /// Rows are whole numbers of patterns.
+  /// The size of a row is a multiple of the pattern.
   virtual Status fillRows(const DeviceRows &to, const void *pattern,
                           int patternBytes) = 0;
-  /// All of these, in any order: they have no memory in common, or fill it with
-  /// the same bytes.
+  /// Runs all fills, in any order: they must be disjoint, or write the same
+  /// bytes.
   virtual Status fillAll(const std::vector<DeviceFill> &fills);
-  /// Whether device code can use this address of the caller as it is.
+  /// Whether device code can access this address directly.
   virtual bool isDeviceMemory(const void *address) const = 0;
 
   //===--------------------------------------------------------------------===//
@@ -210,15 +209,15 @@ public:
                       std::unique_ptr<DeviceModule> &module) = 0;
   virtual Status find(DeviceModule &module, const std::string &name,
                       DeviceFunction *&function) = 0;
-  /// The most threads that a block of this function can have, and a good
-  /// number.
+  /// The maximum number of threads in a block of this function.
   virtual unsigned mostThreads(const DeviceFunction &function) const = 0;
-  /// How many blocks of so many threads the device can run at a time.
+  /// The number of blocks of `threads` threads that can be resident on the
+  /// device.
   virtual unsigned residentBlocks(const DeviceFunction &function,
                                   unsigned threads) const = 0;
   virtual DeviceFunctionFacts facts(const DeviceFunction &) const { return {}; }
-  /// Queues a launch. `slots` holds the parameters, each in its own type at
-  /// the start of eight bytes.
+  /// Queues a launch. `slots` holds the parameters, each in its own type at the
+  /// start of a slot of eight bytes.
   virtual Status launch(DeviceFunction &function, const LaunchShape &shape,
                         const uint64_t *slots, int count) = 0;
 
@@ -226,22 +225,22 @@ public:
   // Graphs
   //===--------------------------------------------------------------------===//
 
-  /// What is queued from now on is recorded instead. If it starts with
-  /// launches, the first `numChangeable` of these can be changed. With
-  /// `overlaps`, what the device does by kernels of its own is made ready early
-  /// where it can be, as are launches whose shape says so.
+  /// Starts to capture queued work instead of running it. If it starts with
+  /// launches, the first `numChangeable` of these can be changed later. With
+  /// `overlaps`, the runtime's own kernels use programmatic dependent launch
+  /// where possible, like launches with LaunchShape::overlaps.
   virtual Status beginCapture(size_t numChangeable = 0, bool overlaps = false);
-  /// Ends that. A graph that is given is changed into the new one where they
-  /// differ in parameters alone, else replaced.
+  /// Ends the capture. If `graph` is given and differs only in parameters, it
+  /// is updated; otherwise it is replaced.
   virtual Status endCapture(std::unique_ptr<DeviceGraph> &graph);
-  /// Queues what has been recorded.
+  /// Queues a graph.
   virtual Status run(DeviceGraph &graph);
-  /// The same as fillAll for a graph that is recorded, once in each: beside
-  /// what is queued from now on, until that is to wait for it.
+  /// fillAll on a parallel branch of the graph being captured, at most once in
+  /// a graph; joinAside makes later work wait for it.
   virtual Status fillAside(const std::vector<DeviceFill> &fills);
   virtual Status joinAside();
-  /// Gives a launch of the graph other parameters, from the next run on. The
-  /// function is that which was recorded.
+  /// Changes the parameters of a launch of the graph, from the next run on. The
+  /// function must be the captured one.
   virtual Status change(DeviceGraph &graph, size_t number,
                         DeviceFunction &function, const LaunchShape &shape,
                         const uint64_t *slots, int count);
@@ -250,12 +249,12 @@ public:
   // Times
   //===--------------------------------------------------------------------===//
 
-  /// Puts an event at the end of the queue: a new one, or one that is given and
-  /// no longer needed where it was.
+  /// Records an event at the end of the queue: reuses `event` if it is not
+  /// null.
   virtual Status record(std::unique_ptr<DeviceEvent> &event);
-  /// Waits until the device has come there.
+  /// Waits until the device has reached the event.
   virtual Status wait(DeviceEvent &event);
-  /// Nanoseconds from one to the other, both of which the device has passed.
+  /// Nanoseconds between two events that the device has passed.
   virtual Status elapsed(const DeviceEvent &from, const DeviceEvent &to,
                          int64_t &ns);
 
@@ -263,41 +262,42 @@ public:
   // Queues of other libraries
   //===--------------------------------------------------------------------===//
 
-  /// What is queued from now on waits for what the other queue holds now, and
-  /// the other way round. Of CUDA, a stream, or 0 for the default one. Of an
-  /// emulated device, the address of a C function `void (int32_t)` that stands
-  /// for a stream: called with 0, it does what it holds; with 1, it hears that
-  /// all that was queued here has been done. Default streams hold nothing.
+  /// waitForStream: later work here waits for the work now in the other queue;
+  /// letStreamWait: the other way round. `stream` is a CUDA stream, or 0 for
+  /// the default one. For an emulated device, it is the address of a C function
+  /// `void (int32_t)` that models a stream: called with 0, it runs its pending
+  /// work; with 1, it is notified that all work queued here is done. A default
+  /// stream has no work.
   virtual Status waitForStream(uint64_t stream);
   virtual Status letStreamWait(uint64_t stream);
 
-  /// Waits for all that is queued; reports what failed. Where the wait is
-  /// interrupted, loops of kernels that may be long end as well.
+  /// Waits for all queued work, and reports failures. If the wait is
+  /// interrupted at a safepoint, kernels with safepoints are stopped as well.
   virtual Status synchronize() = 0;
-  /// The word of device memory by which they are told: see TaiDeviceState.
+  /// Sets the address of the stop word: see TaiDeviceState::stop.
   virtual void setStopWord(DevicePtr) {}
 };
 
-/// Opens the CUDA driver and the device of this number. The failure says what
-/// is missing: the driver, a driver new enough, a device. The environment
-/// variable TAI_CUDA_DRIVER names another library to take for the driver.
+/// Opens device number `ordinal` of the CUDA driver. The failure names what is
+/// missing: the driver, a new enough driver, or a device. The environment
+/// variable TAI_CUDA_DRIVER names another library to load as the driver.
 Status openCudaDevice(int ordinal, std::unique_ptr<Device> &device);
 
-/// Places an object file in memory and finds functions in it by their names;
-/// null for one that it does not hold. They stay until `library` goes.
+/// Links an object file into memory and looks up functions by name; null for
+/// one that is not found. They are valid while `library` lives.
 using ObjectLinker = std::function<Status(
     std::string_view object, const std::vector<std::string> &names,
     std::vector<void *> &addresses, std::shared_ptr<void> &library)>;
 
-/// Runs device code on the CPU, one thread at a time. Of each function `f` an
+/// Runs device code on the CPU, one thread at a time. For each function `f` an
 /// image holds `f.slots`, a C function `void (const uint64_t *slots)` that runs
-/// one thread; it asks for its place by the functions below.
+/// one thread, which gets its position from the functions below.
 std::unique_ptr<Device> openEmulatedDevice(ObjectLinker linker);
 
 } // namespace mlir::tai::runtime
 
 extern "C" {
-/// The place of the emulated thread that runs on this thread of the host.
+/// The position of the emulated thread that runs on this thread of the host.
 int32_t tai_emu_thread_id(void);
 int32_t tai_emu_block_id(void);
 int32_t tai_emu_block_dim(void);

@@ -1,13 +1,13 @@
-//===- DeviceHeap.h - Memory that device code asks for ----------*- C++ -*-===//
+//===- DeviceHeap.h - The heap of device code ------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Threads of a device allocate memory while they run: what a gradient records.
-// How much there is is decided when a device is opened; CUDA lets a process say
-// it once.
+// Threads of a device allocate memory while they run, for the history of loops
+// in gradients. The size of the heap is fixed when a device is opened; with
+// CUDA it can be set once in a process.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,7 +18,7 @@
 
 namespace mlir::tai::runtime {
 
-/// For devices that are opened from now on; 0 for what suits each.
+/// Sets the size for devices opened later; 0 for the default of each.
 void setDeviceHeapBytes(int64_t bytes);
 int64_t deviceHeapBytes();
 

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Reads on the host what device code has left in the state of its device. The
-// use of it: copy a fresh state to the device; after waiting, copy the state
-// back, then as many bytes of output as it says it has, read both, and, if
-// anything was there, copy a fresh state again.
+// Decodes on the host the device state that device code has written. Usage:
+// copy a fresh state to the device; after waiting for the device, copy the
+// state back, then deviceOutputBytes() of output, decode both, and, if there
+// was a report, copy a fresh state again.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,36 +22,36 @@
 
 namespace mlir::tai::runtime {
 
-/// A state in which nothing has happened, with room for so many bytes of output
-/// behind it (a multiple of eight).
+/// An initial state, with `outputCapacity` bytes of output behind it (a
+/// multiple of eight).
 TaiDeviceState freshDeviceState(uint64_t outputCapacity, uint64_t stackLimit);
 
-/// Whether anything has happened.
+/// Whether there is a failure, output, or a stop to report.
 inline bool hasDeviceReport(const TaiDeviceState &state) {
   return state.failed || state.outputUsed || state.lostLines || state.stopped;
 }
 
-/// How many of the bytes behind the state hold records.
+/// The number of bytes of records behind the state.
 uint64_t deviceOutputBytes(const TaiDeviceState &state);
 
 struct DeviceReport {
-  /// The first failure, in the words that the CPU has for it.
+  /// The first failure, with the same message as on the CPU.
   Status failure;
   /// What was printed, in order, without the newlines.
   std::vector<std::string> lines;
-  /// Lines that found no room.
+  /// The number of lines dropped because the buffer was full.
   uint64_t lostLines = 0;
-  /// The number of the thread that has interrupted a kernel, or 0.
+  /// The number of the host thread that stopped a kernel, or 0.
   uint32_t stoppedBy = 0;
 };
 
-/// Reads the state and the `bytes` bytes of output behind it. Fails where they
-/// are not what device code writes: something wrote over them.
+/// Decodes the state and the `bytes` bytes of output behind it. Fails if they
+/// are corrupt: something has overwritten them.
 Status readDeviceReport(const TaiDeviceState &state, const void *output,
                         uint64_t bytes, DeviceReport &report);
 
-/// What to say where device code has used memory that is none of its own, and
-/// how to find it. `evidence` is what was seen.
+/// The failure for out-of-range accesses of device code, with advice on how to
+/// find them. `evidence` is the observed error.
 Status deviceWentOutOfRange(const std::string &evidence);
 
 } // namespace mlir::tai::runtime

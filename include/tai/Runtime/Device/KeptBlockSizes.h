@@ -1,4 +1,4 @@
-//===- KeptBlockSizes.h - Sizes of blocks that were found -------*- C++ -*-===//
+//===- KeptBlockSizes.h - Persistent block sizes ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,12 +14,12 @@
 
 namespace mlir::tai::runtime {
 
-/// What trials of block sizes have found, by key, from one process to the next.
-/// Both may be null.
+/// Storage for results of block size trials, by key, across processes. Both
+/// functions may be null.
 struct KeptBlockSizes {
-  /// Nothing where nothing is known. Any bytes may come back.
+  /// Returns none for an unknown key. The bytes are untrusted.
   std::function<std::optional<std::string>(const std::string &key)> load;
-  /// Must not keep its caller waiting.
+  /// Must not block.
   std::function<void(std::string key, std::string bytes)> store;
 };
 

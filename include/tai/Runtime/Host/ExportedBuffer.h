@@ -1,13 +1,13 @@
-//===- ExportedBuffer.h - Field memory that others use ----------*- C++ -*-===//
+//===- ExportedBuffer.h - Field memory used by others ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A library that has the address of a field writes to it without a word. On a
-// device, what the host holds of the tree is therefore never current while the
-// tree is exported, unless the host is the last that wrote.
+// A library with the address of a field writes to it without notice. On a
+// device, the host's copy of an exported tree is therefore always considered
+// stale, unless the host was the last to write.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,24 +20,23 @@ namespace mlir::tai::runtime {
 
 struct ExportedField;
 
-/// Memory of a field in the hands of others, which stays as long as this, also
-/// when the field is gone.
+/// Keeps the memory of an exported field alive, even after the field is
+/// destroyed.
 class ExportedBuffer {
 public:
   explicit ExportedBuffer(const TreePtr &tree);
   ~ExportedBuffer();
   ExportedBuffer(const ExportedBuffer &) = delete;
   ExportedBuffer &operator=(const ExportedBuffer &) = delete;
-  /// Whether there are any, of whatever runtime.
+  /// Whether any exist, of any runtime.
   static bool areAny() { return count.load(std::memory_order_relaxed) > 0; }
-  /// Gives out the address of a field, on the device if there is one. Until the
-  /// buffer is released, what is read on the host may have been changed by
-  /// others. Fails where an element has no even distance from the next along
-  /// each dimension, and for sparse fields. Zeros that are owed are to be
-  /// settled before.
+  /// Exports the address of a field, on the device if there is one. Until the
+  /// buffer is destroyed, reads on the host assume that others may have changed
+  /// the field. Fails for sparse fields, and where elements are not strided
+  /// uniformly along each dimension. Owed zeros must be settled before.
   static Status make(Field &field, DeviceHost &devices,
                      ExportedField &exported);
-  /// Whether the field is exported, and where its elements then lie.
+  /// Whether the field is exported, and the range of addresses of its elements.
   static bool findBytes(const Field &field, uint64_t &begin, uint64_t &end);
 
 private:
@@ -50,8 +49,7 @@ private:
 struct ExportedField {
   void *address = nullptr;
   bool onDevice = false;
-  /// Bytes from one index to the next, along each dimension of the field and of
-  /// its element.
+  /// Strides in bytes, for each dimension of the field and of its element.
   std::vector<int64_t> strides;
   std::unique_ptr<ExportedBuffer> buffer;
 };

@@ -1,13 +1,13 @@
-//===- FieldCopies.h - Whole fields at once ---------------------*- C++ -*-===//
+//===- FieldCopies.h - Copies of whole fields ------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Copies between a field and a row-major array of the host, and fills, on the
-// workers or, where the field is there, on the device. Nobody hears of them:
-// see HostWrites.
+// Copies between a field and a row-major array of the host, and fills; on
+// worker threads, or on the device if the field is there. Recorders are not
+// notified: see HostWrites.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,12 +24,12 @@ public:
   FieldCopies(Workers &workers, DeviceHost &devices)
       : workers(workers), devices(devices) {}
 
-  /// From a field to an array of its own scalar type, of shape (shape...,
-  /// element shape...).
+  /// From a field to an array of its scalar type, of shape (shape..., element
+  /// shape...).
   Status copyOut(const Field &field, void *array) const;
-  /// The other way round; of a sparse field, what is active.
+  /// The other way round; for a sparse field, only active cells.
   void copyIn(Field &field, const void *array) const;
-  /// Sets all components to one scalar of the type of the field.
+  /// Sets all components to one scalar of the field's type.
   void fill(Field &field, const void *scalarBytes) const;
   void clear(Field &field) const {
     const char zeros[8] = {};

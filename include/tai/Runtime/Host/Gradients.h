@@ -1,12 +1,13 @@
-//===- Gradients.h - Adjoints and tangents as a whole -----------*- C++ -*-===//
+//===- Gradients.h - Clearing of gradients ---------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Clears those that may hold something, and knows which adjoint fields owe
-// zeros; see docs/decisions/0017-overwritten-gradients.md.
+// Clears adjoint and tangent fields that may be non-zero, and tracks which
+// adjoint fields owe zeros (zeros not stored yet); see
+// docs/decisions/0017-overwritten-gradients.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,21 +27,22 @@ public:
       : store(store), recordings(recordings), copies(copies), state(state),
         skips(skips), counters(counters) {}
 
-  /// Sets the adjoint fields that are dirty to zero; in forward mode the
-  /// tangents of adjoints too. On behalf of a tape, all but those to which
-  /// another thread has written and which the tape does not use.
+  /// Sets dirty adjoint fields to zero; in forward mode the tangents of
+  /// adjoints too. For a tape, skips fields that another thread has written and
+  /// the tape does not use.
   void clear(const Recorder *tape = nullptr);
-  /// The same for the tangents that the calling thread has left.
+  /// The same for tangents written by the calling thread.
   void clearTangents();
 
-  /// Leaves zeros of an adjoint field to whoever looks at them.
+  /// Defers storing zeros in an adjoint field until it is read.
   void owe(const FieldPtr &adjoint, std::shared_ptr<const OwedZeros> zeros);
   bool areOwed() const {
     return __builtin_expect(owesAny.load(std::memory_order_acquire), false);
   }
-  /// Stores them. To be called before anybody looks past the fields.
+  /// Stores all owed zeros. Call before memory is accessed other than through
+  /// fields.
   void settle();
-  /// The same for those fields that `settleSome` settles.
+  /// The same for the fields that `settleSome` settles, under the lock.
   template <typename Body> void settle(const Body &settleSome) {
     std::lock_guard<std::mutex> lock(mutex);
     settleSome();
@@ -50,7 +52,7 @@ public:
 
 private:
   void forgetSettled();
-  /// To be called whenever `owing` has changed.
+  /// Call whenever `owing` has changed.
   void update();
 
   const TreeStore &store;
@@ -60,8 +62,8 @@ private:
   const SkipSet &skips;
   SkipCounters &counters;
   std::mutex mutex;
-  /// Adjoint fields that may owe zeros, under the lock; and whether there are
-  /// any.
+  /// Adjoint fields that may owe zeros, guarded by `mutex`; and whether there
+  /// are any.
   std::vector<FieldPtr> owing;
   std::atomic<bool> owesAny{false};
 };

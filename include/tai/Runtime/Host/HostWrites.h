@@ -1,12 +1,12 @@
-//===- HostWrites.h - Changes that the host makes to fields -----*- C++ -*-===//
+//===- HostWrites.h - Writes of the host to fields -------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A tape that records hears of them, and tapes of other threads may forbid
-// them.
+// Writes of the host are passed to a tape that records, and may be refused
+// because of tapes of other threads.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,7 +18,8 @@
 
 namespace mlir::tai::runtime {
 
-/// Who follows tangents, which end where the host writes.
+/// An observer for forward mode: the tangent of a field ends where the host
+/// overwrites it.
 class OverwriteWatcher {
 public:
   virtual ~OverwriteWatcher() = default;
@@ -33,32 +34,32 @@ public:
       : store(store), memory(memory), recordings(recordings), copies(copies),
         devices(devices) {}
 
-  /// Null for nobody.
+  /// Null for none.
   void setWatcher(OverwriteWatcher *follows) { watcher = follows; }
 
-  /// The whole field from a row-major array of its own scalar type.
+  /// The whole field, from a row-major array of its scalar type.
   Status copyIn(Field &field, const void *array);
   Status fillF64(Field &field, double value);
   Status fillI64(Field &field, int64_t value);
-  /// One component of one element, as Field::writeF64.
+  /// One component of one element, like Field::writeF64.
   Status writeF64(Field &field, const int64_t *index, int64_t component,
                   double value);
   Status writeI64(Field &field, const int64_t *index, int64_t component,
                   int64_t value);
-  /// The elements at `count` index tuples, from an array of the type of the
-  /// field; their cells become active.
+  /// The elements at `count` index tuples, from an array of the field's type;
+  /// activates their cells.
   Status writeElements(Field &field, const int64_t *indices, int64_t count,
                        const void *values);
-  /// Makes a cell of a sparse level active or inactive, or, for -1, all of them
-  /// inactive. A tape that records does so again where it replays.
+  /// Activates or deactivates a cell of a sparse level; `cell` -1 deactivates
+  /// all. Recorded by a tape, and repeated on replay.
   Status setActive(const TreePtr &tree, int64_t level, int64_t cell,
                    bool isActive);
-  /// Others have written, or are about to write, to a field that is lent.
-  /// Fails while a tape records, which would not know.
+  /// Notes that another library has written, or will write, to an exported
+  /// field. Fails while a tape records, because it cannot record such writes.
   Status noteOutside(Field &field);
 
-  /// Any of them; and its steps, for tapes: what becomes active for it, and the
-  /// change itself, of which nobody hears.
+  /// Any of these writes; and for tapes its two steps, without notification:
+  /// activation of cells, and the write.
   Status change(const HostWrite &write);
   Status activateFor(const HostWrite &write);
   void perform(const HostWrite &write);

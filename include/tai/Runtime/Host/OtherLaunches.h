@@ -1,11 +1,11 @@
-//===- OtherLaunches.h - What other threads change --------------*- C++ -*-===//
+//===- OtherLaunches.h - Launches of other threads -------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Launches, as those see them that hold fields.
+// The interface to running launches for tapes that hold fields.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,12 +22,14 @@ public:
   virtual ~OtherLaunches() = default;
 
   /// Whether threads other than the calling one have launched kernels.
-  virtual bool areThere() const = 0;
-  /// To be called once the state has changed: launches of other threads that
-  /// have not begun see the new one, all others are visited.
-  virtual void letThemSee() const = 0;
-  /// Calls `visit` with each field that a kernel changes which another thread
-  /// runs, unless that thread's tape knows of it; and with the kernel's name.
+  virtual bool areAny() const = 0;
+  /// A barrier to call after the state of holds has changed: launches of other
+  /// threads that begin later see the change, earlier ones are seen by
+  /// visitChanges.
+  virtual void publishState() const = 0;
+  /// Calls `visit` with each field that a running kernel of another thread
+  /// changes, and with the kernel's name, except for launches recorded by that
+  /// thread's tape.
   virtual void visitChanges(
       const std::function<void(const std::string &kernel, const Field &field,
                                HoldKind kind)> &visit) = 0;

@@ -1,11 +1,11 @@
-//===- Recorder.h - Who hears of what a thread does -------------*- C++ -*-===//
+//===- Recorder.h - The interface to a tape --------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A tape, as those see it that launch kernels and change fields.
+// A tape as seen by the code that launches kernels and changes fields.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,26 +26,26 @@ class Recorder {
 public:
   virtual ~Recorder() = default;
 
-  /// Launches and records.
+  /// Launches a kernel and records it.
   virtual Status launch(Launch &launch, Kernel &kernel, const uint64_t *args,
                         uint64_t *results, uint64_t number) = 0;
-  /// Whether launches are not recorded for a while.
+  /// Whether recording is suspended.
   virtual bool isSuspended() const = 0;
-  /// What the loops of a kernel went over that the host function launched whose
-  /// reverse is running.
+  /// During the reverse of a host function: the cells that the loops of a
+  /// kernel, launched by the function, visited.
   virtual Status findLoops(Kernel &kernel, LoopLists &lists, bool &found) = 0;
 
-  /// To be called before the host makes cells of the tree active.
+  /// Call before the host activates cells of the tree.
   virtual void watch(const TreePtr &tree) = 0;
-  /// Changes a field and records that.
+  /// Performs a write and records it.
   virtual Status write(const HostWrite &write) = 0;
-  /// Changes the activity of a tree on behalf of the host, and records that.
+  /// Runs `change`, which changes the activity of a tree, and records it.
   virtual Status changeActivity(const TreePtr &tree,
                                 std::function<Status()> change) = 0;
 
-  /// Whether the gradient needs what the field holds.
-  virtual bool minds(const Field &field) const = 0;
-  /// Whether it has to do with the field at all.
+  /// Whether the gradient needs the values of the field.
+  virtual bool needsValues(const Field &field) const = 0;
+  /// Whether the tape uses the field at all.
   virtual bool uses(const FieldPtr &field) const = 0;
 };
 

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Each thread may record a tape, and be in forward mode. What a tape uses, it
-// holds: what other threads do to such a field meanwhile fails where it would
-// change a gradient; see docs/decisions/0022-tapes-of-threads.md.
+// Each thread may record a tape, and be in forward mode. A tape holds the
+// fields that it uses: an access of another thread to a held field fails if it
+// would change a gradient; see docs/decisions/0022-tapes-of-threads.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,19 +28,19 @@ public:
   Recordings(const Recordings &) = delete;
   Recordings &operator=(const Recordings &) = delete;
 
-  /// Who knows what other threads run; until then, nothing runs.
+  /// Sets the registry of running launches; null means that nothing runs.
   void setLaunches(OtherLaunches *made) { launches = made; }
 
   //===--------------------------------------------------------------------===//
-  // Who records
+  // Recording
   //===--------------------------------------------------------------------===//
 
-  /// The tape that records what the calling thread does, or null.
+  /// The tape that records the calling thread, or null.
   Recorder *current() const {
     return __builtin_expect(isAny(), false) ? find() : nullptr;
   }
-  /// Whether any thread records; and whether, since none did, several have at a
-  /// time.
+  /// Whether any thread records; and whether several have recorded at the same
+  /// time since none did.
   bool isAny() const {
     return numRecording.load(std::memory_order_relaxed) != 0;
   }
@@ -48,16 +48,16 @@ public:
   void begin(Recorder &tape);
   void end(Recorder &tape);
 
-  /// Tapes that there are, whether they record or not.
+  /// Registers a tape, whether it records or not.
   void add(Recorder &tape) { tapes.push_back(&tape); }
   void remove(Recorder &tape);
   bool areThereTapes() const { return !tapes.empty(); }
-  /// Whether the gradient of any of them needs what the field holds.
-  bool minds(const Field &field) const;
-  /// Numbers of tapes and of their plans.
+  /// Whether the gradient of any registered tape needs the values of the field.
+  bool needsValues(const Field &field) const;
+  /// A unique number for tapes and their plans.
   uint64_t nextStamp() { return ++stamps; }
 
-  /// The tape whose sweep has called a function of the host on this thread, or
+  /// The tape whose sweep is calling a function of the host on this thread, or
   /// null.
   Recorder *sweeping() const {
     return sweepThread.load(std::memory_order_relaxed) ==
@@ -65,7 +65,7 @@ public:
                ? sweeper
                : nullptr;
   }
-  /// Around such a call.
+  /// RAII scope of such a call.
   class ReverseFunction {
   public:
     ReverseFunction(Recordings &recordings, Recorder &tape);
@@ -88,40 +88,41 @@ public:
                             false) &&
            isForwardHere();
   }
-  /// Of the calling thread.
+  /// For the calling thread.
   void setForward(bool on);
 
   //===--------------------------------------------------------------------===//
   // Holds
   //===--------------------------------------------------------------------===//
 
-  /// Between the two, a tape may hold fields.
+  /// Bracket a period in which a tape may hold fields.
   void beginHolding();
   void endHolding();
   bool areAnyHeld() const {
     return numHolding.load(std::memory_order_relaxed) != 0;
   }
-  /// Notes that the tape uses a field. Fails where tapes of other threads use
-  /// it so that one of the two would go wrong, or a kernel changes it that
-  /// another thread has launched before.
+  /// Registers that the tape uses a field. Fails on a conflict with a hold of
+  /// another thread's tape, or if a running kernel of another thread changes
+  /// the field.
   Status hold(const Recorder &tape, Field &field, HoldKind kind);
   void release(const Recorder &tape, Field &field);
-  /// Fails where the calling thread changes what a tape of another thread uses.
+  /// Fails if an access of this kind by the calling thread conflicts with a
+  /// hold of another thread's tape.
   Status check(const Field &field, HoldKind kind) const;
-  /// The same for the activity of cells, of which a field stands for all.
+  /// The same for the activity of cells of a tree.
   Status checkActivity(const Tree &tree) const;
 
-  /// What tapes have said of gradients that get lost, and for which sets of
-  /// kernels, hashed.
+  /// Warnings about lost gradients that have been given, and hashes of the
+  /// kernel sequences that have been checked.
   std::unordered_set<size_t> sequencesSeen;
   std::unordered_set<std::string> cutsSaid;
 
 private:
   Recorder *find() const;
   bool isForwardHere() const;
-  void letLaunchesSee() const {
+  void publishState() const {
     if (launches)
-      launches->letThemSee();
+      launches->publishState();
   }
   Status noteHold(const Recorder &tape, Field &field, HoldKind kind);
   Status checkRunning(const Field &field, HoldKind kind);
@@ -135,10 +136,10 @@ private:
     Recorder *tape;
   };
   std::vector<Recording> recordings;
-  /// Of them, and of the holds of all fields.
+  /// Guards `recordings`, and the holds of all fields.
   mutable std::mutex mutex;
   std::atomic<int> numRecording{0};
-  /// Changes whenever recordings do; no two runtimes have the same.
+  /// Changes whenever `recordings` does; unique among all runtimes.
   std::atomic<uint64_t> version{0};
   std::atomic<bool> together{false};
   std::atomic<int> numHolding{0};

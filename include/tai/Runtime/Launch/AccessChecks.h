@@ -1,12 +1,12 @@
-//===- AccessChecks.h - Watching the accesses of a tape ---------*- C++ -*-===//
+//===- AccessChecks.h - Checked accesses under a tape ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs the launches of a tape in the form that checks the global data access
-// rules, and collects what breaks them.
+// Runs the launches of a tape with instrumented kernels that check the global
+// data access rules, and collects violations.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,7 +24,7 @@ class Runtime;
 
 struct Launch;
 
-/// One access of a checked kernel, as the program wrote it.
+/// An access of a checked kernel, with its source location.
 struct CheckedAccess {
   Field *field;
   AccessKind kind;
@@ -32,15 +32,16 @@ struct CheckedAccess {
   int64_t line = 0, column = 0;
 };
 
-/// The form of a kernel that checks.
+/// The instrumented variant of a kernel.
 struct CheckedKernel {
   KernelPtr kernel;
-  /// The fields whose shadow arrays it takes.
+  /// The fields whose shadow arrays are its additional arguments.
   std::vector<FieldPtr> fields;
   std::vector<CheckedAccess> accesses;
 };
 
-/// Where an access was: the launch, counted among those checked, and the line.
+/// The position of an access: the launch, numbered among checked ones, and the
+/// source location.
 struct AccessPlace {
   std::string kernel;
   int64_t launch;
@@ -53,36 +54,37 @@ struct Violation {
   accesslog::ViolationKind kind;
   std::string field;
   std::vector<int64_t> indices;
-  /// Row-major, or -1 for fields of scalars.
+  /// Component number (row-major), or -1 for fields of scalars.
   int64_t component;
   AccessPlace access, earlier;
 };
 
 class AccessChecks {
 public:
-  /// Keeps the first `limit` violations; of races alone, if so asked.
+  /// Keeps the first `limit` violations; only races if `racesOnly`.
   AccessChecks(Runtime &runtime, int64_t limit, bool racesOnly)
       : runtime(runtime), limit(limit), racesOnly(racesOnly) {}
 
-  /// Launches the checking form of the kernel in its place, and reads its log.
+  /// Launches the instrumented variant in place of the kernel, and reads its
+  /// log.
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number);
 
   const std::vector<Violation> &violations() const { return found; }
-  /// All of them, also those that were not kept.
+  /// The total number, including violations that were not kept.
   int64_t numViolations() const { return total; }
 
 private:
-  /// The numbers that the accesses of a launch have.
+  /// The range of access numbers of a launch.
   struct Range {
     int64_t base;
     const CheckedKernel *kernel;
     int64_t launch;
   };
 
-  /// Words beside the components of a field, zero when made. The system
-  /// provides them when they are first written: a sparse field may span far
-  /// more elements than it has.
+  /// Shadow words of a field's components, initially zero. Pages are committed
+  /// by the system on first write, because a sparse field may span far more
+  /// elements than are active.
   struct Shadow {
     Shadow() = default;
     Shadow(Shadow &&other) noexcept

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What is done around the code of a kernel: it is loaded at its first launch,
-// its trees are brought there, and what its launch has left is looked at.
+// The steps around the call of a kernel's code: device code is loaded at the
+// first launch, trees are made current on the device, and failures are
+// collected.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,10 +28,10 @@ public:
   DeviceLaunches(DeviceHost &devices, const Options &options)
       : devices(devices), options(options) {}
 
-  /// Holds for kernels that are loaded afterwards.
+  /// Sets the storage for block sizes, for kernels loaded afterwards.
   void keepBlockSizes(KeptBlockSizes kept) { blockSizes = std::move(kept); }
 
-  /// Before and after the code of a kernel is called.
+  /// Call before and after the code of a kernel.
   Status enter(Launch &launch, Kernel &kernel);
   void leave(Launch &launch);
 

@@ -1,12 +1,12 @@
-//===- Kernel.h - Compiled kernels as the runtime sees them -----*- C++ -*-===//
+//===- Kernel.h - Kernels of the runtime -----------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A kernel is a function pointer, or a promise of one, with a summary of what
-// it touches. The tape works from summaries alone.
+// A kernel is a function pointer, or a provider of one, with a summary of its
+// accesses. The tape works from summaries alone.
 //
 //===----------------------------------------------------------------------===//
 
@@ -33,15 +33,15 @@ struct DeviceCode;
 struct DeviceImage;
 using KernelPtr = std::shared_ptr<Kernel>;
 
-/// One line of a summary.
+/// An entry of a summary.
 struct Access {
   FieldPtr field;
   AccessKind kind;
-  /// The first index that is fixed, if any: launches that differ in it touch
+  /// The first fixed index, if any: launches with different values of it access
   /// different elements.
   std::optional<FixedIndex> fixed = std::nullopt;
-  /// Of a write: the elements that are stored, whatever the fields hold. Null
-  /// where that depends on them, or is no box.
+  /// For a write: the elements that are certainly stored, independent of the
+  /// values of fields. Null where unknown or not a box.
   std::shared_ptr<const std::vector<StoredBox>> boxes = nullptr;
 
   bool operator==(const Access &other) const {
@@ -56,42 +56,41 @@ struct LoopLevel {
   int64_t node;
 };
 
-/// A loop of an adjoint over a sparse field that changes nothing in cells where
-/// all of `sources` are zero; without any, it may.
+/// A loop of an adjoint over a sparse field that can be skipped in cells where
+/// all of `sources` are zero; with no sources, it cannot be skipped.
 struct ZeroAdjoints {
   FieldPtr loop;
   std::vector<FieldPtr> sources;
-  /// It adds to elements that lie below no sparse level.
+  /// It adds to elements that are not below a sparse level.
   bool sumsUp = false;
 };
 
-/// Where a kernel reads or stores floats: in a field, in an array among its
-/// arguments, or, with neither, in a number that it takes or in what it
-/// returns.
+/// An end of a float data flow in a kernel: a field, an array argument, or,
+/// with neither, a scalar argument or a result.
 struct FlowPlace {
   FieldPtr field = nullptr;
   /// The slot of an array's pointer, its rank and the bytes of an element.
   int64_t slot = -1, rank = 0, elementBytes = 0;
-  /// Of the field or of the argument.
+  /// Name of the field or of the argument.
   std::string name = {};
-  /// The kernel is differentiated by the argument; and the slot of the pointer
-  /// to the adjoint of an array.
+  /// Whether the kernel is differentiated with respect to the argument; for an
+  /// array, the slot of the pointer to its adjoint.
   bool hasGradient = false;
   int64_t adjointSlot = -1;
   bool isResult = false;
-  /// Of an array: elements that each launch stores, as of fields.
+  /// For an array: the elements that each launch stores, as in Access.
   std::vector<StoredBox> boxes = {};
 
   bool isArray() const { return slot >= 0; }
 };
 
-/// Floats of one place on which floats depend that the kernel stores to
-/// another; places by their numbers.
+/// Floats stored to place `to` depend on floats of place `from`; numbers of
+/// KernelFlows::places.
 struct ValueFlow {
   size_t from, to;
-  /// Of the store, as "file:line:column".
+  /// Source location of the store, as "file:line:column".
   std::string place;
-  /// The kernel may itself read what it has stored there.
+  /// The kernel may itself read the stored value.
   bool isReadAgain = false;
 };
 
@@ -100,8 +99,8 @@ struct KernelFlows {
   std::vector<ValueFlow> flows;
 };
 
-/// The elements of an array in memory: `step` divides the distance between any
-/// two.
+/// The addresses of an array's elements: `step` divides the distance between
+/// any two.
 struct ArrayRange {
   uint64_t begin, end;
   uint64_t step, elementBytes;
@@ -112,41 +111,42 @@ struct ArrayRange {
   }
 };
 
-/// What the adjoint of a kernel asks of memory, known before its code is.
+/// The memory that the adjoint of a kernel reads and changes; known before the
+/// adjoint is compiled.
 struct AdjointPlan {
-  /// The fields of the primal that it reads.
+  /// The primal fields that it reads.
   std::vector<Access> reads;
-  /// Those that it reads as they were before the launch.
+  /// Fields that it reads in the version before the launch.
   std::vector<FieldPtr> before;
-  /// It changes these while it runs.
-  bool reruns = false;
-  /// If not empty: what is recorded in the place of the kernel, in this order.
-  /// They take its arguments; one of them may return its results.
+  /// It re-executes the primal, which changes these while it runs.
+  bool reexecutes = false;
+  /// If not empty: the kernels recorded instead of this one, in this order.
+  /// They have its arguments; one of them may return its results.
   std::vector<KernelPtr> parts;
-  /// It holds for the form of the adjoint that zeroes, which is the one to use.
+  /// The plan is that of the zeroing variant of the adjoint, which must be
+  /// used.
   bool zeroes = false;
-  /// Nothing of this is worth keeping: there may be more to plan when there are
-  /// other adjoint fields.
+  /// Not final, and not to be cached: the plan may change when further adjoint
+  /// fields are declared.
   bool provisional = false;
-  /// It asks which cells of the sparse levels above these are active.
+  /// Fields whose sparse levels' activity it reads.
   std::vector<FieldPtr> activity = {};
   /// Its loops over sparse fields.
   std::vector<ZeroAdjoints> flags = {};
-  /// There is a form of it that loads what the kernel has stored. Besides what
-  /// all forms read it reads these: it is right where nothing has changed them
-  /// since the launch.
+  /// There is a variant that loads stored outputs. It also reads `stored`, and
+  /// is valid if nothing has changed these since the launch.
   bool loadsStored = false;
   std::vector<Access> stored = {};
   /// Array arguments whose elements it reads, by the slots of their pointers.
   std::vector<int64_t> arrays = {};
 };
 
-/// The adjoints of arguments and results, which are in memory of the caller. A
-/// launch that may be differentiated passes them in slots after those of the
+/// The adjoints of arguments and results, in memory of the caller. A launch
+/// that may be differentiated passes them in slots after those of the
 /// arguments: pointers and extents, as for arrays.
 struct CallerAdjoints {
   int64_t slots = 0;
-  /// The adjoint adds to that of an argument or array.
+  /// The adjoint kernel adds to the adjoint of an argument or array.
   bool hasTargets = false;
   /// It reads the adjoint of an array.
   bool hasArrays = false;
@@ -163,48 +163,49 @@ struct CallerAdjoints {
   bool areZero(const uint64_t *callerSlots) const;
 };
 
-/// An array among the arguments: its pointer's slot, which those of its extents
-/// follow, and the bytes of an element.
+/// An array argument: the slot of its pointer, followed by those of its
+/// extents, and the bytes of an element.
 struct ArrayArgument {
   int64_t slot, rank, elementBytes;
 };
 
 struct KernelInfo {
   std::string name;
-  /// Where it stands in the source, as "file:line:column", or empty.
+  /// Source location, as "file:line:column", or empty.
   std::string place = {};
-  /// Slots of arguments and results, as Abi.h counts them.
+  /// Slots of arguments and results; see Abi.h.
   int64_t argSlots = 0;
   int64_t resultSlots = 0;
   std::vector<ArrayArgument> arrays = {};
   CallerAdjoints callerAdjoints;
   /// The trees of the module, in the order of its `tai.tree` ops.
   std::vector<TreePtr> trees;
-  /// What the kernel reads, writes and accumulates. It must be complete: a
-  /// field left out is one that the tape may skip.
+  /// What the kernel reads, writes and accumulates. It must be complete,
+  /// because the tape ignores fields that are not listed.
   std::vector<Access> summary;
   /// The function; null where the provider makes it.
   TaiKernelFn function = nullptr;
-  /// Makes what is not here already; may be null where all is.
+  /// Makes the parts that are not given here; may be null if all are.
   std::shared_ptr<KernelProvider> provider;
   /// The adjoint kernel; null where the provider makes it.
   KernelPtr adjoint;
-  /// True if `adjoint` leaves zero in the adjoints of what the kernel stores.
+  /// True if `adjoint` zeroes the adjoints of the elements that the kernel
+  /// stores.
   bool zeroesAdjoints = false;
-  /// False if an adjoint of the kernel would do nothing; the tape skips it.
+  /// False if the adjoint would do nothing; the tape then skips the kernel.
   bool differentiable = true;
-  /// Where the kernel does nothing but loop over active cells: of which levels.
+  /// For a kernel that only loops over active cells: the levels of its loops.
   std::vector<LoopLevel> loopLevels;
-  /// Its code for the device that the runtime uses; null where the function
-  /// does everything on the CPU.
+  /// Its code for the runtime's device; null if the function runs on the CPU
+  /// alone.
   std::shared_ptr<const DeviceImage> image;
 };
 
-/// What one launch of a kernel has in common with the next, found out once, so
-/// that a launch does not go through the tables of the kernel. There is none
-/// for kernels that need more than that their function is called.
+/// The data that is the same for all launches of a kernel, so that a launch
+/// does not search the kernel's tables. Only for kernels whose launch is a mere
+/// call of the function.
 struct alignas(64) PreparedLaunch {
-  /// The state of the runtime for which it holds; see LaunchState.
+  /// The state of the runtime for which it is valid; see LaunchState.
   std::atomic<uint64_t> state{0};
   TaiKernelFn function = nullptr;
   void **trees = nullptr;
@@ -227,14 +228,14 @@ public:
 
   const std::string &name() const { return info.name; }
   const std::string &place() const { return info.place; }
-  /// Bytes that a launch reads and writes, if it touches each element of its
-  /// fields (or of the part of them that a fixed index says) once. Negative
-  /// where nothing says what it touches, or a field is sparse.
+  /// Bytes that a launch reads and writes, assuming that it accesses each
+  /// element of its fields (or of the slab of a fixed index) once. Negative if
+  /// the summary is empty, or a field is sparse.
   int64_t touchedBytes() const;
   /// Whether it uses the tree, once it is resolved.
   bool uses(const Tree &tree) const;
   int64_t argSlots() const { return info.argSlots; }
-  /// Slots of a launch that may be differentiated.
+  /// Number of slots of a launch that may be differentiated.
   int64_t tapeSlots() const {
     return info.argSlots + info.callerAdjoints.slots;
   }
@@ -244,41 +245,42 @@ public:
   const std::vector<Access> &summary() const { return info.summary; }
   bool differentiable() const { return info.differentiable; }
 
-  /// Compiles now what the first launch would compile. Any thread.
+  /// Compiles the kernel now instead of at the first launch. Thread-safe.
   Status resolve();
   bool resolved() const {
     return function.load(std::memory_order_acquire) != nullptr;
   }
-  /// The adjoint, or the form of it that zeroes, made now if need be; null if
-  /// there is nothing to differentiate. Any thread.
+  /// The adjoint, or its zeroing variant, compiled if necessary; null if there
+  /// is nothing to differentiate. Thread-safe.
   Status resolveAdjoint(Kernel *&adjoint, bool zeroes = false);
-  /// The same for the forms that load what the kernel has stored: null if there
-  /// is none. Ask only where `plan` names what they read.
+  /// The same for the variants that load stored outputs; null if there is none.
+  /// Requires plan().loadsStored.
   Status resolveStoredAdjoint(Kernel *&adjoint, bool zeroes);
 
-  /// What the adjoint asks of memory. Any thread.
+  /// The memory accesses of the adjoint. Thread-safe.
   const AdjointPlan &plan();
-  /// Which values that it stores depend on which that it reads. Any thread.
+  /// The data flow from loaded to stored values. Thread-safe.
   const KernelFlows &flows();
-  /// Whether the plan, if there is one, has parts.
+  /// Whether there is a plan, and it splits the kernel.
   bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
 
-  /// Whether there is an adjoint that zeroes what the kernel stores.
+  /// Whether the adjoint has a zeroing variant.
   bool hasZeroingAdjoint() const {
     return info.zeroesAdjoints ||
            (info.provider && info.provider->makesZeroingAdjoints());
   }
 
-  /// The form that checks the access rules; null if there is nothing to check.
+  /// The variant that checks the access rules; null if there is nothing to
+  /// check.
   Status resolveChecked(CheckedKernel *&checked);
 
-  /// What is launched in the place of this kernel in forward mode: itself, if
-  /// it has no tangents to carry. Any thread.
+  /// The variant for forward mode; the kernel itself if it has no tangents.
+  /// Thread-safe.
   Status resolveTangent(Kernel *&tangent);
 
-  /// To be called before the kernel is launched or from its resolver. A tree
-  /// of the name of one that the kernel has already stays that one: it was
-  /// made for its layout, not for that of a later tree of the same name.
+  /// Call before the kernel is launched, or from its provider. A tree that the
+  /// kernel has already is not replaced by a later one of the same name: the
+  /// kernel was compiled for its layout.
   void setTrees(std::vector<TreePtr> trees);
   void setSummary(std::vector<Access> summary);
   void setLoopLevels(std::vector<LoopLevel> levels);
@@ -291,13 +293,13 @@ private:
 
   void noteBegin();
   void noteLoops(const LoopLists &loops);
-  /// What the loops of the last launch went over. Fails if activity has changed
-  /// since so that the adjoint cannot run.
+  /// The cells that the loops of the last launch visited. Fails if activity has
+  /// changed since in a way that the adjoint cannot handle.
   Status checkActivity(LoopLists &loops, bool &wasLaunched);
 
   /// Fills the tables below; fails if a tree has been destroyed.
   Status bind(uint64_t epoch);
-  /// What `bind` and launches have found out does not hold any more.
+  /// Invalidates the results of `bind` and the prepared launch.
   void forget() {
     boundEpoch.store(0, std::memory_order_release);
     prepared.state.store(0, std::memory_order_release);
@@ -308,27 +310,27 @@ private:
   std::atomic<TaiKernelFn> function{nullptr};
   /// Recursive: the resolver of an adjoint may resolve its primal.
   std::recursive_mutex mutex;
-  /// Of the forms of the adjoint: the plain one and the one that zeroes, and
-  /// these two where they load what the kernel has stored.
+  /// The variants of the adjoint: plain and zeroing; and these two with stored
+  /// outputs.
   struct AdjointForm {
     KernelPtr kernel;
     bool asked = false;
-    /// Set once the adjoint has been found, so that a sweep takes no lock.
+    /// Set when the adjoint is known, so that a sweep needs no lock.
     std::atomic<Kernel *> known{nullptr};
   };
   std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
   std::unique_ptr<AdjointPlan> adjointPlan;
-  /// Why there is no plan: an adjoint that nobody planned for is not launched.
+  /// Why planning failed: an adjoint without a plan is not launched.
   Status planFailure;
   std::optional<KernelFlows> valueFlows;
-  bool adjointReruns = false;
+  bool adjointReexecutes = false;
   bool loadsStored = false;
   bool alwaysZeroes = false;
   KernelPtr tangent;
   bool tangentAsked = false;
 
-  /// True if none of the levels that the kernel loops over has active cells.
+  /// True if no level that the kernel loops over has active cells.
   bool hasNoActiveCells() const {
     for (const SparseNode *level : loopLevels)
       if (level->mayBeActive())
@@ -340,9 +342,10 @@ private:
   std::shared_ptr<DeviceCode> deviceCode;
   std::vector<void *> bases;
   LoopTimes loopTimes;
-  /// The levels that it loops over and does nothing else, or none.
+  /// The levels of its loops, if it does nothing else; otherwise empty.
   std::vector<const SparseNode *> loopLevels;
-  /// State of the storage for which the tables hold; 0 is never current.
+  /// The epoch of the storage for which the tables are valid; 0 is never
+  /// current.
   std::atomic<uint64_t> boundEpoch{0};
   /// Adjoint fields that a launch may change.
   std::vector<Field *> changedAdjoints;
@@ -350,18 +353,18 @@ private:
   std::vector<Field *> adjointTargets;
   /// Fields whose adjoints its adjoint reads (fields that it changes).
   std::vector<Field *> adjointSources;
-  /// Those of them that are overwritten, not accumulated.
+  /// Those of `adjointSources` that are overwritten, not accumulated.
   std::vector<Field *> overwritten;
-  /// Sparse levels of its trees. Of the last launch: when it began for them,
-  /// and what its loops went over, so that an adjoint launched by hand can
-  /// tell.
+  /// Sparse levels of its trees. For an adjoint that is launched by hand: the
+  /// state of the levels when the last launch began, and the cells that its
+  /// loops visited.
   std::vector<SparseNode *> sparseNodes;
   std::mutex activityMutex;
   std::vector<SparseNode::Moment> lastBegins;
   LoopLists lastLoops;
-  /// Stamp of the last tape that holds this kernel.
+  /// Stamp of the last tape that recorded this kernel.
   uint64_t tapeStamp = 0;
-  /// What that tape knows of it.
+  /// That tape's data about it.
   const void *tapeUses = nullptr;
 };
 

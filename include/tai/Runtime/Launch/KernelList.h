@@ -12,12 +12,12 @@
 
 namespace mlir::tai::runtime {
 
-/// Kernels that may be launched, to find those that were.
+/// All kernels that may be launched, for iteration.
 class KernelList {
 public:
   KernelPtr create(KernelInfo info);
   int64_t size() const;
-  /// Other threads may make kernels meanwhile.
+  /// Other threads may create kernels at the same time.
   template <typename Body> void forEach(const Body &body) const {
     std::lock_guard<std::mutex> lock(mutex);
     for (const std::weak_ptr<Kernel> &entry : kernels)

@@ -1,14 +1,13 @@
-//===- KernelProvider.h - What the runtime needs of a compiler --*- C++ -*-===//
+//===- KernelProvider.h - The interface to a compiler ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The one interface through which the runtime asks for code. A kernel asks its
-// provider when something is first needed, holds the lock of the kernel while
-// it does, and keeps the answer; a failure is not kept, and the next launch
-// asks again.
+// The interface through which the runtime gets code. A kernel calls its
+// provider when something is first needed, with the kernel's lock held, and
+// caches the result; failures are not cached, and the next launch calls again.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,11 +27,11 @@ struct AdjointPlan;
 struct CheckedKernel;
 struct KernelFlows;
 
-/// Which code of an adjoint is meant.
+/// Selects a variant of an adjoint.
 struct AdjointVariant {
-  /// It leaves zero in the adjoints of the elements that the kernel stores.
+  /// It zeroes the adjoints of the elements that the kernel stores.
   bool zeroes = false;
-  /// It loads what the kernel has stored.
+  /// It loads stored outputs of the kernel.
   bool readsStored = false;
 };
 
@@ -40,32 +39,30 @@ class KernelProvider {
 public:
   virtual ~KernelProvider();
 
-  /// The function that a launch calls. May call Kernel::setTrees and others
-  /// that say what it is given. Without an override, there is none to make.
+  /// Compiles the function that a launch calls. May call Kernel::setTrees and
+  /// the other setters. By default fails.
   virtual Status compile(Kernel &kernel, TaiKernelFn &function);
 
-  /// The adjoint. A null kernel with success: there is nothing to
-  /// differentiate, or no variant that loads what is stored. Without an
-  /// override that is an error of the caller, or no such variant.
+  /// Makes the adjoint. Success with a null kernel: there is nothing to
+  /// differentiate, or no variant with stored outputs. By default fails, or,
+  /// for stored outputs, yields null.
   virtual Status makeAdjoint(Kernel &kernel, AdjointVariant variant,
                              KernelPtr &adjoint);
-  /// Whether there are adjoints that zero.
+  /// Whether there are zeroing variants of adjoints.
   virtual bool makesZeroingAdjoints() const { return false; }
-  /// What the adjoint asks of memory; asked when the kernel is first recorded.
-  /// Without an override, it may read all that the kernel touches.
+  /// Plans the adjoint; called when the kernel is first recorded. By default,
+  /// the adjoint is assumed to read all that the kernel accesses.
   virtual Status planAdjoint(Kernel &kernel, AdjointPlan &plan);
-  /// Which values depend on which.
+  /// The data flow of the kernel.
   virtual KernelFlows findFlows(const Kernel &kernel);
 
-  /// The form of the kernel that checks the access rules as it runs. It has no
-  /// fields where there is nothing to check.
+  /// The variant of the kernel that checks the access rules at run time.
+  /// Without fields if there is nothing to check.
   virtual Status makeChecked(CheckedKernel &checked);
-  /// What is launched in the place of the kernel in forward mode; null if it
-  /// carries no tangents.
+  /// The variant of the kernel for forward mode; null if it has no tangents.
   virtual Status makeTangent(KernelPtr &tangent);
 
-  /// What to tell the user where a device does not take the code, for the
-  /// reason that the device gave.
+  /// The error message for code that a device rejected with this reason.
   virtual std::string explainRefusal(const std::string &reason) {
     return reason;
   }

@@ -1,13 +1,13 @@
-//===- Launcher.h - The way of a launch -------------------------*- C++ -*-===//
+//===- Launcher.h - The path of a launch -----------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Of launches a small simulation makes hundreds of thousands: no lock, no
-// allocation, no look-up. They may come from several threads at once; a
-// parallel loop that finds the workers taken runs on its own thread.
+// A small simulation makes hundreds of thousands of launches, so the common
+// path has no lock, allocation or table look-up. Several threads may launch at
+// once; a parallel loop that finds the workers busy runs on its own thread.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,7 @@
 #include "tai/Runtime/Launch/Options.h"
 #include "tai/Runtime/Launch/RunningLaunches.h"
 
-/// What the opaque pointer of Abi.h points to.
+/// The type of the opaque pointer in Abi.h.
 struct TaiRuntime {};
 
 namespace mlir::tai::runtime {
@@ -31,7 +31,7 @@ struct Launch;
 
 class Launcher {
 public:
-  /// What it goes by.
+  /// The parts of the runtime that it uses.
   struct Parts {
     const Options &options;
     const TreeStore &store;
@@ -42,7 +42,7 @@ public:
     DeviceHost &devices;
     SkipCounters &counters;
   };
-  /// `owner` is what frames point to.
+  /// `owner` is TaiFrame::runtime.
   Launcher(TaiRuntime &owner, const Parts &parts);
   ~Launcher();
   Launcher(const Launcher &) = delete;
@@ -50,15 +50,15 @@ public:
 
   KernelList &kernels() { return kernelList; }
   DeviceLaunches &onDevice() { return deviceLaunches; }
-  /// Which kernels run.
+  /// The registry of running kernels.
   RunningLaunches &running() { return runningLaunches; }
 
-  /// Launches and, where a tape records, records. `results` may be null for a
-  /// kernel without results.
+  /// Launches a kernel, and records it if a tape is recording. `results` may be
+  /// null for a kernel without results.
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                 uint64_t *results);
-  /// Launches the adjoint with the arguments of the primal; never recorded. The
-  /// adjoints of the elements that the primal stores are zero afterwards.
+  /// Launches the adjoint with the arguments of the primal; never recorded.
+  /// Afterwards the adjoints of the elements that the primal stores are zero.
   Status launchAdjoint(Kernel &kernel, const uint64_t *args, int64_t slots);
 
   /// Asks running launches to stop at their next safepoint; they fail with
@@ -72,15 +72,16 @@ public:
     return hot.interrupted.load(std::memory_order_relaxed);
   }
 
-  /// Also restarts the numbering of launches, so that what follows draws the
-  /// same random numbers again.
+  /// Also restarts the numbering of launches, so that later launches repeat
+  /// their random numbers.
   void setSeed(uint64_t seed);
   /// The number of the next launch.
   std::atomic<uint64_t> &numbers() { return hot.launches; }
   const std::atomic<uint64_t> &numbers() const { return hot.launches; }
 
-  /// Follows the tangents of these fields until they are forgotten; and: what
-  /// has ended them on the way to the others, one line each, said once.
+  /// Tracks the flow of tangents of these fields until forgetTangents().
+  /// lostTangents describes where tangents ended on the way to `outputs`, a
+  /// line for each place that has not been reported yet.
   OverwriteWatcher *followTangents(const std::vector<FieldPtr> &inputs);
   std::vector<std::string> lostTangents(const std::vector<FieldPtr> &outputs);
   void forgetTangents();
@@ -89,11 +90,11 @@ public:
   // For tapes and host programs
   //===--------------------------------------------------------------------===//
 
-  /// The state of a launch, to be given back. `isPlain`: for one that no tape
-  /// makes.
-  Launch *acquire(bool isPlain = false);
+  /// Gets a launch object, to be released. `isUnrecorded`: the launch is
+  /// neither recorded nor part of a sweep.
+  Launch *acquire(bool isUnrecorded = false);
   void release(Launch *launch);
-  /// Those that there are go; none may run.
+  /// Destroys all launch objects; none may be running.
   void dropLaunches();
 
   Status ready(Kernel &kernel);
@@ -103,20 +104,19 @@ public:
       return runTangent(launch, kernel, args, results, number);
     return runCode(launch, kernel, args, results, number);
   }
-  /// `given`: what the loops of the primal over sparse levels went over; null
-  /// for what is active now.
+  /// `given`: the cells that the primal's loops over sparse levels visited;
+  /// null for the currently active ones.
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number,
                     const LoopLists *given);
-  /// Whether there is nothing to do around the code of kernels.
-  bool runsPlainly() const;
-  /// Whether launches that come one after another may become one piece of work.
+  /// Whether launches need no steps around the call of the kernel's code.
+  bool runsDirectly() const;
+  /// Whether consecutive launches may be fused.
   void setFuse(bool on) { fusesLaunches = on; }
   static Status failureOf(Launch &launch, const Kernel &kernel);
 
 private:
-  /// Finds out what the launches of a kernel that has been launched have in
-  /// common.
+  /// Fills the PreparedLaunch of a kernel that has been launched.
   void prepare(Kernel &kernel);
   Launch *take();
   bool isReady(const Kernel &kernel) const;
@@ -131,21 +131,21 @@ private:
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
   void settleZeros(const Kernel &kernel, const uint64_t *args);
   void takeOverTangents(const Kernel &kernel);
-  /// Fails where the calling thread changes what a tape of another thread uses.
+  /// Fails on a conflict with the holds of another thread's tape.
   Status checkHolds(const Kernel &kernel) const;
   Status checkAdjointHolds(const Kernel &kernel) const;
 
-  /// What each launch looks at, side by side: after a call of a driver little
-  /// else is in the caches.
+  /// The data that each launch reads, in one cache line: a driver call evicts
+  /// most of the cache.
   struct alignas(64) Hot {
-    /// The epoch of the storage where launches that have been prepared go their
-    /// short way, and never while a tape records, for example.
+    /// The epoch of the storage while prepared launches are allowed; different
+    /// from any epoch while, for example, a tape records.
     std::atomic<uint64_t> state{1};
     std::atomic<uint64_t> launches{0};
-    /// As in the options.
+    /// Options::seed.
     uint64_t seed = 0;
-    /// The thread that has launched first has a launch of its own, for which it
-    /// needs no atomic operation.
+    /// The first thread that launches keeps its own launch object, which it
+    /// acquires without atomic operations.
     std::atomic<const void *> thread{nullptr};
     std::atomic<Launch *> launch{nullptr};
     bool isTaken = false;

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The compiler's estimate of an iteration is right within a factor of some ten:
-// it does not know what will be vectorised, or what lies in a cache. Loops that
-// are about as long as it takes to hand them to other cores are measured when
-// they first run, and whether they are cut goes by that.
+// The compiler's estimate of an iteration is right within a factor of about
+// ten: it does not know what will be vectorised or cached. Loops whose estimate
+// is close to the cost of a fork are timed when they first run, and the
+// measurement decides whether they are parallelised.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,25 +21,25 @@
 
 namespace mlir::tai::runtime {
 
-/// The loops of one kernel, told apart by their estimates. Any thread.
+/// The times of one kernel's loops, identified by their estimates. Thread-safe.
 class LoopTimes {
 public:
   class Entry {
   public:
-    /// Whether the loop should run in one part now, to be measured.
+    /// Whether the loop should now run in one part, to be timed.
     bool wantsRun() const {
       uint32_t runs = count.load(std::memory_order_relaxed);
       return runs < firstRuns || runs % interval == 0;
     }
-    /// To be called whenever the loop is about to run.
+    /// Call whenever the loop is about to run.
     void noteRun() { count.fetch_add(1, std::memory_order_relaxed); }
-    /// Nanoseconds of an iteration; 0 before the first measurement.
+    /// Nanoseconds for an iteration; 0 before the first measurement.
     double perIteration() const {
       return nanoseconds.load(std::memory_order_relaxed);
     }
-    /// A run on one core took so long. What other processes take of a core, or
-    /// memory that is not there yet, can only add to it: the shortest counts,
-    /// and others move it a little.
+    /// Adds the time, in nanoseconds for an iteration, of a run on one core.
+    /// Other processes and page faults can only make it longer: the minimum
+    /// counts, and longer times move it slightly.
     void add(double perIteration) {
       double old = nanoseconds.load(std::memory_order_relaxed);
       double next = old == 0 || perIteration < old
@@ -56,8 +56,8 @@ public:
     std::atomic<uint32_t> count{0};
   };
 
-  /// The entry of a loop whose iteration is said to take `estimate`
-  /// nanoseconds; null where the kernel has too many.
+  /// The entry of the loop with this estimate, in nanoseconds for an iteration;
+  /// null if the kernel has too many loops.
   Entry *find(int64_t estimate) {
     for (Entry &entry : entries) {
       int64_t known = entry.estimate.load(std::memory_order_relaxed);

@@ -1,4 +1,4 @@
-//===- Options.h - What a runtime is made with ------------------*- C++ -*-===//
+//===- Options.h - Options of a runtime ------------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,24 +14,24 @@
 namespace mlir::tai::runtime {
 
 struct Options {
-  /// 0 = as many as the process may use.
+  /// Worker threads; 0 = as many as the process may use.
   int threads = 0;
   /// Partitions of reductions do not depend on the number of threads.
   bool deterministic = false;
-  /// Recorded for those who ask; the runtime itself checks always.
+  /// Only stored for queries; the runtime itself always checks.
   bool debug = false;
   bool profiler = false;
-  /// Kernels carry shadows of floats along; see ShadowLog.h.
+  /// Kernels run with shadow values; see ShadowLog.h.
   bool shadow = false;
   uint64_t seed = 0;
-  /// Most bytes of trees and scratch; 0 = the memory of the machine (or of its
-  /// control group).
+  /// Maximum of bytes for trees and scratch memory; 0 = the memory of the
+  /// machine (or of its control group).
   int64_t memoryLimit = 0;
-  /// What is left out where it is not needed.
+  /// The skips that are on; see Skips.def.
   SkipSet skips;
-  /// Threads of a block on a device; 0 = what suits the kernel.
+  /// Threads in a block on a device; 0 = chosen for each kernel.
   int blockThreads = 0;
-  /// The most of them, whatever is asked for; 0 for no limit but the device's.
+  /// The maximum of threads in a block; 0 = the limit of the device.
   int mostBlockThreads = 0;
 };
 

@@ -1,20 +1,20 @@
-//===- RunningLaunches.h - Which kernels run in which thread ----*- C++ -*-===//
+//===- RunningLaunches.h - Running launches of all threads -----*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A tree that a running kernel uses cannot be freed, and a tape cannot use what
-// a kernel changes that another thread has launched before. Neither is for the
-// launch to find out, which began first: a launch stores which kernel it runs,
-// and whoever wants to know looks at all launches.
+// A tree that a running kernel uses cannot be freed, and a tape cannot hold a
+// field that a running kernel of another thread changes. The earlier launch
+// pays little for this: it stores which kernel it runs, and the thread that
+// frees or holds looks at all launches.
 //
-// Between that store and the loads that a launch does next there has to be a
-// fence. A launch is too short for one, so the other side makes the processors
-// execute it: whoever changes the state of the runtime calls `letThemSee`
-// before it looks. Then a launch that it does not find sees the new state, and
-// looks at the storage and at the holds again.
+// A fence is needed between that store and the following loads of a launch. A
+// launch is too short for one, so the other side executes it for all processors
+// (membarrier): after it changes the state of the runtime, it calls
+// `publishState` before it looks. A launch that it does not find then sees the
+// new state, and checks the storage and the holds again.
 //
 //===----------------------------------------------------------------------===//
 
@@ -36,28 +36,29 @@ public:
   RunningLaunches();
   ~RunningLaunches() override;
 
-  /// A launch that the calling thread has made, and will use first.
+  /// Registers a launch object that the calling thread has made, and will use
+  /// first.
   void add(Launch &launch);
-  /// None is there any more.
+  /// Removes all launch objects.
   void clear();
-  /// To be called before a thread takes a launch that another one may have had:
-  /// a forked child has none of the threads whose launches ran.
+  /// Call before a thread takes a launch object that another one may have used:
+  /// a forked child has none of the threads whose launches were running.
   void noteFork() {
     if (__builtin_expect(!isSameProcess(), false))
       forgetParents();
   }
-  /// Calls `visit` for each launch whose code runs. The kernel stays for so
-  /// long.
+  /// Calls `visit` for each running launch. The kernel is kept alive for that
+  /// time.
   void visit(const std::function<void(const Launch &, const Kernel &)> &visit);
-  /// To be called before a kernel goes that has been launched: returns when no
+  /// Call before a kernel that has been launched is destroyed: waits until no
   /// other thread visits it.
   void waitForVisits() const { std::lock_guard<std::mutex> lock(mutex); }
-  /// Fails where a running kernel uses the tree, which no launch begins to use
-  /// from now on.
+  /// Fails if a running kernel uses the tree. No launch must begin to use the
+  /// tree from now on.
   Status checkUnused(const Tree &tree, const TreeStore &store);
 
-  bool areThere() const override;
-  void letThemSee() const override;
+  bool areAny() const override;
+  void publishState() const override;
   void visitChanges(
       const std::function<void(const std::string &kernel, const Field &field,
                                HoldKind kind)> &visit) override;
@@ -68,7 +69,7 @@ private:
 
   mutable std::mutex mutex;
   std::vector<Launch *> launches;
-  /// How many there are, and the thread that has made the first one.
+  /// The number of launches, and the thread that made the first one.
   std::atomic<size_t> count{0};
   std::atomic<const void *> first{nullptr};
   std::unique_ptr<ForkGuard> guard;

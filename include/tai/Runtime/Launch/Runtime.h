@@ -1,13 +1,13 @@
-//===- Runtime.h - The parts of one context ---------------------*- C++ -*-===//
+//===- Runtime.h - The runtime of one context ------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// One Runtime owns the storage, the workers and the state of launches of one
-// context, each in a part of its own. There is no global state: several live in
-// one process.
+// A Runtime owns the storage, the workers and the launch state of one context,
+// each as a separate part, and forwards to them. There is no global state: a
+// process may have several.
 //
 // Threads: launches may come from several threads at once, and each may record
 // a tape. Everything else belongs to one thread at a time.
@@ -29,7 +29,7 @@ class Tape;
 struct Counters {
   int64_t launches = 0;
   int64_t forks = 0;       // parallel loops that used workers
-  int64_t inlineLoops = 0; // those too small to pay for a fork
+  int64_t inlineLoops = 0; // those too small to be worth a fork
   int64_t recorded = 0;
   int64_t replayed = 0;
   int64_t skipped = 0;
@@ -70,7 +70,8 @@ public:
   HostWrites &writes() { return hostWrites; }
   Launcher &launcher() { return launches; }
   ShadowLog &shadowLog() { return shadowSites; }
-  /// What was left out, and what was not; see docs/decisions/0008-skips.md.
+  /// Counters of what was and was not skipped; see
+  /// docs/decisions/0008-skips.md.
   SkipCounters &skipCounters() { return skipCounts; }
 
   //===--------------------------------------------------------------------===//
@@ -89,7 +90,7 @@ public:
     workerThreads.setDeterministic(on);
   }
   void setDebug(bool on) { opts.debug = on; }
-  /// Fails where there is no room for shadows.
+  /// Fails if the address space for shadows cannot be reserved.
   Status setShadow(bool on) {
     opts.shadow = on;
     return on ? shadow::reserve() : Status::success();
@@ -100,14 +101,14 @@ public:
     opts.profiler = on;
     deviceHost.setProfiler(on);
   }
-  /// Whether device code should say where it stands in the source.
+  /// Whether device code should include source locations.
   bool wantsPlaces() const { return opts.profiler || deviceHost.wantsPlaces(); }
   void setSkips(SkipSet skips) {
     opts.skips = skips;
-    // Kernels look again.
+    // Invalidates prepared launches.
     state.storageChanged();
   }
-  /// Kernels that are loaded from then on have blocks of so many threads.
+  /// For kernels loaded afterwards.
   void setBlockThreads(int threads) { opts.blockThreads = threads; }
   void setMostBlockThreads(int threads) { opts.mostBlockThreads = threads; }
   void keepBlockSizes(KeptBlockSizes kept) {
@@ -120,9 +121,8 @@ public:
   }
   void setMemoryLimit(int64_t bytes) { account.setLimit(bytes); }
 
-  /// In forward mode every kernel is launched with the tangents that it carries
-  /// along: also those that a tape replays, and adjoints. Of the calling
-  /// thread.
+  /// In forward mode every kernel of the calling thread is launched in its
+  /// variant with tangents, including those that a tape replays, and adjoints.
   void setForward(bool on) {
     tapes.setForward(on);
     hostWrites.setWatcher(nullptr);
@@ -141,8 +141,8 @@ public:
   // Device
   //===--------------------------------------------------------------------===//
 
-  /// Runs kernels on the device from now on, with at most so many bytes there
-  /// (0 for what it has). Fails once there are trees.
+  /// Runs kernels on the device from now on, with at most `memoryLimit` bytes
+  /// there (0 for all of its memory). Fails once there are trees.
   Status useDevice(std::unique_ptr<Device> device, int64_t memoryLimit = 0) {
     if (!trees.trees().empty())
       return Status::failure(StatusCode::Usage,
@@ -222,7 +222,7 @@ public:
   const std::vector<FieldPtr> &fields() const { return trees.fields(); }
 
   //===--------------------------------------------------------------------===//
-  // What the host does to fields; see HostWrites, FieldCopies and Gradients
+  // Host accesses to fields; see HostWrites, FieldCopies and Gradients
   //===--------------------------------------------------------------------===//
 
   Status copyToHost(const Field &field, void *array) {
@@ -257,11 +257,11 @@ public:
     fieldGradients.clear(tape);
   }
   void clearTangents() { fieldGradients.clearTangents(); }
-  /// Stores the zeros that sweeps have left to whoever looks at gradients. To
-  /// be called before that is done past the fields.
+  /// Stores the zeros that sweeps owe. Call before memory is accessed other
+  /// than through fields.
   void settleZeros() { fieldGradients.settle(); }
   Status exportField(Field &field, ExportedField &exported) {
-    // Others look at the memory of the whole tree from now on.
+    // Others may read the memory of the whole tree from now on.
     settleZeros();
     return ExportedBuffer::make(field, deviceHost, exported);
   }
@@ -277,7 +277,7 @@ public:
     return launches.kernels().create(std::move(info));
   }
   int64_t numKernels() { return launches.kernels().size(); }
-  /// Which of them run.
+  /// The registry of running launches.
   RunningLaunches &running() { return launches.running(); }
   Status launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                 uint64_t *results) {
@@ -293,14 +293,14 @@ public:
   void clearInterrupt() { launches.clearInterrupt(); }
   bool interruptRequested() const { return launches.interruptRequested(); }
 
-  /// Starts recording. `loss` may be null; losses can also be added later. See
-  /// Tape.h.
+  /// Starts recording on the calling thread. `loss` may be null; losses can
+  /// also be added later. See Tape.h.
   Status beginTape(FieldPtr loss, bool clearGradients,
                    std::unique_ptr<Tape> &tape);
-  /// The tape that records what the calling thread does, or null. Each thread
-  /// may have one.
+  /// The tape that records the calling thread, or null. Each thread may have
+  /// one.
   Recorder *recordingTape() const { return tapes.current(); }
-  /// True while a reverse sweep has called a function of the host.
+  /// True while a reverse sweep of this thread calls a function of the host.
   bool inReverseFunction() const { return tapes.sweeping() != nullptr; }
 
   // For tapes.
@@ -317,7 +317,7 @@ public:
                     const LoopLists *given) {
     return launches.runAdjoint(launch, kernel, adjoint, args, number, given);
   }
-  bool runsPlainly() const { return launches.runsPlainly(); }
+  bool runsDirectly() const { return launches.runsDirectly(); }
   static Status failureOf(Launch &launch, const Kernel &kernel) {
     return Launcher::failureOf(launch, kernel);
   }
@@ -345,19 +345,18 @@ public:
   }
 
   //===--------------------------------------------------------------------===//
-  // What one sees
+  // Output and statistics
   //===--------------------------------------------------------------------===//
 
   void setPrintSink(Printer::Sink sink) { printer.setSink(std::move(sink)); }
   void print(std::string_view line) { printer.print(line); }
 
-  /// What ran while the profiler was on, longest total first. Waits for the
-  /// device.
+  /// Profiled work, longest total time first. Waits for the device.
   std::vector<ProfileRow> profile() {
     return deviceHost.collectedProfiler().rows();
   }
-  /// When it did, in no order. Events refer to rows of the runtime. `lost`:
-  /// those for which there was no room.
+  /// Time stamps of profiled work, unordered. Events refer to rows of
+  /// profile(). `lost`: the number of events that were dropped.
   std::vector<TraceEvent> trace(int64_t &lost) {
     return deviceHost.collectedProfiler().events(lost);
   }
@@ -379,7 +378,7 @@ public:
     trees.countMemory(amounts);
     return amounts;
   }
-  /// The same as a table to read, one line for each skip.
+  /// The same as a text table, with a line for each skip.
   std::string skipTable() const {
     return runtime::skipTable(opts.skips, skipAmounts());
   }

@@ -1,19 +1,20 @@
-//===- ShadowLog.h - What shadow execution finds ----------------*- C++ -*-===//
+//===- ShadowLog.h - Results of shadow execution ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Shadows of floats in memory, and what `tai-shadow-execution` reports of the
-// sites (operations of the source) of a context.
+// Shadow values of floats in memory, and the findings that code instrumented by
+// `tai-shadow-execution` reports for the sites (operations of the source) of a
+// context.
 //
-// The shadow of a float at an address stands in one table of the process, twice
-// as wide: a copy of the float, and how far its shadow lies above it, both in
-// its type. A float that differs from the copy was written by somebody who
-// knows nothing of shadows (the host, another library, the runtime), and its
-// shadow is the float itself: nothing needs to be told. The system provides
-// pages of the table as they are used.
+// The shadow of a float in memory is an entry of one table of the process,
+// twice as wide: a copy of the float, and the difference of the shadow to it,
+// both in its type. If a float differs from the copy, it was written by code
+// that is not instrumented (the host, another library, the runtime), and its
+// shadow is the float itself: such code needs no notification. The system
+// commits pages of the table on use.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,30 +31,31 @@
 #include <string>
 #include <vector>
 
-/// The table, or null where no context asked for it. A symbol of linked code.
+/// The table, or null if no context has enabled shadows. Used by linked code.
 extern "C" char *tai_rt_shadows;
 
 namespace mlir::tai::runtime {
 
-/// What was found at one operation of the source. Errors are relative, 1 at the
-/// most, of the float to its shadow.
+/// The findings for one operation of the source. Errors are relative errors of
+/// the float to its shadow, at most 1.
 struct ShadowRow {
   std::string operation, kernel;
-  std::string place; // "file:line:column", or ""
-  int32_t precision; // bits of a number of its type
-  int64_t lost;      // results of which less than half of the bits are right
+  std::string place;     // "file:line:column", or ""
+  int32_t precision;     // bits of a number of its type
+  int64_t lost;          // results with less than half of the bits correct
   int64_t cancellations; // of them, differences much smaller than the operands
-  int64_t flips;         // comparisons and conversions that came out otherwise
-  int64_t nonFinite;     // infinite or NaN, where the shadow is finite
-  /// The worst of the results, and the error of its operands.
+  int64_t flips; // comparisons and conversions whose result differs from that
+                 // of the shadows
+  int64_t nonFinite; // infinite or NaN, where the shadow is finite
+  /// The error of the worst result, and of its operands.
   double errorMade, errorIn;
-  /// Of that result; the greatest of all.
+  /// The bits lost in the worst result.
   double bitsLost;
 };
 
 namespace shadow {
 
-/// Makes the table. Fails where the system refuses the addresses.
+/// Reserves the table. Fails if the system refuses the address range.
 Status reserve();
 
 inline char *entryOf(const void *address) {
@@ -61,7 +63,7 @@ inline char *entryOf(const void *address) {
   return tai_rt_shadows + 2 * (bits & TAI_SHADOW_MASK);
 }
 
-/// The shadow of a float that has this value now.
+/// The shadow of the float at the address, whose current value is `value`.
 template <typename T, typename Wide = long double>
 Wide read(const T *address, T value) {
   T entry[2];
@@ -76,7 +78,7 @@ void write(const T *address, T value, Wide exact) {
   std::memcpy(entryOf(address), entry, sizeof(entry));
 }
 
-/// What lies at these addresses has no shadow any more.
+/// Drops the shadows of a range of addresses.
 void forget(const void *address, int64_t bytes);
 
 } // namespace shadow
@@ -89,7 +91,7 @@ public:
     const std::string text; // operation, kernel and place, with newlines
     int32_t precision = 0;
     std::atomic<int64_t> lost{0}, cancellations{0}, flips{0}, nonFinite{0};
-    /// Of the worst result: its error, in parts of that of its operands.
+    /// For the worst result: its error divided by that of its operands.
     std::atomic<double> growth{0};
     std::mutex worst;
     double errorMade = 0, errorIn = 0;
@@ -97,15 +99,15 @@ public:
 
   ShadowLog();
 
-  /// The site that compiled code names so. It belongs to one log, as its code
-  /// belongs to one context.
+  /// The site for a structure in compiled code. Its log is that of the context
+  /// of the code.
   Site &find(TaiShadowSite &named) {
     if (__builtin_expect(
             __atomic_load_n(&named.log, __ATOMIC_ACQUIRE) == identity, true))
       return *static_cast<Site *>(named.site);
     return add(named);
   }
-  /// The sites where something was found, those that lost most first.
+  /// The sites with findings, greatest loss first.
   std::vector<ShadowRow> rows() const;
   void clear();
 
@@ -114,7 +116,7 @@ private:
 
   mutable std::mutex mutex;
   std::map<std::string, std::unique_ptr<Site>, std::less<>> sites;
-  /// No two logs have one.
+  /// Unique among logs.
   const uint64_t identity;
 };
 

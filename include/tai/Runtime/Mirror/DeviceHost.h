@@ -1,12 +1,12 @@
-//===- DeviceHost.h - The device that a runtime may have --------*- C++ -*-===//
+//===- DeviceHost.h - The device of a runtime ------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// None, at first. What cannot be said where it goes wrong is noted, and said by
-// the call after.
+// Initially none. Failures in calls that cannot return them are kept, and
+// returned by the next call that can.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,7 +23,7 @@ namespace mlir::tai::runtime {
 class DeviceContext;
 class DeviceQueue;
 
-/// What the device of a runtime shares with its host.
+/// Parts of the runtime that its device uses.
 struct DeviceServices {
   Printer &printer;
   const MemoryAccount &memory;
@@ -36,10 +36,11 @@ public:
   explicit DeviceHost(const DeviceServices &services);
   ~DeviceHost() override;
 
-  /// Null for none, with at most so many bytes there, 0 for what it has.
+  /// Sets the device, null for none, with at most `memoryLimit` bytes, 0 for
+  /// all of its memory.
   void use(std::unique_ptr<Device> device, int64_t memoryLimit);
   bool isThere() const { return context != nullptr; }
-  /// Null where there is none.
+  /// Null if there is no device.
   DeviceContext *get() const { return context.get(); }
   const std::shared_ptr<DeviceContext> &shared() const { return context; }
   Device *device() const;
@@ -49,35 +50,32 @@ public:
                const std::vector<SparseInfo> &levels) const override;
   std::shared_ptr<Mirror> make(Tree &tree, SparseOnDevice *&levels) override;
 
-  /// Waits for what is queued; reports what failed, and prints what kernels
-  /// have printed.
+  /// Waits for queued work; returns failures, and prints the output of kernels.
   Status synchronize();
-  /// Keeps the first failure of what could not say so itself; and takes it.
+  /// Keeps the first failure of calls that could not return it; and returns it.
   void noteFailure(Status status);
   Status takeFailure() {
     return __builtin_expect(isThere(), false) ? takeNoted() : Status::success();
   }
 
-  /// Where device code finds a place in a tree; fails without a device.
+  /// The device address of an offset in a tree; fails without a device.
   Status addressOf(const Tree &tree, int64_t offset, void *&address);
-  /// What is queued from now on waits for what another library has queued, and
-  /// the other way round. The stream is one of CUDA, 0 for the default one;
-  /// nothing happens without a device.
+  /// See Device::waitForStream; without a device, these do nothing.
   Status waitForStream(uint64_t stream);
   Status letStreamWait(uint64_t stream);
-  /// Memory of the device for what a caller keeps of arrays there.
+  /// Device memory for a caller's copies of arrays.
   Status allocate(int64_t bytes, void *&address);
   void free(void *address);
-  /// Copies there, in the order of the launches; part of what is collected.
+  /// A copy on the device, in order with launches; also collected like them.
   Status copy(void *to, const void *from, int64_t bytes);
-  /// Whether kernels can use the address where they run on a device.
+  /// Whether kernels on the device can access the address.
   bool isThere(const void *address) const;
 
-  /// What ran while it was on. Waits for the device to be looked at.
+  /// The profiler; collectedProfiler() waits for the device first.
   Profiler &profiler() const { return *sharedProfiler; }
   void setProfiler(bool on);
   Profiler &collectedProfiler();
-  /// Whether device code should say where it stands in the source.
+  /// Whether device code should include source locations.
   bool wantsPlaces() const;
 
 private:
@@ -86,7 +84,7 @@ private:
   DeviceServices services;
   /// Shared with the device.
   std::shared_ptr<Profiler> sharedProfiler;
-  /// Shared with what lies on it.
+  /// Shared with the objects on the device.
   std::shared_ptr<DeviceContext> context;
 };
 

@@ -1,14 +1,13 @@
-//===- Profiler.h - How long kernels take -----------------------*- C++ -*-===//
+//===- Profiler.h - Times of kernels and device work -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Sums of the times of kernels, of their loops on a device and of the device's
-// copies and fills, and each of them on a line of time that the host and the
-// device share. What the device did is added after it has done it; see
-// DeviceWatch.h.
+// Total times of kernels, of their loops on a device and of the device's copies
+// and fills, and single events on a time line common to host and device. Device
+// work is added after it has completed; see DeviceWatch.h.
 //
 //===----------------------------------------------------------------------===//
 
@@ -41,8 +40,8 @@ struct KernelTimes {
   }
 };
 
-/// A kernel that ran on the CPU; a function of one on a device; what a device
-/// did with memory.
+/// A kernel on the CPU; a function of a kernel on a device; a copy or fill on a
+/// device.
 enum class ProfileKind { Host, Device, Memory };
 
 struct ProfileRow {
@@ -51,25 +50,25 @@ struct ProfileRow {
   ProfileKind kind = ProfileKind::Host;
   /// "file:line:column", or empty.
   std::string place = {};
-  /// Of the fields that a launch touches: what it reads, and what it writes,
-  /// once each. Negative where that is not known.
+  /// Bytes that a launch reads plus those that it writes, each element counted
+  /// once. Negative if not known.
   int64_t bytes = -1;
   DeviceFunctionFacts facts = {};
-  /// Of the last launch; occupancy: of the threads that the device can hold,
-  /// how many of its blocks can be there at a time. Negative for not known.
+  /// Of the last launch. Occupancy: resident threads of the function as a
+  /// fraction of those the device can hold; negative if not known.
   unsigned blocks = 0, threads = 0;
   double occupancy = -1;
 };
 
-/// Something that took time, in nanoseconds since the runtime was made.
+/// An event on the time line, in nanoseconds since the runtime was created.
 struct TraceEvent {
-  /// Of the row that it counts for. Lives as long as the profiler.
+  /// The row that it counts for. Lives as long as the profiler.
   const ProfileRow *row;
   bool onDevice;
-  /// Threads of the host are numbered as they come.
+  /// Number of the host thread, in the order of first use.
   int thread;
   int64_t startNs, durationNs;
-  /// On a device: when the host asked for it.
+  /// On a device: when the host queued it.
   int64_t queuedNs;
   unsigned blocks, threads;
 };
@@ -86,24 +85,25 @@ public:
         .count();
   }
 
-  /// The row of this name, made if need be. Items stay when times are cleared.
+  /// The row of this name, created if necessary. Items remain valid when times
+  /// are cleared.
   Item find(ProfileKind kind, const std::string &name,
             const std::string &place);
-  /// What the launches of a kernel touch, for the functions that it has on a
-  /// device. Where there are several, who touches what is not known.
+  /// Sets the bytes of a kernel's launches for its device function. With
+  /// several functions, it is not known which of them accesses what.
   void noteBytes(const std::vector<std::string> &functions, int64_t bytes);
   void noteFacts(Item item, const DeviceFunctionFacts &facts,
                  const LaunchShape &shape, double occupancy);
-  /// Counts a time, and keeps the event.
+  /// Adds a time to the row, and stores the event.
   void count(Item item, const TraceEvent &event);
-  /// Keeps the event alone.
+  /// Stores the event only.
   void keep(Item item, const TraceEvent &event);
   /// The number of the calling thread.
   int thread();
 
-  /// Rows that count something, longest total first.
+  /// Rows with a non-zero count, longest total time first.
   std::vector<ProfileRow> rows() const;
-  /// In no order. `lost`: those for which there was no room.
+  /// All events, unordered. `lost`: the number of dropped events.
   std::vector<TraceEvent> events(int64_t &lost) const;
   void clear();
 
@@ -117,7 +117,7 @@ private:
       std::chrono::steady_clock::now();
   std::atomic<bool> on{false};
   mutable std::mutex mutex;
-  /// References to them stay as they are.
+  /// A deque, so that references to rows remain valid.
   std::deque<ProfileRow> items;
   std::map<std::pair<ProfileKind, std::string>, Item> known;
   std::unordered_map<std::string, int64_t> bytesOf;

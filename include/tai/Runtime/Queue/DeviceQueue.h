@@ -1,14 +1,14 @@
-//===- DeviceQueue.h - Work for a device, run again and again ---*- C++ -*-===//
+//===- DeviceQueue.h - Work for a device, collected ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Stands between the runtime and a device. While it collects, work is written
-// down instead of queued; a sequence that comes again becomes one graph, or one
-// kernel that does all of it (docs/decisions/0011-device-programs.md). Which of
-// them is found out by running them in turn.
+// A layer between the runtime and a device. While it collects, work is stored
+// instead of queued; a repeated sequence becomes one graph, or one kernel that
+// does all of it (docs/decisions/0011-device-programs.md). The fastest form is
+// found by timing them in turn.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,27 +26,27 @@ namespace mlir::tai::runtime {
 class SequencePrefixes;
 class RecordedLaunches;
 
-/// A function of a kernel that goes into a program.
+/// A device function that becomes part of a program.
 struct ProgramPart {
-  /// What DeviceImage::bitcode holds; null for a part that is not there.
+  /// DeviceImage::bitcode; null for an unused number.
   const std::string *bitcode;
   std::string function;
-  /// Whether rows of the table name it, or loops alone.
+  /// Whether rows of the table refer to it, and not only loops.
   bool isInTable = true;
-  /// Whether it does one iteration, for chains.
+  /// Whether it runs a single iteration, for tile chains.
   bool isTile = false;
-  /// The most that a block of its launches has, where that says something.
+  /// The maximum block size of its launches, if known.
   unsigned threads = 0;
 };
 
 /// A parameter of a step in a loop.
 struct ProgramSlot {
   enum Kind {
-    /// This word of the program's parameters.
+    /// Word number `word` of the program's parameters.
     Fixed,
-    /// The same, and the next word for each time that the loop has gone around.
+    /// The same, plus the next word times the iteration number of the loop.
     Growing,
-    /// This word of the row that the loop's list has for each time around.
+    /// Word number `word` of the iteration's row in the loop's list.
     Listed
   };
   Kind kind = Fixed;
@@ -55,50 +55,49 @@ struct ProgramSlot {
 
 struct ProgramLoopStep {
   uint64_t part = 0;
-  /// Whether all threads meet after it.
+  /// Whether a barrier follows.
   bool waits = true;
   std::vector<ProgramSlot> slots;
 };
 
-/// Some steps of a program, one after another: a loop, or rows of the table.
+/// Consecutive steps of a program: a loop, or rows of the table.
 struct ProgramSegment {
-  /// Of a loop.
+  /// The body of a loop; empty for rows.
   std::vector<ProgramLoopStep> steps;
-  /// How often, or how many rows.
+  /// The number of iterations, or of rows.
   size_t count = 0;
   /// The number of the first step in the sequence.
   size_t first = 0;
-  /// Of a loop: where its list starts in the table, and the words of a row.
+  /// For a loop: where its list starts in the table, and the words in a row.
   size_t listStart = 0, listWidth = 0;
 
   bool isLoop() const { return !steps.empty(); }
 };
 
-/// What a program consists of.
+/// The description from which a program is compiled.
 struct ProgramPlan {
   std::vector<ProgramPart> parts;
   std::vector<ProgramSegment> segments;
-  /// Of the steps of loops with part firstChainPart and on.
+  /// Chains, by part number minus firstChainPart.
   std::vector<TileChain> chains;
-  /// The words of parameters of its loops.
+  /// The number of words of loop parameters.
   size_t words = 0;
   /// One of TAI_SCOPE_*.
   int scope = 0;
-  /// The most that a block has.
+  /// The maximum block size.
   unsigned threads = 1;
-  /// Whether the clock is read after each step.
+  /// Whether each step is time-stamped.
   bool isTimed = false;
 };
 
-/// Makes one kernel, `tai_program`, that runs the plan; see
-/// tai/Runtime/DeviceAbi.h. For TAI_SCOPE_LAUNCHES, makes a kernel of each
-/// part, with the parameters of its function. For TAI_SCOPE_NONE, makes a
-/// kernel of each part, which has no bitcode: it is a function of the device
-/// library.
+/// Compiles the plan to one kernel, `tai_program`; see tai/ABI/DeviceAbi.h. For
+/// TAI_SCOPE_LAUNCHES, makes a kernel of each part, with the parameters of its
+/// function. For TAI_SCOPE_NONE, makes a kernel of each part, where parts are
+/// functions of the device library without bitcode.
 using ProgramMaker =
     std::function<Status(const ProgramPlan &plan, DeviceImage &image)>;
 
-/// How sequences are run; for tests and measurements.
+/// The form in which sequences are run; set for tests and measurements.
 enum class ProgramMode {
   Automatic,
   Launches,
@@ -106,82 +105,86 @@ enum class ProgramMode {
   Block,
   Cluster,
   Grid,
-  /// As Grid, with chains in tiles.
+  /// Like Grid, with chains in tiles.
   Tiles,
-  /// As Graph, of kernels that wait by themselves.
+  /// Like Graph, with programmatic dependent launch.
   Overlapped,
-  /// As Overlapped, with fills that are not needed at first beside them.
+  /// Like Overlapped, with fills that are not needed at once on a parallel
+  /// branch.
   Aside
 };
 
 class DeviceQueue final : public Device {
 public:
-  /// `unwatched`: what the device hands launches on to, where they may be given
-  /// to it at once unless they come one by one; null for nothing.
+  /// `unwatched`: the device that `device` wraps, to which launches may be
+  /// passed directly unless setOneByOne(); null for none.
   explicit DeviceQueue(std::unique_ptr<Device> device,
                        Device *unwatched = nullptr);
   ~DeviceQueue() override;
 
-  /// Without one, sequences become graphs at best.
+  /// Without a maker, sequences become graphs at best.
   void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
   void setMode(ProgramMode wanted) {
     (void)settle();
     records = false;
     mode = wanted;
   }
-  /// Whether all work is queued step by step, so that each can be timed.
+  /// Queues all work step by step, so that each step can be timed.
   void setOneByOne(bool on) {
     (void)settle();
     records &= !on;
     oneByOne = on;
     launcher = on || !unwatched ? device.get() : unwatched;
   }
-  /// As often as others have been given memory, and have given it back: they
-  /// do not ask for what is kept.
+  /// Count the buffers exported to other libraries, which access memory without
+  /// notice: while there are any, work is not deferred.
   Status share() {
     ++numShared;
     return settle();
   }
   void unshare() { --numShared; }
 
-  /// Makes kernels of functions of the device library, which must be possible.
+  /// Makes kernels of functions of the device library; requires
+  /// canMakePrograms().
   bool canMakePrograms() const { return bool(makeProgram); }
   Status makeLibrary(const std::vector<std::string> &names,
                      DeviceImage &image) const;
 
-  /// Between the two, work is collected. Pairs nest; the end runs what has been
-  /// collected. Launches between two replays that come each time become part of
-  /// the second one (docs/decisions/0014-launches-between-replays.md).
+  /// Bracket work to collect. Pairs nest; the outermost end runs the work.
+  /// Launches that are repeated between two replays become part of the second
+  /// one (docs/decisions/0014-launches-between-replays.md).
   void beginCollecting(bool isReplay = false);
-  /// What is recorded may be collected, and is the same whether it is or not.
+  /// Whether work is or may be collected; recorded work gives the same result
+  /// either way.
   bool isCollecting() const { return collecting > 0 || records; }
   Status endCollecting();
-  /// Between the two, a tape records. Launches that are likely to be those of a
-  /// recording before are collected until it ends or something else comes
+  /// Bracket the recording of a tape. Launches that probably repeat those of an
+  /// earlier recording are collected until it ends or other work interrupts it
   /// (docs/decisions/0015-recordings-that-come-again.md). `isSwept`: its
-  /// reverse sweep comes next, and becomes part of the sequence.
+  /// reverse sweep follows, and becomes part of the sequence.
   Status beginRecording();
   Status endRecording(bool isSwept);
   /// Whether launches of a recording are being collected.
   bool isGathering() const;
-  /// A copy of what a tape keeps: nobody looks at it but work in order.
+  /// A copy for a tape's saved values, which only queued work reads.
   Status copyKept(const DeviceRows &to, DevicePtr from, int64_t fromStep);
-  /// Fills that come while nothing is collected are kept until something else
-  /// comes: those beside one another become one, and those before a sequence
-  /// become part of it. Queues them, and launches that were kept.
+  /// Queues deferred fills and launches. Outside of a collection, fills are
+  /// deferred until other work comes: adjacent ones are merged, and those
+  /// before a sequence become part of it.
   Status settle() {
     if (__builtin_expect((!isKeeping && !watches && !records) || collecting > 0,
                          true))
       return Status::success();
     return flush();
   }
-  /// Whether launches are kept, or are likely to be.
+  /// Whether launches are deferred; whether they may be; whether the next ones
+  /// probably will.
   bool keepsLaunches() const;
   bool mayKeep() const { return watches || records; }
   bool expectsLaunches() const;
 
-  /// For what cannot wait until the sequence is whole, since it is timed:
-  /// queues what has been collected, and a launch besides.
+  /// For a timed launch, which cannot wait for the end of the sequence: queues
+  /// what has been collected; launchNow then queues the launch.
   Status interrupt() {
     (void)noteOther();
     return flush(/*isWhole=*/false);
@@ -189,7 +192,7 @@ public:
   Status launchNow(DeviceFunction &function, const LaunchShape &shape,
                    const uint64_t *slots, int count);
 
-  /// What has become of the sequences so far, one line each.
+  /// Describes how each sequence is run, a line for each.
   std::string explain() const;
 
   DeviceKind kind() const override { return device->kind(); }
@@ -243,7 +246,7 @@ private:
   struct Module;
   struct Step;
   struct Sequence;
-  // The parts of programs, each with a header beside its source.
+  // Parts of the implementation, each with its own header.
   class StepRunner;
   class StepSchedules;
   class GraphOrder;
@@ -254,49 +257,48 @@ private:
   class PrefixedGraphs;
   class Program;
 
-  /// Queues what has been collected; what is whole may become a program.
+  /// Queues what has been collected; a complete sequence may become a program.
   Status flush(bool isWhole);
   Status flush() {
     bool isWhole = noteOther();
     return flush(isWhole || collecting > 0);
   }
-  /// Something has come that is neither a launch nor a fill. Whether what a
-  /// tape has recorded is as whole as it was before.
+  /// Notes work that is neither a launch nor a fill. Returns whether the
+  /// recording so far is a complete known one.
   bool noteOther();
   Status launchRecorded(Function &function, const LaunchShape &shape,
                         const uint64_t *slots, int count);
   void forget(const Module &module);
   bool keep(Function &function, const LaunchShape &shape, const uint64_t *slots,
             int count);
-  Status runLead();
+  Status runPrefix();
   Program *findProgram(Sequence &&sequence, bool &same);
 
   std::unique_ptr<Device> device;
   Device *unwatched;
-  // What each launch looks at.
-  /// What takes launches that are not collected.
+  // Read by each launch.
+  /// The device for launches that are not collected.
   Device *launcher = nullptr;
   int collecting = 0;
-  /// Whether work has been kept while nothing was collected.
+  /// Whether there is deferred work outside of a collection.
   bool isKeeping = false;
-  /// Whether launches may be kept.
+  /// Whether launches may be deferred.
   bool watches = false;
-  /// Whether a tape records, and whether what it has recorded waits for its
-  /// sweep.
+  /// Whether a tape records, and whether its recording waits for its sweep.
   bool records = false, hasRecorded = false;
   bool oneByOne = false;
   ProgramMode mode = ProgramMode::Automatic;
   ProgramMaker makeProgram;
   std::atomic<int> numShared{0};
   std::unique_ptr<Sequence> collected;
-  /// What comes before it: launches that were kept, and fills among them.
-  std::unique_ptr<Sequence> lead;
-  std::unique_ptr<SequencePrefixes> leads;
+  /// Deferred launches and fills before `collected`.
+  std::unique_ptr<Sequence> prefix;
+  std::unique_ptr<SequencePrefixes> prefixes;
   std::unique_ptr<RecordedLaunches> recorded;
-  /// Whether what is collected is a replay, and whether the last of it has come
-  /// before.
+  /// Whether the collection is a replay, and whether the last one had a
+  /// program.
   bool isReplay = false, hasProgram = false;
-  /// What has gone wrong where nobody could be told.
+  /// The failure of a call that could not return it.
   Status failure;
   std::vector<DevicePtr> released;
   std::unordered_multimap<uint64_t, std::unique_ptr<Program>> programs;

@@ -1,15 +1,15 @@
-//===- ProgramTiles.h - Launches that share tiles ---------------*- C++ -*-===//
+//===- ProgramTiles.h - Launches fused by tiles ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A chain of launches over one box in which each reads what those before wrote
-// at cells nearby. A block does its tile of all of them, the earlier ones with
-// a halo, without waiting for other blocks: what the chain writes it keeps in
-// an overlay in memory of its own, and writes its own part of that in the end.
-// See docs/decisions/0012-fused-launches.md.
+// A tile chain: launches over one box in which each reads what earlier ones
+// wrote at nearby cells (stencils). A block computes one tile of all of them,
+// the earlier ones with a halo, without waiting for other blocks: it keeps the
+// written cells in an overlay in shared memory, and stores its own tile at the
+// end (overlapped tiling). See docs/decisions/0012-fused-launches.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,8 +21,7 @@
 
 namespace mlir::tai::runtime {
 
-/// By how many cells something is larger than a tile, at both ends of each
-/// dimension.
+/// The width of a halo in cells, at both ends of each dimension.
 struct TileHalo {
   std::vector<int64_t> low, high;
   bool operator==(const TileHalo &other) const {
@@ -30,16 +29,16 @@ struct TileHalo {
   }
 };
 
-/// An array of cells that the chain writes, of which each block has an overlay:
-/// the cells of its tile and of a halo.
+/// An array that the chain writes, of which each block has an overlay: the
+/// cells of its tile and of a halo.
 struct TileRow {
-  /// A launch and a site of that which lead to it.
+  /// A launch, and a site of it that accesses the array.
   size_t stage = 0;
   TileSite site;
   TileHalo halo;
-  /// Whether the overlay starts with what is in memory.
+  /// Whether the overlay is initialised from memory.
   bool isLoaded = false;
-  /// Where its overlay is in that of all rows, in bytes.
+  /// The offset of its overlay in the block's shared memory, in bytes.
   int64_t offset = 0;
 
   bool operator==(const TileRow &other) const {
@@ -50,13 +49,13 @@ struct TileRow {
 
 /// A launch of a chain.
 struct TileStage {
-  /// The number of the part that does an iteration of it.
+  /// The number of the part that runs one of its iterations.
   uint64_t part = 0;
   /// The first of its parameters among those of all launches of the chain.
   size_t firstSlot = 0, numSlots = 0;
   TileHalo halo;
   std::vector<TileSite> sites;
-  /// For each site the number of the row; -1 for memory.
+  /// For each site the number of its row; -1 for memory.
   std::vector<int> rows;
 
   bool operator==(const TileStage &other) const {
@@ -69,15 +68,15 @@ struct TileStage {
 struct TileChain {
   /// The box of all launches.
   std::vector<int64_t> lower, upper;
-  /// Dimensions whose borders are neighbours.
+  /// Dimensions with periodic boundaries.
   std::vector<bool> isCyclic;
-  /// The cells of a tile, and how many tiles there are, along each dimension.
+  /// The cells in a tile, and the number of tiles, along each dimension.
   std::vector<int64_t> tile, tiles;
   std::vector<TileStage> stages;
   std::vector<TileRow> rows;
   /// The bytes of the overlay of a block.
   int64_t bytes = 0;
-  /// No block may write before all have loaded.
+  /// A grid barrier is needed between loads and stores.
   bool mustWait = false;
 
   int64_t numTiles() const {
@@ -86,7 +85,7 @@ struct TileChain {
       number *= along;
     return number;
   }
-  /// The most that a block has to do for one launch.
+  /// The maximum of cells that a block computes for one launch.
   int64_t mostCells() const {
     int64_t most = 0;
     for (const TileStage &stage : stages) {
@@ -106,7 +105,7 @@ struct TileChain {
   }
 };
 
-/// Steps of a program with this number or a higher one are chains.
+/// Part numbers from this one on are chains.
 constexpr uint64_t firstChainPart = uint64_t(1) << 24;
 
 } // namespace mlir::tai::runtime

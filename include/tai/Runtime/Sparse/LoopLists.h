@@ -1,13 +1,13 @@
-//===- LoopLists.h - What loops over sparse levels went over ----*- C++ -*-===//
+//===- LoopLists.h - Cells visited by loops --------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The reverse of a loop over active cells goes over those cells that the loop
-// went over, whatever is active by then. So the lists of a launch are kept:
-// they are shared, and cost nothing while activity stays as it is.
+// The reverse of a loop over active cells visits the same cells as the loop,
+// even if activity has changed. So the lists of a launch are kept: they are
+// shared, and cost nothing while activity does not change.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,7 +18,7 @@
 
 namespace mlir::tai::runtime {
 
-/// A list of active cells in the memory of a device, which may still be made.
+/// A list of active cells in device memory, which may not be computed yet.
 class DeviceCells;
 using DeviceCellsPtr = std::shared_ptr<const DeviceCells>;
 
@@ -26,12 +26,12 @@ class LoopLists {
 public:
   struct Entry {
     const SparseNode *node;
-    /// One of them.
+    /// Exactly one of these is set.
     ActiveListPtr list;
     DeviceCellsPtr onDevice;
-    /// Another loop of the launch over the same level went over other cells.
+    /// Another loop of the launch over the same level visited different cells.
     bool differs = false;
-    /// That has to be found out: of lists on a device the host knows nothing.
+    /// This is not known yet, because the lists are on a device.
     bool mayDiffer = false;
   };
 
@@ -60,12 +60,13 @@ public:
     return nullptr;
   }
   const std::vector<Entry> &all() const { return entries; }
-  /// Adds what is active now, for a launch whose own lists nobody has kept.
+  /// Adds the currently active cells, for a launch whose own lists are not
+  /// known.
   void addUnknown(const SparseNode &node, ActiveListPtr list, bool differs) {
     entries.push_back({&node, std::move(list), nullptr, differs});
   }
   bool empty() const { return entries.empty(); }
-  /// True also where nobody knows.
+  /// Conservative: true for lists on a device.
   bool hasCells() const {
     for (const Entry &entry : entries)
       if (entry.onDevice || !entry.list->cells.empty())

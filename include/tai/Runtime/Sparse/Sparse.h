@@ -1,20 +1,19 @@
-//===- Sparse.h - Which cells of a tree are active --------------*- C++ -*-===//
+//===- Sparse.h - Activity of sparse levels --------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Every cell of a sparse level has a fixed address; bits beside the cells say
-// which are active, and memory of inactive cells is zero. Cells are numbered
-// row-major, level below level, so that the cells below one cell are
-// consecutive.
+// Every cell of a sparse level has a fixed address; separate bits mark active
+// cells, and memory of inactive cells is zero. Cells are numbered row-major,
+// level by level, so that the cells below one cell are consecutive.
 //
 // Activation may happen on many threads at once. Deactivation may too, but a
 // cell must not be activated and deactivated at the same time.
 //
-// Where the tree is on a device, code there changes activity too: whoever asks
-// here then waits for it.
+// If the tree is on a device, device code changes activity too; queries here
+// then wait for the device.
 //
 //===----------------------------------------------------------------------===//
 
@@ -40,53 +39,53 @@ namespace mlir::tai::runtime {
 class SparseNode;
 class Workers;
 
-/// Who makes lists of active cells on the host.
+/// What is needed to compute lists of active cells on the host.
 struct ListMaker {
   Workers &workers;
   const SkipSet &skips;
   SkipCounters &counters;
 };
 
-/// The memory of the cells of a tree, and how much of it is active.
+/// The memory of a tree's cells, and how much of it is active.
 struct CellMemory {
   /// Null once the tree has been destroyed.
   char *base = nullptr;
-  /// Of the cells of the innermost levels; and the same of all trees.
+  /// Bytes of active cells of the innermost levels; and the same of all trees.
   std::atomic<int64_t> activeBytes{0};
   std::atomic<int64_t> *allActiveBytes = nullptr;
   const ListMaker *lists = nullptr;
-  /// Regions that have been asked to lie in large pages, by their number.
+  /// Regions for which large pages have been requested, by number.
   std::unordered_set<uintptr_t> largePages;
   std::mutex largePagesMutex;
 };
 
-/// The sparse levels of a tree on a device, which changes activity there.
+/// The interface to the sparse levels of a tree on a device.
 class SparseOnDevice {
 public:
   virtual ~SparseOnDevice() = default;
-  /// Makes what the host knows of activity current.
+  /// Fetches the activity, if the host's knowledge is stale.
   virtual void bringActivity() = 0;
-  /// The host is about to change activity, or to remove cells: it is where the
-  /// contents are current from then on.
+  /// Call before the host changes activity (`removes`: deactivates cells):
+  /// makes the host current and the device stale.
   virtual void hostChanges(bool removes) = 0;
   /// Whether the memory of the device is current.
   virtual bool isCurrent() const = 0;
-  /// Whether the host does not know what is active.
+  /// Whether the host's knowledge of activity is stale.
   virtual bool isBehind() const = 0;
-  /// How many states there have been, and the one at which cells were last made
-  /// inactive, as far as the host knows.
+  /// The number of the current state of activity, and of the state at which
+  /// cells were last deactivated, as far as the host knows.
   virtual uint64_t getGeneration() const = 0;
   virtual uint64_t getLastRemoval() const = 0;
-  /// Makes all cells of a level inactive there, as the host does on its side.
-  /// False where that is better done on the host alone.
+  /// Deactivates all cells of a level on the device too, after the host. False
+  /// if the device should be updated by an upload instead.
   virtual bool deactivateAll(SparseNode &node) = 0;
-  /// Brings the activity of a level to the device, which is current but for
-  /// these words of bits, or lengths, which both sides have known as others.
+  /// Uploads the activity of a level to a device that is current except for
+  /// these words of bits, or lengths.
   virtual void uploadActivity(const SparseNode &node,
                               const std::vector<int64_t> &changed) = 0;
 };
 
-/// How a sparse level is laid out.
+/// The layout of a sparse level.
 struct SparseInfo {
   /// For messages: "the 'pointer' level above @x, @v".
   std::string label;
@@ -94,8 +93,8 @@ struct SparseInfo {
   bool isList = false;
   /// The nearest sparse level above, or -1.
   int parent = -1;
-  /// For each level from the root to this one: its cells below one cell of the
-  /// level above, and the distance between them in bytes.
+  /// One step for each level from the root to this one: its cells below one
+  /// parent cell, and the distance between them in bytes.
   struct Step {
     int64_t cells;
     int64_t stride;
@@ -126,9 +125,9 @@ public:
   int64_t cellBytes() const { return layout.steps.back().stride; }
   /// Cells of this level below one cell of `above`.
   int64_t numCellsBelow() const { return cellsBelow; }
-  /// Whether a cell consists of cells of the levels next below.
+  /// Whether a cell consists of cells of the next levels alone.
   bool holdsCellsAlone() const;
-  /// Where a cell is in the tree.
+  /// The offset of a cell in the tree, in bytes.
   int64_t offsetOf(int64_t cell) const;
   /// Bytes of the bits or lengths.
   int64_t activityBytes() const;
@@ -136,8 +135,8 @@ public:
     sync();
     return active.load(std::memory_order_relaxed);
   }
-  /// The most cells that were active at any time; on a device, at any time when
-  /// the host looked.
+  /// The maximum of cells active at any time; on a device, at the times when
+  /// the host fetched activity.
   int64_t peakActive() const {
     sync();
     return peak.load(std::memory_order_relaxed);
@@ -147,7 +146,7 @@ public:
     sync();
     return changes.load(std::memory_order_acquire);
   }
-  /// The epoch that began when a cell was last made inactive; 0 for never.
+  /// The epoch that began when a cell was last deactivated; 0 for never.
   uint64_t lastRemoval() const {
     sync();
     return removed.load(std::memory_order_acquire);
@@ -157,44 +156,46 @@ public:
   /// A point in time, taken without waiting for a device.
   struct Moment {
     uint64_t epoch;
-    /// Of a device: how many launches there had been that may change activity,
-    /// and whether the host knew what they did.
+    /// On a device: SparseOnDevice::getGeneration, and whether the host's
+    /// knowledge was current.
     uint64_t generation;
     bool isKnown;
   };
   Moment now() const;
-  /// Whether activity has changed, or a cell has been made inactive, since. Of
-  /// what a device did around a moment that was not known, the answer may be
-  /// true where only a launch before it did so, and one after it might have.
+  /// Whether activity has changed, or a cell has been deactivated, since.
+  /// Conservative for a moment at which the host's knowledge was stale: a
+  /// change before the moment may count as one after it.
   bool hasChangedSince(const Moment &moment) const;
   bool hasRemovedSince(const Moment &moment) const;
-  /// False if the host knows, without waiting, that nothing is active.
+  /// False if it is known, without waiting for a device, that nothing is
+  /// active.
   bool mayBeActive() const;
 
-  /// Whether to note which cells are made inactive, for a tape.
+  /// Turns recording of deactivated cells on or off, for a tape.
   void noteRemovals(bool on);
-  /// Those since the last call, in any order.
+  /// The recorded cells since the last call, in any order.
   std::vector<int64_t> takeRemovals();
 
   bool isActive(int64_t cell) const;
-  /// Makes the cell and those above it active; of a list, the cells before it
-  /// too. Returns true if anything changed.
+  /// Activates the cell and its ancestors; in a list, also the cells before it.
+  /// Returns true if anything changed.
   bool activate(int64_t cell);
-  /// Makes the cell inactive and zeroes it, with all that lies below. Of a
-  /// list, that is the whole list.
+  /// Deactivates and zeroes the cell with all its descendants. In a list, this
+  /// applies to the whole list.
   void deactivate(int64_t cell);
   void deactivateAll();
-  /// Goes to another state of this level alone that there has been, with the
-  /// memory of its cells left as it is: for a tape, which restores that itself.
+  /// Changes the activity of this level alone, back to an earlier state,
+  /// without touching the memory of cells: for a tape, which restores that
+  /// itself.
   void setActivity(const std::vector<int64_t> &some, bool isActive);
 
-  /// Of a list: its length, and one more cell at its end. Returns the number of
-  /// the new cell within the list, or -1 if the list is full.
+  /// The length of a list; and append, which returns the number of the new cell
+  /// within the list, or -1 if the list is full.
   int64_t length(int64_t list) const;
   int64_t append(int64_t list);
   int64_t capacity() const { return layout.steps.back().cells; }
 
-  /// The active cells now. The list is kept until activity changes.
+  /// The currently active cells. Cached until activity changes.
   ActiveListPtr list();
   int64_t listsMade() const { return made; }
   int64_t listsReused() const { return reused; }
@@ -203,42 +204,44 @@ public:
   // For the same level on a device
   //===--------------------------------------------------------------------===//
 
-  /// Null where there is none (any more).
+  /// Null for none.
   void setOnDevice(SparseOnDevice *levels) { onDevice = levels; }
-  /// What the host knows, without waiting for the device.
+  /// The host's knowledge, without waiting for the device.
   int64_t knownActive() const { return active.load(std::memory_order_relaxed); }
   uint64_t knownEpoch() const {
     return changes.load(std::memory_order_acquire);
   }
   void forEachKnown(const std::function<void(int64_t)> &body) const;
-  /// One bit for each 64 words of bits, or lengths, that may not be zero.
+  /// One bit for each word of bits, or each length, that may be non-zero; in
+  /// words of 64 bits.
   const std::atomic<uint64_t> *marked() const { return marks; }
   int64_t numMarked() const { return numMarks; }
-  /// Words of bits, or lengths, from a certain one on, as a device has them,
-  /// and what it has made inactive meanwhile, or null.
+  /// A range of words of bits, or of lengths, from a device, and what it has
+  /// deactivated since the last fetch, or null.
   struct Part {
     int64_t first, count;
     const void *activity, *gone;
   };
-  /// What the host learns from them.
+  /// The changes found by `adopt`: net number of cells, any, deactivations.
   struct Adopted {
     int64_t by = 0;
     bool differs = false, removes = false;
   };
-  /// Goes there. Calls `added` for cells that may have become active.
+  /// Takes over the activity of a part. Calls `added` for cells that may have
+  /// become active.
   void adopt(const Part &part, Adopted &adopted,
              const std::function<void(int64_t)> &added);
   void changed(int64_t by, bool removes);
-  /// A list was made, or used again, there.
+  /// Counts a list that was computed, or reused, on the device.
   void countList(bool isReused) { ++(isReused ? reused : made); }
 
 private:
-  /// Makes what is known here current.
+  /// Fetches activity from a device.
   void sync() const {
     if (__builtin_expect(onDevice != nullptr, false))
       onDevice->bringActivity();
   }
-  /// To be called before the host changes activity.
+  /// Call before the host changes activity.
   void prepare(bool removes) {
     if (__builtin_expect(onDevice != nullptr, false))
       onDevice->hostChanges(removes);
@@ -247,14 +250,14 @@ private:
   uint64_t *words() const;
   int32_t *lengths() const;
   char *addressOf(int64_t cell) const;
-  /// Clears the activity of the cells [first, first + count), which lie below
-  /// one cell that is being deactivated.
+  /// Clears the activity of the cells [first, first + count), descendants of a
+  /// cell that is being deactivated.
   void clearRange(int64_t first, int64_t count);
   void zero(int64_t cell);
   void noteRemoved(int64_t first, int64_t count);
   void useLargePages(const ActiveList &list);
   void markWord(int64_t word);
-  /// Appends the active cells of which the marks [begin, end) speak.
+  /// Appends the active cells covered by the marks [begin, end).
   void collectInto(std::vector<int64_t> &found, int64_t begin,
                    int64_t end) const;
 
@@ -266,7 +269,7 @@ private:
   int64_t cells = 1;
   /// Cells of this level below one cell of `parent`.
   int64_t cellsBelow = 1;
-  /// One bit for each word of bits that is not zero (it may be zero again).
+  /// One bit for each word of bits that has been non-zero (conservative).
   std::atomic<uint64_t> *marks = nullptr;
   int64_t numMarks = 0;
   std::atomic<int64_t> active{0}, peak{0};

@@ -1,13 +1,13 @@
-//===- Field.h - Trees and fields as the host sees them ---------*- C++ -*-===//
+//===- Field.h - Trees and fields on the host ------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Storage and its description. The compiler decides where an element lies; the
-// runtime is told so by a FieldLayout and uses it for host access only.
-// Compiled kernels compute addresses on their own.
+// Storage and its description. The compiler determines the layout; the runtime
+// gets it as a FieldLayout and uses it for host access only. Compiled kernels
+// compute addresses themselves.
 //
 //===----------------------------------------------------------------------===//
 
@@ -47,19 +47,18 @@ int64_t byteSize(ScalarKind kind);
 bool isFloat(ScalarKind kind);
 const char *spelling(ScalarKind kind);
 
-/// One allocation, zero when made. Pages are committed when first written.
-/// Where there is a device, the tree has memory there too, and either may be
-/// behind the other: the host reaches the contents by `readable` and `writable`
-/// alone.
+/// One allocation, initially zero. Pages are committed when first written. With
+/// a device, the tree has memory there too, and either copy may be stale: the
+/// host must access the contents by `readable` and `writable`.
 class Tree {
 public:
   const std::string &name() const { return treeName; }
-  /// Which tree it is, and whether it is there: null once it has been
-  /// destroyed. Aligned to 64 bytes. What is there may be out of date on a
-  /// device; sparse trees are on the host always.
+  /// The base address, which identifies the tree; null once it has been
+  /// destroyed. Aligned to 64 bytes. The contents may be stale if there is a
+  /// device.
   char *base() const { return cells.base; }
-  /// The contents for the host to read, or to read and change, until the next
-  /// launch. What goes wrong with the device is said by the call after.
+  /// The current contents, for reading, or for reading and writing, until the
+  /// next launch. A failure of the device is returned by a later call.
   const char *readable() const {
     if (__builtin_expect(mirrored != nullptr, false))
       bringToHost();
@@ -70,14 +69,15 @@ public:
       bringToHostToChange();
     return cells.base;
   }
-  /// The memory on the device, or null where there is none.
+  /// The memory on the device, or null.
   Mirror *mirror() const { return mirrored.get(); }
   int64_t bytes() const { return size; }
-  /// The sparse levels, those above before those below.
+  /// The sparse levels, parents before children.
   const std::vector<std::unique_ptr<SparseNode>> &sparseNodes() const {
     return nodes;
   }
-  /// Whether others have its address, and may write to it at any time.
+  /// Whether its address is exported, so that other libraries may write to it
+  /// at any time.
   bool isExported() const {
     return exports.load(std::memory_order_relaxed) > 0;
   }
@@ -85,12 +85,12 @@ public:
   int64_t activeCellBytes() const {
     return cells.activeBytes.load(std::memory_order_relaxed);
   }
-  /// Whether launches may begin to use it.
+  /// Whether new launches may use it.
   bool isThere() const {
     return cells.base && !isClosing.load(std::memory_order_acquire);
   }
-  /// For who gives out the address: what keeps the memory when the tree is
-  /// gone, and how many there are.
+  /// For exported buffers: owners that keep the memory when the tree is
+  /// destroyed, and the count of exports.
   const std::shared_ptr<void> &sharedMemory() const { return memory; }
   const std::shared_ptr<Mirror> &sharedMirror() const { return mirrored; }
   void countExport(int by) { exports.fetch_add(by, std::memory_order_relaxed); }
@@ -107,10 +107,10 @@ private:
   CellMemory cells;
   int64_t size = 0;
   int64_t charged = 0; // of the memory limit
-  /// Where all of that lies. Loans keep it when the tree is gone.
+  /// Owns the memory; exported buffers share it.
   std::shared_ptr<void> memory;
   std::atomic<int> exports{0};
-  /// While it is found out whether it may be destroyed.
+  /// Set while it is checked whether the tree may be destroyed.
   std::atomic<bool> isClosing{false};
   std::vector<std::unique_ptr<SparseNode>> nodes;
 };
@@ -122,13 +122,13 @@ struct LayoutLevel {
   int64_t divisor;
   int64_t extent;
   int64_t stride; // bytes
-  /// What the digit adds to the number of the cell of the innermost sparse
+  /// The weight of the digit in the number of the cell of the innermost sparse
   /// level.
   int64_t cells = 0;
 };
 
-/// Where the elements of a field lie in its tree: component c of element
-/// (i0, i1, ...) is at
+/// The address function of a field in its tree: component c of element (i0, i1,
+/// ...) is at
 ///   tree + placeOffset + sum over indices and levels of digit * stride
 ///        + c * componentStride.
 struct FieldLayout {
@@ -153,14 +153,15 @@ class Recorder;
 /// 0 for a thread that has none yet.
 extern __thread uint64_t ownThreadNumber;
 uint64_t numberThread();
-/// The number of the calling thread, which no other one of the process has had.
+/// The number of the calling thread, unique in the process and never reused.
 inline uint64_t threadNumber() {
   return __builtin_expect(ownThreadNumber != 0, true) ? ownThreadNumber
                                                       : numberThread();
 }
 
 /// How a tape uses a field, from its first launch with it to the end of the
-/// sweep. Tapes of several threads may read the same field, or add to it.
+/// sweep. Tapes of several threads may all read the same field, or all add to
+/// it.
 enum class HoldKind : uint8_t { Read, Add, Write };
 struct Hold {
   const Recorder *tape;
@@ -169,7 +170,7 @@ struct Hold {
 };
 /// The tapes that use a field now; see Recordings.
 struct FieldHolds {
-  /// The thread whose tapes they are, or 0; kManyThreads for several.
+  /// The thread of these tapes, or 0; kManyThreads for several threads.
   std::atomic<uint64_t> holder{0};
   static constexpr uint64_t kManyThreads = UINT64_MAX;
   std::vector<Hold> all;
@@ -200,12 +201,12 @@ public:
   const TreePtr &sharedTree() const { return owner; }
   /// False once the tree has been destroyed.
   bool valid() const { return owner->base() != nullptr; }
-  /// True where the elements lie one after another in row-major order.
+  /// True if the elements are contiguous in row-major order.
   bool contiguous() const { return isContiguous; }
-  /// Where elements, in row-major order, lie dense in themselves and evenly in
-  /// the tree: the bytes from one to the next, else 0.
+  /// If elements are dense and have a uniform stride in row-major order: the
+  /// stride in bytes, else 0.
   int64_t evenStep() const { return elementStep; }
-  /// Address of the place: of the first element. As Tree::base().
+  /// Address of the first element; see Tree::base().
   char *data() const { return owner->base() + fieldLayout.placeOffset; }
   /// The same, to read and to change there; see Tree.
   const char *readable() const {
@@ -217,40 +218,40 @@ public:
     return owner->writable() + fieldLayout.placeOffset;
   }
 
-  /// Of adjoint fields: elements that are zero and not stored yet, because a
-  /// sweep has left them to whoever looks first. Null where there are none.
+  /// For adjoint fields: elements that are zero but not stored yet, or null.
+  /// See OwedZeros.h.
   const OwedZeros *owesZeros() const { return owed.get(); }
   void oweZeros(std::shared_ptr<const OwedZeros> zeros) const {
     owed = std::move(zeros);
   }
-  /// Stores them now. Everything that looks at the elements does so first.
+  /// Stores them now. Call before any access to the elements.
   void settleZeros() const {
     if (__builtin_expect(owed != nullptr, false))
       storeZeros();
   }
 
-  /// The field that accumulates the derivative of the loss by this one; null
-  /// where there is none (yet).
+  /// The field that accumulates the derivative of the loss with respect to this
+  /// one, or null.
   Field *adjoint() const { return adjointField.get(); }
   const std::shared_ptr<Field> &sharedAdjoint() const { return adjointField; }
   Field *dual() const { return dualField.get(); }
-  /// True where this field is the adjoint of another.
+  /// True if this field is the adjoint of another.
   bool isAdjoint() const { return ofPrimal; }
 
-  /// Of adjoint fields: may hold something else than zeros.
+  /// For adjoint fields: may be non-zero.
   bool dirty() const { return dirtiedBy() != 0 || owner->isExported(); }
   void markDirty() {
     uint64_t self = threadNumber();
     if (dirtiedBy() != self)
       lastWriter.store(self, std::memory_order_relaxed);
   }
-  /// The thread that has written to it last, or 0 since it was cleared.
+  /// The thread that wrote last, or 0 if it has been cleared since.
   uint64_t dirtiedBy() const {
     return lastWriter.load(std::memory_order_relaxed);
   }
-  /// To be called when it has been cleared.
+  /// Call when it has been cleared.
   void markClean() { lastWriter.store(0, std::memory_order_relaxed); }
-  /// Whether that is another thread than the calling one.
+  /// Whether another thread than the calling one wrote last.
   bool isDirtiedByOther() const {
     uint64_t writer = dirtiedBy();
     return writer != 0 && writer != threadNumber();
@@ -260,8 +261,8 @@ public:
   void countChange() { ++hostVersion; }
   /// The tapes that use it.
   FieldHolds holds;
-  /// What analyses of tapes note of it, with their stamps: that it is live; its
-  /// place among the fields that they have seen.
+  /// Scratch marks of tape analyses, valid for the analysis with the stamp:
+  /// `plan` for live fields, `seen` with a number in `index`.
   struct Marks {
     uint64_t plan = 0, seen = 0;
     size_t index = 0;
@@ -277,24 +278,25 @@ public:
   /// range.
   int64_t cellNumber(const int64_t *index) const;
 
-  /// Where the element is in the tree, or -1 if an index is out of range.
-  /// Indices count from the offset of the field.
+  /// The offset of the element in the tree, or -1 if an index is out of range.
+  /// Indices start at the offset of the field.
   int64_t elementOffset(const int64_t *index) const;
 
-  /// One component (row-major in the element) of one element, converted from
-  /// or to the type of the field. Integers wrap, as in C; writing marks the
-  /// field as dirty. No tape hears of it: see HostWrites::writeF64.
+  /// Access one component (row-major) of one element, converted from or to the
+  /// type of the field. Integers wrap, as in C; writing marks the field as
+  /// dirty. Not recorded by tapes: see HostWrites::writeF64.
   Status readF64(const int64_t *index, int64_t component, double &value) const;
   Status writeF64(const int64_t *index, int64_t component, double value);
   Status readI64(const int64_t *index, int64_t component, int64_t &value) const;
   Status writeI64(const int64_t *index, int64_t component, int64_t value);
-  /// All components of the elements at `count` index tuples, as they are
-  /// stored. For the other direction see HostWrites::writeElements.
+  /// Reads all components of the elements at `count` index tuples, in the type
+  /// of the field. To write see HostWrites::writeElements.
   Status readElements(const int64_t *indices, int64_t count,
                       void *values) const;
-  /// Where a component is in the tree, or why there is none.
+  /// The offset of a component in the tree; fails for an invalid index or
+  /// component.
   Status locate(const int64_t *index, int64_t component, int64_t &offset) const;
-  /// The bytes of one component, which `locate` has found.
+  /// Load or store one component, at an offset from `locate`.
   Status loadBytes(int64_t offset, void *to) const {
     settleZeros();
     if (__builtin_expect(owner->mirror() != nullptr, false))

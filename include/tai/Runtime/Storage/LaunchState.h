@@ -1,12 +1,12 @@
-//===- LaunchState.h - For what prepared launches hold ----------*- C++ -*-===//
+//===- LaunchState.h - The validity of prepared launches -------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A launch that has been prepared goes its short way as long as one number is
-// the one that it was prepared for. This is who changes that number.
+// A prepared launch is valid as long as one number is unchanged. This class
+// owns that number.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,8 @@ namespace mlir::tai::runtime {
 
 class LaunchState {
 public:
-  /// Where launches look: the epoch, or `never`.
+  /// Publishes the number to `place`, where launches read it: the epoch, or
+  /// `never` while launches need extra steps.
   static constexpr uint64_t never = UINT64_MAX;
   void publishTo(std::atomic<uint64_t> &place) {
     std::lock_guard<std::mutex> lock(mutex);
@@ -29,8 +30,8 @@ public:
     update();
   }
 
-  /// The number of the state of the storage: another one where a tree has gone
-  /// or an adjoint has come. Kernels then look again.
+  /// The number of the state of the storage: changes when a tree is destroyed
+  /// or an adjoint is added. Kernels then bind again.
   uint64_t epoch() const { return current.load(std::memory_order_relaxed); }
   void storageChanged() {
     std::lock_guard<std::mutex> lock(mutex);
@@ -38,8 +39,8 @@ public:
     update();
   }
 
-  /// Between the two, launches do more than to call code: a tape records, say.
-  /// Pairs nest.
+  /// Bracket a period in which launches need steps besides the call of the
+  /// kernel's code: while a tape records, for example. Pairs nest.
   void beginSpecial() { countSpecial(1); }
   void endSpecial() { countSpecial(-1); }
   bool isSpecial() const {

@@ -1,4 +1,4 @@
-//===- MemoryAccount.h - What trees may take and do take --------*- C++ -*-===//
+//===- MemoryAccount.h - The limit and use of memory -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,27 +13,27 @@
 
 namespace mlir::tai::runtime {
 
-/// The memory of the host: the most bytes of trees and scratch, and what trees
-/// have.
+/// Host memory: the limit of bytes for trees and scratch, and the bytes of
+/// trees.
 class MemoryAccount {
 public:
-  /// 0 for the memory of the machine, or of the control group.
+  /// `limit` 0: the memory of the machine, or of the control group.
   explicit MemoryAccount(int64_t limit = 0) { setLimit(limit); }
 
   int64_t limit() const { return most; }
-  /// Trees that take more already stay.
+  /// Existing trees above the limit are kept.
   void setLimit(int64_t bytes);
-  /// Of trees without sparse levels.
+  /// Bytes of trees without sparse levels.
   int64_t reserved() const { return taken; }
   int64_t left() const { return most - taken; }
   void reserve(int64_t bytes) { taken += bytes; }
   void release(int64_t bytes) { taken -= bytes; }
-  /// Of the active cells of all sparse trees, which count themselves.
+  /// Bytes of active cells of all sparse trees, updated by these.
   std::atomic<int64_t> activeCells{0};
   int64_t activeCellBytes() const {
     return activeCells.load(std::memory_order_relaxed);
   }
-  /// Fails if there is no memory for that many cells more.
+  /// Fails if `cells` more cells would exceed the limit.
   Status checkCells(const SparseNode &node, int64_t cells) const;
 
 private:

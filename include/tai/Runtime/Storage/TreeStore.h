@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Names, partners and memory. Handles stay safe to use when a tree is gone, and
-// say so.
+// Names, adjoint and dual fields, and memory. Handles remain safe to use after
+// a tree is destroyed; operations then fail.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,18 +25,19 @@ struct FieldInfo {
   std::string name;
   TreePtr tree;
   FieldLayout layout;
-  /// Names of other fields, which need not exist yet; empty for none.
+  /// Names of the adjoint and the dual, which need not exist yet; empty for
+  /// none.
   std::string adjoint, dual;
 };
 
-/// Who gives trees memory on a device besides.
+/// The interface that gives trees memory on a device.
 class TreeMirrors {
 public:
   virtual ~TreeMirrors() = default;
-  /// Whether a sparse tree can be there at all.
+  /// Fails if a sparse tree cannot be on the device.
   virtual Status check(const std::string &name, int64_t bytes,
                        const std::vector<SparseInfo> &levels) const = 0;
-  /// Null where there is no device.
+  /// Null if there is no device.
   virtual std::shared_ptr<Mirror> make(Tree &tree, SparseOnDevice *&levels) = 0;
 };
 
@@ -50,32 +51,33 @@ public:
 
   void setMirrors(TreeMirrors *made) { mirrors = made; }
 
-  /// `sparse` describes the sparse levels, those above before those below.
+  /// `sparse` describes the sparse levels, parents before children.
   Status addTree(std::string name, int64_t bytes, TreePtr &tree,
                  std::vector<SparseInfo> sparse = {});
-  /// From now on no launch begins to use the tree, or again one may.
+  /// With `isClosing`, new launches cannot use the tree; otherwise they can
+  /// again.
   void setClosing(Tree &tree, bool isClosing);
-  /// Frees the storage and forgets the fields.
+  /// Frees the storage and removes the fields.
   Status destroyTree(const std::string &name);
   TreePtr findTree(const std::string &name) const;
   const std::unordered_map<std::string, TreePtr> &trees() const {
     return treesByName;
   }
-  /// A field of the tree, which stands for all of it where the activity of
-  /// cells matters; null if there is none. Any thread.
+  /// Some field of the tree, used to hold the activity of its cells; null if
+  /// there is none. Thread-safe.
   FieldPtr firstOf(const Tree &tree) const;
 
   Status addField(FieldInfo info, FieldPtr &field);
-  /// Gives a field another adjoint than the one that it was declared with.
+  /// Replaces the adjoint of a field.
   Status setAdjoint(Field &field, const FieldPtr &adjoint);
   FieldPtr findField(const std::string &name) const;
   const std::vector<FieldPtr> &fields() const { return fieldList; }
-  /// "field 'x'", for messages; a gradient is said to be one. Any thread.
+  /// "field 'x'", or a description as a gradient, for messages. Thread-safe.
   std::string describe(const Field &field) const;
   /// True for adjoints and tangents of other fields.
   bool isPartner(const Field &field) const;
 
-  /// What trees and gradients have been given, and how much of it is in use.
+  /// Adds the memory allocated for trees and gradients, and the part in use.
   void countMemory(SkipAmounts &amounts) const;
 
 private:
@@ -91,15 +93,14 @@ private:
   std::unordered_map<std::string, TreePtr> treesByName;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
   std::vector<FieldPtr> fieldList;
-  /// Taken to change the list, and to read it where others may: launches do not
-  /// wait for other calls.
+  /// Guards changes of the list, and reads that may be concurrent with them.
   mutable std::mutex fieldsMutex;
 };
 
-/// Bytes of the elements of a field that are active.
+/// Bytes of the active elements of a field.
 int64_t bytesInUse(const Field &field);
 
-/// The skips and what they have left out, as a table to read.
+/// The skips and their counters, as a text table.
 std::string skipTable(SkipSet skips, const SkipAmounts &amounts);
 
 } // namespace mlir::tai::runtime

@@ -12,11 +12,11 @@
 
 namespace mlir::tai::runtime {
 
-/// What a host program (a `func.func` run on the host) may name.
+/// The environment of a host program (a `func.func` run on the host).
 struct HostModule {
   std::function<Kernel *(std::string_view name)> findKernel;
   /// Whether it loads or stores elements of fields itself, so that they must be
-  /// on the host whenever it runs.
+  /// current on the host while it runs.
   bool usesTrees = true;
 };
 

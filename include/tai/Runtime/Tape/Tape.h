@@ -10,15 +10,15 @@
 // launch is needed if it changes a field whose adjoint may be non-zero, and
 // then the adjoints of what it reads may be non-zero too.
 //
-// A launch that stores elements again ends the life of what stood there and was
-// written or read before: after its adjoint has run, the adjoints of these
-// elements are zeroed. Indices that are fixed in a launch (x[t] from x[t-1])
-// tell which accesses do not meet; only where they may meet is anything zeroed.
+// A launch that overwrites elements used by an earlier launch kills their old
+// values: after its adjoint has run, the adjoints of these elements are zeroed.
+// Fixed indices (x[t] from x[t-1]) show which accesses are disjoint; adjoints
+// are zeroed only where accesses may overlap.
 //
-// Adjoints read primal values. Where a launch, a host function or a write of
-// the host is about to change what an earlier adjoint reads, the tape keeps the
-// old contents; the reverse sweep puts them back at their place, and leaves
-// memory as it found it.
+// Adjoints read primal values. Before a launch, a host function or a write of
+// the host changes values that the adjoint of an earlier record reads, the tape
+// saves them; the reverse sweep restores them when needed, and finally restores
+// the memory that it found.
 //
 // A tape is made of parts; see docs/decisions/0025-parts-of-the-tape.md.
 //
@@ -38,9 +38,9 @@ struct Launch;
 
 class Tape final : public Recorder {
 public:
-  /// Starts to record on the calling thread; see Runtime::beginTape. `stamp`: a
-  /// number that no other tape of the runtime has. `clears`: sets gradients to
-  /// zero first.
+  /// Starts to record on the calling thread; see Runtime::beginTape. `stamp` is
+  /// unique among the tapes of the runtime. `clears`: sets gradients to zero
+  /// first.
   static Status begin(Runtime &runtime, uint64_t stamp, FieldPtr loss,
                       bool clears, std::unique_ptr<Tape> &tape);
   ~Tape() override;
@@ -51,15 +51,14 @@ public:
   // Recording
   //===--------------------------------------------------------------------===//
 
-  /// Stops recording. Ending twice is harmless. `isSwept`: backward() comes
-  /// next, so that a device may run both as one.
+  /// Stops recording. May be called twice. `isSwept`: backward() follows, so
+  /// that a device may run both as one sequence.
   void end(bool isSwept = false);
   bool recording() const;
-  /// Lets other threads change what the tape has used. Sweeps do so at their
-  /// end.
+  /// Releases the held fields. Sweeps do so at their end.
   void releaseFields();
-  /// Sets the gradients to zero that its sweep adds to, and all others that
-  /// the calling thread has left.
+  /// Zeroes the gradients that its sweep adds to, and all others that the
+  /// calling thread has written.
   Status clearGradients();
 
   /// Launches between the two are not recorded. Pairs nest.
@@ -69,69 +68,69 @@ public:
 
   void recordCallback(TapeCallback callback);
 
-  /// The launch to come gets a copy of an array, and copies it back; and: the
-  /// host has changed an array since the last record.
+  /// The next launch gets a copy, at `address`, of an array of the host; and:
+  /// the host has changed an array since the last record.
   void noteArrayCopy(uint64_t address, const ArrayRange &array);
   void noteArrayWrite(const ArrayRange &array);
 
-  /// Adds a field that the sweep starts from. A field of one number is a sum:
-  /// it is set to zero, and its seed is 1.
+  /// Adds a loss, a field that the sweep starts from. A field of one number is
+  /// treated as a sum: it is set to zero, and its seed is 1.
   Status addLoss(FieldPtr loss);
-  /// What the adjoint of a loss is at the start of a sweep: a row-major array
-  /// of the scalar type of the adjoint.
+  /// Sets the adjoint of a loss at the start of a sweep: a row-major array of
+  /// the scalar type of the adjoint.
   Status setSeed(const Field &loss, const void *array);
 
-  /// To be called before anything is recorded.
+  /// Call before anything is recorded.
   Status setCheckpoints(CheckpointPolicy policy);
 
-  /// Checks the access rules in the launches from now on; the first `limit`
-  /// violations are kept; of races alone, if so asked.
+  /// Checks the access rules in later launches; keeps the first `limit`
+  /// violations; only races if `racesOnly`.
   void checkAccesses(int64_t limit, bool racesOnly);
-  /// What has been found, or null where nothing is checked.
+  /// The violations found, or null if accesses are not checked.
   const AccessChecks *accessChecks() const;
 
   //===--------------------------------------------------------------------===//
   // Replay
   //===--------------------------------------------------------------------===//
 
-  /// Seeds the adjoints of the losses and replays the adjoints in reverse. Ends
-  /// recording first. Fails if an adjoint would read what has been changed
-  /// since the last launch of the sequence. Primal fields are as they were
-  /// before, whatever was put back in between.
+  /// Seeds the adjoints of the losses and runs the adjoints in reverse. Ends
+  /// recording first. Fails if an adjoint would read a value that has been
+  /// changed since the last launch of the sequence. Primal fields hold the same
+  /// values before and after.
   Status backward();
 
-  /// Runs the recorded launches again on the present contents of the fields.
-  /// backward: clears the gradients, then as backward(). Random numbers are
-  /// drawn anew by a forward replay.
+  /// `forward`: runs the recorded launches again on the current contents of the
+  /// fields, with new random numbers. `backward`: clears the gradients, then
+  /// does backward().
   Status replay(bool forward, bool backward);
 
-  /// Launches one record again, on what the fields hold now and with the random
-  /// numbers it had. Another tape that records records it.
+  /// Runs one record again, on the current contents of the fields and with the
+  /// same random numbers. Recorded by another tape, if one is recording.
   Status runRecord(int64_t record);
 
   //===--------------------------------------------------------------------===//
-  // What one sees
+  // Inspection
   //===--------------------------------------------------------------------===//
 
   int64_t numRecords() const;
   /// The kernel of a record, or null for a host function.
   const Kernel *kernelOf(int64_t record) const;
   const uint64_t *argsOf(int64_t record) const;
-  /// Records that the last reverse sweep skipped (before the first: that one
-  /// seeded by the loss alone would).
+  /// The number of records that the last reverse sweep skipped (before the
+  /// first sweep: that a sweep seeded by the loss alone would skip).
   int64_t numSkipped();
-  /// Adjoints that the reverse sweep would launch and that have not been made,
-  /// so that they can be compiled together ahead of it. `cleared`: the
-  /// gradients will be cleared before, as a replay does.
+  /// Adjoints that the reverse sweep would launch and that have not been
+  /// compiled, so that they can be compiled together before it. `cleared`: the
+  /// gradients will be cleared before, as by a replay.
   std::vector<PendingAdjoint> pendingAdjoints(bool cleared = false);
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
   TapeStats stats() const;
   std::vector<FieldOverwrite> overwrites() const;
-  /// What a careful user should know about the last sweep, one line each.
+  /// Warnings about the last sweep, a line for each.
   const std::vector<std::string> &warnings() const;
-  /// Whether reverse sweeps from now on examine each adjoint they replay, and
-  /// what the last one found, in its order.
+  /// Makes later reverse sweeps examine the result of each adjoint; and the
+  /// findings of the last sweep, in its order.
   void watchHealth(bool on);
   const std::vector<RecordHealth> &health() const;
 
@@ -139,23 +138,23 @@ public:
   // For the runtime
   //===--------------------------------------------------------------------===//
 
-  /// Launches and records, with its parts where it is made of such.
+  /// Launches and records a kernel, or the parts that it was split into.
   Status launch(Launch &launch, Kernel &kernel, const uint64_t *args,
                 uint64_t *results, uint64_t number) override;
-  /// Changes a field on behalf of the host, and records that.
+  /// Performs a write of the host, and records it.
   Status write(const HostWrite &write) override;
-  /// To be called before the host makes cells of the tree active.
+  /// Call before the host activates cells of the tree.
   void watch(const TreePtr &tree) override;
-  /// Changes the activity of a tree on behalf of the host, and records that.
+  /// Runs `change`, which changes the activity of a tree, and records it.
   Status changeActivity(const TreePtr &tree,
                         std::function<Status()> change) override;
-  /// Whether the gradient needs what the field holds. What is recomputed reads
-  /// whatever launches read.
-  bool minds(const Field &field) const override;
-  /// Whether it holds the field, or has.
+  /// Whether the gradient needs the values of the field. With checkpoints,
+  /// re-executed launches need whatever launches read.
+  bool needsValues(const Field &field) const override;
+  /// Whether it holds, or has held, the field.
   bool uses(const FieldPtr &field) const override;
-  /// What the loops of a kernel went over that the host function launched whose
-  /// reverse is running.
+  /// During the reverse of a host function: the cells that the loops of a
+  /// kernel, launched by the function, visited.
   Status findLoops(Kernel &kernel, LoopLists &lists, bool &found) override;
 
 private:

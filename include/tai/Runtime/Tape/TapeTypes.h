@@ -1,4 +1,4 @@
-//===- TapeTypes.h - What goes into a tape and comes out --------*- C++ -*-===//
+//===- TapeTypes.h - Public types of tapes ---------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -17,31 +17,31 @@ namespace mlir::tai::runtime {
 class Field;
 class Kernel;
 
-/// A host function in the sequence. It may be called again by a replay.
+/// A host function in the recorded sequence.
 struct TapeCallback {
-  /// Called by a forward replay in place of what ran when it was recorded; may
-  /// be empty.
+  /// Called by a forward replay, in place of the recorded execution; may be
+  /// empty.
   std::function<Status()> forward;
   /// Called at its place in the reverse sweep; may be empty.
   std::function<Status()> backward;
 };
 
-/// What a tape keeps.
+/// Memory statistics of a tape.
 struct TapeStats {
-  /// Bytes of overwritten values that it keeps now, and most at any time.
+  /// Bytes of saved values, now and at most.
   int64_t savedBytes = 0;
   int64_t peakBytes = 0;
-  /// With a checkpoint policy: the most snapshots at any time, the bytes of the
-  /// largest, how many records have been executed again in all sweeps, and how
-  /// many a sweep that knew their number beforehand would execute again with as
-  /// many snapshots, by the binomial formula.
+  /// With a checkpoint policy: the maximum number of snapshots, the bytes of
+  /// the largest, the number of re-executed records in all sweeps, and the
+  /// optimum for one sweep with as many snapshots if the number of records were
+  /// known in advance (binomial formula).
   int64_t snapshots = 0;
   int64_t snapshotBytes = 0;
   int64_t recomputed = 0;
   int64_t optimum = 0;
 };
 
-/// How a tape recomputes values instead of saving all that are overwritten.
+/// How a tape trades recomputation for saved values.
 struct CheckpointPolicy {
   enum class Kind : uint8_t {
     None,     // saves
@@ -50,31 +50,32 @@ struct CheckpointPolicy {
     Mixed     // as periodic where the values between two fit
   };
   Kind kind = Kind::None;
-  /// Most snapshots; 0 for about the square root of the number of records.
+  /// Maximum of snapshots; 0 for about the square root of the number of
+  /// records.
   int64_t snapshots = 0;
-  /// Most bytes of snapshots and saved values; 0 for no limit.
+  /// Maximum of bytes in snapshots and saved values; 0 for no limit.
   int64_t budget = 0;
 };
 
-/// An adjoint that a sweep will launch and that has not been made.
+/// An adjoint that a sweep will launch and that has not been compiled.
 struct PendingAdjoint {
   Kernel *kernel;
-  /// The form that zeroes the adjoints of what the kernel overwrites.
+  /// The zeroing variant: zeroes the adjoints of the overwritten elements.
   bool zeroes;
-  /// The form that loads what the kernel has stored.
+  /// The variant that loads stored outputs.
   bool loadsStored;
 
   bool operator==(const PendingAdjoint &other) const {
     return kernel == other.kernel && zeroes == other.zeroes &&
            loadsStored == other.loadsStored;
   }
-  /// Makes it now. Any thread.
+  /// Compiles it now. Thread-safe.
   Status resolve() const;
 };
 
-/// What the adjoint of a record left in the adjoint of a field that it adds to;
-/// of the elements at the record's fixed index, where it has one. For a host
-/// function, one for each adjoint that may be non-zero.
+/// Statistics of an adjoint field after the adjoint of a record has added to
+/// it; only of the slab of the record's fixed index, if it has one. For a host
+/// function, one for each adjoint field that may be non-zero.
 struct RecordHealth {
   int64_t record;
   const Field *field;

@@ -1,4 +1,4 @@
-//===- Printer.h - Where printed lines go -----------------------*- C++ -*-===//
+//===- Printer.h - Output of kernels ---------------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,13 +14,13 @@
 
 namespace mlir::tai::runtime {
 
-/// Lines of kernels, each in one piece, from any thread.
+/// Prints lines of kernels atomically. Thread-safe.
 class Printer {
 public:
-  /// Takes one whole line a call, with its newline.
+  /// Called with one complete line, including its newline.
   using Sink = std::function<void(std::string_view line)>;
 
-  /// None: the standard output.
+  /// An empty sink stands for the standard output.
   void setSink(Sink newSink);
   void print(std::string_view line);
 

@@ -1,4 +1,4 @@
-//===- FixedParts.h - Parts that no number of threads decides ---*- C++ -*-===//
+//===- FixedParts.h - Thread-independent partitions ------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,9 +13,10 @@
 
 namespace mlir::tai::runtime {
 
-/// The parts of a loop of `n` iterations that take `cost` nanoseconds each, by
-/// the estimate of the compiler. It depends on the loop alone. Every part costs
-/// a private copy of what is reduced, so there are few.
+/// The number of partitions of a loop of `n` iterations of `cost` nanoseconds
+/// each, by the estimate of the compiler. Depends on the loop alone, not on the
+/// number of threads. Every partition needs a private copy of the reduced
+/// values, so there are few.
 inline int64_t fixedParts(int64_t n, double cost) {
   constexpr int64_t partNs = 16000, mostParts = 32;
   double exact = static_cast<double>(n) * std::max(cost, 1e-3);

@@ -1,4 +1,4 @@
-//===- Safepoint.h - Where running work looks up ----------------*- C++ -*-===//
+//===- Safepoint.h - Points of interruption --------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -7,14 +7,14 @@
 //
 // Long work (a launch, a reverse sweep, a compilation, a wait for a device)
 // reaches a safepoint every few milliseconds. There the host may interrupt it,
-// or take the chance to let its other threads run: Python handles its signals
-// and gives up its lock.
+// or let its other threads run: Python handles signals and releases its lock
+// (GIL).
 //
 // A clock thread counts ticks of 20 ms. Compiled code compares the tick with
-// the one that its frame has seen, at the back edges of its loops
-// (docs/decisions/0019-safepoints.md), and calls the runtime where they differ.
-// The clock stands still while nobody looks at it, so an idle process is left
-// alone.
+// the one in its frame, at the back edges of loops
+// (docs/decisions/0019-safepoints.md), and calls the runtime if they differ.
+// The clock stops while no work polls it, so that an idle process has no
+// wake-ups.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,8 +34,8 @@ extern std::atomic<uint64_t> tai_rt_tick;
 
 namespace mlir::tai::runtime::safepoint {
 
-/// What the host does at a safepoint, on the thread whose work has reached it.
-/// Returns 0 to interrupt that work.
+/// The host's callback at a safepoint, on the thread that has reached it.
+/// Returns 0 to interrupt the work of that thread.
 using Handler = int (*)();
 
 /// One handler for the process; null for none.
@@ -43,13 +43,14 @@ void setHandler(Handler handler);
 
 inline uint64_t now() { return tai_rt_tick.load(std::memory_order_relaxed); }
 
-/// Makes all work look up at once. Safe in a signal handler.
+/// Makes all work reach the slow path of its next safepoint. Safe in a signal
+/// handler.
 inline void request() { tai_rt_tick.fetch_add(1, std::memory_order_relaxed); }
 
-/// Asks the host. Returns false where the work of this thread is to end.
+/// Calls the handler. Returns false if the work of this thread must stop.
 bool look();
 
-/// The same for a place that is passed often: asks once a tick.
+/// The same for frequent safepoints: calls the handler once in a tick.
 class Watch {
 public:
   bool look() {
@@ -64,8 +65,8 @@ private:
   uint64_t seen = now();
 };
 
-/// Waits until `done()`, which `changed` announces, with safepoints between.
-/// Returns false if the wait was interrupted; the lock is held either way.
+/// Waits on `changed` until `done()`, with safepoints in between. Returns false
+/// if the wait was interrupted; the lock is held either way.
 template <typename Done>
 bool wait(std::condition_variable &changed, std::unique_lock<std::mutex> &lock,
           const Done &done) {
@@ -79,24 +80,25 @@ bool wait(std::condition_variable &changed, std::unique_lock<std::mutex> &lock,
   return true;
 }
 
-/// Takes a lock that another thread may hold for long. While it waits, the host
-/// may let its other threads run, the holder among them. Not interrupted.
+/// Locks a mutex that another thread may hold for long, with safepoints in
+/// between, so that the host can let the owner run. Cannot be interrupted.
 template <typename Mutex> void lock(Mutex &mutex) {
   while (!mutex.try_lock_for(std::chrono::milliseconds(5)))
     (void)look();
 }
 
-/// Ends the clock for good, before the end of the process.
+/// Stops the clock permanently, before the process exits.
 void stopClock();
 
-/// Says that the calling thread runs parts of others' work, and never asks.
+/// Marks the calling thread as a worker, whose safepoints never call the
+/// handler.
 void enterWorker();
-/// Says that the calling thread, instead of asking, ends its work once the flag
-/// is set, as whoever waits for it does then.
+/// Makes the safepoints of the calling thread check the flag instead of calling
+/// the handler: its work stops once the flag is set.
 void follow(const std::atomic<bool> *isCancelled);
 bool isWorker();
 
-/// A number of the calling thread, not 0, which no other one has.
+/// A unique non-zero number of the calling thread.
 uint32_t threadNumber();
 
 } // namespace mlir::tai::runtime::safepoint

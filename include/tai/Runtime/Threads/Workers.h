@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The worker threads of one runtime, which begin when the first loop wants
-// them, and into how many parts a loop is cut.
+// The worker threads of one runtime, started by the first loop that needs them,
+// and the partitioning of loops.
 //
 //===----------------------------------------------------------------------===//
 
@@ -38,23 +38,25 @@ public:
   bool isDeterministic() const { return deterministic; }
   void setDeterministic(bool on) { deterministic = on; }
 
-  /// Into how many parts a loop is cut: of `n` iterations that take `cost`
-  /// nanoseconds each, by the estimate of the compiler or as measured.
+  /// The number of partitions of a loop of `n` iterations of `cost` nanoseconds
+  /// each, estimated by the compiler or measured.
   int64_t partition(int64_t n, double cost, bool reduces);
-  /// Below this a fork does not pay even with workers that wait for it.
+  /// Nanoseconds below which a fork is not worth it even if workers are
+  /// spinning.
   static constexpr int64_t leastNs = 4000;
-  /// Parts of work on so many bytes, some for each thread.
+  /// The number of parts for work on `bytes` bytes, at most two for each
+  /// thread.
   int64_t partsOf(int64_t bytes, int64_t bytesPerPart) const {
     return std::clamp<int64_t>(bytes / bytesPerPart, 1,
                                2 * int64_t(numThreads));
   }
 
-  /// Calls task(context, p) for p in [0, parts); and `look`, unless that is
-  /// null, now and then while it waits for the workers.
+  /// Calls task(context, p) for p in [0, parts); and `look`, unless null,
+  /// repeatedly while it waits for the workers.
   void parallel(int64_t parts, void (*task)(void *context, int64_t part),
                 void *context, void (*look)(void *context) = nullptr);
 
-  /// Loops that used workers, and those too small to pay for a fork.
+  /// The number of loops that used workers, and of those too small for a fork.
   int64_t numForks() const { return forks.load(std::memory_order_relaxed); }
   int64_t numInline() const {
     return inlineLoops.load(std::memory_order_relaxed);
@@ -62,7 +64,7 @@ public:
 
 private:
   WorkerPool &get();
-  /// In a forked child the threads are not there.
+  /// For a forked child, in which the threads do not exist.
   void leaveParent();
 
   int numThreads;

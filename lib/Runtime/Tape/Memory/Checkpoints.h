@@ -5,14 +5,14 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Snapshots of what launches change. A snapshot at a record holds the contents,
-// as they were there, of all cells that change from it to the next: they are
-// copied when they are first changed. To go back to a record is to put back
-// the snapshots from the last one to that one.
+// Incremental snapshots. A snapshot at a record holds the contents, at that
+// time, of all cells that change between it and the next snapshot: they are
+// copied before their first change. A record's state is restored by restoring
+// the snapshots from the last one down to that record's.
 //
-// How many records there will be is not known while they are recorded. So the
-// first snapshots are dense, and whenever there are too many of them, each
-// second one is merged into the one before.
+// The number of records is not known while recording (online checkpointing). So
+// the first snapshots are dense, and whenever there are too many, every second
+// one is merged into the one before.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,10 +24,10 @@
 
 namespace mlir::tai::runtime {
 
-/// Steps that have to be run again, at least, to go through `steps` of them in
-/// reverse with this many snapshots, the one at the start among them.
+/// The minimum number of re-executed steps to reverse `steps` steps with this
+/// many snapshots, including the one at the start.
 int64_t binomialCost(int64_t steps, int64_t snapshots);
-/// Where to put the next snapshot to meet that number.
+/// The position of the next snapshot in an optimal schedule.
 int64_t binomialSplit(int64_t steps, int64_t snapshots);
 
 class Checkpoints {
@@ -37,38 +37,38 @@ public:
 
   const CheckpointPolicy &getPolicy() const { return policy; }
 
-  /// Forgets all snapshots: the sequence is about to run from its start.
+  /// Drops all snapshots, before the sequence runs from its start.
   void restart();
-  /// Called before each record while the sequence first runs: takes a snapshot
+  /// Call before each record while the sequence first runs: takes a snapshot
   /// where one is due.
   void reach(uint32_t record);
-  /// Copies a slab that is about to change, and after the launch forgets what
-  /// did not.
+  /// Copies a slab before it may change; settle drops, after the launch, copies
+  /// of cells that did not change.
   Status log(Track &track, int64_t slab);
   void settle();
 
-  /// Takes a snapshot at a record, on top of the others.
+  /// Pushes a new snapshot, at a record.
   void push(uint32_t record);
-  /// Makes memory what it was at the topmost one.
+  /// Restores memory to the topmost snapshot.
   void restore();
-  /// Gives up the topmost one; memory is that of its record.
+  /// Drops the topmost snapshot, after restore().
   void pop();
   int64_t count() const { return static_cast<int64_t>(logs.size()); }
   uint32_t start(int64_t number) const { return logs[number].start; }
   uint32_t topStart() const { return logs.back().start; }
-  /// What the topmost snapshot may still grow by.
+  /// An estimate, in bytes, of how much the topmost snapshot may still grow.
   int64_t growth() const { return largest - logs.back().bytes; }
 
-  /// Keeps what the fields hold at the end, and puts it back.
+  /// Save the contents of the fields at the end, and restore them.
   Status keepFinal();
   void restoreFinal();
 
-  /// Bytes of the largest snapshot and of all of them with what the fields hold
-  /// at the end; most snapshots at any time.
+  /// Bytes of the largest snapshot, of all of them with the final contents; the
+  /// maximum number of snapshots.
   int64_t snapshotBytes() const { return largest; }
   int64_t bytes() const { return total; }
   int64_t mostSnapshots() const { return most; }
-  /// Fails if the budget cannot even hold the least that is needed.
+  /// Fails if the budget is below the minimum that is needed.
   Status checkBudget(int64_t leafBytes) const;
 
 private:
@@ -76,7 +76,7 @@ private:
     uint32_t start;
     uint32_t id;
     int64_t bytes = 0;
-    /// Later ones hold what is older.
+    /// Later pieces hold older contents.
     std::vector<Piece> pieces;
   };
   void mergeIntoPrevious(size_t index);
@@ -88,7 +88,7 @@ private:
   std::vector<Log> logs;
   std::vector<Piece> finals;
   size_t unsettled = 0;
-  /// Sparse fields that the record which runs may extend.
+  /// Sparse fields whose cells the running record may activate.
   std::vector<Track *> growing;
   uint32_t ids = 0;
   uint32_t stride = 1;

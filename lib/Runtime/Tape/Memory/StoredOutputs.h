@@ -1,15 +1,14 @@
-//===- StoredOutputs.h - What stands where it was stored --------*- C++ -*-===//
+//===- StoredOutputs.h - Unchanged stored outputs --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// An adjoint has a form that loads values which its kernel has stored, where
-// that saves computing them once more. A launch is reversed by it if nothing
-// that the tape has seen since has changed the slabs which it stored to: then
-// the fields still hold them. This remembers, for one field, who has stored to
-// each slab last.
+// An adjoint may have a variant that loads values which its kernel has stored
+// instead of recomputing them. It is valid for a launch if no later record has
+// changed the slabs that the launch stored to. This tracks, for one field, the
+// record that last stored to each slab.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,10 +25,10 @@ class StoredOutputs {
 public:
   bool any() const { return anyStored; }
 
-  /// The record of this stamp has stored to a slab of `count`, or to one that
-  /// is not known, for -1. `lost` is told which records, by their stamps, lose
-  /// what they stored. Of two that store there, only the later one is looked
-  /// after.
+  /// Notes that the record with this stamp has stored to `slab` of `count`
+  /// slabs, or to an unknown one (-1). Sets `lost`, by stamp, for records whose
+  /// stored values may be overwritten. Only the last record that stored to a
+  /// slab is tracked.
   void mark(int64_t slab, int64_t count, uint32_t stamp,
             std::vector<bool> &lost) {
     lose(slab, lost, stamp);
@@ -43,8 +42,8 @@ public:
     at[slab] = stamp;
   }
 
-  /// A slab, or all of them for -1, changes. The record of the stamp `keeps`
-  /// does not lose what it stored.
+  /// Notes that a slab, or any for -1, changes. The record with the stamp
+  /// `keeps` does not lose its stored values.
   void lose(int64_t slab, std::vector<bool> &lost, uint32_t keeps = 0) {
     if (!anyStored)
       return;
@@ -67,8 +66,8 @@ public:
   }
 
 private:
-  /// Stamps of the record that has stored to each slab, and to one at an
-  /// unknown place, and whose adjoint may load that; 0 once it was changed.
+  /// Stamps of the records that stored to each slab, and to an unknown slab,
+  /// and whose adjoints may load that; 0 after a change.
   std::vector<uint32_t> at;
   uint32_t anywhere = 0;
   bool anyStored = false;

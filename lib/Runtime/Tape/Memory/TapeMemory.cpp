@@ -1,4 +1,4 @@
-//===- TapeMemory.cpp - What a tape knows and keeps of memory -------------===//
+//===- TapeMemory.cpp - Saved values of a tape ----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -110,7 +110,7 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   mergeSlabs(uses->reads);
   mergeSlabs(uses->stored);
   mergeSlabs(uses->touches);
-  uses->reruns = plan.reruns;
+  uses->reexecutes = plan.reexecutes;
   return *uses;
 }
 
@@ -462,7 +462,7 @@ template <typename Visit> void TapeMemory::forEachEntered(const Visit &visit) {
       visit(pieces[i - 1]);
 }
 
-void TapeMemory::enter(uint32_t record, bool reruns) {
+void TapeMemory::enter(uint32_t record, bool reexecutes) {
   while (cursor > 0 && pieces[cursor - 1].record > record) {
     uint32_t last = pieces[cursor - 1].record;
     some.clear();
@@ -475,7 +475,7 @@ void TapeMemory::enter(uint32_t record, bool reruns) {
   some.clear();
   forEachEntered([&](Piece &piece) { some.push_back(&piece); });
   swapAll(some);
-  if (!reruns)
+  if (!reexecutes)
     return;
   beforeCopy.clear();
   beforeBlocks.clear();
@@ -494,8 +494,8 @@ void TapeMemory::enter(uint32_t record, bool reruns) {
   });
 }
 
-void TapeMemory::leave(bool reruns) {
-  if (!reruns)
+void TapeMemory::leave(bool reexecutes) {
+  if (!reexecutes)
     return;
   size_t at = 0, next = 0;
   forEachEntered([&](Piece &piece) {

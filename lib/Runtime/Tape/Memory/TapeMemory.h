@@ -1,16 +1,16 @@
-//===- TapeMemory.h - What a tape knows and keeps of memory -----*- C++ -*-===//
+//===- TapeMemory.h - Saved values of a tape -------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Adjoints read primal values, and find them in the fields: as long as nothing
-// has overwritten them. For each slab of a field (the elements with one index
-// along the dimension that launches fix) this remembers which record last reads
-// it in reverse. A launch that is about to change such a slab has its contents
-// copied first; afterwards, only copies of cells that really changed are kept.
-// The reverse sweep swaps them back in, and forward again when it is done.
+// Adjoints read primal values from the fields, unless these have been
+// overwritten. For each slab of a field (the elements with one index along the
+// dimension of a fixed index) this tracks the last record whose adjoint reads
+// it. Before a launch changes such a slab, its contents are copied; afterwards,
+// only copies of cells that have really changed are kept. The reverse sweep
+// swaps them back in, and finally restores the last contents.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,7 +26,7 @@ class TapeMemory {
 public:
   explicit TapeMemory(Runtime &runtime) : runtime(runtime) {}
 
-  /// From now on, what changes goes into snapshots while the sequence runs.
+  /// From now on, while the sequence runs, changes go into snapshots.
   void useCheckpoints(Checkpoints *snapshots) { checkpoints = snapshots; }
 
   /// A slab, or all of a field for -1.
@@ -41,15 +41,16 @@ public:
   /// How the launches of a kernel use one field.
   struct Use {
     Track *track;
-    /// Where the slab follows from the arguments.
+    /// The index of the slab in terms of arguments, if fixed.
     std::optional<FixedIndex> fixed;
     int64_t firstIndex = 0;
-    /// Of changes: the adjoint reads the field as before the launch.
+    /// For changes: the adjoint reads the version of the field before the
+    /// launch.
     bool before = false;
 
-    /// The slab, or -1 for any.
+    /// The slab for these arguments, or -1 for any.
     int64_t locate(const uint64_t *args) const;
-    /// Whether it is at the same slab in all launches.
+    /// Whether it is the same slab in all launches.
     bool isConstant() const { return !fixed || fixed->terms.empty(); }
     bool operator==(const Use &other) const {
       return track == other.track && fixed == other.fixed;
@@ -57,18 +58,18 @@ public:
   };
   struct KernelUses {
     std::vector<Use> changes;
-    /// By the adjoint.
+    /// Reads of the adjoint.
     std::vector<Use> reads;
-    /// By the form of it that loads what the kernel has stored.
+    /// Reads of the adjoint variant that loads stored outputs.
     std::vector<Use> stored;
-    /// By the kernel, where it changes or reads them: what a host function of
-    /// which it is a part may read in reverse.
+    /// Changes and reads of the kernel itself: what the reverse of a host
+    /// function that launches it may read.
     std::vector<Use> touches;
-    bool reruns = false;
+    bool reexecutes = false;
   };
-  /// Plans the adjoint of the kernel if need be.
+  /// The uses of a kernel; plans its adjoint if necessary.
   const KernelUses &usesOf(Kernel &kernel);
-  /// The same, or null where nobody has asked yet.
+  /// The same, or null if not known yet.
   const KernelUses *findUses(const Kernel &kernel) const {
     auto found = kernelUses.find(&kernel);
     return found == kernelUses.end() ? nullptr : found->second.get();
@@ -78,35 +79,36 @@ public:
   // Forward
   //===--------------------------------------------------------------------===//
 
-  /// Before and after a launch. `record` is the number that it has or will
-  /// have, or that of the host function that it is part of.
+  /// Call before and after a launch. `record`: its number, or that of the host
+  /// function that it belongs to (`isPart`).
   Status beforeLaunch(const KernelUses &uses, const uint64_t *args,
                       uint32_t record, bool isPart);
   void afterLaunch(const KernelUses &uses, const uint64_t *args,
                    uint32_t record);
-  /// After a launch that is part of a host function, which may read in reverse
-  /// whatever it has touched.
+  /// Call after a launch of a host function, whose reverse may read whatever
+  /// the launch has accessed.
   void afterPart(const KernelUses &uses, const uint64_t *args);
-  /// Before and after the host writes a field or (one index) a slab of it.
+  /// Call before the host writes a field or, with an index, a slab of it.
   Status beforeWrite(const FieldPtr &field, const int64_t *index,
                      uint32_t record);
-  /// The host function to which all parts since the last call belong.
+  /// Assigns all launches since the last call to a host function.
   void endParts(uint32_t record, bool readsInReverse);
-  /// Drops the copies of what did not change.
+  /// Drops copies of cells that did not change.
   void settle();
 
-  /// Starts a forward replay of the same records; then before each of them.
+  /// Starts a forward replay of the same records; call beforeReplay before each
+  /// of them.
   void restart();
   /// `oldest`: the first record whose adjoint may need what is overwritten.
   Status beforeReplay(uint32_t record, uint32_t oldest = 0);
-  /// Forgets what was saved; the records from this one on will run again.
+  /// Drops saved values; the records from this one on will be re-executed.
   void beginSegment(uint32_t record);
-  /// The most that running [from, to) may save.
+  /// An upper bound of the bytes that running [from, to) may save.
   int64_t mostBytes(uint32_t from, uint32_t to) const;
-  /// What a host function or a write of the host changes; kept for snapshots
-  /// only.
+  /// The parts that a host function or a write of the host changes; for
+  /// snapshots only.
   const std::vector<Part> &partsAt(size_t record) const;
-  /// Something has changed memory that no record stands for.
+  /// Whether memory was changed by something that is not recorded.
   bool lostChanges() const { return lost; }
   void notePeak();
 
@@ -116,43 +118,44 @@ public:
 
   /// Fails if a tree has been destroyed.
   Status beginReverse();
-  /// Makes memory what it was after the record, or, where its adjoint wants it
-  /// so, before. An adjoint that reruns its kernel changes such fields while it
-  /// runs; `leave` then puts them back once more.
-  void enter(uint32_t record, bool reruns);
-  void leave(bool reruns);
-  /// Makes memory what it was after all records.
+  /// Restores memory to the state after the record, or, for fields that its
+  /// adjoint reads in the version before, to that. If the adjoint `reexecutes`
+  /// (re-executes) its kernel, it changes such fields; `leave` then restores
+  /// them again.
+  void enter(uint32_t record, bool reexecutes);
+  void leave(bool reexecutes);
+  /// Restores memory to the state after all records.
   void endReverse();
 
   int64_t savedBytes() const { return saved; }
   int64_t peakBytes() const { return peak; }
-  /// Bytes kept at a record.
+  /// Bytes saved at a record.
   int64_t bytesAt(uint32_t record) const;
-  /// Fields that some adjoint reads.
+  /// Whether some adjoint reads the field.
   bool isRead(const Field &field) const;
-  /// Fields that hold what some adjoint may load as stored.
+  /// Whether the field holds stored outputs that some adjoint may load.
   bool isStored(const Field &field) const {
     const Track *track = findTrack(field);
     return track && track->stored.any();
   }
-  /// Whether what the record has stored was not changed by a later one.
+  /// Whether no later record has changed the stored outputs of this one.
   bool holdsStored(uint32_t record) const {
     uint32_t stamp = stampOf(record);
     return stamp >= lostStored.size() || !lostStored[stamp];
   }
-  /// Fields that some record reads or changes.
+  /// Whether some record reads or changes the field.
   bool isTouched(const Field &field) const { return findTrack(field); }
-  /// Fields that the reverse sweep needs as they are. What is recomputed reads
-  /// whatever launches read.
-  bool minds(const Field &field) const {
+  /// Whether the reverse sweep needs the current values of the field. With
+  /// checkpoints, re-executed launches need whatever launches read.
+  bool needsValues(const Field &field) const {
     return checkpoints ? isTouched(field) : isRead(field);
   }
   bool empty() const { return pieces.empty(); }
-  /// No launch of the sequence changes what an adjoint wants as it was.
+  /// Whether no launch of the sequence changes values that an adjoint reads.
   bool savesNothing() const { return pieces.empty() && candidates.empty(); }
 
 private:
-  /// A copy that may have to be made whenever the sequence runs.
+  /// A copy that may be needed whenever the sequence runs.
   struct Candidate {
     Track *track;
     int64_t slab;
@@ -169,10 +172,10 @@ private:
   Status save(const Candidate &candidate);
   Status addPiece(const Candidate &candidate, int64_t cell, int64_t endCell);
   void stampSaved(const Candidate &candidate, int64_t cell, int64_t endCell);
-  /// Cells that the record has made active held zeros before.
+  /// Saves zeros for cells that the record has activated.
   void keepZeros();
   static void swap(Piece &piece, std::vector<char> &spare);
-  /// Those of one record, on the workers where there is much to do.
+  /// Swaps the pieces of one record, on worker threads if there are many.
   void swapAll(const std::vector<Piece *> &some);
   template <typename Visit> void forEachEntered(const Visit &visit);
 
@@ -183,24 +186,24 @@ private:
   std::map<std::pair<const Tree *, int64_t>, std::unique_ptr<Track>> tracks;
   std::unordered_map<const Kernel *, std::unique_ptr<KernelUses>> kernelUses;
   std::vector<Candidate> candidates;
-  /// Of the record to come: what its host function touches, and changes.
+  /// For the next record: what its host function accesses, and changes.
   std::vector<Part> parts, changedParts;
   std::unordered_map<size_t, std::vector<Part>> partsByRecord;
   bool lost = false;
-  /// By stamp: records that have lost what they stored.
+  /// By stamp: records whose stored outputs have been changed.
   std::vector<bool> lostStored;
   Checkpoints *checkpoints = nullptr;
   /// In the order of their records.
   std::vector<Piece> pieces;
-  /// Those from here on have not been compared yet.
+  /// Pieces from here on have not been compared yet.
   size_t unsettled = 0;
-  /// Of the record that runs: what is kept of sparse fields.
+  /// For the running record: copies of sparse fields.
   std::vector<Candidate> growing;
   /// Next candidate of a forward replay.
   size_t nextCandidate = 0;
-  /// In a reverse sweep: pieces from here on have been put back.
+  /// In a reverse sweep: pieces from here on have been restored.
   size_t cursor = 0;
-  /// The record whose pieces of the kind `before` have been put back.
+  /// The record whose pieces with `before` have been restored, or -1.
   int64_t entered = -1;
   std::vector<char> spare;
   std::vector<Piece *> some;

@@ -1,4 +1,4 @@
-//===- TapeTopology.cpp - What a tape knows of activity -------------------===//
+//===- TapeTopology.cpp - The history of activity -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -265,7 +265,7 @@ void TapeTopology::forEachCleared(uint32_t record, const Body &body) const {
     }
 }
 
-void TapeTopology::runsAgain(uint32_t record) {
+void TapeTopology::beginReexecution(uint32_t record) {
   keptAdjoints.clear();
   if (!knowsEver)
     findEver();
@@ -277,7 +277,7 @@ void TapeTopology::runsAgain(uint32_t record) {
       });
 }
 
-void TapeTopology::ranAgain(uint32_t record) {
+void TapeTopology::endReexecution(uint32_t record) {
   const char *kept = keptAdjoints.data();
   forEachCleared(
       record, [&](const CellValues &values, const std::vector<int64_t> &cells) {

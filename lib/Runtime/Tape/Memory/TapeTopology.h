@@ -1,20 +1,20 @@
-//===- TapeTopology.h - What a tape knows of activity -----------*- C++ -*-===//
+//===- TapeTopology.h - The history of activity ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Which cells of sparse levels are active is memory that launches change, and
-// that adjoints read: loops go over active cells, `is_active` and `length` are
-// values, and adjoints are added to active cells alone. So the tape keeps what
-// each record changed, as lists of cells, and the reverse sweep goes through
-// the same states of activity backwards, and forward again when it is done.
+// The activity of sparse levels is memory that launches change and adjoints
+// read: loops visit active cells, `is_active` and `length` are values, and
+// adjoints are added to active cells only. So the tape records the changes of
+// each record, as lists of cells, and the reverse sweep restores the same
+// states of activity backwards, and finally the last one.
 //
-// What cells hold is the business of TapeMemory: here only bits and lengths
-// change. Adjoints of cells stay where they are while the cells are inactive,
-// as do those of a dense field; where cells were deactivated, that overwrote
-// them with zeros, and their adjoints become zero.
+// The contents of cells are handled by TapeMemory: here only bits and lengths
+// change. Adjoints of cells stay in place while the cells are inactive, like
+// those of a dense field; deactivation overwrites a cell with zeros, so its
+// adjoint becomes zero.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,14 +35,15 @@ public:
   // Forward
   //===--------------------------------------------------------------------===//
 
-  /// Before anything that may change activity in the tree.
+  /// Call before anything that may change activity in the tree.
   void watch(const TreePtr &tree);
-  /// After a record: keeps what it has changed, and what its loops went over.
+  /// Call after a record: settle records its changes, noteLoops the cells that
+  /// its loops visited.
   void settle(uint32_t record);
   void noteLoops(uint32_t record, const LoopLists &lists);
   /// Starts a forward replay of the same records.
   void restart();
-  /// After the last record.
+  /// Call after the last record.
   void end();
 
   //===--------------------------------------------------------------------===//
@@ -52,17 +53,18 @@ public:
   /// Fails if a tree has been destroyed, or cells were deactivated since.
   Status check() const;
   void beginReverse() { settle(kEnd); }
-  /// Makes activity what it was before the record, or after it.
+  /// Restores the activity before or after the record.
   void goBefore(uint32_t record) { seek(record); }
   void goAfter(uint32_t record) { seek(record + 1); }
-  /// The same for the sweep: adjoints of what was deactivated later are zero
-  /// from then on.
+  /// The same for the sweep: also zeroes adjoints of cells that later records
+  /// deactivated.
   void enter(uint32_t record);
-  /// Before and after the record is run again, from the state before it. The
-  /// adjoints of what it deactivates are those of a later time, and stay.
-  void runsAgain(uint32_t record);
-  void ranAgain(uint32_t record);
-  /// Makes activity what it was after all records. Adds a line to `notes` where
+  /// Call before and after the record is re-executed from the state before it.
+  /// Keeps the adjoints of cells that it deactivates: they belong to a later
+  /// time.
+  void beginReexecution(uint32_t record);
+  void endReexecution(uint32_t record);
+  /// Restores the activity after all records. Adds a line to `notes` if
   /// adjoints were lost.
   void endReverse(std::vector<std::string> &notes);
 
@@ -80,47 +82,47 @@ private:
   struct Watched {
     TreePtr tree;
     SparseNode *node;
-    /// Now, and before the first record.
+    /// The current active cells, and those before the first record.
     ActiveListPtr known, first;
-    /// All cells that a record has found or made active.
+    /// All cells that were active at any record.
     std::vector<int64_t> ever = {};
   };
-  /// What a record did to one level.
+  /// The changes of one level by a record.
   struct Change {
     uint32_t record;
     SparseNode *node;
     std::vector<int64_t> added, removed;
-    /// Those that were active before and have been inactive since.
+    /// Cells that were active before and have been inactive at some time since.
     std::vector<int64_t> cleared;
   };
 
   std::vector<Change>::const_iterator firstAt(uint32_t record) const;
   void update(Watched &entry, uint32_t record);
-  /// Where the tree is on a device, leaves that until somebody asks. False
-  /// where it is better done at once.
+  /// If the tree is on a device, defers the update. False if it must be done at
+  /// once.
   bool updateLater(const TreePtr &tree, uint32_t record);
   void add(Change change);
-  /// Makes activity what it was after this many records.
+  /// Restores the activity after this many records.
   void seek(uint32_t position);
   void clearAdjoints(const Change &change);
   /// Zeroes the adjoints in cells that are inactive after all records. Returns
-  /// how many held the gradient by what the field held before the first.
+  /// how many held the gradient with respect to the initial value of the field.
   int64_t dropAdjoints(const Change &change, Field &field,
                        size_t firstPassed) const;
   void noteRemovals(bool on);
-  /// Calls body(field) for the adjoints that lie in cells of the level.
+  /// Calls body(field) for each adjoint field in cells of the level.
   template <typename Body>
   void forEachAdjoint(const SparseNode &node, const Body &body) const;
-  /// The same as body(values, cells) for those in the memory that a record
-  /// clears; those of other times are there, too.
+  /// The same as body(values, cells) for adjoints in the memory that a record
+  /// clears; adjoints of other times are there, too.
   template <typename Body>
   void forEachCleared(uint32_t record, const Body &body) const;
   void findEver();
 
   Runtime &runtime;
   std::vector<Watched> watched;
-  /// In the order of their records; those from `cursor` on are undone, and the
-  /// sweep has passed those from `passed` on.
+  /// In the order of records; those from `cursor` on are undone, and the sweep
+  /// has passed those from `passed` on.
   std::vector<Change> changed;
   size_t cursor = 0;
   size_t passed = 0;

@@ -1,4 +1,4 @@
-//===- Track.cpp - What a tape knows of the memory of a field -------------===//
+//===- Track.cpp - The history of a field's memory ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,15 +1,15 @@
-//===- Track.h - What a tape knows of the memory of a field -----*- C++ -*-===//
+//===- Track.h - The history of a field's memory ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// For each slab of a field (the elements with one index along the dimension
-// that launches fix): who reads it last in reverse, and when its cells were
-// saved. Stamps order what happens to a cell. A cell is saved where the last
-// read is not older than the last save: a save at a record serves all reads
-// before it.
+// For each slab of a field (the elements with one index along the dimension of
+// a fixed index): the last record whose adjoint reads it, and when its cells
+// were saved. Stamps order these events. A cell must be saved if its last read
+// is not older than its last save: a save at a record serves all reads before
+// it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,31 +23,31 @@
 
 namespace mlir::tai::runtime {
 
-/// What is known of the memory of one field, under whatever name.
+/// The memory of one place, shared by all fields that name it.
 struct Track {
   Track(FieldPtr field, int dimension);
 
   FieldPtr field;
   Slabs slabs;
-  /// A cell is the unit in which changes are noticed: a slab or a part of one,
-  /// or what the field has in a cell of the sparse level above it.
+  /// The granularity of saving, called a cell here: a slab or part of one, or
+  /// the field's elements in a cell of the sparse level above it.
   int64_t cellElements;
   int64_t cellsPerSlab;
 
-  /// Stamps of the last record that reads each slab, any slab at an unknown
-  /// place, and anything at all.
+  /// Stamps of the last record that reads each slab, an unknown slab, and any
+  /// slab.
   std::vector<uint32_t> readAt;
   uint32_t readAnywhere = 0;
   uint32_t lastRead = 0;
   /// Stamp of the last save of each cell.
   std::vector<uint32_t> savedAt;
-  /// The snapshot that last took each cell, and marks for counting cells.
+  /// The last snapshot that copied each cell, and marks for counting cells.
   std::vector<uint32_t> loggedBy, marks;
   bool everSaved = false;
-  /// All that there are, where all are kept.
+  /// The list of all cells, if all are kept.
   ActiveListPtr everyCell;
 
-  /// What launches have stored and adjoints may load.
+  /// Stored outputs that adjoints may load.
   StoredOutputs stored;
 
   void markRead(int64_t slab, uint32_t stamp);
@@ -60,11 +60,11 @@ struct Track {
   int64_t numCells() const {
     return slabs.byCell() ? slabs.numCells() : slabs.count() * cellsPerSlab;
   }
-  /// Counts the cells that are active now among those of a sparse field.
-  /// Returns how many it had before.
+  /// Adds the currently active cells to those of a sparse field. Returns how
+  /// many it had before.
   int64_t refresh();
-  /// Cells of a slab (or of all, for -1): calls body(begin, end) for runs of
-  /// those that are wanted, none longer than a piece should be.
+  /// Calls body(begin, end) for runs of cells of a slab (or of all, for -1) for
+  /// which `wanted` holds, none longer than longestRun().
   template <typename Wanted, typename Body>
   Status forEachRun(int64_t slab, const Wanted &wanted, const Body &body) const;
   int64_t longestRun() const;
@@ -84,12 +84,12 @@ struct Track {
   }
 };
 
-/// Contents of consecutive elements of a field: zeros where there are no data,
-/// here or on the device.
+/// Saved contents of consecutive elements of a field, in `data` on the host or
+/// `block` on the device; neither stands for zeros.
 struct Piece {
   Track *track;
   uint32_t record;
-  /// Put back before the adjoint of the record instead of after it.
+  /// Restored before the adjoint of the record instead of after it.
   bool before;
   int64_t cell, endCell;
   std::unique_ptr<char[]> data;
@@ -99,10 +99,11 @@ struct Piece {
   int64_t count() const { return track->firstElement(endCell) - first(); }
   int64_t bytes() const { return count() * track->slabs.elementBytes(); }
   int64_t keptBytes() const { return data || block ? bytes() : 0; }
-  /// Copies what the field holds; fails where the tape would then keep more
-  /// than there is, `kept` being what it keeps so far.
+  /// Copies the contents of the field; fails if the tape would exceed the
+  /// memory limit. `kept`: bytes that it has saved so far.
   Status allocate(Runtime &runtime, int64_t kept);
-  /// Whether the field still holds that. On a device it is not worth the wait.
+  /// Whether the field still has these contents. False on a device, where the
+  /// comparison is not worth the wait.
   bool holds() const {
     if (block || track->slabs.onDevice())
       return false;
