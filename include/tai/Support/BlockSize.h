@@ -1,14 +1,14 @@
-//===- BlockSize.h - Threads of the blocks of a device function -*- C++ -*-===//
+//===- BlockSize.h - Block sizes of device functions -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A loop may say how many threads its blocks have, and one whose iterations a
-// warp shares adds in an order that depends on it. So its function carries the
-// number as a function attribute of LLVM, which is part of the op: passes may
-// drop what is discardable.
+// A loop may specify its block size, and the order of additions of a loop that
+// is distributed over a warp depends on it. So its function carries the number
+// as an LLVM function attribute in `passthrough`, which is inherent: passes may
+// drop discardable attributes.
 //
 //===----------------------------------------------------------------------===//
 
@@ -31,7 +31,7 @@ inline void setBlockSize(LLVM::LLVMFuncOp function, int64_t threads) {
   function.setPassthroughAttr(builder.getArrayAttr(attributes));
 }
 
-/// From 1 to 1024; nothing where any number will do.
+/// From 1 to 1024; none if not specified.
 inline std::optional<int64_t> getBlockSize(LLVM::LLVMFuncOp function) {
   ArrayAttr attributes = function.getPassthroughAttr();
   if (!attributes)

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The option `bounds`, and how passes tell one another what is checked; see
+// The option `bounds`, and the mark of checked accesses; see
 // docs/decisions/0018-hoisted-bounds.md.
 //
 //===----------------------------------------------------------------------===//
@@ -18,8 +18,8 @@
 
 namespace mlir::tai {
 
-/// What happens to an index that depends on data and is out of range: anything,
-/// the nearest element is taken, or the launch fails.
+/// The semantics of an index that depends on data and is out of range:
+/// undefined behaviour, the nearest element, or a failure of the launch.
 enum class BoundsMode { Off, Clamp, Check };
 
 inline llvm::StringRef stringifyBoundsMode(BoundsMode mode) {
@@ -34,8 +34,8 @@ inline llvm::StringRef stringifyBoundsMode(BoundsMode mode) {
   llvm_unreachable("all modes are handled");
 }
 
-/// On an access: all its indices lie in range, so that it needs no check. A
-/// pass that drops the attribute costs time and nothing else.
+/// On an access: all its indices are in range, so that it needs no check. A
+/// dropped attribute costs time only.
 constexpr llvm::StringLiteral kInRangeAttrName = "tai.in_range";
 
 } // namespace mlir::tai

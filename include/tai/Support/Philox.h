@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Philox 4x32-10, written from its definition in J. K. Salmon, M. A. Moraes,
-// R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3" (SC
-// 2011). A number depends on its counter and key alone, never on which thread
-// asks for it or in what order.
+// Philox 4x32-10, written from its definition in J. K. Salmon, M. A. Moraes, R.
+// O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3" (SC 2011).
+// A number depends on its counter and key alone, not on the thread or the order
+// of draws.
 //
 //===----------------------------------------------------------------------===//
 
@@ -52,7 +52,7 @@ inline std::array<uint32_t, 4> philox4x32(std::array<uint32_t, 4> counter,
 }
 #endif
 
-/// The bits of tai_rt_random_u32.
+/// The result of tai_rt_random_u32.
 inline uint32_t randomBits(uint64_t seed, uint64_t launch, uint64_t iteration,
                            uint32_t stream, uint32_t sequence) {
   // 192 bits of position and a counter of 128: the launch goes into the key,

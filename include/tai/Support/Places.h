@@ -1,11 +1,11 @@
-//===- Places.h - Where in a source an op comes from ------------*- C++ -*-===//
+//===- Places.h - Source locations for messages ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What messages name, as the compiler and as running code report them.
+// Used both by diagnostics and by messages of compiled code.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,10 +18,10 @@
 
 namespace mlir::tai {
 
-/// The place in a file that a location stands for, if it has one: the
-/// innermost, where functions were inlined.
+/// The file location of `location`, or null; for inlined code, that of the
+/// callee.
 inline FileLineColLoc findFileLocation(Location location) {
-  // A call site is where the inlined code stands, not where it was called.
+  // Of a call site, use the location in the callee.
   if (auto call = dyn_cast<CallSiteLoc>(location))
     return findFileLocation(call.getCallee());
   FileLineColLoc found;

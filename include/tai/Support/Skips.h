@@ -5,9 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The one list of skips, for the runtime, the passes, the tools and the C API.
-// Each has a switch and counters; results do not depend on the switch. To add
-// one, or a counter, add a line to Skips.def.
+// A skip is work that is left out where a scene does not need it: launches of
+// adjoints that are zero, for example. This is the list of skips for the
+// runtime, the passes, the tools and the C API. Each has a switch and counters;
+// results do not depend on the switch. To add a skip or a counter, add a line
+// to Skips.def.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,7 +36,7 @@ enum class SkipCount : uint8_t {
 
 struct SkipInfo {
   const char *name;
-  /// Its name before, which is read as well.
+  /// Its former name, which is accepted too.
   const char *former;
   const char *about;
 };
@@ -68,7 +70,7 @@ class SkipSet {
 public:
   static constexpr SkipSet all() { return SkipSet((1u << kNumSkips) - 1); }
   static constexpr SkipSet none() { return SkipSet(0); }
-  /// Those that decide code: the passes look at them.
+  /// Those that affect generated code: passes query them.
   static constexpr SkipSet ofCompiler() {
     return SkipSet(bit(Skip::ActivityTests) | bit(Skip::RepeatedLookups) |
                    bit(Skip::InactiveValues) | bit(Skip::UnneededRecords));
@@ -86,9 +88,9 @@ public:
   constexpr bool operator==(SkipSet other) const { return bits == other.bits; }
   constexpr bool operator!=(SkipSet other) const { return bits != other.bits; }
 
-  /// Reads "all", "none", or a comma list of names; "-name" takes one away. A
-  /// list that begins so starts with all. False, with what is wrong, where a
-  /// name is not known.
+  /// Parses "all", "none", or a list of names separated by commas; "-name"
+  /// removes one. A list that begins with "-name" starts from all. False, with
+  /// a message in `error`, for an unknown name.
   static bool parse(std::string_view text, SkipSet &set, std::string &error) {
     SkipSet result = none();
     bool first = true;
@@ -163,7 +165,7 @@ public:
   void add(SkipCount counter, int64_t amount = 1) {
     slot(counter).fetch_add(amount, std::memory_order_relaxed);
   }
-  /// For what only one thread at a time does.
+  /// Not atomic: for counters that only one thread at a time updates.
   void bump(SkipCount counter, int64_t amount = 1) {
     std::atomic<int64_t> &value = slot(counter);
     value.store(value.load(std::memory_order_relaxed) + amount,

@@ -20,7 +20,7 @@
 
 namespace mlir::tai::runtime {
 
-/// What went wrong. The first four have the numbers of TaiFailure in Abi.h.
+/// The kind of a failure. 1 to 4 are the numbers of TaiFailure in Abi.h.
 enum class StatusCode {
   Ok = 0,
   Assert = 1,
@@ -29,11 +29,11 @@ enum class StatusCode {
   Check = 4,
   /// A launch was stopped by Runtime::interrupt().
   Interrupted = 5,
-  /// A call that makes no sense in this state, or with these arguments.
+  /// An invalid call: wrong arguments, or not allowed in this state.
   Usage = 6,
-  /// A resolver could not compile a kernel or make its adjoint.
+  /// The KernelProvider could not compile a kernel or make its adjoint.
   Compile = 7,
-  /// A kernel returned non-zero without saying why.
+  /// A kernel returned non-zero without reporting a failure.
   Internal = 8
 };
 
@@ -63,7 +63,7 @@ public:
     static const std::string empty;
     return info ? info->where : empty;
   }
-  /// A number that a resolver passed along for its own use.
+  /// A number for the KernelProvider's own use; see FailureLog.
   int detail() const { return info ? info->detail : 0; }
 
 private:

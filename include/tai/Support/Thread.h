@@ -1,13 +1,13 @@
-//===- Thread.h - A thread that is always waited for ------------*- C++ -*-===//
+//===- Thread.h - A thread that is always joined ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What std::thread would be in code without exceptions: it says that the system
-// gives no more threads instead of throwing through frames that do not unwind,
-// and one that goes out of scope is joined instead of ending the process.
+// Like std::thread, for code without exceptions: `start` returns false if the
+// system cannot create a thread, instead of throwing, and the destructor joins
+// instead of terminating the process.
 //
 //===----------------------------------------------------------------------===//
 
@@ -37,9 +37,9 @@ public:
   }
   ~Thread() { join(); }
 
-  /// Runs the task on a thread of its own, which receives no signals: those
-  /// belong to the threads of the program. False, with nothing run, where there
-  /// are no more threads.
+  /// Runs the task on a new thread with all signals blocked, so that signals go
+  /// to the program's own threads. False, with nothing run, if no thread can be
+  /// created.
   bool start(std::function<void()> task, const char *name) {
     join();
     auto *copy = new Task{std::move(task), name};
@@ -58,7 +58,7 @@ public:
       pthread_join(handle, nullptr);
   }
 
-  /// Of a forked child, which has no other threads: there is nothing to join.
+  /// For a forked child, in which the thread does not exist: never join it.
   void forget() { isJoinable = false; }
 
 private:

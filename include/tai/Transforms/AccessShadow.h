@@ -1,12 +1,12 @@
-//===- AccessShadow.h - What checked kernels keep of accesses ---*- C++ -*-===//
+//===- AccessShadow.h - Shadow memory of checked kernels -------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The memory that `tai-instrument-accesses` makes kernels use: what the runtime
-// that launches them must agree on. No MLIR needed for the constants.
+// The layout of the shadow memory that `tai-instrument-accesses` adds to
+// kernels, shared with the runtime through tai/ABI/AccessLog.h.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,8 +21,8 @@ namespace mlir::tai {
 
 using namespace runtime::accesslog;
 
-/// The fields for which a checked kernel takes a shadow array, in the order of
-/// its arguments.
+/// The fields for which a checked kernel has a shadow array argument, in the
+/// order of the arguments.
 SmallVector<FieldOp> getShadowedFields(ModuleOp module);
 
 } // namespace mlir::tai

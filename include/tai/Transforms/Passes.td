@@ -14,9 +14,9 @@ def EliminateLocals : Pass<"tai-eliminate-locals"> {
   let summary = "turn mutable local variables into values";
   let description = [{
     Replaces each `tai.local_load` by the value that the last `tai.local_store`
-    wrote, or zero before the first (paper, figure 4, right). What a branch or a
-    loop writes leaves it as a result; what a loop carries from one iteration to
-    the next becomes one of its `iter_args`.
+    wrote, or zero before the first (paper, figure 4, right). Values written in
+    a branch or a loop become its results; those carried from one iteration to
+    the next become `iter_args`.
 
     A variable that is used in a parallel loop nested in its scope, or in an op
     that is not `scf.if`, `scf.for` or `scf.while`, is an error: iterations that
@@ -47,15 +47,14 @@ def EliminateLocals : Pass<"tai-eliminate-locals"> {
 }
 
 def SimplifyHugeBodies : Pass<"tai-simplify-huge-bodies"> {
-  let summary = "canonicalise the bodies of huge loops by themselves";
+  let summary = "canonicalise the bodies of huge loops separately";
   let description = [{
-    Runs the canonicalisation of all ops in each body that has at least
-    `min-ops` operations, and of what is nested in it, and makes one of equal
-    operations of the body, reads with no write between them too. To run in
-    front of `canonicalize` and `cse`, which then find little to do: the one
-    looks at all of a body again after each rewrite in it, to see whether the
-    loop around it is dead, the other at all between two equal reads, so that
-    their time grows with the square of the body.
+    Canonicalises each body with at least `min-ops` operations and its nested
+    ops, and eliminates common subexpressions in it, including reads without a
+    write in between. Runs before `canonicalize` and `cse`, which then have
+    little to do: their time is quadratic in the size of a body, because the
+    former visits the whole body again after each rewrite, to see whether the
+    loop is dead, and the latter scans all ops between two equal reads.
 
     Example: with `min-ops=3`,
 
@@ -67,8 +66,8 @@ def SimplifyHugeBodies : Pass<"tai-simplify-huge-bodies"> {
     }
     ```
 
-    becomes what `canonicalize` and `cse` make of it. A smaller body stays as it
-    is.
+    becomes the same as by `canonicalize` and `cse`. Smaller bodies are not
+    changed.
   }];
   let options = [
     Option<"minOps", "min-ops", "unsigned", /*default=*/"2000",
@@ -77,12 +76,12 @@ def SimplifyHugeBodies : Pass<"tai-simplify-huge-bodies"> {
 }
 
 def FoldAngles : Pass<"tai-fold-angles"> {
-  let summary = "fold the angle of the origin";
+  let summary = "fold atan2 of zeros";
   let description = [{
-    Replaces `math.atan2` of constants that are both zero by its value: zero or π
-    by the signs of the two, as computed at run time. To run in front of what
-    folds constants, for the folder of the op says that it is NaN. Operands that
-    are computed from constants count as such.
+    Replaces `math.atan2` of two zero constants by its value, 0 or π with the
+    signs of the operands, as at run time. Runs before constant folding, because
+    the folder of the op yields NaN. Operands that are computed from constants
+    count as constants.
 
     ```mlir
     %zero = arith.constant 0.0 : f64
@@ -107,14 +106,14 @@ def FlattenBranches : Pass<"tai-flatten-branches"> {
 
     - neither arm has a side effect or can fault: a `tai.load` counts as safe
       where its indices are known to lie in the field;
-    - neither arm can make a value or a derivative that is not finite from what
-      is: a division, root or logarithm stays under its condition unless its
+    - neither arm can produce a non-finite value or derivative from finite
+      values: a division, root or logarithm stays under its condition unless its
       operand is known to be safe. (Flattening these is how NaN enters the
       gradients of untaken branches.)
     - the arms together have at most `max-ops` operations.
 
-    Any other branch stays, and the adjoint mirrors it. With `force`, only side
-    effects, faults and loops keep a branch.
+    Other branches are not changed, and the adjoint mirrors them. With `force`,
+    only side effects, faults and loops keep a branch.
 
     ```mlir
     %r = scf.if %c -> (f32) {
@@ -142,19 +141,19 @@ def FlattenBranches : Pass<"tai-flatten-branches"> {
 }
 
 def InstrumentAccesses : Pass<"tai-instrument-accesses", "::mlir::ModuleOp"> {
-  let summary = "make kernels check the global data access rules as they run";
+  let summary = "instrument kernels to check the global data access rules";
   let description = [{
     Gives each kernel additional arguments at the end: a shadow array
     (`memref<?xi32>`) for each field of the module that has an adjoint, in the
     order of the module, a log (`memref<?xi64>`), and a number (`i32`), which is
     added to the numbers of its accesses. Each access to such a field then
-    leaves its number in the shadow array, and puts into the log what breaks a
-    rule: a write to an element that was read, a second store, a read of what
-    another iteration of the loop writes. See `tai/Runtime/AccessLog.h` for the
-    layout of both. What a kernel computes does not change.
+    stores its number in the shadow array, and logs violations: a write to an
+    element that was read, a second store, a read of an element that another
+    iteration of the loop writes. See `tai/ABI/AccessLog.h` for the layout of
+    both. The results of the kernel do not change.
 
-    `checked_accesses` says of each access its field, its use and where it
-    stands.
+    The attribute `checked_accesses` lists field, use and location of each
+    access.
 
     Calls hide accesses: run `inline` first. A store of a constant before all
     others counts as clearing, and not as the first of two stores.
@@ -206,11 +205,11 @@ def SummarizeKernels : Pass<"tai-summarize-kernels"> {
 }
 
 def MarkExclusive : Pass<"tai-mark-exclusive"> {
-  let summary = "find atomics that need not be atomic";
+  let summary = "find atomics on elements that no other iteration reaches";
   let description = [{
     Marks a `tai.atomic` as `exclusive` where no other iteration of the parallel
     loop around it writes the same element: all writes of the loop to that field
-    agree in indices that tell its iterations apart. The mark is removed where
+    agree in indices that differ between iterations. The mark is removed where
     that does not hold.
   }];
 }
@@ -220,21 +219,21 @@ def MarkExclusive : Pass<"tai-mark-exclusive"> {
 //===----------------------------------------------------------------------===//
 
 def CheckBounds : Pass<"tai-check-bounds"> {
-  let summary = "check indices before kernels run, and note which need no check";
+  let summary = "check indices before launches, and mark those that need no check";
   let description = [{
-    Looks at the indices of all accesses of a kernel. What follows from the
-    arguments of the kernel, from constants and from the bounds of loops alone is
-    decided before the kernel runs: if the affine indices of an access leave the
-    field (or array) in an iteration that is certain to run, `tai.precondition`
-    refuses the launch and names the first such element. Where all these numbers
-    are constants, nothing or a condition that never holds is left of that.
+    Analyses the indices of all accesses of a kernel. Indices that depend on the
+    arguments of the kernel, constants and loop indices alone are checked before
+    the kernel runs: if the affine indices of an access leave the field (or
+    array) in an iteration that is certain to run, a `tai.precondition` refuses
+    the launch and names the first such element. If all these numbers are
+    constants, the condition folds.
 
-    An access is certain to run if all conditions around it are affine in the
-    indices of loops and in what the launch is given, as in `if i > 0`: they are
-    part of what is decided. Below any other condition, and in the body of
-    `scf.while`, nothing is certain, and no launch is refused for the access.
+    An access is certain to run if all conditions around it are affine in loop
+    indices and arguments of the launch, as in `if i > 0`: they are part of the
+    precondition. Below any other condition, and in the body of `scf.while`,
+    nothing is certain, and no launch is refused for the access.
 
-    `bounds` says what happens to all other indices, which depend on data:
+    `bounds` selects the semantics of all other indices, which depend on data:
 
     - `off`: nothing. The behaviour of an index that is out of range is
       undefined.
@@ -283,12 +282,12 @@ def CheckBounds : Pass<"tai-check-bounds"> {
 }
 
 def NormalizeIndices : Pass<"tai-normalize-indices"> {
-  let summary = "write shifted and wrapped indices in one form";
+  let summary = "normalise shifted and wrapped indices";
   let description = [{
     Replaces an index of an access that is a shift of one index of the parallel
-    loop, wrapped around its range or not, by an addition and at most one
-    select on `index`. What an expression is, is found by evaluating it for each
-    value of the loop index, so the bounds of the loop must be constants.
+    loop, wrapped around its range or not, by an addition and at most one select
+    on `index`. The expression is recognised by evaluating it for each value of
+    the loop index, so the bounds of the loop must be constants.
 
     ```mlir
     // x[(i - 1) mod 8], in 32 bits, with the sign of the divisor
@@ -320,9 +319,9 @@ def ScatterToGather : Pass<"tai-scatter-to-gather"> {
     stencil. The addition is `exclusive`, so that it needs no atomic operation,
     its order is fixed, and the loop vectorises.
 
-    Left alone: additions at an index that is no shift of a loop index, loops
-    A loop over the inside of a field, which is more than half of it, becomes a
-    loop over all of the field, whose body asks whether it is inside.
+    A loop over the interior of a field, if that is more than half of it,
+    becomes a loop over the whole field, whose body tests whether it is in the
+    interior.
 
     Left alone: additions at an index that is no shift of a loop index, loops
     over less of the field, values that cannot be computed twice or that read
@@ -353,10 +352,10 @@ def ScatterToGather : Pass<"tai-scatter-to-gather"> {
 def VersionInterior : Pass<"tai-version-interior"> {
   let summary = "give a loop a second body for its interior";
   let description = [{
-    Where all questions that a body asks about the innermost loop index (is this
-    a border, does an index wrap) have one answer on most of its range, wraps
-    the body in an `scf.if` on that range, in which the answers are constants.
-    The branch carries the range as `tai.interior` for `tai-split-index-sets`.
+    Where all conditions of a body on the innermost loop index (is this a
+    border, does an index wrap) are constant on most of its range, wraps the
+    body in an `scf.if` on that range, with constants for these conditions. The
+    branch carries the range as `tai.interior` for `tai-split-index-sets`.
 
     ```mlir
     tai.parallel_for (%i) in @x {
@@ -388,7 +387,7 @@ def VersionInterior : Pass<"tai-version-interior"> {
 }
 
 def SplitIndexSets : Pass<"tai-split-index-sets"> {
-  let summary = "run the interior of a loop apart from its borders";
+  let summary = "split a loop into its interior and its borders";
   let description = [{
     Splits a serial loop whose body is a branch marked `tai.interior` into a
     loop over the interior, without the branch, and loops over the borders.
@@ -418,12 +417,13 @@ def SplitIndexSets : Pass<"tai-split-index-sets"> {
 }
 
 def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
-  let summary = "run several iterations around serial loops that carry sums";
+  let summary = "unroll and jam loops around serial reductions";
   let description = [{
-    Unrolls a loop whose annotation says that its accesses are parallel, and jams
-    the serial loops in it: each carries the sums of all iterations unrolled, up to
-    512 bits. A sum keeps its order, but additions do not wait for one another.
-    The bounds are the same in all iterations; branches without effects go.
+    Unrolls a loop that is annotated as parallel, and jams the serial loops in
+    it: each carries the sums of all unrolled iterations, up to 512 bits. Each
+    sum keeps its order, but the additions of different sums are independent.
+    The bounds must be the same in all iterations; branches without effects
+    become selects.
 
     ```mlir
     scf.for %i = %lo to %hi step %c1 { // sixteen of these, with sixteen sums
@@ -441,7 +441,7 @@ def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
 }
 
 def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
-  let summary = "make one kernel of those that are launched one after another";
+  let summary = "fuse kernels that are launched one after another";
   let description = [{
     Where a host function launches two kernels in a row (with nothing but
     arithmetic between), each of one parallel loop over the same constant box,
@@ -463,9 +463,9 @@ def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
     tai.launch @f_g(%t) : (i32) -> ()
     ```
 
-    Launches under a tape stay: they are differentiated one by one. So do
-    kernels that return values, take arrays, draw random numbers, print, assert,
-    or touch sparse fields.
+    Not fused: launches under a tape, which are differentiated one by one, and
+    kernels that return values, have array arguments, draw random numbers,
+    print, assert, or access sparse fields.
   }];
   let options = [
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",
@@ -481,10 +481,10 @@ def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
 }
 
 def TestFailure : Pass<"tai-test-failure", "::mlir::ModuleOp"> {
-  let summary = "fail, in tests of what is done about it";
+  let summary = "fail, for tests of error handling";
   let description = [{
-    Fails without saying why, or leaves a module behind that is not valid. No
-    pipeline has it but those that a test asks for.
+    Fails without a diagnostic, or leaves an invalid module. Only in pipelines
+    of tests.
   }];
   let options = [
     Option<"invalid", "invalid", "bool", /*default=*/"false",
@@ -501,9 +501,9 @@ def Scalarize : Pass<"tai-scalarize"> {
     carry. LLVM vectorises over the iterations of a loop, which it cannot do
     where the values are vectors already.
 
-    What the caller of a kernel passes and receives keeps its type: arguments
-    are taken apart by `vector.to_elements` on entry, and results put together
-    by `vector.from_elements` on return.
+    Arguments and results of a kernel keep their types: arguments are split by
+    `vector.to_elements` on entry, and results built by `vector.from_elements`
+    on return.
 
     ```mlir
     %a = tai.load @v[%i] : vector<2xf32>
@@ -535,8 +535,8 @@ def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
     row of a block becomes operations on vectors: what lies across a border is a
     shuffle of two rows. Other blocks run element by element.
 
-    It takes loops that read elements at constant distances, compute with
-    elementwise operations and write to elements of their own; others stay.
+    Applies to loops that read elements at constant distances, compute with
+    elementwise operations and write to the iteration's own elements.
 
     ```mlir
     tai.parallel_for (%i, %j) in @x {
@@ -565,7 +565,7 @@ def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
 }
 
 def RelaxAtomics : Pass<"tai-relax-atomics"> {
-  let summary = "choose how each accumulation of a parallel loop is done";
+  let summary = "choose a strategy for each accumulation of a parallel loop";
   let description = [{
     An atomic update in a parallel loop is
     * a plain read and write (`exclusive`), where each iteration has elements of
@@ -594,7 +594,7 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
 }
 
 def RerollAccumulations : Pass<"tai-reroll-accumulations"> {
-  let summary = "make iterations of additions that are written out, on a GPU";
+  let summary = "reroll unrolled additions into iterations, on a GPU";
   let description = [{
     Of a loop with few iterations and a long body that only adds to fields, such
     as the adjoint of a dense layer whose sum is written out, additions that
@@ -633,7 +633,7 @@ def RerollAccumulations : Pass<"tai-reroll-accumulations"> {
 }
 
 def CoarsenThreads : Pass<"tai-coarsen-threads"> {
-  let summary = "give each iteration of a large loop several neighbours, on a GPU";
+  let summary = "process several neighbouring elements in each thread, on a GPU";
   let description = [{
     Of a loop over a large box whose accesses lie side by side in memory along
     the innermost index, each iteration gets a strip of as many elements as 16

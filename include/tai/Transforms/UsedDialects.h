@@ -1,11 +1,11 @@
-//===- UsedDialects.h - Dialects that passes depend on ----------*- C++ -*-===//
+//===- UsedDialects.h - Dialects named by passes ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The generated declarations of passes name them.
+// Forward declarations for the generated declarations of passes.
 //
 //===----------------------------------------------------------------------===//
 

@@ -16,14 +16,13 @@ class Pass;
 
 namespace mlir::tai {
 
-/// All float arithmetic of a kernel with `precision` in its modes takes place
-/// in that precision, or in a wider type where it does so already. What is
-/// loaded is widened at once, and what is stored is rounded once; casts to
-/// narrower types round, as the program says. It stands before
-/// differentiation: adjoints compute as widely.
+/// Widens all float arithmetic of a kernel with `precision` in its modes to
+/// that precision; wider types are kept. Loaded values are widened at once, and
+/// stored values are rounded once; explicit casts to narrower types still
+/// round. Runs before differentiation, so that adjoints use the same precision.
 std::unique_ptr<Pass> createWidenArithmetic();
 
-/// Makes `tai-widen-arithmetic` known to pass pipelines given as text.
+/// Registers `tai-widen-arithmetic` by name.
 void registerWidenArithmetic();
 
 } // namespace mlir::tai

@@ -1,4 +1,4 @@
-//===- RelaxAtomics.cpp - How each accumulation is done -------------------===//
+//===- RelaxAtomics.cpp - Strategies for accumulations --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -7,8 +7,8 @@
 //
 // An atomic float addition is a loop around a compare-and-exchange on CPUs, and
 // nothing vectorises around it. Nearly all accumulations of simulators and of
-// their adjoints can do without: each iteration has its own element, or all
-// share one, or the part of the field that is updated is small.
+// their adjoints do not need it: each iteration has its own element, or all
+// share one, or the updated part of the field is small.
 //
 //===----------------------------------------------------------------------===//
 

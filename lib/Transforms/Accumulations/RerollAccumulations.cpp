@@ -1,15 +1,15 @@
-//===- RerollAccumulations.cpp - Rerolls sums that are written out --------===//
+//===- RerollAccumulations.cpp - Rerolls unrolled sums --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The adjoint of a dense layer whose sum is written out has an iteration for
-// each output, a warp's worth in a small network, which adds to the adjoints of
-// all weights and inputs, one after another, while the other warps of a block
-// have nothing to do. These additions are alike but for constant indices. Here
-// they become iterations themselves:
+// The adjoint of a dense layer whose sum is unrolled has an iteration for each
+// output, a single warp in a small network, which adds to the adjoints of all
+// weights and inputs, one after another, while the other warps of a block are
+// idle. These additions differ only in constant indices. Here they become
+// iterations themselves:
 //
 //   parallel for (i) { g = f(i); a[i, 0] += g * x[0]; …; a[i, 99] += g * x[99]
 //   }
@@ -18,15 +18,15 @@
 //
 //   parallel for (m, i) { g = f(i); a[i, m] += g * x[m] }
 //
-// What they share is computed by each. Besides the threads, this is a matter of
-// the code: what is executed once is fetched once, and a GPU waits for each
-// line of it. (With a part of the additions for each warp, as they stand, a
-// layer of 108 inputs and 32 outputs took 38,700 clocks on an H200, and 6,500
-// in one warp.)
+// Common values are computed by each of them. Besides more threads, this
+// reduces the size of the code: straight-line code is fetched once for each
+// execution, and a GPU waits for each cache line of it. (With the unrolled
+// additions distributed over warps instead, a layer of 108 inputs and 32
+// outputs took 38,700 clocks on an H200, and 6,500 in one warp.)
 //
 // Iterations of one m fill whole warps, which then add to the same elements
-// together. Terms of a sum are added one by one. What is not like the rest is
-// done by one more m.
+// together. Terms of a sum are added one by one. The remaining additions are
+// done by one additional m.
 //
 //===----------------------------------------------------------------------===//
 

@@ -10,15 +10,15 @@
 // elements. Where every index is a shift of one loop index (cut off at the end
 // of the field or wrapped around it), the iteration that owns an element can
 // make all additions to it: it recomputes what the shifted iterations would
-// have added. What is left is one plain addition for each element, in a fixed
-// order, which needs no atomics and vectorises. A loop over the inside of a
-// field becomes one over all of it for that, whose body asks whether it is
-// inside.
+// have added. The result is one non-atomic addition for each element, in a
+// fixed order, which vectorises. For this, a loop over the interior of a field
+// becomes one over the whole field, whose body tests whether it is in the
+// interior.
 //
-// Of a loop over the active cells of a sparse field, only those iterations
-// count that there are: those whose cell is active. That holds for adjoints,
-// which change no activity, as long as the loop goes over all active cells; the
-// reverse of a loop that went over fewer keeps its scatter.
+// In a loop over the active cells of a sparse field, an iteration contributes
+// only if its cell is active. This is valid for adjoints, which do not change
+// activity, if the loop visits all active cells; the reverse of a loop that
+// visited fewer keeps its scatter.
 //
 //===----------------------------------------------------------------------===//
 

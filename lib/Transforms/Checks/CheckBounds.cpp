@@ -1,13 +1,12 @@
-//===- CheckBounds.cpp - Indices that leave their field -------------------===//
+//===- CheckBounds.cpp - Checks of indices --------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Puts what decides whether a kernel goes out of range in front of it: a few
-// comparisons for each launch, instead of some for each access. See
-// docs/decisions/0018-hoisted-bounds.md.
+// Hoists bounds checks out of a kernel: a few comparisons for each launch,
+// instead of some for each access. See docs/decisions/0018-hoisted-bounds.md.
 //
 //===----------------------------------------------------------------------===//
 

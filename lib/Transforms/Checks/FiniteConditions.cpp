@@ -1,4 +1,4 @@
-//===- FiniteConditions.cpp - When guards have no effect ------------------===//
+//===- FiniteConditions.cpp - When guards are not needed ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- FiniteConditions.h - When guards have no effect ----------*- C++ -*-===//
+//===- FiniteConditions.h - When guards are not needed ---------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // A guard of a derivative has no effect where the partial derivative is finite.
-// Which values of the program say so: the divisors that are clear of zero, and
-// results such as those of exp and log that are finite. They are fewer than the
-// contributions, and known before the first of these.
+// Sufficient conditions are that some primal values are finite or far from
+// zero: divisors, and results such as those of exp and log. These are fewer
+// than the guarded products, and known before the first of them.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,43 +27,43 @@ inline bool isGuard(Operation *op) {
          (op->hasAttr(kGuard) || op->hasAttr(kInfiniteGuard));
 }
 
-/// Whether the op makes NaN or infinity of what is not finite in its operand,
-/// unless it drops that component.
+/// Whether the op propagates a non-finite component of the operand to its
+/// result, unless it drops that component.
 bool passesOn(OpOperand &use);
 
-/// Whether the op makes NaN or infinity of a NaN or an infinity in any
-/// component of the operand: none is dropped.
+/// Whether the op propagates every non-finite component of the operand to its
+/// result: none is dropped.
 bool keepsNonFinite(OpOperand &use);
 
 int64_t countComponents(ArrayRef<Value> values);
 
-/// A truth value: whether all components of the values are finite. Null for no
-/// values.
+/// Emits an i1: whether all components of the values are finite. Null for an
+/// empty list.
 Value createTestOfFinite(OpBuilder &builder, Location loc,
                          ArrayRef<Value> values);
 
-/// What must hold of values for guards to have no effect.
+/// The conditions on values under which guards have no effect.
 class FiniteConditions {
 public:
   /// Adds the conditions of a guard in the block, or in a region of its ops.
-  /// False if there are none that are known.
+  /// False if none are known for it.
   bool require(arith::SelectOp guard, Block &block);
 
-  /// Drops what other conditions imply, and tests results in the place of
-  /// several operands, where they are available.
+  /// Drops implied conditions, and replaces tests of several operands by a test
+  /// of their result, if that is available.
   void simplify(function_ref<bool(Value)> isAvailable);
 
-  /// Every component of these is finite.
+  /// Values of which every component must be finite.
   ArrayRef<Value> getFinite() const { return finite.getArrayRef(); }
-  /// Every component of these is farther from zero than what can be divided by.
+  /// Values of which every component must be far enough from zero to divide by.
   ArrayRef<Value> getClear() const { return clear.getArrayRef(); }
   /// The number of components that are tested.
   int64_t count() const {
     return countComponents(getFinite()) + countComponents(getClear());
   }
 
-  /// A truth value: whether they hold of those of the values that `isIncluded`.
-  /// Null where there are none.
+  /// Emits an i1: whether the conditions on values with `isIncluded` hold. Null
+  /// if there are none.
   Value createTest(OpBuilder &builder, Location loc,
                    function_ref<bool(Value)> isIncluded);
 
@@ -81,8 +81,8 @@ private:
 
   FloatFacts facts = FloatFacts(/*usesConditions=*/true);
   llvm::SetVector<Value> finite, clear;
-  /// Those of the clear ones that are not below zero where others are finite,
-  /// and those that are not only to differ from zero.
+  /// Subsets of `clear`: values that are non-negative if the other conditions
+  /// hold, and values for which being non-zero is not enough.
   DenseSet<Value> positive, strict;
   DenseSet<Value> required, cleared, followed;
   DenseMap<Value, bool> told;

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Division by zero, and of the smallest integer by -1, ends the process on the
-// CPU and yields anything on a GPU. Here both have the result that NumPy gives.
-// What cannot happen costs nothing: most divisors are constants or extents.
+// Division by zero, and of the smallest integer by -1, traps on the CPU and is
+// undefined on a GPU. Here both have the same result as in NumPy. Divisions
+// that cannot trap cost nothing: most divisors are constants or extents.
 //
 //===----------------------------------------------------------------------===//
 

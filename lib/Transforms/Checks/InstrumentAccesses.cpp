@@ -1,4 +1,4 @@
-//===- InstrumentAccesses.cpp - Kernels that watch their accesses ---------===//
+//===- InstrumentAccesses.cpp - Checks of accesses at run time ------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -8,12 +8,11 @@
 // The run-time form of `tai-check-access-rules`. Each component of a field with
 // an adjoint has four numbers in a shadow array: the access that read it last,
 // the access that wrote it last, and, of that write, the loop of the launch and
-// the iteration. An access looks at them, reports what breaks a rule, and puts
-// itself in.
+// the iteration. An access compares them, reports violations, and stores its
+// own number.
 //
-// Iterations on other threads do the same at the same time. Every update is
-// atomic, so that no report is made up; one of several iterations that race may
-// go unseen.
+// Iterations on other threads do the same concurrently. Every update is atomic,
+// so there are no false reports; some of several races may be missed.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,8 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Bugs that pass tests unseen are rare enough; what is done about one must be
-// tested all the same.
+// For tests of how internal errors of passes are reported.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Guards keep products of zero and infinity out of adjoints. Outside of a few
-// iterations no such product is met, yet each guard is a comparison and a
-// select, or several, behind every multiplication: up to twice the time of a
-// sweep. Here a block is computed without them, if one test of what the partial
-// derivatives are computed from says that all are finite.
+// Guards keep products of zero and infinity out of adjoints. Such products are
+// rare, yet each guard is one or more comparisons and selects after every
+// multiplication: up to twice the time of a sweep. Here a block is computed
+// without guards, if one test of the inputs of its partial derivatives shows
+// that all are finite.
 //
 // Where that is not known before the first guard, the results are tested. That
 // is sound because adjoints are linear: between a guard and a result

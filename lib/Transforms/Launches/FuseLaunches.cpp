@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Two kernels of one parallel loop each, over the same box, become one if an
-// iteration of the second needs of what the first writes only what the same
-// iteration wrote, and overwrites nothing that another one still reads. Indices
-// are compared as sums of the induction variables and of what the host passes:
-// arguments of both launches are told from each other by the host's arithmetic.
+// Two kernels of one parallel loop each, over the same box, are fused if an
+// iteration of the second reads only elements that the same iteration of the
+// first wrote, and overwrites none that another one still reads. Indices are
+// compared as sums of induction variables and arguments; arguments of both
+// launches are related by the arithmetic of the host function.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // With one element of a large array in each thread, a GPU spends more on
-// finding out where the element is, and whether it is at a border, than on the
-// memory that it reads. Here each iteration gets a strip of neighbours along
-// the innermost index, 16 bytes as a rule:
+// computing the address of the element, and whether it is at a border, than on
+// the memory access. Here each iteration gets a strip of neighbours along the
+// innermost index, usually 16 bytes:
 //
 //   parallel for (i, j) { body(i, j) }
 //
@@ -20,12 +20,11 @@
 //     else  for (k = j; k < j + 4; ++k)  body(i, k)
 //   }
 //
-// In body' every question about a single index (is this a border, does an index
-// wrap) is answered already, and its operations stand in an order in which the
-// four that belong together follow one another, so that loads and stores of
-// neighbours become one. A value that several of the four read is read once.
-// The iterations of a block cover a tile, whose rows then share what lies
-// between them in the nearest cache.
+// In body' all conditions on single indices (is this a border, does an index
+// wrap) are constants, and the operations of the four elements are interleaved,
+// so that loads and stores of neighbours are combined. A value that several of
+// the four read is loaded once. The iterations of a block cover a tile, whose
+// rows share their neighbours in the L1 cache.
 //
 //===----------------------------------------------------------------------===//
 

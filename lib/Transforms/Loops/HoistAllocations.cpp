@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The adjoint of an iteration records what its loops carried, in memory that it
-// allocates and frees. That costs as much as a short loop. A part of a parallel
-// loop is a loop here, and each thread that runs one gets its own memory.
+// The adjoint of an iteration records the history of its loops in memory that
+// it allocates and frees, which costs as much as a short loop. A partition of a
+// parallel loop is a loop at this stage, and each thread that runs one has its
+// own memory.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,16 +1,15 @@
-//===- UnrollAndJam.cpp - Several iterations around one serial loop -------===//
+//===- UnrollAndJam.cpp - Unroll and jam for reductions -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// An iteration of a parallel loop that adds up terms one by one waits for each
-// addition before it begins the next: the order of a sum is the program's.
-// Several iterations do not wait for one another. So they are unrolled, and
-// their serial loops jammed into one that carries all of their sums; where
-// their terms lie side by side, LLVM makes vectors of them. Each sum is added
-// up in the order it had.
+// The additions of a serial sum form a dependence chain, because the order of a
+// sum must be kept. Different iterations of the parallel loop around it are
+// independent. So these are unrolled, and their serial loops jammed into one
+// that carries all of their sums; if their terms are adjacent in memory, LLVM
+// vectorises them. The order of each sum does not change.
 //
 //===----------------------------------------------------------------------===//
 

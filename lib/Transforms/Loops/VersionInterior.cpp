@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A stencil asks at every cell whether it is at a border: to wrap an index, or
-// to leave a neighbour out. Along the innermost index the answer is the same
-// nearly everywhere, and asking costs the loop its contiguous vector loads.
-// This pass gives the loop a second body in which the answers are constants,
-// and `tai-split-index-sets` later runs it on the interior range alone.
+// A stencil tests at every cell whether it is at a border: to wrap an index, or
+// to omit a neighbour. Along the innermost index the result is the same nearly
+// everywhere, and the test prevents contiguous vector loads. This pass gives
+// the loop a second body in which these conditions are constants, and
+// `tai-split-index-sets` later runs it on the interior range alone.
 //
 //===----------------------------------------------------------------------===//
 

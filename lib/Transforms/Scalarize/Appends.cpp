@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Splits tai.append into what lengthens the list and a store to the new cell,
-// which is then taken apart like any other.
+// Splits tai.append into an op that lengthens the list and a store to the new
+// cell, which is then scalarised like any other.
 //
 //===----------------------------------------------------------------------===//
 

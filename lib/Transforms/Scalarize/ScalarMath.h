@@ -1,11 +1,11 @@
-//===- ScalarMath.h - Formulas as ops ---------------------------*- C++ -*-===//
+//===- ScalarMath.h - Scalar arithmetic builder ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Lets the formulas of small matrices be written as formulas.
+// Short methods to emit the formulas of small matrices.
 //
 //===----------------------------------------------------------------------===//
 
@@ -57,7 +57,7 @@ public:
     return arith::ConstantOp::create(
         builder, loc, builder.getIntegerAttr(type, int64_t(value)));
   }
-  /// Ordered comparisons: false where an operand is NaN.
+  /// Ordered comparisons: false if an operand is NaN.
   Value less(Value a, Value b) {
     return arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::OLT, a, b);
   }

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Small vectors keep the IR compact while it is differentiated. Below that they
-// would keep LLVM from vectorising over iterations, so they are taken apart
-// here. One walk does it: dialect conversion would visit and rebuild every op
-// several times, and compile time is promised.
+// Small vectors keep the IR compact while it is differentiated. At lower levels
+// they would keep LLVM from vectorising over iterations, so they are scalarised
+// here, in one walk: dialect conversion would visit and rebuild every op
+// several times, which costs compile time.
 //
 //===----------------------------------------------------------------------===//
 

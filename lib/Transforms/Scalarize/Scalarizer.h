@@ -1,4 +1,4 @@
-//===- Scalarizer.h - Values taken apart into components --------*- C++ -*-===//
+//===- Scalarizer.h - Splits vectors into scalars --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -14,9 +14,9 @@
 
 namespace mlir::tai {
 
-/// Takes apart all vectors of one function, in one walk from the top: when an
-/// op is reached, the components of its operands are known. Ops that are
-/// replaced stay until the end, where they are erased together.
+/// Replaces all vectors of one function by their components, in one forward
+/// walk: when an op is reached, the components of its operands are known.
+/// Replaced ops are erased together at the end.
 class Scalarizer {
 public:
   explicit Scalarizer(FunctionOpInterface function) : function(function) {}
@@ -25,7 +25,7 @@ public:
 
   /// The components of a vector, or the scalar itself.
   Components get(Value value);
-  /// Gives a result its components.
+  /// Sets the components of a result.
   void set(Value result, Components components);
 
   /// An index constant at the top of the function.
@@ -58,7 +58,7 @@ private:
 std::optional<LogicalResult> expandVectorOp(Operation *op,
                                             Scalarizer &scalarizer);
 
-/// Expands an op of the tai dialect on small matrices; false if it is none.
+/// Expands an op of the tai dialect on small matrices; false for other ops.
 bool expandMatrixOp(Operation *op, Scalarizer &scalarizer);
 
 /// Decompositions of an n×n matrix (n is 2 or 3), as components.
@@ -75,7 +75,8 @@ struct SymEig {
 };
 SymEig emitSymEig(ScalarMath &math, ArrayRef<Value> matrix, unsigned n);
 
-/// Splits the appends of a function into new cells and stores to them.
+/// Splits each append in a function into the activation of a cell and a store
+/// to it.
 LogicalResult expandAppends(FunctionOpInterface function);
 
 } // namespace mlir::tai

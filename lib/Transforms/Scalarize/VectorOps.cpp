@@ -5,9 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The ops that build small vectors and take them apart. A position that is not
-// constant becomes a chain of selects: vectors are small, and memory would cost
-// more.
+// Ops that build small vectors and extract components. A dynamic position
+// becomes a chain of selects: vectors are small, and memory would cost more.
 //
 //===----------------------------------------------------------------------===//
 

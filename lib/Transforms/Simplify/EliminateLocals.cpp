@@ -5,11 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Store forwarding in one walk over the program, in program order, with the
-// current value of every variable at hand. An op with regions that writes
-// variables of the scope around it is made again with their values as
-// additional results (and, for loops, as carried values). Upstream's mem2reg
-// does not cross regions.
+// Store-to-load forwarding in one walk in program order, which tracks the
+// current value of every variable. An op with regions that writes variables of
+// the enclosing scope is rebuilt with their values as additional results (and,
+// for loops, as carried values). Upstream's mem2reg does not cross regions.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,10 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Turns `scf.if` into `arith.select` where both arms may run. A select keeps
-// the reverse pass free of branches, and lets loops vectorise. Which arms may
-// run is the whole question: an arm that can fault must not, and neither must
-// one whose values or derivatives can be infinite or NaN where it would not
-// have run.
+// the reverse pass free of branches, and lets loops vectorise. An arm must not
+// be speculated if it can fault, or if its values or derivatives can be
+// infinite or NaN where it would not have run.
 //
 //===----------------------------------------------------------------------===//
 

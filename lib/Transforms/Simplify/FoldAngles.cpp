@@ -1,12 +1,12 @@
-//===- FoldAngles.cpp - The angle of the origin ---------------------------===//
+//===- FoldAngles.cpp - Folds atan2 of zeros ------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Upstream folds the angle of (0, 0) to NaN, and once that has happened nothing
-// tells it from a NaN that the program wrote.
+// Upstream folds atan2(0, 0) to NaN, which afterwards cannot be distinguished
+// from a NaN in the program.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,19 +1,18 @@
-//===- SimplifyHugeBodies.cpp - Canonicalise bodies by themselves ---------===//
+//===- SimplifyHugeBodies.cpp - Canonicalises huge bodies -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Each rewrite puts all ops around it back on the list of what may be
-// simplified, and a loop is dead if nothing in its body has an effect: all of
-// the body is looked at again after each rewrite in it. Rewriting inside of one
-// body at a time, as far as its own region and no further, leaves the loops
-// around it in peace.
+// Each rewrite puts the enclosing ops back on the worklist, and a loop is dead
+// if nothing in its body has an effect: so the whole body is visited again
+// after each rewrite in it. Rewriting one body at a time, restricted to its own
+// region, avoids visiting the loops around it.
 //
 // CSE looks for a write between two equal reads by walking from one to the
-// other, for each pair that it finds. Here a walk over the body forgets reads
-// at a write instead.
+// other, for each pair. Here one walk over the body drops known reads at each
+// write instead.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Values of a kernel change their types in place, from narrow floats to the
-// wide one. Operations whose types are those of something else, such as a field
-// or an argument, keep them, with casts around.
+// wide one. Operations whose types are determined by a field or an argument
+// keep them, with casts around.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- Accumulation.cpp - What a parallel loop adds up --------------------===//
+//===- Accumulation.cpp - Accumulations of parallel loops -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LowerEach.cpp - Patterns that lower one op each --------------------===//
+//===- LowerEach.cpp - A driver for one-to-one lowerings ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -28,11 +28,11 @@ LogicalResult tai::lowerEach(ArrayRef<Operation *> ops,
 
 LogicalResult tai::lowerAll(Operation *root,
                             const FrozenRewritePatternSet &patterns,
-                            function_ref<bool(Operation *)> takes) {
+                            function_ref<bool(Operation *)> filter) {
   const auto &known = patterns.getOpSpecificNativePatterns();
   SmallVector<Operation *> ops;
   root->walk([&](Operation *op) {
-    if (op != root && known.contains(op->getName()) && (!takes || takes(op)))
+    if (op != root && known.contains(op->getName()) && (!filter || filter(op)))
       ops.push_back(op);
   });
   return lowerEach(ops, patterns);

@@ -1,4 +1,4 @@
-//===- OrderedAdditions.cpp - Additions that a warp does together ---------===//
+//===- OrderedAdditions.cpp - Deterministic additions by a warp -----------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- BlockLoop.cpp - What a loop over blocks does -----------------------===//
+//===- BlockLoop.cpp - Analysis of loops over blocks ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,14 +1,14 @@
-//===- BlockLoop.h - What a loop over blocks does ---------------*- C++ -*-===//
+//===- BlockLoop.h - Analysis of loops over blocks -------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The innermost level of a field cuts its index space into blocks. This
+// The innermost level of a field divides its index space into blocks. This
 // describes a loop over such a field: the shape of a block, which of its
-// dimensions is contiguous (a row), what each index of an access is, and in
-// which blocks all questions about the indices have one answer.
+// dimensions is contiguous (a row), the form of each index of an access, and in
+// which blocks all conditions on indices are constant (the interior).
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,8 +21,8 @@
 
 namespace mlir::tai {
 
-/// An index of an access: a value that is the same in all iterations, or an
-/// induction variable plus a constant.
+/// An index of an access: a loop-invariant value, or an induction variable plus
+/// a constant.
 struct IndexForm {
   Value invariant;
   unsigned variable = 0;
@@ -31,14 +31,15 @@ struct IndexForm {
   bool isShift() const { return !invariant; }
 };
 
-/// An access, with what its op has to say.
+/// An access and its analysed indices.
 struct BlockAccess {
   Operation *op;
   const FieldInfo *field;
   SmallVector<IndexForm> indices;
   /// Position of the component in an element.
   int64_t component = 0;
-  /// The index that runs along the row; none for what a row reads once.
+  /// The index that varies along the row; none for an access that is the same
+  /// for the whole row.
   std::optional<unsigned> rowIndex;
 };
 
@@ -47,25 +48,26 @@ const IndexDigit *findInnermost(const FieldInfo &field, unsigned dimension);
 
 class BlockLoop {
 public:
-  /// Describes the loop; nothing if it cannot run on whole rows.
+  /// Analyses the loop; none if it cannot run on whole rows.
   static std::optional<BlockLoop> analyze(ParallelForOp loop,
                                           FieldTable &fields);
 
   ParallelForOp loop;
   const FieldInfo *field = nullptr;
-  /// Extent of a block along each dimension; 1 where blocks are one thick.
+  /// Extent of a block along each dimension.
   SmallVector<int64_t> extents;
   /// The dimension along which a row runs.
   unsigned rowDimension = 0;
   int64_t rowLength() const { return extents[rowDimension]; }
 
-  /// What is done with the elements, in order.
+  /// The accesses, in program order.
   llvm::MapVector<Operation *, BlockAccess> accesses;
-  /// The answers in the interior: blocks that lie in [lower, upper).
+  /// The constant conditions in the interior, the blocks in [lower, upper).
   llvm::DenseMap<Value, bool> answers;
   SmallVector<int64_t> lower, upper;
-  /// Cells around a block that must be active in the interior: the field that
-  /// asks, how many levels up, and how many blocks away along each dimension.
+  /// A neighbouring cell that must be active in the interior: the queried
+  /// field, the number of levels up, and the distance in blocks along each
+  /// dimension.
   struct Neighbour {
     FlatSymbolRefAttr field;
     int64_t up;
@@ -76,9 +78,9 @@ public:
     }
   };
   SmallVector<Neighbour> neighbours;
-  /// Stores whose cell has to be made active, by one op for each level.
+  /// Stores whose cell must be activated.
   SmallVector<BlockAccess *> activations;
-  /// Ops of an iteration in the interior.
+  /// The number of ops of an iteration in the interior.
   int64_t numOps = 0;
 
 private:
@@ -91,7 +93,7 @@ private:
   bool getForm(Value index, IndexForm &form);
   bool isRowAccess(BlockAccess &access);
   bool canWrite(BlockAccess &access);
-  /// All iterations of the interior read and write within the fields.
+  /// Restricts the interior to blocks in which the access is within its field.
   void require(const BlockAccess &access);
 };
 

@@ -5,9 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Emits what the iterations of one row of a block do as operations on vectors
-// with one element for each iteration. What is the same for all of them stays a
-// scalar.
+// Emits the iterations of one row of a block as operations on vectors with one
+// element for each iteration. Uniform values stay scalars.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,12 +21,12 @@ namespace mlir::tai {
 
 class RowBuilder {
 public:
-  /// `origin`: the indices of the first element of the block.
+  /// `origin`: the indices of the block's first element.
   RowBuilder(OpBuilder &builder, const BlockLoop &block, FieldTable &fields,
              ValueRange origin);
 
-  /// Emits the row at these distances from the origin; that along the row is
-  /// not used.
+  /// Emits the row at these distances from the origin; the one along the row is
+  /// ignored.
   void emitRow(ArrayRef<OpFoldResult> distances);
 
 private:
@@ -36,14 +35,13 @@ private:
   void emitOp(Operation *op);
   void findNeeded();
 
-  /// The elements of a row that an access reads, or the row as it is stored for
-  /// one that is written.
+  /// Loads the elements of a row for an access, and stores them.
   Value loadRow(const BlockAccess &access);
   void storeRow(const BlockAccess &access, Value vector);
-  /// `blocks`: how many rows of blocks further along the row.
+  /// Loads the row that is `blocks` blocks further along the row dimension.
   Value loadPart(const BlockAccess &access, int64_t blocks);
-  /// What distinguishes rows of one block: the place, and for each index its
-  /// variable (or value) and its distance from the origin.
+  /// The key of a loaded row: the place, and for each index its variable (or
+  /// value) and its distance from the origin.
   using RowKey =
       std::pair<Attribute, SmallVector<std::pair<const void *, int64_t>>>;
   struct RowOrder {
@@ -57,17 +55,18 @@ private:
   Value emitIndex(const BlockAccess &access, const IndexDigit &digit,
                   int64_t blocks);
 
-  /// A value for each iteration of the row.
+  /// The value as a vector over the iterations of the row.
   Value toVector(Value value);
   Value broadcast(Value scalar);
   VectorType vectorOf(Type scalar) const {
     return VectorType::get({block.rowLength()}, scalar);
   }
-  /// How many elements apart the iterations of a row find theirs, and the first
-  /// of them in its cell.
+  /// The stride, in elements, of the accesses of a row, and the position of the
+  /// first in its cell.
   int64_t getStep(const BlockAccess &access) const;
   int64_t getFirst(const BlockAccess &access) const;
-  /// Index of the access to the first iteration minus the index of that.
+  /// The shift along the row: index of the access in the first iteration minus
+  /// the loop index.
   int64_t getRowShift(const BlockAccess &access) const;
   bool isWhole(const BlockAccess &access) const;
   const IndexDigit &getRowDigit(const BlockAccess &access) const;
@@ -79,11 +78,11 @@ private:
   IndexMath math;
   SmallVector<Value> origin;    // zero-based
   SmallVector<OpFoldResult> at; // distances of the row
-  /// Values of the body: scalars where all iterations have the same.
+  /// Maps values of the body to emitted ones: scalars if uniform.
   IRMapping values;
   llvm::DenseSet<Operation *> needed;
-  /// Places that the loop writes, and rows of others that have been loaded: to
-  /// load them again behind a store that is near would wait for it.
+  /// Places that the loop writes; and loaded rows of other places, which are
+  /// reused, because a load shortly after a store to nearby memory stalls.
   llvm::DenseSet<Attribute> written;
   std::map<RowKey, Value, RowOrder> rows;
   llvm::DenseMap<Value, Value> vectors;

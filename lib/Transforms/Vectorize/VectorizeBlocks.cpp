@@ -7,10 +7,10 @@
 //
 // A stencil on blocks reads across their borders: the neighbour of the last
 // element of a row lies in another block, and no loop over the elements of a
-// row has an affine address. But the neighbours of a whole row are a part of
-// two rows, whose places are known when the row's is. So the loop over elements
-// becomes one over blocks, and in the interior the rows of a block are vectors:
-// two loads and a shuffle stand for the gather.
+// row has an affine address. But the neighbours of a whole row are parts of two
+// rows with known addresses. So the loop over elements becomes one over blocks,
+// and in the interior the rows of a block are vectors: two loads and a shuffle
+// replace the gather.
 //
 //===----------------------------------------------------------------------===//
 

@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// Marks the writes of a loop over a sparse field that reach the cell of the
-/// iteration itself: it is active, and need not be asked for.
+/// Marks (kActiveAttrName) the writes of a loop over a sparse field to the cell
+/// of the iteration itself: it is known to be active, and needs no test.
 void markActive(ParallelForOp loop, FieldTable &fields);
 
 } // namespace mlir::tai

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Turns the indices of an access into an address, and into the number of the
-// cell that must be active for it.
+// Emits the address of an access from its indices, and the number of the cell
+// that must be active for it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,20 +20,19 @@
 
 namespace mlir::tai {
 
-/// What LLVM is told of an access; each may be null: its scope, the scopes that
-/// it does not overlap, and the groups of accesses that do not depend on those
-/// of other iterations.
+/// Alias information of an access for LLVM; each may be null: its alias scope,
+/// the noalias scopes, and its access groups.
 struct AliasScopes {
   ArrayAttr own, others, groups;
-  /// Of the address, in bytes; 0 for that of the type.
+  /// Alignment of the address in bytes; 0 for that of the type.
   unsigned alignment = 0;
-  /// What accesses carry as kDigitsAttrName, or null.
+  /// The attribute kDigitsAttrName, or null.
   DenseI64ArrayAttr digits = nullptr;
 };
 
-/// On an access to memory that was one to a field: strides in bytes and extents
-/// of the digits of its indices and of its component, and where the part of the
-/// address that is not constant has them begin: three numbers for each.
+/// On a lowered access to a field: three numbers for each digit of its indices
+/// and its component: stride in bytes, extent, and the shift between the digit
+/// and that of the non-constant part of the address.
 constexpr llvm::StringLiteral kDigitsAttrName = "tai.digits";
 
 /// A sparse level on the path to a field.
@@ -60,7 +59,7 @@ struct FieldInfo {
   /// (empty for a scalar).
   Type scalarType;
   int64_t scalarSize;
-  /// Where the place lies in a cell of the innermost level, in bytes.
+  /// The offset of the place in a cell of the innermost level, in bytes.
   uint64_t cellOffset = 0;
   SmallVector<int64_t> elementShape;
   int64_t numComponents;
@@ -76,16 +75,16 @@ struct FieldInfo {
   }
 };
 
-/// The part of a field in which some leading indices are fixed, where that part
-/// is evenly spaced in memory: element `e` (in storage order) of the remaining
-/// digits lies at base + e * cellStride.
+/// The part of a field with some leading indices fixed, if its elements have a
+/// uniform stride: element `e` (in storage order) of the remaining digits is at
+/// base + e * cellStride.
 struct FieldSlice {
   /// For each dimension, whether its index is fixed.
   SmallVector<bool> fixed;
   int64_t cellStride; // bytes
   int64_t numCells;
-  /// Value of one step of each digit of the free dimensions, in cells;
-  /// parallel to FieldInfo::storage.digits, 0 for digits of fixed dimensions.
+  /// Weight of each digit of the free dimensions, in cells; parallel to
+  /// FieldInfo::storage.digits, 0 for digits of fixed dimensions.
   SmallVector<int64_t> digitCells;
 };
 
@@ -95,19 +94,19 @@ class FieldTable {
 public:
   explicit FieldTable(Operation *root);
 
-  /// The field that `user` names.
+  /// The field of this name, visible from `user`.
   FailureOr<const FieldInfo *> lookup(Operation *user, FlatSymbolRefAttr name);
 
-  /// Whether the part of `field` with the given dimensions fixed is evenly
-  /// spaced; dimensions whose digits stand inside free ones become free.
+  /// The slice of `field` with the given dimensions fixed, if its stride is
+  /// uniform; dimensions whose digits are inside free ones become free.
   static std::optional<FieldSlice> getSlice(const FieldInfo &field,
                                             ArrayRef<bool> fixed);
 
   /// The scopes for an access to a place, given all places looked up so far.
   AliasScopes getScopes(const FieldInfo &field);
 
-  /// The scopes for an access to an array that the caller owns. Arrays may be
-  /// one another, but none is a field.
+  /// The scopes for an access to an array argument. Arrays may alias each
+  /// other, but no field.
   AliasScopes getArrayScopes();
 
 private:
@@ -122,7 +121,7 @@ private:
   llvm::DenseMap<Attribute, ArrayAttr> otherScopes;
 };
 
-/// The indices with the offset of the field subtracted: all from zero.
+/// The indices minus the offset of the field: zero-based.
 SmallVector<Value> emitZeroBased(OpBuilder &builder, Location loc,
                                  const FieldInfo &field, ValueRange indices);
 
@@ -134,8 +133,8 @@ Value emitDigit(OpBuilder &builder, Location loc, const FieldInfo &field,
 Value emitComponent(OpBuilder &builder, Location loc,
                     ArrayRef<int64_t> elementShape, ValueRange components);
 
-/// Distance from the first component of the field to the one at the zero-based
-/// indices, in units of the size of a component.
+/// The offset from the first component of the field to the one at the
+/// zero-based indices, in components.
 Value emitElementOffset(OpBuilder &builder, Location loc,
                         const FieldInfo &field, ValueRange zeroBased,
                         ValueRange components);
@@ -157,14 +156,14 @@ unsigned getListDimension(const FieldInfo &field);
 Value emitLength(OpBuilder &builder, Location loc, const SparseInfo &sparse,
                  Value tree, Value list);
 
-/// What the addresses of a component of all elements are a multiple of, if that
-/// is more than its size; else 0. Neighbours can then be accessed together.
+/// The common alignment of a component in all elements, if greater than its
+/// size; else 0. Neighbours can then be accessed together.
 unsigned getAlignment(const FieldInfo &field, ValueRange components);
 
 /// The base address of the tree of a field.
 Value emitTreeBase(OpBuilder &builder, Location loc, const FieldInfo &field);
 
-/// The address so many bytes into the tree of a field.
+/// The address at an offset in the tree of a field.
 Value emitTreeAddress(OpBuilder &builder, Location loc, const FieldInfo &field,
                       uint64_t bytes);
 
@@ -178,15 +177,15 @@ Type getStorageType(Type scalar);
 Value emitPointer(OpBuilder &builder, Location loc, Type storageType,
                   Value base, Value offset);
 
-/// Takes small constants that are added to indices away from those, where their
-/// dimension has one stride. Yields what has been taken, for each.
+/// Strips small constant offsets from indices whose dimension has a single
+/// stride. Returns the constants, one for each index.
 SmallVector<int64_t> peelConstants(OpBuilder &builder, Location loc,
                                    const FieldInfo &field,
                                    MutableArrayRef<Value> zeroBased);
 
-/// The address of a component of an element, of whose indices `peeled` has been
-/// taken away. It is added last, as is a constant component, so that neighbours
-/// share all of their address but a constant.
+/// The address of a component of an element, from indices without the constants
+/// `peeled`. These are added last, like a constant component, so that the
+/// addresses of neighbours differ by a constant only.
 Value emitNearPointer(OpBuilder &builder, Location loc, const FieldInfo &field,
                       Value base, ValueRange indices, ArrayRef<int64_t> peeled,
                       ValueRange components);

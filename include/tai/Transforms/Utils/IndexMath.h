@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Builds arithmetic on `index` that folds constants as it goes, so that no
-// cleaning pass is needed behind the lowering, and that carries the overflow
-// flags by which LLVM recognises affine addresses.
+// Emits arithmetic on `index` and folds constants, so that no clean-up pass is
+// needed after the lowering; sets the overflow flags by which LLVM recognises
+// affine addresses.
 //
 //===----------------------------------------------------------------------===//
 

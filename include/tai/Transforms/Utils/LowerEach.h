@@ -1,13 +1,13 @@
-//===- LowerEach.h - Patterns that lower one op each ------------*- C++ -*-===//
+//===- LowerEach.h - A driver for one-to-one lowerings ---------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The driver of lowerings that are done op by op. The greedy driver would fold
-// and visit what patterns make; dialect conversion replaces values at the end
-// only, while lowerings look at what the indices of an access are made of.
+// A pattern driver for lowerings op by op. The greedy driver would also fold
+// and revisit new ops; dialect conversion replaces values only at the end, but
+// lowerings inspect how the indices of an access are computed.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,15 +18,15 @@
 
 namespace mlir::tai {
 
-/// Rewrites each of the ops by its pattern, in this order. Fails with the first
-/// that has none, or whose pattern fails, which has said why.
+/// Rewrites each of the ops by its pattern, in this order. Fails at the first
+/// op without a pattern, or whose pattern fails (after an error).
 LogicalResult lowerEach(ArrayRef<Operation *> ops,
                         const FrozenRewritePatternSet &patterns);
 
-/// The same for all ops in `root` that have a pattern, in the order of a walk,
-/// and of which `takes`, if given, is true.
+/// The same for all ops in `root` that have a pattern and for which `filter`,
+/// if given, is true, in the order of a walk.
 LogicalResult lowerAll(Operation *root, const FrozenRewritePatternSet &patterns,
-                       llvm::function_ref<bool(Operation *)> takes = nullptr);
+                       llvm::function_ref<bool(Operation *)> filter = nullptr);
 
 } // namespace mlir::tai
 

@@ -1,13 +1,13 @@
-//===- OrderedAdditions.h - Additions that a warp does together -*- C++ -*-===//
+//===- OrderedAdditions.h - Deterministic additions by a warp --*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// In deterministic mode, loops whose float additions meet in memory run on one
-// warp of a GPU, if its threads can come to each addition together. See
-// docs/decisions/0016-ordered-scatters.md.
+// In deterministic mode, loops with float additions of several iterations to
+// the same memory run on one warp of a GPU, if its threads can execute each
+// addition together. See docs/decisions/0016-ordered-scatters.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,15 +21,15 @@ namespace mlir::tai {
 
 using OpPredicate = llvm::function_ref<bool(Operation *)>;
 
-/// The op because of which threads with different iterations of `loop` do not
-/// come to its additions together, or null: a loop whose trips depend on the
-/// iteration, say. Conditions around an addition alone are none.
+/// The op that makes threads with different iterations of `loop` diverge before
+/// one of its additions, or null: a loop whose trip count depends on the
+/// iteration, for example. Conditions around the addition alone do not count.
 Operation *findDivergence(ParallelForOp loop, OpPredicate isAddition);
 
-/// True if the additions of `loop` that are neither exclusive nor sums of all
-/// iterations can be done in an order that only the numbers of iterations
-/// decide, by threads that do all else at the same time: nothing in the loop
-/// sees what other iterations do.
+/// True if the additions of `loop` that are neither exclusive nor sums over all
+/// iterations can be executed in the order of iteration numbers while the rest
+/// of the iterations runs in parallel: nothing in the loop reads what other
+/// iterations write.
 bool canOrderAdditions(ParallelForOp loop, FieldTable &fields);
 
 } // namespace mlir::tai

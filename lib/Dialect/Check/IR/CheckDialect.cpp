@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The former names are ops of their own, since the generic form and bytecode
-// create what they name without asking a parser. They share what the verifier
-// says, and nothing else knows of them.
+// The former names are separate ops, because the generic form and bytecode
+// create ops by name without a custom parser. They share the verifier, and
+// nothing else handles them.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,13 +1,13 @@
-//===- DiscardableAttrs.cpp - Attributes that other ops carry for tai -----===//
+//===- DiscardableAttrs.cpp - Discardable `tai.*` attributes --------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Every attribute `tai.*` that may stand on an op of any dialect. A name that
-// is not in the table would be ignored, so it is refused: a misspelt
-// `tai.differentiate` must not be a gradient that is never made.
+// The table of attributes `tai.*` that may be on an op of any dialect. An
+// unknown name would be ignored silently, so it is rejected: a misspelt
+// `tai.differentiate` must not lead to a missing gradient.
 //
 //===----------------------------------------------------------------------===//
 

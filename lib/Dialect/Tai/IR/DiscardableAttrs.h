@@ -12,12 +12,12 @@
 
 namespace mlir::tai {
 
-/// An attribute of kernels that was a discardable one by another name.
+/// A former name of an inherent kernel attribute, from when it was discardable.
 struct RenamedAttr {
   llvm::StringLiteral old, name;
 };
-/// Those that people may have written. The parser of kernels takes the old name
-/// for the new one; elsewhere, the verifier refuses it.
+/// Those that users may have written. The parser of kernels maps the old name
+/// to the new one; elsewhere, the verifier rejects it.
 llvm::ArrayRef<RenamedAttr> getRenamedKernelAttrs();
 
 /// Checks an attribute `tai.*` of an op of any dialect.

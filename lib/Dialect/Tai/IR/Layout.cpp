@@ -1,4 +1,4 @@
-//===- Layout.cpp - Where the elements of a field are ---------------------===//
+//===- Layout.cpp - Paths and addresses in layouts ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

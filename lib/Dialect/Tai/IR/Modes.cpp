@@ -1,4 +1,4 @@
-//===- Modes.cpp - What a kernel says of its numbers ----------------------===//
+//===- Modes.cpp - Numeric modes of a kernel ------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

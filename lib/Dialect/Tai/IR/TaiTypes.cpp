@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// One grammar serves all levels. Inside `!tai.root` a level is its bare
-// keyword, a record of places stands in braces, and anything else is a type in
-// full, which must implement SNodeTypeInterface.
+// One grammar serves all levels. Inside `!tai.root` a level is written by its
+// bare keyword, a record of places in braces, and anything else as a full type,
+// which must implement SNodeTypeInterface.
 //
 //===----------------------------------------------------------------------===//
 

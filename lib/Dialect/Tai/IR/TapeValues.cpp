@@ -1,14 +1,14 @@
-//===- TapeValues.cpp - What a tape would lose ----------------------------===//
+//===- TapeValues.cpp - Derivatives that a tape would lose ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The gradient of a taped program goes from field to field. A number that a
-// kernel returns, or that the host reads from a field, and that another launch
-// gets as an argument would take part in what is computed and not in the
-// gradient. What the host stores is not undone either when the tape is swept.
+// The gradient of a taped program passes through fields. If a number that a
+// kernel returns, or that the host reads from a field, were an argument of
+// another launch, it would take part in the computation but not in the
+// gradient. Stores of the host would not be undone in the reverse sweep either.
 //
 //===----------------------------------------------------------------------===//
 

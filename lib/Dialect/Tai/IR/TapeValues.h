@@ -1,5 +1,4 @@
-//===- TapeValues.h - What a tape would lose ---------------------*- C++
-//-*-===//
+//===- TapeValues.h - Derivatives that a tape would lose --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,10 +12,10 @@
 
 namespace mlir::tai {
 
-/// A tape records launches and nothing else. Refuses, in the region of `tape`
-/// and in the host functions that it calls, values that carry a derivative and
-/// go from one launch to the next through the host, and what the host stores
-/// between launches.
+/// A tape records launches and nothing else. Rejects, in the region of `tape`
+/// and in the host functions that it calls, values with a derivative that pass
+/// from one launch to the next through the host, and stores of the host between
+/// launches.
 LogicalResult verifyTapeValues(Operation *tape, SymbolTableCollection &symbols);
 
 } // namespace mlir::tai

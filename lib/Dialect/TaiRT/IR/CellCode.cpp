@@ -1,12 +1,12 @@
-//===- CellCode.cpp - Code that asks for and changes activity -------------===//
+//===- CellCode.cpp - Emits queries and changes of activity ---------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What levels build where their kind does not say otherwise: a test of a bit or
-// of a length in place, and a call of the runtime for all that changes them.
+// The default implementations of SNodeTypeInterface: an inline test of a bit or
+// of a length, and calls of the runtime for all changes.
 //
 //===----------------------------------------------------------------------===//
 

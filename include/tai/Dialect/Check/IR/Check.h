@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// `tai_check.close` and `tai_check.gradient`, and what reads programs that have
-// them under their former names.
+// `tai_check.close` and `tai_check.gradient`, and support for programs that use
+// their former names.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,11 +25,11 @@
 
 namespace mlir::tai {
 
-/// Registers the dialect, and lets that of tai load it: programs with the
-/// former names ask for nothing else.
+/// Registers the dialect, and makes the tai dialect load it, because programs
+/// with the former names name only that one.
 void registerCheckDialect(DialectRegistry &registry);
 
-/// Gives checks under former names in `root` the present ones.
+/// Replaces checks under former names in `root` by the present ops.
 void upgradeFormerChecks(Operation *root);
 
 } // namespace mlir::tai

@@ -13,15 +13,15 @@ include "tai/Dialect/Check/IR/CheckOpBase.td"
 def Check_Dialect : Dialect {
   let name = "tai_check";
   let cppNamespace = "::mlir::tai";
-  let summary = "host programs that check what came out";
+  let summary = "assertions about numbers and gradients in host programs";
   let description = [{
-    Ops of a `func.func` that runs on the host, for tests: a program that checks
-    itself fails where a number or a gradient is not what it should be.
+    Ops of a `func.func` that runs on the host, for self-checking tests: the
+    program fails if a number or a gradient is not the expected one.
 
-    They were ops of `tai` once, `tai.check_close` and `tai.check_gradient`. The parser
-    reads these names as the present ones; ops under the former names, made
-    from the generic form or by a program, are replaced by canonicalisation and
-    wherever host functions are lowered.
+    They were ops of `tai` before, `tai.check_close` and `tai.check_gradient`.
+    The parser still accepts these names; ops of the former names, from the
+    generic form or from C++, are replaced by canonicalisation and when host
+    functions are lowered.
   }];
   let dependentDialects = ["::mlir::tai::TaiDialect"];
 }
@@ -37,8 +37,9 @@ def Check_CheckGradientOp : Check_GradientBase<Check_Dialect, "gradient"> {
     and the loss are left as the tape left them.
 
     Elements that the region overwrites before it reads them, such as all steps
-    but the first of a field with a time axis, are left out: what they held does
-    not matter. The program fails if nothing is left to be checked.
+    but the first of a field with a time axis, are not checked, because their
+    initial values have no effect. The program fails if no element is left to
+    check.
 
     1. (check_gradient_c1) The loss is one of `tai.tape`, and (tape_c3) holds.
     2. (check_gradient_c2) Each field of `wrt` has an adjoint.
@@ -59,8 +60,8 @@ def Check_CheckGradientOp : Check_GradientBase<Check_Dialect, "gradient"> {
 def Check_CheckCloseOp : Check_CloseBase<Check_Dialect, "close"> {
   let summary = "fail unless two numbers agree";
   let description = [{
-    The program fails, and says both numbers and where, unless
-    |actual − expected| ≤ tolerance · max(1, |expected|).
+    The program fails, with both numbers and the location, unless |actual −
+    expected| ≤ tolerance · max(1, |expected|).
 
     ```mlir
     tai_check.close %a, %b tolerance 1.0e-6 : f32

@@ -1,11 +1,11 @@
-//===- FormerCheckOps.td - Checks under the names they had -*- tablegen -*-===//
+//===- FormerCheckOps.td - Former names of checks ---------*- tablegen -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
-// Ops of the `tai` dialect that the room of checks adds to it. Their parsers make
-// the present ops; what the generic form, bytecode or a program makes becomes one
-// by canonicalisation, or by `upgradeFormerChecks`.
+// Ops that the check dialect adds to the `tai` dialect. Their parsers make the
+// present ops; ops from the generic form, bytecode or C++ are replaced by
+// canonicalisation, or by `upgradeFormerChecks`.
 //
 //===----------------------------------------------------------------------===//
 

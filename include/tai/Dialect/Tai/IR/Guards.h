@@ -12,14 +12,14 @@
 
 namespace mlir::tai {
 
-/// Marks a select of zero where an adjoint is zero, and else of its product
-/// with a partial derivative that may not be finite. It is not a branch of the
-/// program: to differentiate it again, both the adjoint that it tests and that
-/// one's own derivative must be zero for the result to be.
+/// Marks a select between zero, where an adjoint is zero, and its product with
+/// a partial derivative that may be infinite or NaN. It is not a branch of the
+/// program: its own derivative is zero only where both the adjoint that it
+/// tests and the derivative of that adjoint are zero.
 constexpr llvm::StringLiteral kGuard = "tai.guard";
 
-/// Marks a select of zero where an infinite adjoint meets a partial derivative
-/// of zero, and else of their product.
+/// Marks a select between zero, where an adjoint is infinite and the partial
+/// derivative zero, and their product.
 constexpr llvm::StringLiteral kInfiniteGuard = "tai.guard_infinite";
 
 } // namespace mlir::tai

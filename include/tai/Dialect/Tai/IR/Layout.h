@@ -1,4 +1,4 @@
-//===- Layout.h - Where the elements of a field are -------------*- C++ -*-===//
+//===- Layout.h - Paths and addresses in layouts ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -22,8 +22,8 @@ constexpr unsigned kMaxAxes = 12;
 char getAxisLetter(unsigned axis);
 std::optional<unsigned> parseAxisLetter(StringRef letter);
 
-// The syntax of levels, for those of other dialects: `[i: 8, j: 4]`, and after
-// it the children, each behind a comma when printed.
+// The syntax of levels, for level types of other dialects: `[i: 8, j: 4]`, then
+// the children, each preceded by a comma.
 ParseResult parseLevelAxes(AsmParser &parser, SmallVector<unsigned> &axes,
                            SmallVector<int64_t> &shape);
 ParseResult parseLevelChildren(AsmParser &parser, SmallVector<Type> &children);
@@ -31,8 +31,8 @@ void printLevelAxes(AsmPrinter &printer, ArrayRef<unsigned> axes,
                     ArrayRef<int64_t> shape);
 void printLevelChildren(AsmPrinter &printer, ArrayRef<Type> children);
 
-/// The field that an op of tai names: that it accesses (as an op of another
-/// dialect may, by FieldAccessOpInterface), loops over or asks about; or null.
+/// The field that an op accesses, loops over or queries; null if none. Ops of
+/// other dialects are known by FieldAccessOpInterface.
 FlatSymbolRefAttr getNamedField(Operation *op);
 
 /// One level on the path from the root to a place.
@@ -56,7 +56,7 @@ struct IndexDigit {
   bool isWhole;
 };
 
-/// The path to a place and what follows from it.
+/// The path to a place, with derived properties.
 struct PlacePath {
   SmallVector<PathLevel> levels;
   PlacesType places;
@@ -91,8 +91,7 @@ struct FieldLayout {
   SmallVector<int64_t> offset;
 };
 
-/// The layout of a field that verifies; `from` is any op below the symbol table
-/// that holds it.
+/// The layout of a verified field.
 FailureOr<FieldLayout> getFieldLayout(FieldOp field);
 
 /// Whether an element of one field is active exactly if that of the other with
@@ -111,17 +110,17 @@ struct SparseNode {
   SmallVector<unsigned> position;
   /// The nearest sparse level above, as its number.
   std::optional<unsigned> parent;
-  /// For each level down to this one, and for each axis of a level whose cells
-  /// do not lie one after another: the number of cells below one cell above,
+  /// One step for each level down to this one, and for each axis of a level
+  /// whose cells are not contiguous: the number of cells below one parent cell,
   /// and the distance between them in bytes.
   struct Step {
     int64_t cells;
     uint64_t stride;
   };
   SmallVector<Step> steps;
-  /// Where cell 0 lies, in bytes from the base of the tree.
+  /// The offset of cell 0, in bytes from the base of the tree.
   uint64_t offset = 0;
-  /// Where its activity is kept: one bit for each cell, in words of 64 bits, or
+  /// The offset of its activity: one bit for each cell, in words of 64 bits, or
   /// for `dynamic` the length of each list, in 32 bits.
   uint64_t activityOffset = 0;
 
@@ -129,16 +128,16 @@ struct SparseNode {
   int64_t getNumCells() const;
 };
 
-/// The sparse levels of a tree, those above before those below.
+/// The sparse levels of a tree, parents before children.
 SmallVector<SparseNode> getSparseNodes(RootType root,
                                        const DataLayout &dataLayout);
 
-/// Where the elements of a field are: the digits of its indices, and the offset
+/// The address function of a field: the digits of its indices, and the offset
 /// of the place when all digits are zero, in bytes from the base of the tree.
 struct FieldStorage {
   SmallVector<IndexDigit> digits;
   uint64_t offset = 0;
-  /// The sparse levels on the path: its position there, and its number in the
+  /// A sparse level on the path: its position there, and its number in the
   /// tree.
   struct SparseLevel {
     unsigned level;
@@ -149,7 +148,7 @@ struct FieldStorage {
 FieldStorage getFieldStorage(const FieldLayout &layout,
                              const DataLayout &dataLayout);
 
-/// Size in bytes of a tree: of its cells and of what says which are active.
+/// Size in bytes of a tree: its cells alone, and with the activity data.
 struct TreeSize {
   uint64_t cells, total;
 };

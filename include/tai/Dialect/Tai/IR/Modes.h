@@ -1,4 +1,4 @@
-//===- Modes.h - What a kernel says of its numbers --------------*- C++ -*-===//
+//===- Modes.h - Numeric modes of a kernel ---------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -15,10 +15,10 @@
 //
 // `"default"` is a word of each. See docs/precision.md.
 //
-// The functions that a kernel becomes have the same words as a function
-// attribute of LLVM, `["tai.modes", "sums=compensated,ftz=true"]` in
-// `passthrough`. Both are attributes of the op itself: a pass that drops what
-// it does not know must not change a result.
+// Functions that a kernel is lowered to have the same settings as an LLVM
+// function attribute, `["tai.modes", "sums=compensated,ftz=true"]` in
+// `passthrough`. Both are inherent attributes: a pass may drop discardable
+// ones, and that must not change a result.
 //
 //===----------------------------------------------------------------------===//
 
@@ -31,13 +31,13 @@
 
 namespace mlir::tai {
 
-/// What kernels compute in: at least this. The types of fields are their own.
+/// The minimum precision of a kernel's arithmetic. Fields keep their types.
 enum class Precision { Default, F64, F32 };
 
 /// How sums over iterations, and scatters, are kept.
 enum class SumsMode { Default, Compensated, Deterministic };
 
-/// What may become of arithmetic and of elementary functions.
+/// The transformations allowed for arithmetic and elementary functions.
 enum class MathMode { Default, Fast, Strict, Accurate };
 
 struct Modes {
@@ -46,16 +46,16 @@ struct Modes {
   std::optional<MathMode> math;
   std::optional<bool> ftz;
 
-  /// Those of the kernel or function that `op` is, or stands in.
+  /// The modes of the kernel or function that `op` is or is in.
   static Modes of(Operation *op);
 
-  /// Whether it is deterministic in a context that is so or not.
+  /// Whether the kernel is deterministic; `otherwise` is the context's setting.
   bool isDeterministic(bool otherwise) const;
   bool isCompensated() const { return sums == SumsMode::Compensated; }
   bool isAccurate() const { return math == MathMode::Accurate; }
   bool flushes() const { return ftz.value_or(false); }
 
-  /// Says so on a kernel or on a function of the LLVM dialect.
+  /// Sets the modes on a kernel or on a function of the LLVM dialect.
   void setOn(Operation *function) const;
 
   friend bool operator==(const Modes &lhs, const Modes &rhs) {
@@ -67,8 +67,8 @@ struct Modes {
 /// Fails after an error if the dictionary of a kernel holds anything else.
 LogicalResult verifyModes(Operation *kernel, DictionaryAttr modes);
 
-/// The same for what a function of the LLVM dialect, if `function` is one, says
-/// in `passthrough`. Passes that read it ask: no verifier does.
+/// The same for the modes in `passthrough`, if `function` is a function of the
+/// LLVM dialect. Called by passes that read them, because no verifier does.
 LogicalResult verifyPassedModes(Operation *function);
 
 } // namespace mlir::tai

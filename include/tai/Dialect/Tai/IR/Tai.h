@@ -35,24 +35,24 @@ uint64_t computeCellSize(ArrayRef<Type> children, const DataLayout &layout);
 /// Alignment in bytes of a cell that holds `children`.
 uint64_t computeCellAlignment(ArrayRef<Type> children,
                               const DataLayout &layout);
-/// Strides of cells of the given size that lie one after another.
+/// Strides of contiguous cells of the given size.
 SmallVector<uint64_t> computeRowMajorStrides(ArrayRef<int64_t> shape,
                                              uint64_t cellSize);
 
-/// How one knows which cells of a level are active.
+/// How a level records which of its cells are active.
 enum class CellActivity {
-  All,    ///< every cell is, always
-  Bits,   ///< there is a bit for each
-  Length, ///< the cells are those of lists: the first of each, up to its length
+  All,    ///< every cell is always active
+  Bits,   ///< a bit for each cell
+  Length, ///< cells form lists; those below the length of their list are active
 };
 
-/// A cell of a sparse level, in code that is being built.
+/// A cell of a sparse level, in IR that is being built.
 struct CellRef {
   /// The address of the tree, and the number of the level among its sparse
-  /// ones.
+  /// levels.
   Value tree;
   unsigned node;
-  /// Where its bits or lengths begin, in bytes from the tree.
+  /// The offset of its bits or lengths, in bytes from the tree.
   uint64_t activityOffset;
   /// Cells of the level below one parent cell: of a list, its capacity.
   int64_t capacity;
@@ -60,17 +60,17 @@ struct CellRef {
   Value cell;
 };
 
-/// The numbers of active cells, and how many they are.
+/// The address of the numbers of active cells, and their count.
 struct CellList {
   Value cells, count;
 };
 
-// What the interface builds where a kind of level does not say otherwise.
+// Default implementations of SNodeTypeInterface.
 Value emitIsActive(OpBuilder &builder, Location loc, CellActivity activity,
                    const CellRef &cell);
 Value emitActivate(OpBuilder &builder, Location loc, const CellRef &cell);
 void emitDeactivate(OpBuilder &builder, Location loc, const CellRef &cell);
-/// The length of a list, an index; the cell of `at` is not looked at.
+/// The length of list number `list`, an index; the cell of `at` is ignored.
 Value emitListLength(OpBuilder &builder, Location loc, const CellRef &at,
                      Value list);
 CellList emitActiveCells(OpBuilder &builder, Location loc, Value tree,
@@ -89,9 +89,8 @@ CellList emitActiveCells(OpBuilder &builder, Location loc, Value tree,
 #include "tai/Dialect/Tai/IR/TaiAttrs.h.inc"
 
 namespace mlir::tai {
-/// What `op` calls an attribute of kernels: the name itself on a kernel; on a
-/// function of another dialect, which has no such attribute, `tai.` and the
-/// name.
+/// The name that a kernel attribute has on `op`: `name` itself on a kernel; on
+/// a function of another dialect, where it is discardable, `tai.` + `name`.
 StringAttr getFunctionAttrName(Operation *op, StringRef name);
 } // namespace mlir::tai
 

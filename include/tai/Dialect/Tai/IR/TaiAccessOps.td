@@ -46,10 +46,10 @@ def Tai_LoadOp : Tai_AccessOp<"load", "Read", "Value", [
     With `component`, reads one component of a vector or matrix element: one
     index for each dimension of the element type.
 
-    An index outside the field is an error. Where what the launch is given
-    decides, the launch is refused; else it is reported with `bounds=check`,
-    replaced with `bounds=clamp`, and without either the behaviour is undefined
-    (see `tai-check-bounds`).
+    An index outside the field is an error. If it depends on the arguments of
+    the launch alone, the launch is refused; otherwise it is reported with
+    `bounds=check`, clamped with `bounds=clamp`, and undefined behaviour without
+    either (see `tai-check-bounds`).
 
     1. (load_c1) `field` names a `tai.field`.
     2. (load_c2) There is an index for each dimension of the field.
@@ -82,7 +82,8 @@ def Tai_StoreOp : Tai_AccessOp<"store", "Write", "Value", [
   let summary = "write one element of a field";
   let description = [{
     Writes `value` to the element of `field` at `indices`, or to one component
-    of it. Activates the cells on the way. For the index rules see `tai.load`.
+    of it. Activates the cells on the path to the element. For the index rules
+    see `tai.load`.
 
     1. (store_c1) to (store_c4): those of `tai.load`.
 
@@ -109,16 +110,16 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", "Combine", "Value", [
     AttrSizedOperandSegments, AllTypesMatch<["value", "old"]>]> {
   let summary = "combine a value into one element of a field";
   let description = [{
-    Replaces the element (or component) by its combination with `value`, in
-    one indivisible step for each component, and yields what it was before.
-    `add`, `sub`, `mul`, `min`, `max` take integers and floats, `and`, `or`,
-    `xor` integers.
+    Replaces the element (or component) by its combination with `value`,
+    atomically for each component, and returns the old value. `add`, `sub`,
+    `mul`, `min`, `max` are for integers and floats, `and`, `or`, `xor` for
+    integers.
 
-    `exclusive` says that no other iteration of the enclosing parallel loop
-    reaches the element, so that a plain read and write does. `strategy` is what
-    `tai-relax-atomics` decided: `register`, the sum of a thread in a register,
-    or `private`, a buffer of its own, whose number in the loop is `buffer`;
-    without it the update is atomic.
+    `exclusive` states that no other iteration of the enclosing parallel loop
+    reaches the element, so that a non-atomic update is enough. `strategy` is
+    the decision of `tai-relax-atomics`: `register`, each thread accumulates in
+    a register, or `private`, in a private buffer, with the number `buffer` in
+    the loop; without it the update is atomic.
 
     1. (atomic_c1) to (atomic_c4): those of `tai.load`.
     2. (atomic_c5) `and`, `or` and `xor` combine integers.
@@ -162,10 +163,10 @@ class Tai_TopologyOp<string mnemonic, string access, string value = "">
 let opDocGroup = TopologyOpGroup in {
 
 def Tai_ActivateOp : Tai_TopologyOp<"activate", "WriteCells"> {
-  let summary = "make a cell active";
+  let summary = "activate a cell";
   let description = [{
-    Activates the cell above the element of `field` at `indices`, `level`
-    levels up (1 is the innermost), and the cells above it.
+    Activates the cell above the element of `field` at `indices`, `level` levels
+    up (1 is the innermost), and its ancestors.
 
     ```mlir
     tai.activate @x[%i] level 1
@@ -177,9 +178,10 @@ def Tai_ActivateOp : Tai_TopologyOp<"activate", "WriteCells"> {
 }
 
 def Tai_DeactivateOp : Tai_TopologyOp<"deactivate", "WriteCells"> {
-  let summary = "make a cell inactive";
+  let summary = "deactivate a cell";
   let description = [{
-    Deactivates the cell; what lies below it reads as zero from then on.
+    Deactivates the cell with all its descendants; elements below it then read
+    as zero.
 
     ```mlir
     tai.deactivate @x[%i] level 1
@@ -191,7 +193,7 @@ def Tai_DeactivateOp : Tai_TopologyOp<"deactivate", "WriteCells"> {
 }
 
 def Tai_IsActiveOp : Tai_TopologyOp<"is_active", "ReadCells"> {
-  let summary = "tell whether a cell is active";
+  let summary = "test whether a cell is active";
   let description = [{
     ```mlir
     %a = tai.is_active @x[%i] level 1
@@ -205,11 +207,11 @@ def Tai_IsActiveOp : Tai_TopologyOp<"is_active", "ReadCells"> {
 
 def Tai_VisitsAllOp : Tai_Op<"visits_all", [
     DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
-  let summary = "tell whether a loop goes over all active cells";
+  let summary = "test whether a loop visits all active cells";
   let description = [{
-    True if a loop over the field visits the cells that are active now. The
-    reverse of a loop visits what the loop visited, which may be fewer. Made by
-    `tai-scatter-to-gather`.
+    True if a loop over the field visits all currently active cells. The reverse
+    of a loop visits the same cells as the loop did, which may be fewer. Created
+    by `tai-scatter-to-gather`.
 
     ```mlir
     %all = tai.visits_all @x

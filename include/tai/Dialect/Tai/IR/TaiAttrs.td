@@ -49,9 +49,10 @@ def Tai_AccessAttr : AttrDef<Tai_Dialect, "Access"> {
   let mnemonic = "access";
   let summary = "one access of a kernel to a field";
   let description = [{
-    `#tai.access<read @x, affine_map<(d0)[s0] -> (s0 - 1, d0)>>`: `kind` is one of `read`, `write`, `accumulate`; `map`, where the indices are
-    affine, takes the loop indices of the enclosing loops (dimensions) and the
-    integer arguments of the kernel (symbols) to the indices of the field.
+    `#tai.access<read @x, affine_map<(d0)[s0] -> (s0 - 1, d0)>>`: `kind` is one
+    of `read`, `write`, `accumulate`; `map`, where the indices are affine, maps
+    the loop indices of the enclosing loops (dimensions) and the integer
+    arguments of the kernel (symbols) to the indices of the field.
   }];
   let parameters = (ins
     EnumParameter<Tai_FieldUse>:$kind,

@@ -22,8 +22,8 @@ def Tai_Dialect : Dialect {
     changes the generated code, never the results.
 
     Kernels are written with `scf`, `arith`, `math`, `vector` and the ops of
-    this dialect, and are differentiated as they stand: `tai-make-adjoint`
-    turns a `tai.kernel` into the kernel that accumulates its gradient.
+    this dialect, and are differentiated in this form: `tai-make-adjoint` turns
+    a `tai.kernel` into the kernel that accumulates its gradient.
   }];
   let useDefaultTypePrinterParser = 1;
   let useDefaultAttributePrinterParser = 1;

@@ -3,8 +3,8 @@
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
-// What stands in a `func.func` that runs on the host. `tai.load` and
-// `tai.store` may stand there too, for single elements.
+// Ops in a `func.func` that runs on the host. `tai.load` and `tai.store` are
+// also allowed there, for single elements.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,8 +19,8 @@ def Tai_LaunchOp : Tai_Op<"launch", [
     DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
   let summary = "run a kernel";
   let description = [{
-    Runs the kernel with the given arguments and waits for what it returns.
-    Inside `tai.tape` the launch is recorded, to be replayed in reverse.
+    Runs the kernel with the given arguments, and waits for its result if it has
+    one. Inside `tai.tape` the launch is recorded, to be reversed.
 
     1. (launch_c1) `kernel` names a `tai.kernel`.
     2. (launch_c2) Operands and results have the types of those of the kernel.
@@ -51,10 +51,10 @@ def Tai_TapeOp : Tai_Op<"tape", [
     skipped.
 
     Only launches are recorded. A number that a launch returns or the host reads
-    from a field with an adjoint must not reach another launch or a field but
-    through `tai.stop_gradient`, and the host must not store to a field that a
-    launch before has accessed. Arithmetic on numbers from before the tape is
-    free.
+    from a field with an adjoint must not reach another launch or a field except
+    through `tai.stop_gradient`, and the host must not store to a field that an
+    earlier launch has accessed. Arithmetic on numbers from before the tape is
+    unrestricted.
 
     1. (tape_c1) `loss` names a `tai.field` of a float, of rank 0.
     2. (tape_c2) The loss has an adjoint.

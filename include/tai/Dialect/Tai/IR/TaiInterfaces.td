@@ -17,23 +17,21 @@ def Tai_SNodeTypeInterface : TypeInterface<"SNodeTypeInterface"> {
     some axes and holds one or more children in each of its own cells: further
     levels, or the record of places (`!tai.places`) that ends a path.
 
-    A downstream dialect adds a kind of level by implementing this interface
-    on a type of its own; the parser of `!tai.root` accepts such a type
-    wherever a level may stand. Layout, lowering and runtime ask a level
-    nothing but what stands here.
+    A downstream dialect adds a kind of level by implementing this interface on
+    a type of its own; the parser of `!tai.root` accepts such a type wherever a
+    level may stand. Layout, lowering and runtime use levels through this
+    interface only.
 
-    The pool of a level is address space: every cell has its place in it,
-    active or not (docs/decisions/0006-sparse-storage.md). The system gives
-    memory to a page when it is first written, and takes it back when the cell
-    becomes inactive; memory of an inactive cell is zero.
+    The pool of a level is address space: every cell has an address in it,
+    active or not (docs/decisions/0006-sparse-storage.md). The system commits a
+    page when it is first written; memory of an inactive cell is zero.
 
     Cells are numbered row-major, the last axis of `getAxes` fastest, whatever
     their addresses are.
   }];
   let methods = [
     InterfaceMethod<
-      "The axes divided by this level, ascending in no particular order; axis "
-      "0 is `i`.",
+      "The axes divided by this level, in any order; axis 0 is `i`.",
       "::llvm::ArrayRef<unsigned>", "getAxes">,
     InterfaceMethod<
       "The number of cells along each axis of `getAxes`.",
@@ -45,7 +43,7 @@ def Tai_SNodeTypeInterface : TypeInterface<"SNodeTypeInterface"> {
       "The keyword that names this kind of level, for messages.",
       "::llvm::StringRef", "getKind">,
     InterfaceMethod<
-      "How one knows which cells are active. A level of lists has one axis.",
+      "How the activity of cells is recorded. A level of lists has one axis.",
       "::mlir::tai::CellActivity", "getActivity">,
 
     // Cells and their addresses.
@@ -68,15 +66,15 @@ def Tai_SNodeTypeInterface : TypeInterface<"SNodeTypeInterface"> {
       [{ return ::mlir::tai::computeCellAlignment($_type.getChildren(),
                                                   layout); }]>,
     InterfaceMethod<
-      "The address of a cell: the distance in bytes from one cell to the next "
-      "along each axis of `getAxes`, a multiple of the alignment.",
+      "The strides of cells in bytes along each axis of `getAxes`, multiples "
+      "of the alignment.",
       "::llvm::SmallVector<uint64_t>", "getCellStrides",
       (ins "const ::mlir::DataLayout &":$layout), "",
       [{ return ::mlir::tai::computeRowMajorStrides(
              $_type.getShape(), $_type.getCellSize(layout)); }]>,
     InterfaceMethod<
-      "The size in bytes of the pool: of the address space for all cells below "
-      "one parent cell.",
+      "The size in bytes of the address space for all cells below one parent "
+      "cell.",
       "uint64_t", "getPoolSize", (ins "const ::mlir::DataLayout &":$layout), "",
       [{ return $_type.getNumCells() * $_type.getCellSize(layout); }]>,
 
@@ -89,21 +87,22 @@ def Tai_SNodeTypeInterface : TypeInterface<"SNodeTypeInterface"> {
       [{ return ::mlir::tai::emitIsActive(builder, loc, $_type.getActivity(),
                                           cell); }]>,
     InterfaceMethod<
-      "Builds what makes a cell active, with those above it, and yields "
-      "whether it is then; any number of threads may do so at once.",
+      "Builds the activation of a cell and its ancestors. Returns an `i1`: "
+      "whether it succeeded. Must be thread-safe.",
       "::mlir::Value", "emitActivate",
       (ins "::mlir::OpBuilder &":$builder, "::mlir::Location":$loc,
            "const ::mlir::tai::CellRef &":$cell), "",
       [{ return ::mlir::tai::emitActivate(builder, loc, cell); }]>,
     InterfaceMethod<
-      "Builds what makes a cell inactive and zeroes it, with what lies below.",
+      "Builds the deactivation of a cell, which also zeroes it, with all its "
+      "descendants.",
       "void", "emitDeactivate",
       (ins "::mlir::OpBuilder &":$builder, "::mlir::Location":$loc,
            "const ::mlir::tai::CellRef &":$cell), "",
       [{ ::mlir::tai::emitDeactivate(builder, loc, cell); }]>,
     InterfaceMethod<
-      "Builds the list of the active cells: the address of their numbers, "
-      "ascending, of 64 bits each, and how many they are.",
+      "Builds the list of active cells: the address of their numbers, of 64 "
+      "bits each and ascending, and their count.",
       "::mlir::tai::CellList", "emitActiveCells",
       (ins "::mlir::OpBuilder &":$builder, "::mlir::Location":$loc,
            "::mlir::Value":$tree, "unsigned":$node), "",

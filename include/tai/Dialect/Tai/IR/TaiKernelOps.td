@@ -18,9 +18,9 @@ def Tai_KernelOp : Tai_Op<"kernel", [
   let summary = "a program that runs over fields";
   let description = [{
     A kernel is launched from the host, by `tai.launch` or through the runtime.
-    Its body is serial code in which `tai.parallel_for` stands at the top level.
-    Arguments are scalars, small vectors, and `memref`s (arrays owned by the
-    caller). A kernel may return one value.
+    Its body is serial code with `tai.parallel_for` at the top level. Arguments
+    are scalars, small vectors, and `memref`s (arrays owned by the caller). A
+    kernel may return one value.
 
     1. (kernel_c1) The body is one block that ends with `tai.return`.
     2. (kernel_c2) An argument is a scalar, a vector, or a `memref` of them with the
@@ -30,37 +30,37 @@ def Tai_KernelOp : Tai_Op<"kernel", [
        `"compensated"` or `"deterministic"`; `math`, `"fast"`, `"strict"` or
        `"accurate"`; `"default"` of each; and `ftz`, true or false.
 
-    `adjoint` names the kernel that accumulates its gradient; it takes the same
+    `adjoint` names the kernel that accumulates its gradient; it has the same
     arguments. `summary` lists what the kernel reads, writes and accumulates
-    (see `#tai.access`). `tangent` names what forward mode made of it.
+    (see `#tai.access`). `tangent` names its forward-mode variant.
 
-    `modes` says how it computes, sums and approximates (docs/precision.md); its
-    adjoint and its tangent form have the same.
+    `modes` sets precision, summation and approximations (docs/precision.md);
+    its adjoint and its forward-mode variant have the same.
 
-    What is to be differentiated, written by people: `gradients`, the positions
-    of arguments, and counted on of results, by which the kernel is
-    differentiated besides fields; `conventions`, what gradients do at kinks
-    (docs/derivatives.md).
+    Attributes for differentiation, set by users: `gradients`, the positions of
+    arguments and results (numbered consecutively) with respect to which the
+    kernel is differentiated besides fields; `conventions`, the subgradients at
+    kinks (docs/derivatives.md).
 
-    What passes say of a kernel. Of an adjoint: `zeroes_adjoint`, it leaves zero in
-    the adjoints of all that the kernel stores; `reads_before`, the fields that
-    it reads as they were before the launch; `reexecutes`, it writes to fields while it
-    runs, so that those of `reads_before` must be put back once more when it is
-    done; `stored_form`, the form of it that loads values which the kernel has
-    stored, for where nothing has overwritten them since; `keeps_activity`, it adds
-    nothing to inactive cells instead of making them active; `guarded`, some of
-    its selects are guards (`tai.guard`), without which it cannot be
-    differentiated again. Of any kernel:
-    `part_of`, it is launched in place of the named kernel under a tape, with
-    the other parts; `checks_indices`, some accesses are checked as they run, so that passes that
-    only make code fast leave it as it was written; `checked_accesses`,
-    (field, use, location) of each access that is logged.
+    Attributes set by passes. On an adjoint: `zeroes_adjoint`, it zeroes the
+    adjoints of all elements that the kernel stores; `reads_before`, the fields
+    that it reads in the version before the launch; `reexecutes`, it re-executes
+    stores of the kernel, so that the fields of `reads_before` must be restored
+    again after it; `stored_form`, the name of its variant that loads stored
+    outputs of the kernel, valid while they are not overwritten;
+    `keeps_activity`, it skips additions to inactive cells instead of activating
+    them; `guarded`, some of its selects are guards (`tai.guard`), whose marks
+    are needed to differentiate it again. On any kernel: `part_of`, under a tape
+    it is launched in place of the named kernel, with the other parts;
+    `checks_indices`, some accesses are checked at run time, so that
+    optimisations must not restructure it; `checked_accesses`, (field, use,
+    location) of each logged access.
 
-    In the syntax of this op, an attribute may also be given by its older name:
-    `tai.gradients`, `tai.conventions`, `tai.modes`, `tai.tangent`, `tai.takes` (now
-    `zeroes_adjoint`), `tai.before` (`reads_before`), `tai.reruns`
-    (`reexecutes`), `tai.stored_form`, `tai.part_of`, `tai.keeps_activity`.
-    The parser reads it as the name without prefix; printed is the new one.
+    The parser of this op also accepts former names of attributes:
+    `tai.gradients`, `tai.conventions`, `tai.modes`, `tai.tangent`, `tai.takes`
+    (now `zeroes_adjoint`), `tai.before` (`reads_before`), `tai.reruns`
+    (`reexecutes`), `tai.stored_form`, `tai.part_of`, `tai.keeps_activity`. The
+    printer prints the present names.
 
     Example:
 
@@ -122,7 +122,7 @@ def Tai_ReturnOp : Tai_Op<"return", [
     Pure, HasParent<"KernelOp">, ReturnLike, Terminator]> {
   let summary = "end a kernel";
   let description = [{
-    Ends a kernel and hands its value, if it has one, to the host.
+    Ends a kernel and returns its value, if it has one, to the host.
 
     1. (return_c1) The operands have the types of the results of the kernel.
 
@@ -144,8 +144,8 @@ def Tai_YieldOp : Tai_Op<"yield", [
     Pure, ReturnLike, Terminator]> {
   let summary = "end a region of the dialect";
   let description = [{
-    Ends the body of a parallel loop, of a tape, or of what records launches as a
-    tape does, and yields nothing. It is not written.
+    Ends the body of a parallel loop, of a tape, or of another op that records
+    launches, and yields nothing. Implicit in the textual form.
 
     1. (yield_c1) It stands in one of these.
   }];
@@ -166,10 +166,9 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     element of a field, in any order and possibly at the same time. Iterations
     communicate through `tai.atomic` alone.
 
-    The box form takes the lower bounds (included) and upper bounds (excluded)
-    of each dimension; an empty range runs nothing. The field form visits the
-    elements of the named field whose cell is active. Activity that the body
-    itself makes does not join the running loop.
+    The box form has inclusive lower bounds and exclusive upper bounds for each
+    dimension; an empty range runs nothing. The field form visits the elements
+    of the named field whose cell is active at the start of the loop.
 
     With `level n`, the field form visits the active cells of the level `n`
     levels up (1 is the innermost), with the indices of the first element in
@@ -177,7 +176,7 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
 
     `serialize` runs the iterations in ascending order on one thread.
     `block_dim` is the number of threads in a block on a GPU: a multiple of 32
-    or a power of two, 1024 at most. It says nothing on the CPU.
+    or a power of two, 1024 at most. It is ignored on the CPU.
 
     1. (parallel_for_c1) The body has one argument for each dimension, of type
        `index`.
@@ -189,13 +188,13 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
        each dimension of the field.
     6. (parallel_for_c6) There is a level `n` above the field.
 
-    What passes say of a loop, not of the program: `reach`, an iteration over
-    active cells has something to do if one of the cells so many cells
-    around it has an adjoint that is not zero (-1: any cell); `outer_dims`, a partition counts
-    only so many of the first dimensions; `fixed_cost`, nanoseconds of an
-    iteration by which the loop is cut, and a sign that the order of its sums must not
-    depend on how it is lowered; `in_warp`, one warp of a GPU runs it, whose
-    threads do their additions together and in a fixed order.
+    Attributes set by passes, without effect on the semantics: `reach`, an
+    iteration over active cells can be skipped unless a cell within this
+    distance has a non-zero adjoint (-1: any cell); `outer_dims`, partitions
+    divide only this many of the first dimensions; `fixed_cost`, the nanoseconds
+    of an iteration used for partitioning, which also fixes the order of its
+    sums independently of the lowering; `in_warp`, one warp of a GPU runs the
+    loop, with its additions in a fixed order.
 
     Example:
 
@@ -232,8 +231,8 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
   let extraClassDeclaration = [{
     /// True for the form that visits the elements of a field.
     bool isStructFor() { return getField().has_value(); }
-    /// Takes over what is said of a loop that this one replaces: `block_dim`,
-    /// what passes noted, and discardable attributes.
+    /// Copies from a loop that this one replaces: `block_dim`, attributes set
+    /// by passes, and discardable attributes.
     void copyNotesFrom(ParallelForOp other);
     ::mlir::Block::BlockArgListType getInductionVars() {
       return getBody().getArguments();
@@ -250,9 +249,9 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
 let opDocGroup = LocalOpGroup in {
 
 def Tai_AllocaOp : Tai_Op<"alloca", []> {
-  let summary = "make a mutable local variable";
+  let summary = "create a mutable local variable";
   let description = [{
-    Makes a variable that holds zero until the first `tai.local_store`. It
+    Creates a variable that holds zero until the first `tai.local_store`. It
     belongs to one iteration of the parallel loop around it.
 
     Example:
@@ -306,9 +305,9 @@ def Tai_RandomOp : Tai_Op<"random", [MemoryEffects<[MemRead, MemWrite]>]> {
     A float in [0, 1), or an integer with all bits random. The generator is
     Philox 4x32-10, keyed by the seed of the context and counted by launch,
     iteration and `stream`, so that a number depends on neither the number of
-    threads nor the order of iterations. `stream` tells the draws of one
-    kernel apart; repeated draws of one op in one iteration advance a count.
-    The derivative is zero.
+    threads nor the order of iterations. `stream` distinguishes the draws of one
+    kernel; repeated draws of one op in one iteration advance a counter. The
+    derivative is zero.
 
     Example:
 
@@ -325,12 +324,12 @@ def Tai_AssertOp : Tai_Op<"assert", [
     MemoryEffects<[MemWrite]>, Tai_OnlyReports]> {
   let summary = "report an error if a condition is false";
   let description = [{
-    If the condition is false the launch fails with the message, in which
-    `{}` stands for the arguments in turn. The iteration goes on; the first
-    failure of a launch is the one reported. Removed unless the context checks
-    assertions (debug mode) or `failure` says what kind of error it is (the
-    `TaiFailure` of tai/ABI/Abi.h): checks that passes make stay. `shapes` has
-    the numbers of components of arguments that `tai-scalarize` took apart.
+    If the condition is false the launch fails with the message, in which each
+    `{}` is replaced by the next argument. The iteration continues; the first
+    failure of a launch is reported. Removed unless the context checks
+    assertions (debug mode) or the op has a `failure` kind (`TaiFailure` of
+    tai/ABI/Abi.h), as checks created by passes do. `shapes` holds the number of
+    components of each argument after `tai-scalarize`.
 
     Example:
 
@@ -358,11 +357,11 @@ def Tai_PreconditionOp : Tai_Op<"precondition", [
     MemoryEffects<[MemWrite]>, HasParent<"KernelOp">]> {
   let summary = "refuse a launch if a condition is false";
   let description = [{
-    If the condition is false the launch fails with the message, in which `{}`
-    stands for the arguments in turn, and nothing of the kernel runs, wherever
-    in it this stands. The condition and the arguments follow from the arguments
-    of the kernel and the extents of its arrays alone: on a GPU, the host
-    computes them. Never removed: release mode checks too. Made by
+    If the condition is false the launch fails with the message, in which each
+    `{}` is replaced by the next argument, and nothing of the kernel runs,
+    wherever in it the op is. The condition and the arguments must depend on the
+    arguments of the kernel and the extents of its arrays alone: on a GPU, the
+    host computes them. Never removed, also in release mode. Created by
     `tai-check-bounds`.
 
     Example:
@@ -388,12 +387,12 @@ def Tai_PrintOp : Tai_Op<"print", [
     MemoryEffects<[MemWrite]>, Tai_OnlyReports]> {
   let summary = "print values from a kernel";
   let description = [{
-    Prints the format, in which `{}` stands for the arguments in turn, and a
-    newline. `{:…}` gives Python's format specification of a number, as in
+    Prints the format, in which each `{}` is replaced by the next argument, and
+    a newline. `{:…}` gives Python's format specification of a number, as in
     `{:8.3f}`: fill, alignment, sign, `#`, `0`, width, precision and one of
-    `bdoxXeEfFgG%`; of vectors, that of each component. A `u` behind it reads
-    the bits of a whole number as an unsigned one. Lines of parallel iterations
-    come in any order, whole. `shapes` is that of `tai.assert`.
+    `bdoxXeEfFgG%`; for vectors, that of each component. A final `u` prints an
+    integer as unsigned. Lines of parallel iterations are printed in any order,
+    each as a whole. For `shapes` see `tai.assert`.
 
     Example:
 

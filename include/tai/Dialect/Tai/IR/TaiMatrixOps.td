@@ -3,9 +3,9 @@
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
-// Small dense algebra on `vector<n x f>` and `vector<n x m x f>`. Each op owns
-// an analytic derivative, which is why it is one op until after the adjoint is
-// made. Elementwise work is `arith` and `math` on vectors.
+// Small dense algebra on `vector<n x f>` and `vector<n x m x f>`. Each op has
+// an analytic derivative, and therefore stays one op until after
+// differentiation. Elementwise work is `arith` and `math` on vectors.
 //
 //===----------------------------------------------------------------------===//
 
@@ -117,9 +117,8 @@ def Tai_NormOp : Tai_MatrixOp<"norm", [
   let description = [{
     √(Σ aᵢ²). The derivative is a/‖a‖, and zero at a = 0.
 
-    Where the sum of the squares over- or underflows, components are scaled
-    first: the norm is right wherever it is a number of the type. Not so with
-    `fast`, which saves the question.
+    If the sum of squares over- or underflows, components are scaled first, so
+    that the norm is accurate whenever it is representable. `fast` omits this.
 
     ```mlir
     %l = tai.norm %a : vector<2xf32>
@@ -134,9 +133,9 @@ def Tai_NormOp : Tai_MatrixOp<"norm", [
 
 def Tai_StopGradientOp : Tai_Op<"stop_gradient", [
     Pure, AllTypesMatch<["value", "result"]>]> {
-  let summary = "a value that gradients take for a constant";
+  let summary = "a value that is constant for differentiation";
   let description = [{
-    The operand. No derivative passes.
+    The operand. No derivative passes through.
 
     ```mlir
     %b = tai.stop_gradient %a : vector<2xf32>
@@ -151,10 +150,10 @@ def Tai_DeriveAsOp : Tai_Op<"derive_as", [
     Pure, AllTypesMatch<["value", "form", "result"]>]> {
   let summary = "a value whose derivative is that of another one";
   let description = [{
-    The first operand. Derivatives pass through the second one alone, so that a
-    value may be computed in one way and differentiated in another. Differentiation
-    makes such ops itself, for functions of the singular values or eigenvalues of a matrix,
-    and leaves none behind.
+    The first operand. Derivatives pass through the second one only, so that a
+    value can be computed in one way and differentiated in another. Created and
+    removed during differentiation, for functions of the singular values or
+    eigenvalues of a matrix.
 
     ```mlir
     %r = tai.derive_as %value, %form : vector<2x2xf32>

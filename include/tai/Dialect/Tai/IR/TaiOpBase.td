@@ -1,4 +1,4 @@
-//===- TaiOpBase.td - What the ops of the dialect share ----*- tablegen -*-===//
+//===- TaiOpBase.td - Base classes and groups of ops ------*- tablegen -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -25,47 +25,47 @@ include "tai/Dialect/Tai/IR/TaiTraits.td"
 include "tai/Dialect/Tai/IR/TaiTypes.td"
 include "tai/Interfaces/FieldAccessInterface.td"
 
-// What ops of the reference stand together.
+// The chapters of the generated op reference.
 def LayoutOpGroup : OpDocGroup {
   let summary = "Trees and fields";
   let description = "Storage: its layout, and the names that kernels use.";
 }
 def KernelOpGroup : OpDocGroup {
   let summary = "Kernels and loops";
-  let description = "Programs over fields, their parallel loops, their ends.";
+  let description = "Programs over fields, their parallel loops, their terminators.";
 }
 def LocalOpGroup : OpDocGroup {
   let summary = "Local variables and stacks";
-  let description = "What belongs to one iteration of a parallel loop.";
+  let description = "Private state of one iteration of a parallel loop.";
 }
 def MessageOpGroup : OpDocGroup {
   let summary = "Random numbers, checks, output";
-  let description = "What an iteration draws, checks and says.";
+  let description = "Random draws, checks and output of an iteration.";
 }
 def AccessOpGroup : OpDocGroup {
   let summary = "Accesses to elements of fields";
   let description = [{
-    Ops that implement `FieldAccessOpInterface`: they name a field and give
-    indices. Their effects are on the symbol of the field.
+    Ops that implement `FieldAccessOpInterface`: they have a field and indices.
+    Their effects are on the symbol of the field.
   }];
 }
 def TopologyOpGroup : OpDocGroup {
   let summary = "Cells of sparse levels";
-  let description = "What is active, and what is to be.";
+  let description = "Queries and changes of activity.";
 }
 def MatrixOpGroup : OpDocGroup {
   let summary = "Small vectors and matrices";
-  let description = "Algebra whose derivative is known as a whole.";
+  let description = "Algebra with analytic derivatives.";
 }
 def HostOpGroup : OpDocGroup {
   let summary = "Host programs";
-  let description = "Launches and tapes. Checks of what came out are in `tai_check`.";
+  let description = "Launches and tapes. Checks of results are in `tai_check`.";
 }
 
 class Tai_Op<string mnemonic, list<Trait> traits = []>
     : Op<Tai_Dialect, mnemonic, traits>;
 
-/// A value that a field can hold or a local can take.
+/// A value that a field or a local can hold.
 def Tai_Value : AnyTypeOf<[AnySignlessInteger, AnyFloat,
     VectorOfAnyRankOf<[AnySignlessInteger, AnyFloat]>]>;
 def Tai_FloatOrVector : AnyTypeOf<[AnyFloat, VectorOfAnyRankOf<[AnyFloat]>]>;

@@ -17,16 +17,16 @@ def Tai_Scalar : AnyTypeOf<[AnySignlessInteger, AnyFloat, Index]>;
 let opDocGroup = LocalOpGroup in {
 
 def Tai_StackCreateOp : Tai_Op<"stack_create"> {
-  let summary = "make an empty stack";
+  let summary = "create an empty stack";
   let description = [{
-    Makes a stack of scalars that grows as it must, and is freed by
-    `tai.stack_destroy`. Adjoints that run a kernel forward again record on one
-    stack, for each value, what its reverse will need: each execution of a block
-    pushes once, and each reversed execution pops once, so that the orders agree
-    however loops are nested.
+    Creates a stack of scalars that grows as needed, and is freed by
+    `tai.stack_destroy`. Adjoints that re-execute a kernel record each value
+    that its reverse needs on a stack: each execution of a block pushes once,
+    and each reversed execution pops once, so that the orders agree however
+    loops are nested.
 
     A stack belongs to one iteration of the parallel loop around it. The first
-    few values need no memory of their own.
+    few values are stored inline, without an allocation.
 
     Example:
 
@@ -45,7 +45,7 @@ def Tai_StackCreateOp : Tai_Op<"stack_create"> {
 def Tai_StackPushOp : Tai_Op<"stack_push", [
     TypesMatchWith<"the stack holds the type of the value", "value", "stack",
                    "::mlir::tai::StackType::get($_self)">]> {
-  let summary = "put a value on a stack";
+  let summary = "push a value on a stack";
   let description = [{
     See `tai.stack_create`.
   }];
@@ -57,7 +57,7 @@ def Tai_StackPushOp : Tai_Op<"stack_push", [
 def Tai_StackPopOp : Tai_Op<"stack_pop", [
     TypesMatchWith<"the stack holds the type of the value", "value", "stack",
                    "::mlir::tai::StackType::get($_self)">]> {
-  let summary = "take the last value from a stack";
+  let summary = "pop the last value from a stack";
   let description = [{
     The stack must not be empty. See `tai.stack_create`.
   }];

@@ -67,26 +67,28 @@ def Tai_DenseType : Tai_LevelType<"Dense", "dense"> {
 }
 
 def Tai_PointerType : Tai_LevelType<"Pointer", "pointer"> {
-  let summary = "a level of cells that are allocated on first write";
+  let summary = "a level of cells that are activated on first write";
   let description = [{
-    Each cell is a pointer, null until the cell is activated. A cell is
-    allocated from the pool of the level and starts as zero.
+    A level for coarse blocks of cells, named after Taichi's level of pointers.
+    Address space is reserved for all cells, and a bit mask records which are
+    active; memory is committed when a cell is first written, and starts as zero
+    (docs/decisions/0006-sparse-storage.md).
   }];
 }
 
 def Tai_BitmaskedType : Tai_LevelType<"Bitmasked", "bitmasked"> {
   let summary = "a dense block with one activity bit per cell";
   let description = [{
-    Storage as `dense`, and a bit mask that says which cells are active.
-    A struct-for visits active cells only.
+    Storage as `dense`, and a bit mask that records which cells are active. A
+    loop over the field visits active cells only.
   }];
 }
 
 def Tai_HashType : Tai_LevelType<"Hash", "hash"> {
-  let summary = "cells kept in a hash table";
+  let summary = "a level of cells that are far apart";
   let description = [{
-    As `pointer`, for index spaces too large for an array of pointers: the
-    cells that exist are found through a hash table.
+    Stored like `pointer`: for cells that are expected to be far apart. The name
+    is that of Taichi's hashed level; there is no hash table.
   }];
 }
 
@@ -95,9 +97,9 @@ def Tai_DynamicType : Tai_Type<"Dynamic", "dynamic", [
                                 ["getAxes", "getShape"]>]> {
   let summary = "a list of cells that grows by append";
   let description = [{
-    A list along one axis, of at most the given number of cells, allocated in
-    chunks: `dynamic<[i: 1024], chunk 32, {x: f32}>`. The active cells are the
-    first `tai.length` of them.
+    A list along one axis, of at most the given number of cells: `dynamic<[i:
+    1024], chunk 32, {x: f32}>`. The active cells are the first `tai.length` of
+    them. The chunk size is accepted for compatibility and has no effect.
   }];
   let parameters = (ins
     "unsigned":$axis, "int64_t":$capacity, "int64_t":$chunkSize,

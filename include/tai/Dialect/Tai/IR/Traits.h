@@ -1,12 +1,12 @@
-//===- Traits.h - What ops of other dialects say to tai ---------*- C++ -*-===//
+//===- Traits.h - Traits for ops of other dialects -------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Passes ask for these instead of for ops by name, so that checks of gradients
-// are a dialect of their own, and others can have theirs.
+// Passes query these traits instead of concrete ops, so that gradient checks
+// are a separate dialect, and other dialects can add similar ops.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,8 +19,8 @@
 
 namespace mlir::tai {
 
-/// Of an op whose region ends with `tai.yield`: the launches in it are recorded
-/// and differentiated.
+/// An op with a region that ends with `tai.yield`: the launches in it are
+/// recorded and differentiated.
 template <typename ConcreteType>
 class RecordsLaunches
     : public OpTrait::TraitBase<ConcreteType, RecordsLaunches> {
@@ -30,12 +30,13 @@ public:
   }
 };
 
-/// Of an op whose operands end up in messages: no derivative is lost in it.
+/// An op whose operands are only reported in messages, so that no derivative is
+/// lost in it.
 template <typename ConcreteType>
 class OnlyReports : public OpTrait::TraitBase<ConcreteType, OnlyReports> {};
 
 /// For verifiers of ops that record launches: `loss` is a float field of rank 0
-/// with an adjoint (tape_c1, tape_c2), and no derivative goes from one launch
+/// with an adjoint (tape_c1, tape_c2), and no derivative passes from one launch
 /// to the next through the host (tape_c3).
 LogicalResult verifyTape(Operation *tape, FlatSymbolRefAttr loss,
                          SymbolTableCollection &symbols);

@@ -1,12 +1,13 @@
-//===- TaiRT.h - The level below the front dialect --------------*- C++ -*-===//
+//===- TaiRT.h - The dialect below tai -------------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Addresses of trees and cells of sparse levels, as ops. What levels build with
-// them is declared in Layout.h and Tai.h, and defined here in CellCode.cpp.
+// Ops for addresses of trees and cells of sparse levels. The helpers with which
+// levels build them are declared in Layout.h and Tai.h, and defined in this
+// library, in CellCode.cpp.
 //
 //===----------------------------------------------------------------------===//
 

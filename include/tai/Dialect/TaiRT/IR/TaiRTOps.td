@@ -20,11 +20,11 @@ def TaiRT_Dialect : Dialect {
   let cppNamespace = "::mlir::tai";
   let summary = "addresses of trees, and cells of sparse levels";
   let description = [{
-    What lies between the ops of `tai`, which name fields, and the LLVM dialect: the
-    address of a tree, and the questions and changes of activity that become
-    calls of the runtime. Made by `tai-lower-struct-for`, `tai-lower-layout` and the
-    kinds of levels; never written by hand. Memory has addresses here, layouts
-    are gone.
+    A level between `tai`, whose ops name fields, and the LLVM dialect:
+    addresses of trees, and queries and changes of activity that become calls of
+    the runtime. Memory has addresses, and layouts have been lowered. Created by
+    `tai-lower-struct-for`, `tai-lower-layout` and the implementations of
+    levels; not meant to be written by hand.
   }];
   let dependentDialects = ["::mlir::LLVM::LLVMDialect"];
 }
@@ -40,9 +40,9 @@ def TaiRT_TreeBaseOp : TaiRT_Op<"tree_base", [
     Pure, DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
   let summary = "the address of a tree";
   let description = [{
-    Yields the address of the storage of a tree. It is the same throughout a
-    launch. Made by `tai-lower-layout`, and taken from the frame of the launch
-    by `convert-tai-to-scf`.
+    Returns the address of the storage of a tree. It is constant during a
+    launch. Created by `tai-lower-layout`, and lowered by `convert-tai-to-scf`
+    to a load from the frame of the launch.
 
     Example:
 
@@ -55,18 +55,18 @@ def TaiRT_TreeBaseOp : TaiRT_Op<"tree_base", [
   let assemblyFormat = "$tree attr-dict `:` type($base)";
 }
 
-// Cells of a sparse level are numbered row-major, level below level. `node` is
-// the number of the level in its tree, those above before those below.
+// Cells of a sparse level are numbered row-major, level by level. `node` is the
+// number of the level in its tree, parents before children.
 
 def TaiRT_ActiveCellsOp : TaiRT_Op<"active_cells", [
     AllTypesMatch<["base", "cells"]>]> {
-  let summary = "the list of the active cells of a sparse level";
+  let summary = "the list of active cells of a sparse level";
   let description = [{
-    Yields the address and the length of an array of 64-bit numbers: those of
+    Returns the address and the length of an array of 64-bit numbers: those of
     the active cells of sparse level `node` of the tree at `base`, ascending.
-    The array stays as it is until the kernel returns. With `reach`, cells are
-    left out around which, so many cells far, no adjoint is other than zero; -1
-    looks at all cells. Made by `tai-lower-struct-for`.
+    The array does not change until the kernel returns. With `reach`, cells are
+    omitted if all adjoints within this distance, in cells, are zero; -1 means
+    any distance. Created by `tai-lower-struct-for`.
 
     ```mlir
     %cells, %count = tai_rt.active_cells %base, 0 : !llvm.ptr
@@ -85,11 +85,11 @@ def TaiRT_ActiveCellsOp : TaiRT_Op<"active_cells", [
 }
 
 def TaiRT_ListIsCurrentOp : TaiRT_Op<"list_is_current"> {
-  let summary = "tell whether a loop goes over all active cells";
+  let summary = "test whether a loop visits all active cells";
   let description = [{
-    False if `tai_rt.active_cells` of the same level yields another list than that
-    of the cells that are active now: the reverse of a loop goes over what the
-    loop went over. Made by `tai-lower-layout`.
+    False if `tai_rt.active_cells` of the same level returns another list than
+    that of the currently active cells: the reverse of a loop visits the same
+    cells as the loop did. Created by `tai-lower-layout`.
 
     ```mlir
     %all = tai_rt.list_is_current %base, 0 : !llvm.ptr
@@ -101,10 +101,10 @@ def TaiRT_ListIsCurrentOp : TaiRT_Op<"list_is_current"> {
 }
 
 def TaiRT_ActivateCellOp : TaiRT_Op<"activate_cell"> {
-  let summary = "make a cell and those above it active";
+  let summary = "activate a cell and its ancestors";
   let description = [{
-    Yields false if there is no memory for the cell; the launch has failed then,
-    and nothing must be written to the cell. Made by `tai-lower-layout`.
+    Returns false if there is no memory for the cell; the launch has then
+    failed, and the cell must not be written. Created by `tai-lower-layout`.
 
     ```mlir
     %ok = tai_rt.activate_cell %base, 0, %cell : !llvm.ptr
@@ -116,10 +116,10 @@ def TaiRT_ActivateCellOp : TaiRT_Op<"activate_cell"> {
 }
 
 def TaiRT_DeactivateCellOp : TaiRT_Op<"deactivate_cell"> {
-  let summary = "make a cell inactive";
+  let summary = "deactivate a cell";
   let description = [{
-    Also zeroes it, with all that lies below; of a `dynamic` level, the whole
-    list. Made by `tai-lower-layout`.
+    Also zeroes it, with all its descendants; of a `dynamic` level, the whole
+    list. Created by `tai-lower-layout`.
 
     ```mlir
     tai_rt.deactivate_cell %base, 0, %cell : !llvm.ptr
@@ -130,10 +130,10 @@ def TaiRT_DeactivateCellOp : TaiRT_Op<"deactivate_cell"> {
 }
 
 def TaiRT_AppendCellOp : TaiRT_Op<"append_cell"> {
-  let summary = "lengthen a list by one cell";
+  let summary = "append a cell to a list";
   let description = [{
-    Yields the position of the new cell in list number `list` of a `dynamic`
-    level, or -1 if the list is full; the launch has failed then. Made by
+    Returns the position of the new cell in list number `list` of a `dynamic`
+    level, or -1 if the list is full; the launch has then failed. Created by
     `tai-lower-layout`.
 
     ```mlir
