@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What a compiler that embeds tai calls first.
+// The entry points for a compiler that embeds tai.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,11 +26,11 @@ namespace mlir::tai {
 void registerAll(DialectRegistry &registry);
 
 /// Registers the passes and pipelines of tai by name. Passes of upstream are
-/// the caller's to register.
+/// not registered.
 void registerAllPasses();
 
-/// Everything from kernels to the LLVM dialect: adjoints of the kernels that
-/// ask for one, then `tai-to-llvm`.
+/// Everything from kernels to the LLVM dialect: `tai-autodiff` for the kernels
+/// launched under a tape, then `tai-to-llvm`.
 void buildPipeline(OpPassManager &pm, const ToLLVMOptions &options);
 
 } // namespace mlir::tai

@@ -1,4 +1,4 @@
-//===- Background.cpp - Work ahead of need --------------------------------===//
+//===- Background.cpp - Speculative background jobs -----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,13 +1,13 @@
-//===- BuildId.cpp - Which build of the compiler this is ------------------===//
+//===- BuildId.cpp - Identity of the compiler build -----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The linker gives each library an id that follows from its contents. It is
-// read from memory: the file may be another one by now. Size and time of a
-// file do not tell two builds apart that were installed from packages.
+// The linker gives each library a build id, a hash of its contents. It is read
+// from memory, because the file may have been replaced. Size and time of a file
+// do not distinguish two builds that were installed from packages.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- BuildId.h - Which build of the compiler this is ----------*- C++ -*-===//
+//===- BuildId.h - Identity of the compiler build --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,10 +13,10 @@
 
 namespace mlir::tai {
 
-/// Names all code that can take part in a compilation: the kernel ABI, the
-/// libraries that hold tai, MLIR and LLVM, and what is loaded besides them and
-/// uses them or holds a dialect of the context, such as plugins. Object code
-/// made by other code is not used.
+/// Identifies all code that can take part in a compilation: the kernel ABI, the
+/// libraries with tai, MLIR and LLVM, and other loaded libraries that use them
+/// or define a dialect of the context, such as plugins. Cached objects of
+/// another build are not used.
 std::string getBuildId(MLIRContext *context);
 
 } // namespace mlir::tai

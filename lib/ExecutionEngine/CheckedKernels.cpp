@@ -1,11 +1,11 @@
-//===- CheckedKernels.cpp - Kernels that watch their accesses -------------===//
+//===- CheckedKernels.cpp - Kernels that check accesses -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Makes the form of a kernel that a checking tape launches in its place.
+// Makes the instrumented variant of a kernel for a tape that checks accesses.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- ChosenModes.cpp - What modes come to in the code of kernels --------===//
+//===- ChosenModes.cpp - The effect of modes on kernel code ---------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

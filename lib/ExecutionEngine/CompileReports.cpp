@@ -1,4 +1,4 @@
-//===- CompileReports.cpp - What users see of compilations ----------------===//
+//===- CompileReports.cpp - Reports of compilations -----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What passes have lowered becomes object code for the host, and an image for a
-// device where there is one.
+// Compiles lowered modules to object code for the host, and to an image for a
+// device if there is one.
 //
 //===----------------------------------------------------------------------===//
 

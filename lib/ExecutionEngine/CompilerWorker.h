@@ -1,12 +1,11 @@
-//===- CompilerWorker.h - What one thread compiles with ---------*- C++ -*-===//
+//===- CompilerWorker.h - State of one compiling thread --------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Compiler.cpp runs passes with it, CompilerCode.cpp makes code from what they
-// leave.
+// Compiler.cpp runs passes with it, CompilerCode.cpp generates code with it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,7 +18,7 @@
 
 namespace mlir::tai {
 
-/// Adds the time until its end to a phase.
+/// Adds its lifetime to the time of a phase.
 class PhaseTimer {
 public:
   PhaseTimer(PhaseTimes &times, Phase phase)
@@ -36,26 +35,27 @@ private:
   std::chrono::steady_clock::time_point start;
 };
 
-/// What one thread needs to compile. Pass managers are kept, because a pass
-/// collects its patterns when it first runs, and target machines are costly.
+/// The pass managers and code generators of one thread. They are reused,
+/// because a pass collects its patterns when it first runs, and target machines
+/// are costly.
 struct Compiler::Worker {
   Worker(MLIRContext *context, const Pipelines &pipelines,
          const CompileOptions &options);
 
   CompileOptions options;
-  /// Of the pipeline that has failed last.
+  /// Set by the pipeline that failed last.
   InvalidAfterPass::Finding finding;
   PassManager autodiff;
   PassManager zeroingAutodiff;
   PassManager forward;
-  /// To the LLVM dialect, for a device or without one.
+  /// To the LLVM dialect, with or without a device.
   PassManager lowering;
   std::unique_ptr<ObjectCompiler> objects;
   std::unique_ptr<DeviceCompiler> deviceCode;
   std::string *scf = nullptr;
 };
 
-/// Takes a worker for these options from the idle ones, and puts it back.
+/// Takes an idle worker for these options, or makes one, and returns it.
 class Compiler::WorkerLease {
 public:
   WorkerLease(Compiler &compiler, const CompileOptions &options)

@@ -1,4 +1,4 @@
-//===- ContextModes.cpp - Modes of numbers of a context -------------------===//
+//===- ContextModes.cpp - Numeric modes of a context ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

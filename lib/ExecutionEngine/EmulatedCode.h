@@ -12,8 +12,9 @@
 
 namespace mlir::tai {
 
-/// Places the code of the emulated device in memory. It has a linker of its
-/// own, which what was linked keeps: that outlives the compiler of the session.
+/// Links the code of the emulated device into memory. It has its own linker,
+/// which linked code keeps alive, because that can outlive the session's
+/// compiler.
 runtime::ObjectLinker makeObjectLinker();
 
 } // namespace mlir::tai

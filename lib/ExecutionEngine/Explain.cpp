@@ -1,12 +1,12 @@
-//===- Explain.cpp - What the compiler did, in words ----------------------===//
+//===- Explain.cpp - Explanations of gradients ----------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The remarks of the passes on one kernel, put in the order of the program, and
-// what its adjoint reads and adds to.
+// The remarks of the passes on one kernel in program order, and the fields that
+// its adjoint reads and accumulates into.
 //
 //===----------------------------------------------------------------------===//
 

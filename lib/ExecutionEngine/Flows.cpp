@@ -1,14 +1,14 @@
-//===- Flows.cpp - Which stored values depend on which that are read ------===//
+//===- Flows.cpp - Data flow of floats ------------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A tape wants to know whether a value that it differentiates by gets lost in a
-// field or an array without gradient; forward mode, in a field without dual. So
-// values are followed from each read of floats to each store of floats, through
-// ops that carry derivatives, whether the fields have gradients or not.
+// A tape warns if a derivative is lost in a field or an array without gradient,
+// and forward mode if one is lost in a field without dual. So the data flow
+// from each read to each store of floats is tracked, through ops that carry
+// derivatives, whether the fields have gradients or not.
 //
 //===----------------------------------------------------------------------===//
 

@@ -13,8 +13,8 @@
 
 namespace mlir::tai {
 
-/// What the program `entry` of a module needs: a copy in which kernels are
-/// nothing but their signatures, for the host reaches them through the runtime.
+/// A copy of the module for the host program `entry`, in which kernels are
+/// reduced to signatures, because the host calls them through the runtime.
 OwningOpRef<ModuleOp> makeHostModule(ModuleOp module, StringRef entry);
 
 /// Whether a host function names a field other than for a launch or a tape.

@@ -1,12 +1,12 @@
-//===- InterpretedCode.cpp - Functions that the interpreter runs ----------===//
+//===- InterpretedCode.cpp - Interpreted functions ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The runtime launches functions. Of the interpreter each is one that hands the
-// frame, and which program it belongs to, to the same function.
+// The runtime launches function pointers. Each interpreted function gets a stub
+// that passes the frame and its interpreter to a common function.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- InterpretedCode.h - Functions that the interpreter runs --*- C++ -*-===//
+//===- InterpretedCode.h - Interpreted functions ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,8 +13,8 @@
 
 namespace mlir::tai {
 
-/// What runs the function whose entry point has the symbol; null with the
-/// reason where the interpreter does not know an op.
+/// An interpreter for the function whose entry point has the symbol; null, with
+/// the reason in `failure`, if the interpreter does not support an op.
 std::shared_ptr<const Interpreter>
 makeInterpreter(OwningOpRef<ModuleOp> module, StringRef symbol,
                 const CompileOptions &options, Failure &failure);

@@ -1,4 +1,4 @@
-//===- ModuleFile.cpp - Modules that come from outside --------------------===//
+//===- ModuleFile.cpp - Reading and writing modules -----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,11 +1,12 @@
-//===- OptionKinds.h - Texts of options, read -------------------*- C++ -*-===//
+//===- OptionKinds.h - Parsers of option values ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The kinds of Options.def: what they are in C++, and how a text becomes one.
+// The kinds of options in Options.def: their C++ types, and how they are
+// parsed.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +22,7 @@
 namespace mlir::tai::options {
 using llvm::StringRef;
 
-/// A whole number from 0 on, of a type that can hold more.
+/// A non-negative integer, of a signed type.
 template <typename Number> struct WholeNumber {
   using Type = Number;
   static std::optional<Type> parse(StringRef text) {
@@ -63,7 +64,7 @@ struct BlockThreads {
   }
 };
 
-/// In any notation, so that it can be a mask.
+/// An integer in any C notation (0x…, 0b…), so that it can be a mask.
 struct Seed {
   using Type = uint64_t;
   static std::optional<Type> parse(StringRef text) {
@@ -85,7 +86,7 @@ struct Bounds {
   }
 };
 
-/// Whether there is one: AddressSanitizer is all there is.
+/// Whether a sanitizer is used; AddressSanitizer is the only one.
 struct Sanitizer {
   using Type = bool;
   static std::optional<bool> parse(StringRef text) {
@@ -96,13 +97,13 @@ struct Sanitizer {
   }
 };
 
-/// As it is: whoever sets it says what is wrong with it.
+/// Not parsed here: the setter reports invalid values.
 struct Text {
   using Type = StringRef;
   static std::optional<Type> parse(StringRef text) { return text; }
 };
 
-/// The same: what is wrong with a list of skips names the skips.
+/// The same: the setter's error lists the names of skips.
 struct Skips : Text {};
 
 } // namespace mlir::tai::options

@@ -1,4 +1,4 @@
-//===- Reproducer.cpp - What shows a failure of the compiler --------------===//
+//===- Reproducer.cpp - Reproducers of internal errors --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

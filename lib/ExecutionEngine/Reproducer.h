@@ -1,13 +1,13 @@
-//===- Reproducer.h - What shows a failure of the compiler ------*- C++ -*-===//
+//===- Reproducer.h - Reproducers of internal errors -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A program that is wrong gets an error at its line. Anything else that fails
-// is a bug of ours, and leaves a file with the module and the passes that show
-// it, which the error names.
+// An invalid program gets an error at its line. Any other failure is a bug of
+// the compiler: a file with the module and the pass pipeline is written, and
+// the error names it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,12 +20,12 @@
 
 namespace mlir::tai {
 
-/// Remembers which pass left a module behind that is not valid.
+/// Records the pass after which the module failed to verify.
 class InvalidAfterPass : public PassInstrumentation {
 public:
   struct Finding {
     std::string pass;
-    /// What the verifier says first.
+    /// The first error of the verifier.
     std::string error;
   };
   explicit InvalidAfterPass(Finding &finding) : finding(finding) {}
@@ -36,25 +36,25 @@ private:
   Finding &finding;
 };
 
-/// Runs a pipeline. Where a pass says what is wrong with the program the
-/// failure is of `kind`. A pass that fails without a word, or after which the
-/// module is not valid, is a bug of ours: the failure is internal then.
+/// Runs a pipeline. If a pass fails with an error about the program the failure
+/// is of `kind`. A pass that fails without a diagnostic, or leaves an invalid
+/// module, is a bug: the failure is then internal.
 LogicalResult runPipeline(PassManager &manager,
                           InvalidAfterPass::Finding &finding, ModuleOp module,
                           const Twine &title, FailureKind kind,
                           Failure &failure);
 
-/// Writes the module and a pipeline to a file that `tai-opt --run-reproducer`
-/// takes, with the failure and `next`, what follows on the pipeline, in its
-/// first lines. The failure names the file afterwards.
+/// Writes the module and a pipeline to a file for `tai-opt --run-reproducer`;
+/// its first lines hold the failure and `next`, the commands after the
+/// pipeline. Adds the name of the file to the failure.
 void addReproducer(Failure &failure, ModuleOp module, PassManager &manager,
                    StringRef next = {});
 
-/// Writes a module of LLVM IR, with the failure and the command that makes code
-/// of it in its first lines. The failure names the file afterwards.
+/// Writes a module of LLVM IR; the first lines of the file hold the failure and
+/// `command`, which compiles it. Adds the name of the file to the failure.
 void addReproducer(Failure &failure, StringRef module, StringRef command);
 
-/// Runs passes once, with a reproducer where they fail by a bug of ours.
+/// Runs passes once, with a reproducer for internal errors.
 LogicalResult runPasses(ModuleOp module,
                         llvm::function_ref<void(OpPassManager &)> populate,
                         const Twine &title, FailureKind kind, Failure &failure);

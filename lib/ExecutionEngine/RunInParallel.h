@@ -20,9 +20,9 @@
 
 namespace mlir::tai {
 
-/// Runs task(0) to task(count - 1) on as many threads as help, until one fails.
-/// Returns the first that does: others may have been given up because of it,
-/// and say nothing but that.
+/// Runs task(0) to task(count - 1) on up to as many threads as there are cores,
+/// until one fails. Returns the number of the first that failed: failures of
+/// others may be mere consequences of being stopped.
 inline std::optional<size_t>
 runInParallel(size_t count,
               llvm::function_ref<const runtime::Status &(size_t)> task) {
@@ -44,13 +44,13 @@ runInParallel(size_t count,
   };
   size_t helpers = std::min<size_t>(
       count, std::max(1u, std::thread::hardware_concurrency()));
-  // Fewer where the system gives no more; each is joined when it goes.
+  // Fewer if the system cannot start more; destructors join them.
   std::vector<runtime::Thread> threads(helpers ? helpers - 1 : 0);
   for (runtime::Thread &thread : threads)
     if (!thread.start(help, "tai-compile"))
       break;
   work();
-  // The threads end before the flags that they look at.
+  // End the threads before the flags that they read.
   threads.clear();
   return failed < count ? std::optional(failed.load()) : std::nullopt;
 }

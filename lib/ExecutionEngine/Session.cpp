@@ -5,8 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The context itself, and what runs in it. Its options are in
-// SessionOptions.cpp.
+// The session and its calls. Options are in SessionOptions.cpp.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Where a row of Options.def leads: to a member of the options that decide
-// code, to the runtime, or to one of the methods here.
+// Dispatches each row of Options.def: to a member of the compile options, to
+// the runtime, or to one of the methods here.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,13 +1,14 @@
-//===- StripAttributes.h - Passes that must not rely on them ----*- C++ -*-===//
+//===- StripAttributes.h - Drops discardable attributes --------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Any pass may drop discardable attributes. Tests ask for the worst: that all
-// those of tai are dropped in front of each pass. To find the one that matters,
-// name it: TAI_STRIP_ATTRIBUTES=tai.active,tai.tiles drops these alone.
+// Any pass may drop discardable attributes, so no result may depend on them.
+// Tests drop all `tai.*` ones before each pass (TAI_STRIP_ATTRIBUTES=1). To
+// find the one that matters, list names:
+// TAI_STRIP_ATTRIBUTES=tai.active,tai.tiles drops these alone.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,10 +23,10 @@
 
 namespace mlir::tai {
 
-/// Drops what passes have noted on ops of any dialect.
+/// Drops discardable `tai.*` attributes of ops of any dialect.
 class StripAttributes : public PassInstrumentation {
 public:
-  /// `names`: attributes with commas, or anything else for all of them.
+  /// `names`: attributes separated by commas, or anything else for all.
   explicit StripAttributes(StringRef names) {
     for (StringRef name : llvm::split(names, ','))
       if (name.starts_with("tai."))

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Linear algebra of small matrices, row-major, by the methods of textbooks.
+// Linear algebra of small matrices, row-major, by textbook methods.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,8 +20,8 @@ long double determinant(ArrayRef<long double> matrix, int64_t n);
 long double cofactor(ArrayRef<long double> matrix, int64_t n, int64_t row,
                      int64_t column);
 
-/// Values in descending order; the columns of `left` and `right` belong to
-/// them. The signs of columns are as they come.
+/// Values in descending order, with the corresponding columns of `left` and
+/// `right`, whose signs are arbitrary.
 struct Decomposition {
   SmallVector<long double> left, values, right;
 };
@@ -30,8 +30,8 @@ struct Decomposition {
 /// rotations.
 Decomposition decomposeSymmetric(ArrayRef<long double> matrix, int64_t n);
 
-/// Singular values, the last one negative where the determinant is; `left` and
-/// `right` are rotations.
+/// Singular values; the last one is negative if the determinant is, so that
+/// `left` and `right` are rotations.
 Decomposition decomposeSingular(ArrayRef<long double> matrix, int64_t n);
 
 } // namespace mlir::tai::interpreter

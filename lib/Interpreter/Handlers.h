@@ -1,4 +1,4 @@
-//===- Handlers.h - What operations do --------------------------*- C++ -*-===//
+//===- Handlers.h - Implementations of operations --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -23,7 +23,8 @@ void addVectorHandlers(Handlers &handlers);
 
 /// Applies the scalar function of an operation to each component.
 LogicalResult runScalars(Run &run, Operation *op);
-/// Reports the preconditions of a function that do not hold.
+/// Checks the preconditions of a function; fails the launch where one does not
+/// hold.
 LogicalResult checkPreconditions(Run &run, Block &body);
 
 } // namespace mlir::tai::interpreter

@@ -1,4 +1,4 @@
-//===- Interpreter.cpp - Programs, and how they are run -------------------===//
+//===- Interpreter.cpp - Prepares and runs programs -----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What the operations of arith and math make of numbers.
+// Scalar semantics of the operations of arith and math.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,7 +27,7 @@ using Number = std::variant<llvm::APInt, llvm::APFloat>;
 /// Bits of an integer or index type.
 unsigned getWidth(Type type);
 Number getZero(Type type);
-/// The number that an attribute stands for.
+/// The value of a constant attribute.
 Number getNumber(Attribute attribute);
 
 inline bool isTrue(const Number &number) {
@@ -39,22 +39,22 @@ inline int64_t toIndex(const Number &number) {
 inline Number fromIndex(int64_t index) {
   return llvm::APInt(64, static_cast<uint64_t>(index), /*isSigned=*/true);
 }
-/// A float as f64, which holds every number of the narrower types.
+/// A float as f64, exactly.
 double toDouble(const Number &number);
 /// Rounds to the float type.
 Number fromDouble(long double number, Type type);
 
-// The numbers of a type as they lie in memory: i1 in a byte, index in eight.
+// The representation in memory: i1 takes a byte, index eight.
 int64_t getByteSize(Type type);
 Number readNumber(const char *from, Type type);
 void writeNumber(const Number &number, char *to);
 
-/// What came out: a number, or why there is none.
+/// The result of an operation: a number, or the reason why it is undefined.
 struct Outcome {
   std::optional<Number> number;
   std::string problem;
-  /// Where a result is defined all the same, but not asked for: reported in
-  /// debug mode only.
+  /// The result is defined but most likely a mistake (such as a division by
+  /// zero): reported in debug mode only.
   bool isTolerated = false;
 
   Outcome(llvm::APInt number) : number(std::move(number)) {}
@@ -68,14 +68,14 @@ struct Outcome {
   }
 };
 
-/// One component of an operation whose operands and result have one shape.
-/// `type`: of the component of the result.
+/// Computes one component of an elementwise operation. `type` is that of the
+/// result's component.
 using ScalarFunction = Outcome (*)(Operation *op, ArrayRef<Number> operands,
                                    Type type);
 /// The function for operations of this name, or null.
 ScalarFunction findScalarFunction(StringRef name);
 
-/// a * b and the like, on numbers of one type.
+/// Arithmetic on numbers of the same type.
 Number combine(AtomicKind kind, const Number &a, const Number &b);
 Number add(const Number &a, const Number &b);
 Number subtract(const Number &a, const Number &b);

@@ -1,4 +1,4 @@
-//===- Program.h - What the interpreter runs --------------------*- C++ -*-===//
+//===- Program.h - A prepared function -------------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -16,7 +16,7 @@
 
 namespace mlir::tai::interpreter {
 
-/// A field: where it lies, and how cells on the way are numbered.
+/// A field: its address function, and the sparse levels on its path.
 struct FieldPlace {
   FieldLayout layout;
   FieldStorage storage;
@@ -27,14 +27,14 @@ struct FieldPlace {
 };
 
 struct Run;
-/// Does what an operation does. A handler that fails has said why, to the
+/// Executes an operation. A handler that fails has reported the error to the
 /// launch.
 using Handler = LogicalResult (*)(Run &run, Operation *op);
 
-/// A function, the handler of each of its operations, and the fields it names.
+/// A function with the handlers of its operations, and the fields it uses.
 class Program {
 public:
-  /// Null, with diagnostics, where something in it cannot be run.
+  /// Null, with diagnostics, if an op in it is not supported.
   static std::unique_ptr<Program> create(ModuleOp module, StringRef function,
                                          const InterpreterOptions &options);
 

@@ -1,4 +1,4 @@
-//===- Run.cpp - A run of a function --------------------------------------===//
+//===- Run.cpp - One execution of a function ------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

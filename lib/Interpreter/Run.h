@@ -1,12 +1,12 @@
-//===- Run.h - A run of a function ------------------------------*- C++ -*-===//
+//===- Run.h - One execution of a function ---------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The state of a run, and what handlers of operations do to it. The handlers
-// are functions, in tables by name: Handlers.h.
+// The state of an execution, which handlers of operations (Handlers.h) read and
+// change.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,7 +22,7 @@ namespace mlir::tai::interpreter {
 
 using Numbers = SmallVector<Number, 1>;
 
-/// The memory of a memref: of the caller, or of the run.
+/// The memory of a memref: the caller's, or owned by the run.
 struct Array {
   char *data = nullptr;
   SmallVector<int64_t> extents;
@@ -35,17 +35,17 @@ struct Variable {
   Numbers value;
 };
 
-/// Why an operation has no result: an error where something is made of it.
+/// Why a result is undefined: an error once the value is used.
 struct Undefined {
   Operation *op;
   std::string problem;
 };
 
-/// What an SSA value holds: the components of a scalar, vector or matrix, or a
-/// handle.
+/// The value of an SSA value: the components of a scalar, vector or matrix, or
+/// a handle.
 struct Datum {
   Numbers numbers;
-  /// The components that are undefined, by their positions. Null is none.
+  /// The undefined components, by position; null if there are none.
   std::shared_ptr<std::map<size_t, Undefined>> undefined;
   std::shared_ptr<Variable> variable;
   std::shared_ptr<Array> array;
@@ -56,15 +56,14 @@ struct Datum {
 };
 using Data = SmallVector<Datum, 2>;
 
-/// Where random numbers are drawn: they are counted by iteration and by the
-/// calls that led to the draw.
+/// Counts random draws, by iteration and by the call path of the draw.
 struct DrawCounter {
-  /// Of the parallel loop at hand.
+  /// The iteration of the current parallel loop.
   int64_t iteration = 0;
   std::vector<Operation *> calls;
   std::map<std::vector<Operation *>, uint32_t> drawn;
 
-  /// How many numbers the operation has drawn in this iteration.
+  /// The count of numbers that the operation has drawn in this iteration.
   uint32_t &at(Operation *draw) {
     std::vector<Operation *> path = calls;
     path.push_back(draw);
@@ -72,7 +71,7 @@ struct DrawCounter {
   }
 };
 
-/// Values as the runtime wants them for its messages.
+/// Values in the form of the runtime's messages.
 struct Message {
   SmallVector<int32_t> kinds, shapes;
   SmallVector<uint64_t> slots;
@@ -87,11 +86,11 @@ struct Run {
   /// Fails the launch at an operation.
   LogicalResult fail(Operation *op, const Twine &message,
                      int32_t failure = TAI_FAIL_CHECK);
-  /// Says so, and goes on.
+  /// Reports a failure, and continues.
   void report(Operation *op, StringRef message, ValueRange values,
               int32_t failure);
   Message getMessage(ValueRange values);
-  /// At each iteration of a loop.
+  /// Called at each iteration of a loop.
   LogicalResult passSafepoint();
 
   Datum &get(Value value) { return values[value]; }
@@ -100,7 +99,7 @@ struct Run {
   Data getOperands(Operation *op);
   void set(Value value, Datum datum) { values[value] = std::move(datum); }
   void setResults(Operation *op, const Data &results);
-  /// The field that an operation names, and the tree that it lies in.
+  /// The field that an operation accesses, and the base of its tree.
   const FieldPlace &getField(Operation *op);
   char *getTree(const FieldPlace &field) {
     return static_cast<char *>(frame->trees[field.tree]);
@@ -111,19 +110,19 @@ struct Run {
       return failure();
     return program.getHandler(op)(*this, op);
   }
-  /// Fails where an operation makes something of what is undefined. Arithmetic
-  /// hands it on, and a select may leave it aside.
+  /// Fails if an operation uses an undefined value. Arithmetic propagates it,
+  /// and a select may discard it.
   LogicalResult checkDefined(Operation *op);
   LogicalResult runBlock(Block &block, ArrayRef<Datum> arguments);
 
   const Program &program;
   TaiFrame *frame;
-  /// Of iterations, where they run in the order of a seed.
+  /// The generator of the order of iterations, if that is random.
   std::mt19937_64 order;
   llvm::DenseMap<Value, Datum> values;
-  /// The operands of the terminator that ended the last block.
+  /// The operands of the last block's terminator.
   Data ended;
-  /// Something undefined has come out.
+  /// Some value is undefined.
   bool hasUndefined = false;
   /// Stores to inactive cells do nothing; see `tai.kernel`.
   bool keepsActivity = false;

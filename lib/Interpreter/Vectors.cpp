@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Components lie row-major. Sums run over them in that order.
+// Components are stored row-major. Sums run over them in that order.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- Autodiff.cpp - From kernels to kernels with adjoints ---------------===//
+//===- Autodiff.cpp - The differentiation pipeline ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,12 +1,12 @@
-//===- FormerNames.cpp - Passes under the names they had ------------------===//
+//===- FormerNames.cpp - Former names of passes ---------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A pass that got another name is found under the former one for a release,
-// with the same options. It says so on the standard error.
+// A renamed pass is still found by its former name for one release, with the
+// same options, and prints a note on the standard error.
 //
 //===----------------------------------------------------------------------===//
 

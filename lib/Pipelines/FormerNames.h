@@ -1,4 +1,4 @@
-//===- FormerNames.h - Passes under the names they had ----------*- C++ -*-===//
+//===- FormerNames.h - Former names of passes ------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -10,7 +10,7 @@
 
 namespace mlir::tai {
 
-/// Registers the former names of passes, after the passes themselves.
+/// Registers the former names of passes. Call after the passes are registered.
 void registerFormerNames();
 
 } // namespace mlir::tai

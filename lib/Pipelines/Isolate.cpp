@@ -1,4 +1,4 @@
-//===- Isolate.cpp - Lower what is tai's, and nothing else ----------------===//
+//===- Isolate.cpp - Restricts lowering to tai's ops ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -7,9 +7,9 @@
 //
 // A module that comes from another compiler holds functions that have nothing
 // to do with tai, and general passes (inlining, CSE, conversions to LLVM)
-// rewrite whatever they find. So what is to be lowered is moved to a module of
-// its own for as long as the passes run. Where a module holds nothing else, the
-// passes run on it as it stands.
+// rewrite whatever they find. So the ops to lower are moved to a separate
+// module while the passes run. If a module holds nothing else, the passes run
+// on it directly.
 //
 //===----------------------------------------------------------------------===//
 

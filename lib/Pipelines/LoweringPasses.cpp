@@ -1,4 +1,4 @@
-//===- LoweringPasses.cpp - What both targets begin with ------------------===//
+//===- LoweringPasses.cpp - Common lowering passes ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LoweringPasses.h - What both targets begin with ----------*- C++ -*-===//
+//===- LoweringPasses.h - Common lowering passes ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -12,16 +12,16 @@
 
 namespace mlir::tai {
 
-/// The passes that see kernels as they were written: launches are fused,
-/// helpers inlined, indices checked or clamped.
+/// The first passes of both targets, on kernels as written: fusion of launches,
+/// inlining, checking or clamping of indices.
 void addSourcePasses(OpPassManager &pm, const LoweringOptions &options);
 
-/// Canonicalises, in time that grows with the program and no faster.
+/// Adds a canonicalisation whose time is linear in the size of the program.
 void addCanonicalization(OpPassManager &pm);
 
 /// Adds passes that change one kernel or function at a time, and read nothing
-/// of its module but what none of them changes: trees and fields. Kernels go
-/// through all of them in parallel.
+/// else of the module but trees and fields, which none of them changes. Kernels
+/// are processed in parallel.
 void addPerFunction(OpPassManager &pm,
                     llvm::function_ref<void(OpPassManager &)> add);
 

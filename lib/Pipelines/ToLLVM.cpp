@@ -1,4 +1,4 @@
-//===- ToLLVM.cpp - From kernels to the LLVM dialect ----------------------===//
+//===- ToLLVM.cpp - Lowering to the LLVM dialect --------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ToNVVM.cpp - From kernels to device functions and launches ---------===//
+//===- ToNVVM.cpp - Lowering to device code and launches ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,12 +1,12 @@
-//===- Background.h - Work ahead of need ------------------------*- C++ -*-===//
+//===- Background.h - Speculative background jobs --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs jobs whose results will probably be wanted, on cores that would idle.
-// Who wants a result that is not there yet takes the job over, or waits for it.
+// Runs jobs whose results will probably be needed, on idle cores. A caller that
+// needs a result runs the job itself if it has not begun, or waits for it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -32,45 +32,46 @@ public:
     std::function<void()> task;
     State state = State::Queued;
     bool isNeeded = false;
-    /// Nobody will look at what becomes of it.
+    /// No caller will use its result.
     std::atomic<bool> isAbandoned{false};
   };
   using JobPtr = std::shared_ptr<Job>;
 
-  /// Threads that have no job sleep until there is one: what MLIR keeps for
-  /// each thread stays until the end of the context, 4 KiB for every kind of
-  /// attribute that it makes. A fork waits for the jobs that run, so that no
-  /// child inherits half a job, and ends the threads; so does the end of the
-  /// process, at which code and data that they use go.
+  /// Threads without a job sleep and are reused: MLIR's per-thread storage
+  /// lives until the end of the context, 4 KiB for every kind of attribute.
+  /// fork() waits for running jobs, so that no child inherits half a job, and
+  /// joins the threads; so does process exit, before code and data that they
+  /// use are destroyed.
   explicit Background(unsigned maxThreads);
   ~Background();
   Background(const Background &) = delete;
   Background &operator=(const Background &) = delete;
 
-  /// Waits for the jobs that run. Those that wait, and all later ones, are left
-  /// to finish(), but for what nobody else would do.
+  /// Waits for running jobs. Queued jobs and all later ones run in finish()
+  /// only, except those of doLater().
   void stop();
-  /// The same for all that there are.
+  /// The same for all instances.
   static void stopAll();
 
-  /// Without threads to run it on, the job waits for finish().
+  /// Queues a job. Without threads, it runs in finish().
   JobPtr start(std::function<void()> task);
-  /// The same for what nobody will finish(): at the latest, it is done when the
-  /// threads are stopped.
+  /// Queues a job that nobody calls finish() for; it is done at the latest when
+  /// the threads are stopped.
   void doLater(std::function<void()> task);
 
   /// Returns once the job is done; runs it here if it has not begun. False if
-  /// it runs elsewhere and the wait for it was interrupted at a safepoint.
+  /// it runs on another thread and the wait was interrupted at a safepoint.
   bool finish(Job &job);
 
-  /// Runs a job at once, on a thread of its own if there is one to be had, and
-  /// waits for it. False, with the job still running, if that was interrupted
-  /// at a safepoint.
+  /// Runs a job at once, on a thread of its own if one is available, and waits
+  /// for it. False, with the job still running, if the wait was interrupted at
+  /// a safepoint.
   bool runAside(std::function<void()> task);
 
-  /// What is wanted of a job that waits for something outside of the process:
-  /// to wait on, to do without, or to end at once. Asked on the thread that
-  /// runs the job, or on one that has no job and passes safepoints.
+  /// What a job that waits for something outside of the process should do: keep
+  /// waiting, stop waiting and do without, or return at once. Queried on the
+  /// thread that runs the job, or on one without a job, which passes
+  /// safepoints.
   enum class Wish { Wait, Hurry, Abandon };
   static Wish getWish();
 
@@ -79,22 +80,23 @@ public:
 
 private:
   friend struct BackgroundForks;
-  /// As many threads sleep, no more.
+  /// The maximum of sleeping threads.
   static constexpr unsigned kMostIdle = 16;
 
   void run(std::list<runtime::Thread>::iterator self);
-  /// Has one more thread look for a job, if it may; the lock is held.
+  /// Wakes or creates a thread to look for a job, if allowed; the lock is held.
   bool callThread();
-  /// What a thread does next, or null; the lock is held.
+  /// The next job of a thread, or null; the lock is held.
   JobPtr takeNext();
   unsigned numThreads() const { return threads.size(); }
   unsigned numBusy() const { return numThreads() - idle; }
   JobPtr add(std::function<void()> task, bool isNeeded);
-  /// Runs the task of a job, which says meanwhile what is wanted of it.
+  /// Runs the task of a job, with the job current for getWish().
   void perform(Job &job);
-  /// Runs a job that nobody else runs; the lock is held, but while it runs.
+  /// Runs a job that no other thread runs; the lock is held, except while it
+  /// runs.
   void runHere(Job &job, std::unique_lock<std::mutex> &lock);
-  /// Waits until all threads have ended, which they have been told to.
+  /// Waits until all threads, which have been asked to, have ended.
   void endThreads(std::unique_lock<std::mutex> &lock);
   void hold();
   void release(bool inChild);
@@ -106,13 +108,13 @@ private:
   std::mutex mutex;
   /// A job is done, or a thread has ended.
   std::condition_variable changed;
-  /// A thread that sleeps is to look for a job.
+  /// A sleeping thread shall look for a job.
   std::condition_variable called;
   std::deque<JobPtr> queue;
-  /// What runs at once, by whom somebody waits; each has called a thread.
+  /// The jobs of runAside(); for each, a thread was called.
   std::deque<JobPtr> asides;
   std::list<runtime::Thread> threads;
-  /// Those that have ended, or are about to, and hold no lock any more.
+  /// Threads that have ended or are about to, and hold no lock any more.
   std::list<runtime::Thread> ended;
   unsigned idle = 0;
   /// Threads that were called and have not woken up yet.

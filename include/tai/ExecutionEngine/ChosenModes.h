@@ -1,4 +1,4 @@
-//===- ChosenModes.h - What modes come to in the code of kernels -*- C++ -*-==//
+//===- ChosenModes.h - The effect of modes on kernel code -------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,10 +13,10 @@
 
 namespace mlir::tai {
 
-/// The options of the code of a kernel in a context of `options`: what the
-/// kernel says in its modes goes first. Fails after an error at the kernel
-/// where these contradict one another, what the context says of others, or what
-/// the target can do.
+/// The compile options of a kernel in a context of `options`: the kernel's
+/// modes take precedence. Fails after an error at the kernel if its modes
+/// contradict each other, options of the context, or the abilities of the
+/// target.
 FailureOr<CompileOptions> getKernelOptions(KernelOp kernel,
                                            const CompileOptions &options);
 

@@ -1,4 +1,4 @@
-//===- CompileReports.h - What users see of compilations --------*- C++ -*-===//
+//===- CompileReports.h - Reports of compilations --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -17,7 +17,7 @@
 
 namespace mlir::tai {
 
-/// Prints from any thread, one report after the other.
+/// Thread-safe: reports are not interleaved.
 class CompileReports {
 public:
   CompileReports();
@@ -26,16 +26,16 @@ public:
   void setStages(SmallVector<std::string> names) { stages = std::move(names); }
   void setProfile(bool on) { printsProfile = on; }
 
-  /// Prints the stages that were asked for and that the kernel has.
+  /// Prints the requested stages that the kernel has.
   void printStages(Compiler &compiler, CompileRequest request,
                    const CompileOptions &options);
-  /// Prints one line: where the code came from and what it took.
+  /// Prints one line: the origin of the code (cache or compiled) and the times.
   void printProfile(StringRef name, CompileRequest::Goal goal,
                     const Compiler::Function &function);
 
 private:
-  /// Writes a report by one call: the standard error is not buffered, and what
-  /// other threads write to it, warnings say, would come between the parts.
+  /// Writes a report by a single call: the standard error is unbuffered, and
+  /// output of other threads, such as warnings, could come in between.
   void write(const std::string &text);
 
   SmallVector<std::string> stages;

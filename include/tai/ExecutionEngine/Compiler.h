@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Compiles kernels for the CPU that it runs on: differentiation where the
-// adjoint is wanted, lowering, LLVM's optimiser, object code, and a place in
-// memory. For a GPU that is the host's part of a kernel, next to the image of
-// its device code. Object code is kept in a cache on disk, in front of
-// everything else: a hit runs no pass.
+// Compiles kernels for the CPU that it runs on: differentiation if the adjoint
+// is requested, lowering, LLVM's optimiser, object code, and linking into
+// memory. For a GPU that is the host code of a kernel, beside the image of its
+// device code. Object code is kept in a cache on disk, which is looked up
+// first: a hit runs no pass.
 //
 //===----------------------------------------------------------------------===//
 
@@ -33,13 +33,13 @@
 namespace mlir::tai {
 class Interpreter;
 
-/// What decides the code made from a kernel; see Options.def.
+/// The options that affect the code of a kernel; see Options.def.
 struct CompileOptions {
   CodegenOptions codegen;
 #define TAI_COMPILE_OPTION(type, member, initial, key) type member = initial;
 #include "tai/Support/Options.def"
-  /// The device that runs the loops, and what its code is made for, by the
-  /// words of runtime::Device. None for the CPU alone.
+  /// The device that runs the loops, and its target (see DeviceTarget). None
+  /// for the CPU alone.
   std::optional<runtime::DeviceKind> device;
   std::string deviceTarget;
 
@@ -63,27 +63,26 @@ StringRef stringifyPhase(Phase phase);
 /// Seconds spent in each phase.
 using PhaseTimes = std::array<double, kNumPhases>;
 
-/// Where compiled objects are kept from run to run. All calls come from any
-/// thread.
+/// Persistent storage of compiled objects. Called from any thread.
 struct ObjectCache {
-  /// The bytes stored under the key, or nothing. Bytes that were damaged are
-  /// never returned.
+  /// The bytes stored under the key, or none. Damaged entries are never
+  /// returned.
   std::function<std::optional<std::string>(StringRef key)> load;
   std::function<void(StringRef key, StringRef bytes)> store;
-  /// The right to make the object of the key, which others wait for; see
-  /// runtime::CacheStore::claim. `goesOn` says whether to wait on for it. May
-  /// be left out.
+  /// The exclusive right to make the object of the key while others wait; see
+  /// runtime::CacheStore::claim. Waits for it while `goesOn` returns true.
+  /// Optional.
   std::function<std::shared_ptr<void>(StringRef key,
                                       const std::function<bool()> &goesOn)>
       claim = nullptr;
   explicit operator bool() const { return static_cast<bool>(load); }
 };
 
-/// What to compile.
+/// A function to compile.
 struct CompileRequest {
-  /// ZeroingAdjoint: the adjoint that leaves zero in the adjoints of the
-  /// elements which the kernel stores. Stored: the adjoint that loads what the
-  /// kernel has stored, or the other where there is no such form.
+  /// ZeroingAdjoint: the adjoint that zeroes the adjoints of the elements which
+  /// the kernel overwrites. StoredAdjoint: the adjoint that loads stored
+  /// outputs of the kernel, or, where there is no such variant, the other one.
   enum class Goal {
     Primal,
     Adjoint,
@@ -103,46 +102,46 @@ struct CompileRequest {
     return goal == Goal::StoredAdjoint || goal == Goal::StoredZeroingAdjoint;
   }
 
-  /// Left as it is. Holds the function, what it calls, and the trees and
-  /// fields that it uses.
+  /// Not modified. Holds the function, its callees, and the trees and fields
+  /// that it uses.
   ModuleOp module;
   StringRef name;
   Goal goal;
-  /// Make what carries tangents along instead.
+  /// Make the forward-mode variant instead: the function with tangents.
   bool forward = false;
 };
 
 class Compiler {
 public:
-  /// The pass pipelines. Each is built once and run by one thread at a time.
+  /// Builders of the pass pipelines. Each pipeline is run by one thread at a
+  /// time.
   struct Pipelines {
     std::function<void(OpPassManager &, const CompileOptions &, bool zeroes)>
         autodiff;
     /// Extends all kernels of a module by tangents.
     std::function<void(OpPassManager &, const CompileOptions &)> forward;
     std::function<void(OpPassManager &, const CompileOptions &)> toLLVM;
-    /// The same for a kernel that has a device: leaves a `gpu.module` too.
+    /// The same for a kernel on a device: also leaves a `gpu.module`.
     std::function<void(OpPassManager &, const CompileOptions &)> toDevice;
-    /// The pass after which the IR is "scf", and the one with a device.
+    /// The pass whose output is the stage "scf", without and with a device.
     std::string scfPass, deviceScfPass;
   };
 
-  /// The dialects that the pipelines make must be loaded: several threads use
-  /// the context.
+  /// Call loadDialects() before several threads use the context.
   Compiler(MLIRContext *context, Pipelines pipelines,
            ArrayRef<runtime::RuntimeSymbol> runtime);
   ~Compiler();
 
-  /// Loads what the pipelines depend on into the context.
+  /// Loads the dependent dialects of the pipelines into the context.
   void loadDialects();
 
   void setCache(ObjectCache cache) { this->cache = std::move(cache); }
 
   struct Function {
-    /// Null for an adjoint that has nothing to do.
+    /// Null for an adjoint without effects.
     void *address = nullptr;
     Linker::Library *library = nullptr;
-    /// The trees whose bases the function is given, in order.
+    /// The trees whose base addresses the function needs, in order.
     std::vector<std::string> trees;
     /// As in CompiledObject.
     SkipAmounts skipped{};
@@ -152,25 +151,26 @@ public:
     std::shared_ptr<const runtime::DeviceImage> image;
     bool fromCache = false;
     PhaseTimes times = {};
-    /// What the code at the address calls, if that is not code.
+    /// The interpreter that the code at `address` calls, if the function is
+    /// interpreted.
     std::shared_ptr<const Interpreter> interpreter;
   };
 
-  /// Compiles, or takes from the cache, and links. Called by several threads.
+  /// Compiles, or loads from the cache, and links. Thread-safe.
   std::optional<Function> compile(CompileRequest request,
                                   const CompileOptions &options,
                                   Failure &failure);
 
-  /// The same in two steps. After the first, what the adjoint asks of memory is
-  /// known; with code in the cache, it is all there is to do.
+  /// The same in two steps. After the first, the ToBeRecorded of an adjoint is
+  /// known; on a cache hit, only linking remains.
   struct Prepared {
-    /// The step that is being done, or that has failed.
+    /// The current step, or the one that has failed.
     enum class Step { Autodiff, Forward, Lower, Code };
     Step step = Step::Autodiff;
     std::string key;
     /// From the cache.
     std::optional<CompiledObject> object;
-    /// Else the module, differentiated, and the symbol of its entry point.
+    /// Otherwise the differentiated module, and the symbol of its entry point.
     OwningOpRef<ModuleOp> module;
     std::string symbol;
     std::string toBeRecorded;
@@ -180,7 +180,8 @@ public:
     /// Makes other processes wait for the object.
     std::shared_ptr<void> claim;
   };
-  /// `claims`: the second step follows at once, and other processes may wait.
+  /// With `claims`, the second step must follow at once: other processes wait
+  /// for it.
   std::optional<Prepared> prepare(CompileRequest request,
                                   const CompileOptions &options,
                                   Failure &failure, bool claims = false);
@@ -188,13 +189,14 @@ public:
                                  const CompileOptions &options,
                                  Failure &failure);
 
-  /// Makes one kernel of many; see runtime::ProgramMaker.
+  /// Fuses a sequence of kernels into one; see runtime::ProgramMaker.
   std::optional<runtime::DeviceImage>
   makeProgram(const runtime::ProgramPlan &plan, const CompileOptions &options,
               Failure &failure);
 
-  /// Where code is refused that was made without an error: writes the module
-  /// and the passes that lead there. The failure names the file afterwards.
+  /// For code that compiled without an error and was then rejected (by the
+  /// device driver, say): writes a reproducer with the module and the pass
+  /// pipeline, and adds the name of the file to the failure.
   void addReproducer(CompileRequest request, const CompileOptions &options,
                      Failure &failure) {
     addReproducer(request, options, Prepared::Step::Code, failure);
@@ -202,7 +204,7 @@ public:
 
   /// Frees a function that is not running.
   void unload(const Function &function);
-  /// Pieces of code that are linked and not freed.
+  /// The number of objects that are linked and not freed.
   int64_t numLinked() const { return linker ? linker->numLinked() : 0; }
 
   /// The IR at a stage: "tai", "autodiff", "scf", "llvm", "llvmir", "asm"; with
@@ -211,7 +213,7 @@ public:
                                    const CompileOptions &options,
                                    Failure &failure);
   static ArrayRef<StringRef> getStages();
-  /// Whether a stage is there only with a device.
+  /// Whether a stage exists only with a device.
   static bool isDeviceStage(StringRef stage) {
     return stage == "nvvm" || stage == "ptx";
   }
@@ -223,24 +225,24 @@ private:
   struct Worker;
   class WorkerLease;
 
-  /// Takes the object from the cache, if it is there.
+  /// Loads the object from the cache, if it is there.
   void load(Prepared &prepared, CompileRequest request);
-  /// The same after whoever makes the object now is done; where nobody has, the
-  /// right to make it.
-  /// Fails where the wait for another process was interrupted.
+  /// Loads the object, after waiting for another process that is making it; or
+  /// else claims the right to make it. Fails where the wait for another process
+  /// was interrupted.
   LogicalResult claimOrLoad(Prepared &prepared, CompileRequest request,
                             Failure &failure);
-  /// Differentiates what is to be compiled.
+  /// The differentiation step.
   LogicalResult start(CompileRequest request, const CompileOptions &options,
                       Prepared &prepared, Failure &failure);
-  /// Links an object. False, with the reason, if that cannot be.
+  /// Links an object; on failure, sets `failure`.
   LogicalResult link(const CompiledObject &object, StringRef name,
                      Function &function, Failure &failure);
   std::optional<CompiledObject> makeObject(CompileRequest request,
                                            const CompileOptions &options,
                                            Prepared &prepared,
                                            Failure &failure);
-  /// Makes the module to be lowered: for an adjoint, by differentiation.
+  /// Makes the module to lower: for an adjoint, by differentiation.
   LogicalResult differentiate(Worker &worker, CompileRequest request,
                               Prepared &prepared, Failure &failure);
   LogicalResult lower(Worker &worker, CompileRequest request,
@@ -250,11 +252,11 @@ private:
                                               const CompileOptions &options,
                                               Prepared &prepared,
                                               Failure &failure);
-  /// Compiles what the cache holds anew, for its device code.
+  /// Recompiles a kernel that came from the cache, for its device code.
   runtime::Status makeImageAgain(CompileRequest request,
                                  const CompileOptions &options,
                                  runtime::DeviceImage &image);
-  /// Makes a function of the interpreter, and a few instructions that call it.
+  /// Makes an interpreter of the function, and a stub that calls it.
   std::optional<Function> interpret(Prepared prepared, CompileRequest request,
                                     const CompileOptions &options,
                                     Failure &failure);
@@ -266,19 +268,19 @@ private:
                                   Prepared &prepared,
                                   std::optional<runtime::DeviceImage> &image,
                                   Failure &failure);
-  /// Prints what comes after the LLVM dialect.
+  /// Prints the stages after the LLVM dialect.
   std::optional<std::string> printCode(Worker &worker, Prepared &prepared,
                                        StringRef stage,
                                        const CompileOptions &options,
                                        Failure &failure);
-  /// Replaces the kernels of a module by those that carry tangents.
+  /// Replaces the kernels of a module by their forward-mode variants.
   LogicalResult extendByTangents(Worker &worker, CompileRequest request,
                                  Prepared &prepared, Failure &failure);
-  /// A digest of the module with all that it says of places in the source.
+  /// A digest of the module with its source locations.
   static std::string getPlaces(CompileRequest request);
   std::string getKey(CompileRequest request, const CompileOptions &options);
   Linker *getLinker(Failure &failure);
-  /// Adds what shows the failure of a step, if it is a bug of ours.
+  /// Adds a reproducer to the failure of a step, if it is an internal error.
   void addReproducer(CompileRequest request, const CompileOptions &options,
                      Prepared::Step step, Failure &failure);
 

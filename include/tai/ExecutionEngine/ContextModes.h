@@ -1,13 +1,13 @@
-//===- ContextModes.h - Modes of numbers of a context -----------*- C++ -*-===//
+//===- ContextModes.h - Numeric modes of a context -------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The words of numbers that are options of a context. All that passes read are
-// those of a kernel (see Modes.h): a kernel that is made in a context gets its
-// words, but for what it says itself.
+// The numeric modes that are options of a context. Passes read only those of
+// kernels (see Modes.h): a kernel made in a context gets the modes of the
+// context, except those that it specifies itself.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,9 +26,9 @@ struct ContextModes {
   bool ftz = false;
   /// "f64": gradients of fields are fields of f64.
   std::string adjoints = "default";
-  /// The short forms.
+  /// Options that are short forms of modes.
   bool fastMath = false, strict = false, deterministic = false;
-  /// Not of the modes, but strict where they are.
+  /// Not a mode, but it excludes the modes that strict arithmetic excludes.
   bool shadow = false;
 
   bool isFast() const { return fastMath || math == "fast"; }
@@ -37,18 +37,18 @@ struct ContextModes {
     return deterministic || sums == "deterministic";
   }
 
-  /// Sets one of the five words. Nothing if there is such a word, else what the
-  /// option expects.
+  /// Sets one of the five modes by name. Returns "" or, for an invalid value, a
+  /// description of the expected ones.
   std::string setWord(StringRef name, StringRef word);
 
-  /// Why these cannot be had together, or nothing.
+  /// Why the settings contradict each other, or "".
   std::string findContradiction() const;
 
-  /// Says on the kernels of a module what they do not say themselves.
+  /// Sets the modes on the kernels of a module, except those that they specify.
   void addTo(ModuleOp module) const;
 
-  /// Reports an error at the first field of a module whose gradient does not
-  /// hold what `adjoints` asks for.
+  /// Reports an error at the first field of a module whose gradient field does
+  /// not have the precision that `adjoints` requires.
   LogicalResult checkFields(ModuleOp module) const;
 };
 

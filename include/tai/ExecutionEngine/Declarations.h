@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Holds the declarations, tells the runtime where elements lie, and gives each
-// kernel the declarations that it uses.
+// Holds the declarations, creates the runtime's trees and fields from them, and
+// adds to each kernel's module the declarations that it uses.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,7 @@
 
 namespace mlir::tai {
 
-/// Used by one thread at a time. What fails is noted in the log.
+/// Used by one thread at a time. Failures go to the log.
 class Declarations {
 public:
   Declarations(MLIRContext *context, runtime::Runtime &runtime,
@@ -30,7 +30,7 @@ public:
   /// Adds a tree, by the text of its layout or by its op.
   LogicalResult addTree(StringRef name, StringRef layout);
   LogicalResult addTree(TreeOp tree);
-  /// Forgets the tree and its fields, and frees the memory.
+  /// Removes the tree and its fields, and frees the memory.
   LogicalResult destroyTree(StringRef name);
 
   /// Adds a field, by the text of a `tai.field` op or by the op. The adjoint

@@ -1,4 +1,4 @@
-//===- Explain.h - What the compiler did, in words --------------*- C++ -*-===//
+//===- Explain.h - Explanations of gradients -------------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -13,7 +13,7 @@
 
 namespace mlir::tai {
 
-/// A remark of ours that outlives the pass.
+/// A copy of a remark that outlives the pass.
 struct KeptRemark {
   std::string category, name;
   Location location;
@@ -22,14 +22,14 @@ struct KeptRemark {
   StringRef get(StringRef key) const;
 };
 
-/// While it lives, keeps the remarks that passes make on this thread. Works in
-/// contexts that were prepared only.
+/// Keeps the remarks that passes emit on this thread during its lifetime. The
+/// context must have been prepared.
 class RemarkScope {
 public:
   RemarkScope();
   ~RemarkScope();
 
-  /// To be called once, before several threads use the context.
+  /// Call once, before several threads use the context.
   static void prepare(MLIRContext *context);
 
   ArrayRef<KeptRemark> getRemarks() const { return remarks; }
@@ -40,8 +40,8 @@ private:
   RemarkScope *outer;
 };
 
-/// What the gradient of kernel `name` does about its loops and branches, and
-/// what memory it touches: lines of text. `module` holds the adjoint.
+/// A text on how the gradient of kernel `name` handles loops and branches, and
+/// which memory it accesses. `module` holds the adjoint.
 std::string explainAdjoint(ModuleOp module, StringRef name,
                            ArrayRef<KeptRemark> remarks);
 

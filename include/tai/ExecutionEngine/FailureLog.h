@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What went wrong last, for each thread, and failures of compilations on their
-// way through the runtime, which knows nothing of places in a source: it passes
-// a status with a number, and gets the failure back by it.
+// The last failure of each thread, and failures of compilations that pass
+// through the runtime. The runtime has no source locations: it passes on a
+// status with a number, by which the failure is found again.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,13 +22,13 @@
 
 namespace mlir::tai {
 
-/// Any thread may call any of it.
+/// Thread-safe.
 class FailureLog {
 public:
   /// The last failure of the calling thread.
   const Failure &getLast() const;
 
-  /// Notes a failure of the calling thread; always fails.
+  /// Sets the last failure of the calling thread; returns failure().
   LogicalResult fail(Failure failure);
   LogicalResult fail(FailureKind kind, const Twine &message) {
     return fail(Failure::get(kind, message));
@@ -39,13 +39,13 @@ public:
     return status.ok() ? success() : fail(status);
   }
 
-  /// Keeps a failure and makes a status that stands for it.
+  /// Keeps a failure and returns a status that refers to it.
   runtime::Status keep(Failure failure);
-  /// Failures that statuses stand for.
+  /// The number of kept failures.
   int64_t numKept() const;
 
 private:
-  /// The last ones, and how many there were before them.
+  /// The most recent ones, and the number of older ones that were dropped.
   std::deque<Failure> kept;
   size_t numDropped = 0;
   mutable std::mutex mutex;

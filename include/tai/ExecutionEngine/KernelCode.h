@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What a kernel is compiled from, and the code made so far: its function, its
-// adjoints, what carries tangents along, what checks its accesses. Each is made
-// when the runtime first asks, or a little ahead in the background.
+// The module that a kernel is compiled from, and its code: the function, its
+// adjoints, the forward-mode variant, the variant that checks accesses. Each is
+// compiled when the runtime first needs it, or ahead of that in the background.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,8 +28,8 @@
 namespace mlir::tai {
 struct ToBeRecorded;
 
-/// The names of the kernels that may be launched. Tapes keep some of them
-/// longer than their handles do. Any thread.
+/// The names of the kernels that may be launched. Tapes keep some kernels
+/// longer than their handles do. Thread-safe.
 class CodeNames {
 public:
   void add(StringRef name) {
@@ -56,7 +56,7 @@ private:
   std::atomic<int64_t> total{0};
 };
 
-/// The parts of a session that kernels are made with. They outlive all kernels.
+/// The parts of a session that kernels use. They outlive all kernels.
 struct KernelServices {
   Compiler &compiler;
   Background &background;
@@ -68,15 +68,15 @@ struct KernelServices {
   WarningLog &warnings;
 };
 
-/// It lives as long as the runtime may launch the kernel, which a tape can make
-/// longer than its handle.
+/// Lives as long as the runtime may launch the kernel; because of tapes, that
+/// can be longer than its handle lives.
 class KernelCode final : public runtime::KernelProvider,
                          public std::enable_shared_from_this<KernelCode> {
 public:
-  /// What makeKernel fills in.
+  /// Filled in by makeKernel.
   struct Source {
     std::string name;
-    /// Where it stands in the source, or empty.
+    /// Its source location, or empty.
     std::string place;
     CompileOptions options;
     OwningOpRef<ModuleOp> module;
@@ -84,8 +84,8 @@ public:
     int64_t resultSlots = 0;
     /// The trees that the module declares.
     std::vector<runtime::TreePtr> trees;
-    /// The fields that it declares, by name. Others may take their names once
-    /// they are gone.
+    /// The fields that it declares, by name. The names may be reused by other
+    /// fields after these are destroyed.
     llvm::StringMap<runtime::FieldPtr> fields;
   };
 
@@ -98,14 +98,14 @@ public:
   const std::vector<runtime::TreePtr> &getTrees() const { return source.trees; }
   ModuleOp getModule() const { return source.module.get(); }
   KernelOp getKernel() const;
-  /// All that was linked so far.
+  /// All functions linked so far.
   ArrayRef<Compiler::Function> getFunctions() const { return functions; }
-  /// What to compile for a form of the kernel.
+  /// The request that compiles a variant of the kernel.
   CompileRequest getRequest(CompileRequest::Goal goal,
                             bool forward = false) const;
 
   //===--------------------------------------------------------------------===//
-  // What the runtime asks for
+  // KernelProvider
   //===--------------------------------------------------------------------===//
 
   runtime::Status compile(runtime::Kernel &kernel,
@@ -121,28 +121,28 @@ public:
   runtime::Status makeTangent(runtime::KernelPtr &tangent) override;
   std::string explainRefusal(const std::string &reason) override;
 
-  /// What carries tangents along with the kernel or a form of its adjoint.
+  /// The forward-mode variant of the kernel or of one of its adjoints.
   runtime::Status makeTangentOf(CompileRequest::Goal goal,
                                 runtime::KernelPtr &tangent);
-  /// That a device does not take our code is a bug of ours.
+  /// Code that a device rejects is an internal error: adds a reproducer.
   std::string explainRefusalOf(CompileRequest::Goal goal, bool forward,
                                const std::string &reason);
 
 private:
   /// Runs a step of the compilation of a kernel on a thread of its own, so that
-  /// this one passes safepoints. Where it is interrupted there, the step goes
-  /// on to its end, for the cache, and the answer is a failure.
+  /// this one passes safepoints. If it is interrupted there, the step still
+  /// completes, for the cache, and this returns none with a failure.
   template <typename Result>
   std::optional<Result>
   runAside(std::function<std::optional<Result>(Failure &)> step,
            Failure &failure);
-  /// Notes a function that was compiled, to be freed with the kernel.
+  /// Registers a compiled function, to be freed with the kernel.
   std::optional<Compiler::Function>
   keepFunction(std::optional<Compiler::Function> function);
   std::optional<Compiler::Function>
   compileAs(CompileRequest::Goal goal, Failure &failure, bool forward = false);
   void choosePlannedForm(const runtime::Kernel &kernel);
-  /// Most launches store what no other one stores.
+  /// The variant that a tape most likely launches.
   CompileRequest::Goal getPlannedGoal() const {
     return CompileRequest::getAdjointGoal(planZeroes, planLoadsStored);
   }
@@ -151,7 +151,7 @@ private:
   LogicalResult prepareAdjoint(Failure &failure, bool claims);
   std::optional<Compiler::Function> compilePlannedAdjoint(Failure &failure);
   bool canReadStored(CompileRequest::Goal goal, const ToBeRecorded &told);
-  /// What passes have left out of a function that was made or loaded.
+  /// Adds the skip counters of a function that was compiled or loaded.
   void count(const Compiler::Function &function, bool isAdjoint);
   std::vector<runtime::TreePtr> findTrees(ArrayRef<std::string> names) const;
   runtime::KernelInfo getFormInfo(const Compiler::Function &compiled,
@@ -163,36 +163,35 @@ private:
   /// All that was linked for it.
   std::mutex functionsMutex;
   std::vector<Compiler::Function> functions;
-  /// The adjoint, in the form that a tape launches for all we know, between the
-  /// two steps of its compilation, taken by whoever makes the second; and what
-  /// it asks of memory.
+  /// The adjoint, in the variant that a tape most likely launches, between the
+  /// two steps of its compilation (moved out by the second); and its serialized
+  /// ToBeRecorded.
   std::mutex prepareMutex;
   bool planZeroes = false, planLoadsStored = true;
   std::optional<Compiler::Prepared> prepared;
   std::optional<std::string> toBeRecorded;
-  /// The adjoint, compiled ahead of need, and what became of it.
+  /// The job that compiles the adjoint ahead of need, and its result.
   Background::JobPtr ahead;
   std::optional<Compiler::Function> aheadResult;
   Failure aheadFailure;
 };
 
-/// A kernel that can be launched, and its code.
+/// A kernel of the runtime, and its code.
 struct MadeKernel {
   std::shared_ptr<KernelCode> code;
   runtime::KernelPtr kernel;
 };
 
-/// Takes a module with a kernel of the given name, adds the declarations that
-/// it uses, verifies it, and makes a kernel of the runtime. What is wrong is
-/// noted in the log. `modes` are those of the context, which the kernel has
-/// already.
+/// Makes a kernel of the runtime from a module with a kernel of the given name:
+/// adds the declarations that it uses, and verifies it. Failures go to the log.
+/// `modes` are those of the context; they have been added to the kernel before.
 FailureOr<MadeKernel> makeKernel(const KernelServices &services,
                                  OwningOpRef<ModuleOp> module, StringRef name,
                                  const CompileOptions &options,
                                  const ContextModes &modes = {});
 
-/// True if a reverse sweep may launch the adjoint: the kernel reads a field
-/// that has one, and changes such a field.
+/// True if a reverse sweep may launch the adjoint of the kernel: it reads a
+/// field with an adjoint, and changes one.
 bool carriesGradients(const runtime::Kernel &kernel);
 
 } // namespace mlir::tai

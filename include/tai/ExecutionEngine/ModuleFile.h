@@ -1,13 +1,13 @@
-//===- ModuleFile.h - Modules that come from outside ------------*- C++ -*-===//
+//===- ModuleFile.h - Reading and writing modules --------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The one way in which the library takes a module that somebody else has
-// written: as text, or as bytecode behind its checksum. MLIR's reader trusts
-// bytecode, and some damaged files end the process.
+// The only entry for modules from outside of the library: as text, or as
+// bytecode preceded by a checksum. MLIR's reader trusts bytecode, and some
+// damaged files end the process.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,12 +20,12 @@
 
 namespace mlir::tai {
 
-/// Reads text, or what `writeModule` has written. Emits an error at `file` and
+/// Reads text, or the output of `writeModule`. Emits an error at `file` and
 /// returns null for bytecode that is damaged or has no checksum.
 OwningOpRef<ModuleOp> readModule(StringRef bytes, const ParserConfig &config,
                                  StringRef file);
 
-/// Writes the module as bytecode behind its checksum.
+/// Writes the module as a checksum followed by bytecode.
 LogicalResult writeModule(ModuleOp module, llvm::raw_ostream &stream);
 
 } // namespace mlir::tai

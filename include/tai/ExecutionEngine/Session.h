@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Ties an MLIR context, the runtime and the compiler together, and keeps what
-// was declared: trees, fields, kernels. The C API and tai-run stand on it.
+// Ties an MLIR context, the runtime and the compiler together, and owns what
+// was declared: trees, fields, kernels. The C API and tai-run use it.
 //
 // A session may be used by one thread at a time; it compiles on several.
 //
@@ -23,23 +23,22 @@
 
 namespace mlir::tai {
 
-/// How many things a session holds.
+/// The number of objects in a session.
 struct SessionObjects {
   int64_t trees = 0, fields = 0, declarations = 0, kernels = 0, codes = 0,
           linked = 0, failures = 0;
 };
 
-/// A kernel of a session. It is compiled when it is first launched.
+/// A kernel of a session. Compiled on its first launch.
 struct SessionKernel {
   std::shared_ptr<KernelCode> code;
   runtime::KernelPtr kernel;
-  /// Where the session keeps it.
+  /// Its position in the session's list.
   std::list<SessionKernel>::iterator place = {};
 };
 
-/// The C API and tai-run call this. It owns the parts, and each does its own:
-/// Declarations, KernelCode, Compiler, Background, FailureLog, CompileReports,
-/// and the runtime.
+/// A facade over its parts: Declarations, KernelCode, Compiler, Background,
+/// FailureLog, CompileReports, and the runtime.
 class Session {
 public:
   Session();
@@ -62,18 +61,18 @@ public:
   LogicalResult fail(const runtime::Status &status) {
     return failures.fail(status);
   }
-  /// Where warnings of the compiler go.
+  /// The log of compiler warnings.
   WarningLog &getWarnings() { return warnings; }
   LogicalResult check(const runtime::Status &status) {
     return failures.check(status);
   }
-  /// Keeps a failure and makes a status that stands for it, to pass it through
-  /// the runtime. Any thread.
+  /// Keeps a failure and returns a status that refers to it, to pass it through
+  /// the runtime. Thread-safe.
   runtime::Status keepFailure(Failure failure) {
     return failures.keep(std::move(failure));
   }
 
-  /// Sets an option of `taiContextSetOption`. Those that decide code hold for
+  /// Sets an option of `taiContextSetOption`. Options that affect code apply to
   /// kernels created afterwards.
   LogicalResult setOption(StringRef name, StringRef value);
 
@@ -101,11 +100,11 @@ public:
     return check(rt->setActive(tree, level, cell, isActive));
   }
 
-  /// Takes a module with a kernel of the given name, adds the trees and fields
-  /// that it uses, and verifies it.
+  /// Creates a kernel from a module that holds one of the given name: adds the
+  /// trees and fields that it uses, and verifies it.
   FailureOr<SessionKernel *> createKernel(OwningOpRef<ModuleOp> module,
                                           StringRef name);
-  /// The same for a module given as text, or as bytecode with its checksum (see
+  /// The same for a module as text, or as bytecode with a checksum (see
   /// ModuleFile.h); `file` names it in diagnostics.
   FailureOr<SessionKernel *> parseKernel(StringRef bytes, StringRef file,
                                          StringRef name);
@@ -127,38 +126,39 @@ public:
     return check(rt->launchAdjoint(*kernel.kernel, args, slots));
   }
 
-  /// Compiles kernels, and their adjoints if asked, on several threads.
+  /// Compiles kernels, and their adjoints if `adjoints`, on several threads.
   LogicalResult compile(ArrayRef<SessionKernel *> kernels, bool adjoints);
 
   /// Compiles the adjoints that the reverse sweep of the tape will launch.
-  /// `cleared`: the gradients will be cleared before.
+  /// `cleared`: gradients will be cleared before the sweep.
   LogicalResult prepareReverse(runtime::Tape &tape, bool cleared);
 
   /// Compiles the host function of the given name in the module and runs it.
   /// The kernels that it launches are those of the session.
   LogicalResult runHost(ModuleOp module, StringRef name);
 
-  /// The IR of a kernel at a stage, or what `explain` says for "explain".
+  /// The IR of a kernel at a stage (see Compiler::getStages), or the result of
+  /// `explain` for "explain".
   FailureOr<std::string> getIR(SessionKernel &kernel, StringRef stage);
-  /// What the gradient of a kernel does about loops, branches and memory.
+  /// How the gradient of a kernel handles loops, branches and memory, as text.
   FailureOr<std::string> explain(SessionKernel &kernel);
 
   /// The session's kernel behind a kernel of the runtime, or null.
   SessionKernel *findKernel(StringRef name);
 
-  /// Whether a kernel of the name may be launched, by a tape for example. Any
-  /// thread.
+  /// Whether a kernel of the name may be launched, by a tape for example.
+  /// Thread-safe.
   bool hasCode(StringRef name) const { return codeNames.has(name); }
   SessionObjects countObjects();
 
 private:
   KernelServices getServices();
-  /// The kernel and its adjoint, before anyone launches them.
+  /// Compiles the kernel and its adjoint before their first launch.
   LogicalResult compileEagerly(runtime::Kernel &kernel);
   void useCache(StringRef folder);
 
-  // Options of which more than one part, or another than CompileOptions and the
-  // runtime, is to know; see Options.def.
+  // Setters of options that concern more than one part, or a part other than
+  // CompileOptions and the runtime; see Options.def.
   LogicalResult setDeterministic(bool on);
   LogicalResult setDebug(bool on);
   LogicalResult setFastMath(bool on);
@@ -169,7 +169,7 @@ private:
   LogicalResult setFtz(bool on);
   LogicalResult setAdjoints(StringRef word);
   LogicalResult setWord(StringRef name, StringRef word);
-  /// Takes the modes for those of the context, unless two of them contradict.
+  /// Sets the modes of the context; fails if they contradict each other.
   LogicalResult setModes(const ContextModes &wanted);
   LogicalResult setShadow(bool on);
   LogicalResult setSanitize(bool address);
@@ -180,7 +180,7 @@ private:
   LogicalResult setSkip(StringRef names);
   LogicalResult setDeviceMemoryLimit(int64_t bytes);
   LogicalResult setDeviceHeap(int64_t bytes);
-  /// Opens the device, or goes back to the CPU.
+  /// Opens the device, or returns to the CPU.
   LogicalResult setArch(StringRef name);
   LogicalResult setFuseLaunches(bool on);
 
@@ -189,7 +189,7 @@ private:
   FailureLog failures;
   CompileReports reports;
   WarningLog warnings;
-  /// Outlives the runtime, whose kernels hold code.
+  /// Declared before the runtime, to outlive it: its kernels use the names.
   CodeNames codeNames;
   std::unique_ptr<runtime::Runtime> rt;
   std::unique_ptr<Compiler> compiler;
@@ -197,7 +197,7 @@ private:
   std::shared_ptr<runtime::CacheStore> cache;
   CompileOptions compileOptions;
   ContextModes modes;
-  /// Of the device that is opened next.
+  /// For the device that is opened next.
   int64_t deviceMemoryLimit = 0;
   bool fuseLaunches = true;
   std::optional<Declarations> declarations;

@@ -1,12 +1,12 @@
-//===- Summaries.h - What kernels do to memory ------------------*- C++ -*-===//
+//===- Summaries.h - Access summaries for the runtime ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What a kernel reads, writes and accumulates, told from its IR in the words of
-// the runtime.
+// What a kernel reads, writes and accumulates: converts the results of the
+// analyses to the types of the runtime.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,13 +18,13 @@
 
 namespace mlir::tai {
 
-/// What the kernel does to the fields that the runtime has, the functions that
-/// it calls included.
+/// The accesses of the kernel, and of the functions that it calls, to fields of
+/// the runtime.
 std::vector<runtime::Access> summarize(const runtime::Runtime &rt,
                                        ModuleOp module, KernelOp kernel);
 
-/// Which floats that the kernel stores depend on which that it reads, with or
-/// without gradients; of the fields of its summary, and of its arguments.
+/// Which stored floats of the kernel depend on which loaded ones, with or
+/// without gradients; for the fields of its summary and for its arguments.
 runtime::KernelFlows findFlows(KernelOp kernel,
                                ArrayRef<runtime::Access> summary);
 

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What the compiler says of kernels that it compiles, or finds in the cache.
+// Warnings about kernels that were compiled, or loaded from the cache.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,17 +20,17 @@
 
 namespace mlir::tai {
 
-/// Any thread may call any of it.
+/// Thread-safe.
 class WarningLog {
 public:
-  /// `isOfGradient`: of an adjoint, or of what carries tangents.
+  /// `isOfGradient`: the warning is about an adjoint or a forward-mode variant.
   using Handler = std::function<void(const Warning &, bool isOfGradient)>;
 
-  /// Null to print them.
+  /// A null handler prints warnings.
   void setHandler(Handler handler);
 
-  /// Tells those that have not been told yet: a kernel is compiled again for
-  /// each of its forms.
+  /// Reports the warnings that have not been reported yet: a kernel is compiled
+  /// once for each of its variants.
   void tell(ArrayRef<Warning> warnings, bool isOfGradient);
 
 private:

@@ -1,19 +1,17 @@
-//===- Interpreter.h - Kernels run without a compiler -----------*- C++ -*-===//
+//===- Interpreter.h - Executes IR without compiling it --------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs a function as it stands, operation by operation, and in no hurry: what
-// compiled code does can be compared with what the program says. It shares with
-// compiled code the interface to the runtime (Abi.h) and where a place lies in
-// its tree (Layout.h), and no pass.
+// Executes a function operation by operation, before any pass, as a reference
+// for compiled code. It shares with compiled code only the interface to the
+// runtime (Abi.h) and the addresses of places (Layout.h).
 //
-// Numbers are those of the type of each operation, rounded once an operation.
-// What an operation leaves undefined (a shift by more bits than there are, a
-// float that no integer stands for, an index out of range) fails the launch,
-// with the place.
+// Each operation computes in its type, and rounds once. Undefined behaviour of
+// an operation (a shift by too many bits, a float outside of the integer range,
+// an index out of range) fails the launch with its location.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,8 +28,8 @@ namespace mlir::tai {
 struct InterpreterOptions {
   /// Assertions are checked, and divisions by zero reported.
   bool debug = false;
-  /// If not zero, iterations of parallel loops run in an order drawn from it,
-  /// and in ascending order else.
+  /// If non-zero, the seed of a random order of iterations of parallel loops;
+  /// otherwise they run in ascending order.
   uint64_t orderSeed = 0;
 };
 
@@ -44,13 +42,13 @@ class Interpreter {
 public:
   ~Interpreter();
 
-  /// Takes a module as the compiler gets it. Operations that the interpreter
-  /// does not know are errors, reported where they stand.
+  /// For the same module as the compiler gets. Null, after an error at the op,
+  /// if it holds ops that the interpreter does not support.
   static std::shared_ptr<const Interpreter>
   create(OwningOpRef<ModuleOp> module, StringRef function,
          const InterpreterOptions &options);
 
-  /// Does what a TaiKernelFn does. Several threads may run it at once.
+  /// Runs the function like a TaiKernelFn. Thread-safe.
   int32_t run(TaiFrame *frame) const;
 
 private:

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The pipelines by name: as functions that add their passes to a pass manager,
-// and as the options `--tai-autodiff` and `--tai-to-llvm` of tai-opt.
+// The pipelines as functions that add their passes to a pass manager, and as
+// options of tai-opt: `--tai-autodiff`, `--tai-to-llvm`, `--tai-to-nvvm`.
 //
 //===----------------------------------------------------------------------===//
 
@@ -73,30 +73,30 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::init(false)};
 };
 
-/// What of a module is lowered: kernels, trees and fields, and the functions
-/// that hold ops of tai or call, at some depth, a function that does. `entry`,
-/// if not empty, is one of them whatever it holds.
+/// The ops of a module that are lowered: kernels, trees and fields, and the
+/// functions that hold ops of tai or call, directly or indirectly, a function
+/// that does. Includes the function `entry`, if not empty.
 llvm::SetVector<Operation *> collectOwn(ModuleOp module, StringRef entry);
 
-/// Adds the passes of `populate` so that they see what `collectOwn` yields and
-/// the functions that this calls. All else stays as it is.
+/// Adds the passes of `populate`, restricted to the ops of `collectOwn` and the
+/// functions that they call. The rest of the module stays as it is.
 void addIsolated(OpPassManager &pm,
                  llvm::function_ref<void(OpPassManager &)> populate);
 
-/// Makes `tai-isolate` known to pass pipelines given as text.
+/// Registers the pass `tai-isolate` by name.
 void registerIsolate();
 
 /// Makes the adjoints of kernels and the summaries of all kernels. Anchored on
 /// the module.
 void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
 
-/// Makes of all kernels those that carry tangents along.
+/// Replaces all kernels by their forward-mode variants.
 void buildForwardPipeline(OpPassManager &pm, bool arrayTangents);
 
-/// Makes `--tai-autodiff` known to pass pipelines given as text.
+/// Registers `tai-autodiff` by name.
 void registerAutodiffPipeline();
 
-/// The words that an option of the type takes, where it is one of some words.
+/// The values of an option of an enumeration type.
 template <typename T> struct OptionWords {
   template <typename Opt> void apply(Opt &) const {}
 };
@@ -135,7 +135,7 @@ struct LoweringOptions : virtual ::mlir::detail::PassOptions {
                      "one after another, where iterations allow"),
       llvm::cl::init(true)};
 
-  /// Whether indices are checked as kernels run.
+  /// Whether indices are checked at run time.
   bool checksIndices() const {
     return boundsCheck || debug || bounds == BoundsMode::Check;
   }
@@ -158,14 +158,14 @@ struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions>, LoweringOptions {
 };
 
 /// Lowers a module of trees, fields, kernels and host functions to the LLVM
-/// dialect. Each kernel and each host function becomes
-/// `i32 @name(TaiFrame *)`; see tai/Runtime/Abi.h. Anchored on the module.
-/// Functions that have nothing to do with tai stay as they are.
+/// dialect. Each kernel and each host function becomes `i32 @name(TaiFrame *)`;
+/// see tai/ABI/Abi.h. Anchored on the module. Functions that have nothing to do
+/// with tai stay as they are.
 void buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options);
 /// The same for a module that holds nothing else.
 void buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options);
 
-/// Makes `--tai-to-llvm` known to pass pipelines given as text.
+/// Registers `tai-to-llvm` by name.
 void registerToLLVMPipeline();
 
 /// How kernels are lowered for a GPU.
@@ -192,7 +192,7 @@ void buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options);
 /// The same for a module that holds nothing else.
 void buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options);
 
-/// Makes `--tai-to-nvvm` known to pass pipelines given as text.
+/// Registers `tai-to-nvvm` by name.
 void registerToNVVMPipeline();
 
 } // namespace mlir::tai

@@ -15,7 +15,7 @@
 
 namespace tai_test {
 
-/// A context that compiles without a cache unless it is told to use one.
+/// A context without a compile cache, unless one is set.
 class Context {
 public:
   Context() : context(taiContextCreate()) { set("cache_dir", ""); }
