@@ -7,9 +7,9 @@
 //
 // The driver for tests (test/unit/FakeCuda), which also measures the time that
 // launches spend in it, so that the rest is what the caller pays for a launch.
-// A driver works on memory and code of its own, and what the caller had in the
-// caches is gone afterwards: tai_cold_bytes says how much of both a launch goes
-// through. See launch.py.
+// A real driver reads memory and code of its own, which evicts the caller's
+// data from the caches: tai_cold_bytes is the amount of both that a launch
+// reads. See launch.py.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,13 +1,13 @@
-//===- DriverLaunch.c - What a launch costs in the driver alone -----------===//
+//===- DriverLaunch.c - The cost of a launch in the driver ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Queues launches of a small kernel in all ways that come into question, and
-// prints nanoseconds for each: the least of many batches, and their median. It
-// is what is left of a launch from Python when nothing is left to do for us.
+// Queues launches of a small kernel by each of the driver's interfaces, and
+// prints nanoseconds for each: the minimum of many batches, and their median.
+// This is the lower bound of a launch from Python.
 //
 //   cc -std=gnu17 -O2 -pthread DriverLaunch.c -ldl && ./a.out
 //

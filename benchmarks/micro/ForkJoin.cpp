@@ -1,4 +1,4 @@
-//===- ForkJoin.cpp - What a fork and join costs --------------------------===//
+//===- ForkJoin.cpp - The cost of a fork and join -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -8,7 +8,7 @@
 // A small dialect outside of tai's tree. `soft.plus` implements the interface
 // of differentiable ops, `soft.read` that of accesses to fields;
 // `vector.interleave`, which belongs to upstream and has no rule in tai, gets
-// one by an external model. No pass of tai knows of them.
+// one by an external model. No pass of tai refers to these ops.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // A dialect outside of tai's tree with two types that implement the interface
-// of levels. Kernels, loops over fields and gradients work on them as they do
-// on tai's own; no pass knows of either.
+// of levels. Kernels, loops over fields and gradients work on them as on tai's
+// own levels; no pass refers to them.
 //
 //   !demo.padded<[i: 5, j: 6], 8, {x: f64}>   rows of 8 cells, of which 6 are
 //                                             used: all are active

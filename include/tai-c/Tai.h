@@ -48,8 +48,8 @@ typedef enum TaiStatus {
   TAI_ERROR_AUTODIFF = 3, // no derivative, or an access rule is broken
   TAI_ERROR_RUNTIME = 4,  // an assertion, an index, a failed launch
   TAI_ERROR_MEMORY = 5,   // out of memory
-  TAI_ERROR_INTERNAL = 6, // a bug of ours; the message names the reproducer
-  TAI_ERROR_USAGE = 7     // a call that makes no sense in this state
+  TAI_ERROR_INTERNAL = 6, // a bug in tai; the message names a reproducer
+  TAI_ERROR_USAGE = 7     // an invalid call, or one not allowed in this state
 } TaiStatus;
 
 //===----------------------------------------------------------------------===//
@@ -61,28 +61,28 @@ TAI_EXPORT const char *taiVersion(void);
 TAI_EXPORT TaiContext taiContextCreate(void);
 TAI_EXPORT void taiContextDestroy(TaiContext context);
 
-/// One option: its name, what holds unless it is set, what is expected of a
-/// value, and what it is for.
+/// One option: its name, its initial value, a description of valid values, and
+/// its purpose.
 typedef struct TaiOptionRow {
   const char *name, *initial, *expects, *about;
 } TaiOptionRow;
 
-/// All options of taiContextSetOption. The rows stay.
+/// All options of taiContextSetOption; returns their number. The rows are
+/// static.
 TAI_EXPORT int64_t taiListOptions(const TaiOptionRow **rows);
 
-/// Options, as text; unknown names and values are TAI_ERROR_USAGE with the
-/// names that exist. They hold for kernels created afterwards.
-/// docs/options.md lists them, as taiListOptions does.
+/// Sets an option from text; an unknown name or value is TAI_ERROR_USAGE, with
+/// the valid ones in the message. Options that affect code apply to kernels
+/// created afterwards. See taiListOptions and docs/options.md.
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 
-/// Follows the tangents of these fields until the option `forward_mode` is set
-/// again.
+/// Tracks the flow of tangents of these fields until the option `forward_mode`
+/// is set again; see taiContextLostTangents.
 TAI_EXPORT void taiContextFollowTangents(TaiContext context,
                                          const TaiField *inputs, int64_t count);
-/// The stores that have ended tangents on the way to these fields, one line
-/// each, with a newline between two; what has been said is not said again. As
-/// long as the context is not asked again.
+/// The stores at which tangents were lost on the way to these fields: lines
+/// separated by newlines, each reported only once. Valid until the next call.
 TAI_EXPORT const char *taiContextLostTangents(TaiContext context,
                                               const TaiField *outputs,
                                               int64_t count);
@@ -101,19 +101,19 @@ typedef struct TaiError {
 } TaiError;
 TAI_EXPORT TaiError taiContextLastError(TaiContext context);
 
-/// Waits for what is being compiled ahead of need, in all contexts; nothing is
-/// from then on. To be called before the end of a process in which contexts may
-/// be left: code that still runs would lose the data of its libraries.
+/// Waits for background compilations in all contexts, and disables them. Call
+/// before the exit of a process that may still have contexts: code that still
+/// runs would use destroyed data of its libraries.
 TAI_EXPORT void taiStopBackgroundWork(void);
 
-/// Waits for everything launched.
+/// Waits for all launches.
 TAI_EXPORT TaiStatus taiContextSynchronize(TaiContext context);
 
-/// What the host wants to do now and then while work goes on: handle signals,
-/// let its other threads run. Called every 20 ms or so on the thread whose call
-/// takes that long (a launch, a sweep, a compilation, a wait); returns 0 to
-/// interrupt it: the call then fails with TAI_ERROR_RUNTIME. One handler for
-/// the process; null for none.
+/// A callback during long calls, to handle signals or to let other threads of
+/// the host run. Called about every 20 ms on the thread of a call that takes
+/// that long (a launch, a sweep, a compilation, a wait); returns 0 to interrupt
+/// it: the call then fails with TAI_ERROR_RUNTIME. One handler for the process;
+/// null for none.
 typedef int (*TaiSafepointHandler)(void);
 TAI_EXPORT void taiSetSafepointHandler(TaiSafepointHandler handler);
 
@@ -122,15 +122,15 @@ TAI_EXPORT void taiSetSafepointHandler(TaiSafepointHandler handler);
 TAI_EXPORT void taiContextInterrupt(TaiContext context);
 TAI_EXPORT void taiContextClearInterrupt(TaiContext context);
 
-/// Where the lines of `tai.print` go, each whole and with its newline, from any
-/// thread; null for the standard output.
+/// Receives the lines of `tai.print`, one complete line with its newline in
+/// each call, from any thread; null for the standard output.
 typedef void (*TaiPrintHandler)(const char *line, size_t length, void *user);
 TAI_EXPORT void taiContextSetPrintHandler(TaiContext context,
                                           TaiPrintHandler handler, void *user);
 
-/// What the compiler says of a program that compiles, and is hardly meant. Told
-/// once in a context, also where the code comes from the cache. `diagnostics`
-/// is as in TaiError. `of_gradient`: of an adjoint, or of tangents.
+/// A compiler warning. Reported once in a context, also if the code comes from
+/// the cache. `diagnostics` is as in TaiError. `of_gradient`: the warning is
+/// about an adjoint or a forward-mode variant.
 typedef struct TaiWarning {
   const char *message;
   const char *file; // "" where unknown
@@ -138,8 +138,8 @@ typedef struct TaiWarning {
   const char *diagnostics;
   bool of_gradient;
 } TaiWarning;
-/// Where they go, from any thread, as kernels are compiled; null for the
-/// standard error. The handler may not call the context.
+/// Receives warnings, from any thread, as kernels are compiled; null for the
+/// standard error. The handler must not call the context.
 typedef void (*TaiWarningHandler)(const TaiWarning *warning, void *user);
 TAI_EXPORT void taiContextSetWarningHandler(TaiContext context,
                                             TaiWarningHandler handler,
@@ -159,17 +159,16 @@ TAI_EXPORT TaiStatus taiContextAddTree(TaiContext context, const char *name,
 TAI_EXPORT TaiStatus taiContextDestroyTree(TaiContext context,
                                            const char *name);
 
-/// What is known of one sparse level of a tree. Levels are numbered as they
-/// stand in the layout, those above before those below; cells row-major, level
-/// below level.
+/// The state of one sparse level of a tree. Levels are numbered in the order of
+/// the layout, parents before children; cells row-major, level by level.
 typedef struct TaiSparseLevel {
   int64_t numCells;
   int64_t cellBytes;
   int64_t numActive;
-  /// Lists of active cells that were made, and that were used again.
+  /// Lists of active cells that were computed, and that were reused.
   int64_t listsMade;
   int64_t listsReused;
-  /// The most cells that were active at any time.
+  /// The maximum of cells active at any time.
   int64_t peakActive;
 } TaiSparseLevel;
 TAI_EXPORT TaiStatus taiContextGetSparseLevel(TaiContext context,
@@ -182,13 +181,13 @@ TAI_EXPORT TaiStatus taiContextGetActiveCells(TaiContext context,
                                               const char *tree, int64_t level,
                                               int64_t *cells, int64_t count);
 
-/// Makes a cell active (1) or inactive (0); inactive cells are zeroed, with all
-/// that lies below.
+/// Activates (1) or deactivates (0) a cell; a deactivated cell is zeroed, with
+/// all its descendants.
 TAI_EXPORT TaiStatus taiContextSetActive(TaiContext context, const char *tree,
                                          int64_t level, int64_t cell,
                                          int active);
 
-/// Makes all cells of a level inactive.
+/// Deactivates all cells of a level.
 TAI_EXPORT TaiStatus taiContextDeactivateAll(TaiContext context,
                                              const char *tree, int64_t level);
 
@@ -222,15 +221,15 @@ typedef struct TaiFieldInfo {
   int64_t element_shape[2];
 } TaiFieldInfo;
 TAI_EXPORT TaiStatus taiFieldGetInfo(TaiField field, TaiFieldInfo *info);
-/// Ends the handle, and not the field. Without it, handles end with the
-/// context.
+/// Destroys the handle, not the field. Handles that are not released are
+/// destroyed with the context.
 TAI_EXPORT void taiFieldRelease(TaiField field);
 
-/// Whether there is a kernel of that name, or one that is destroyed and that a
-/// tape may launch still. From any thread, and without waiting.
+/// Whether there is a kernel of that name, including one that is destroyed but
+/// that a tape may still launch. From any thread; does not wait.
 TAI_EXPORT bool taiContextHasKernel(TaiContext context, const char *name);
 
-/// How many things a context holds: to see that nothing is left behind.
+/// The number of objects in a context, to detect leaks.
 typedef struct {
   int64_t trees;
   int64_t fields;
@@ -241,9 +240,9 @@ typedef struct {
   int64_t kernels;      // those that may be launched, with their adjoints
   int64_t kernel_codes; // modules that kernels are compiled from
   int64_t linked;       // pieces of compiled code
-  int64_t failures;     // of compilations, kept for those who ask
+  int64_t failures;     // of compilations, kept for later queries
 } TaiContextObjects;
-/// Sets the tangents to zero that the calling thread has left in fields.
+/// Zeroes the tangent fields that the calling thread has written.
 TAI_EXPORT TaiStatus taiContextClearTangents(TaiContext context);
 TAI_EXPORT TaiStatus taiContextCountObjects(TaiContext context,
                                             TaiContextObjects *objects);
@@ -269,56 +268,57 @@ TAI_EXPORT TaiStatus taiFieldWriteElements(TaiField field,
                                            const int64_t *indices,
                                            int64_t count, const void *values);
 
-/// Where the element at these indices lies in memory: in that of the GPU, if
-/// the context has one.
+/// The address of the element at these indices: in GPU memory, if the context
+/// has a GPU.
 TAI_EXPORT TaiStatus taiFieldGetAddress(TaiField field, const int64_t *indices,
                                         void **address);
 
-/// Memory of a field that another library uses, until it gives it back: it
-/// stays there as long, also when the field and the context are gone.
+/// Memory of a field that another library uses. It is kept until the buffer is
+/// released, even after the field and the context are destroyed.
 typedef struct TaiExportedBufferImpl *TaiExportedBuffer;
 typedef struct TaiFieldMemory {
   void *address; // of the first element
   int32_t on_device;
-  /// Bytes from one index to the next, along each dimension of the field and of
-  /// its element; owned by the buffer.
+  /// Strides in bytes, for each dimension of the field and of its element;
+  /// owned by the buffer.
   const int64_t *strides;
 } TaiFieldMemory;
-/// Fails for fields whose elements do not lie evenly, and for sparse ones.
+/// Fails for sparse fields, and for layouts without a uniform stride.
 TAI_EXPORT TaiStatus taiFieldExport(TaiField field, TaiFieldMemory *memory,
                                     TaiExportedBuffer *buffer);
 TAI_EXPORT void taiExportedBufferRelease(TaiExportedBuffer buffer);
-/// To be called where another library writes to an exported field. Fails
-/// while a tape records.
+/// Call when another library writes to an exported field. Fails while a tape
+/// records.
 TAI_EXPORT TaiStatus taiFieldNoteWrite(TaiField field);
 /// The former names of these, for one release.
 typedef TaiExportedBuffer TaiLoan;
 TAI_EXPORT TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory,
                                   TaiLoan *loan);
 TAI_EXPORT void taiLoanEnd(TaiLoan loan);
-/// What is queued from now on waits for what a stream of CUDA holds now, and
-/// the other way round; 0 is the default stream. Does nothing without a GPU.
+/// WaitForStream makes later work of the context wait for the work now in a
+/// CUDA stream; LetStreamWait is the other way round. 0 is the default stream.
+/// No effect without a GPU.
 TAI_EXPORT TaiStatus taiContextWaitForStream(TaiContext context,
                                              uint64_t stream);
 TAI_EXPORT TaiStatus taiContextLetStreamWait(TaiContext context,
                                              uint64_t stream);
-/// Memory of the GPU for what is kept of arrays there. It must not outlive the
-/// context.
+/// Allocates GPU memory for copies of arrays. Must be freed before the context
+/// is destroyed.
 TAI_EXPORT TaiStatus taiContextAllocateOnDevice(TaiContext context,
                                                 int64_t bytes, void **address);
 TAI_EXPORT void taiContextFreeOnDevice(TaiContext context, void *address);
-/// Copies there, in the order of the launches: in a sweep or replay of a tape,
-/// as a part of it.
+/// A copy on the GPU, in order with launches; in a sweep or replay of a tape,
+/// part of it.
 TAI_EXPORT TaiStatus taiContextCopyOnDevice(TaiContext context, void *to,
                                             const void *from, int64_t bytes);
-/// Whether kernels can use the address on the GPU, or the emulated one.
+/// Whether kernels on the GPU, or the emulated one, can access the address.
 TAI_EXPORT int taiContextIsOnDevice(TaiContext context, const void *address);
-/// Whether kernels run on a GPU, and not on one that is emulated.
+/// Whether kernels run on a real GPU.
 TAI_EXPORT int taiContextIsOnGpu(TaiContext context);
 
-/// All elements from or to a row-major array of the field's own scalar type,
-/// of shape (shape..., element_shape...). Of a sparse field, cells become
-/// active that hold something else than zero.
+/// All elements from or to a row-major array of the field's own scalar type, of
+/// shape (shape..., element_shape...). For a sparse field, copying from the
+/// host activates the cells of non-zero elements.
 TAI_EXPORT TaiStatus taiFieldCopyToHost(TaiField field, void *array);
 TAI_EXPORT TaiStatus taiFieldCopyFromHost(TaiField field, const void *array);
 TAI_EXPORT TaiStatus taiFieldFillF64(TaiField field, double value);
@@ -331,41 +331,42 @@ TAI_EXPORT TaiStatus taiContextClearGradients(TaiContext context);
 // Kernels
 //===----------------------------------------------------------------------===//
 
-/// Takes a module that holds one `tai.kernel` of the given name (and any
-/// `func.func` helpers). The trees and fields of the context that it uses are
-/// declared for it: the module need not hold `tai.tree` and `tai.field` ops.
-/// The module is verified here and compiled on the first launch. The module is
-/// owned by the kernel afterwards, also on failure.
+/// Creates a kernel from a module with one `tai.kernel` of the given name (and
+/// any `func.func` helpers). Declarations of the context's trees and fields
+/// that it uses are added: the module need not hold `tai.tree` and `tai.field`
+/// ops. The module is verified here and compiled on the first launch. The
+/// module is owned by the kernel afterwards, also on failure.
 TAI_EXPORT TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
                                      const char *name, TaiKernel *kernel);
-/// The same for IR given as text; `file` names it in diagnostics.
+/// The same for IR as text; `file` names it in diagnostics.
 TAI_EXPORT TaiStatus taiKernelParse(TaiContext context, const char *text,
                                     const char *file, const char *name,
                                     TaiKernel *kernel);
-/// The same for IR that a file or a connection has brought: text, or what
-/// taiModuleWrite has written. Bytecode that is damaged, or that has no
-/// checksum as MLIR's own writer leaves it, is a syntax error here, while
-/// mlirModuleCreateParse may end the process on it.
+/// The same for IR from a file or the network: text, or the output of
+/// taiModuleWrite. Bytecode that is damaged, or that has no checksum (like that
+/// of MLIR's own writer), is a syntax error here, while mlirModuleCreateParse
+/// may end the process on it.
 TAI_EXPORT TaiStatus taiKernelLoad(TaiContext context, const char *bytes,
                                    size_t size, const char *file,
                                    const char *name, TaiKernel *kernel);
-/// Gives the module as bytecode with its checksum to `callback`, in pieces.
+/// Writes the module as bytecode with a checksum, in pieces, to `callback`.
 TAI_EXPORT TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
                                     MlirStringCallback callback,
                                     void *userData);
 TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
 
-/// The trees that the kernel may use, gradients' among them, by number; null
-/// where there are no more.
+/// The name of tree number `number` that the kernel may use, including those of
+/// gradients; null after the last one.
 TAI_EXPORT const char *taiKernelGetTree(TaiKernel kernel, int64_t number);
 
-/// Launches with arguments in slots (see tai/Runtime/Abi.h). `results` may be
-/// null for a kernel without result. Recorded by the active tape.
+/// Launches with arguments in slots (see TaiFrame in tai/ABI/Abi.h). `results`
+/// may be null for a kernel without result. Recorded by the active tape.
 ///
-/// A kernel with the attribute `tai.gradients` is differentiated by arguments
-/// and results. What a tape records of it, and its adjoint, take slots for
-/// their adjoints after those of the arguments, as for arrays (see
-/// `--tai-make-adjoint`). That memory must live as long as the tape.
+/// A kernel with the attribute `gradients` is differentiated with respect to
+/// arguments and results. A launch under a tape, and its adjoint, have
+/// additional slots for their adjoints after those of the arguments, as for
+/// arrays (see `--tai-make-adjoint`). That memory must live as long as the
+/// tape.
 TAI_EXPORT TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args,
                                      int64_t slots, uint64_t *results);
 /// Launches the adjoint of the kernel.
@@ -373,7 +374,7 @@ TAI_EXPORT TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
                                          int64_t slots);
 
 /// True if the adjoint of the kernel reads elements of the array argument whose
-/// pointer is in this slot: then they must be what they were at the launch.
+/// pointer is in this slot: then they must not change after the launch.
 TAI_EXPORT bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot);
 
 /// True if the kernel stores, to the array argument whose pointer is in this
@@ -386,10 +387,10 @@ TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                                        int64_t count, bool adjoints);
 
 /// The IR of the kernel at a stage: "tai" as given, "autodiff" with the
-/// adjoint, "scf", "llvm" dialect, "llvmir", "asm". The last four show the
-/// kernel itself; with "adjoint." before the name they show its adjoint, and
-/// with "tangent." before that the kernel that carries tangents along. The text
-/// belongs to the kernel and holds until the next call.
+/// adjoint, "scf", "llvm" dialect, "llvmir", "asm"; with a device also "nvvm"
+/// and "ptx". From "scf" on, the prefix "adjoint." selects the adjoint, and
+/// "tangent." before that the forward-mode variant. "explain" is a text about
+/// the gradient. Owned by the kernel, valid until the next call.
 TAI_EXPORT TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
                                     const char **text);
 
@@ -405,14 +406,14 @@ TAI_EXPORT TaiStatus taiTapeBegin(TaiContext context, TaiField loss,
 /// Adds a field that the sweep starts from, while the tape has no records. A
 /// field of one number is set to zero, and its seed is 1.
 TAI_EXPORT TaiStatus taiTapeAddLoss(TaiTape tape, TaiField loss);
-/// What the gradient of a loss is at the start of a sweep: a row-major array
-/// of the type of the gradient.
+/// Sets the gradient of a loss at the start of a sweep: a row-major array of
+/// the type of the gradient.
 TAI_EXPORT TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss,
                                     const void *array);
-/// How the tape recomputes values instead of saving all that are overwritten;
-/// to be chosen before anything is recorded. `snapshots`: most of them, 0 for
-/// about the square root of the number of records. `budget`: most bytes of
-/// snapshots and saved values, 0 for no limit.
+/// How the tape trades recomputation for saved values; set before anything is
+/// recorded. `snapshots`: their maximum number, 0 for about the square root of
+/// the number of records. `budget`: maximum of bytes in snapshots and saved
+/// values, 0 for no limit.
 typedef enum TaiCheckpoint {
   TAI_CHECKPOINT_NONE = 0, // saves
   TAI_CHECKPOINT_PERIODIC, // snapshots at even distances, saves in between
@@ -423,33 +424,33 @@ TAI_EXPORT TaiStatus taiTapeSetCheckpoint(TaiTape tape, TaiCheckpoint kind,
                                           int64_t snapshots, int64_t budget);
 /// Stops recording (the tape can still be run backward and replayed).
 TAI_EXPORT TaiStatus taiTapeEnd(TaiTape tape);
-/// The same where taiTapeBackward comes next: a device may then run what was
-/// recorded together with its reverse sweep.
+/// The same if taiTapeBackward follows: a device may then run the recording
+/// together with its reverse sweep.
 TAI_EXPORT TaiStatus taiTapeEndToSweep(TaiTape tape);
-/// Sets the gradients to zero that its sweep adds to, and all others that the
-/// calling thread has left.
+/// Zeroes the gradients that its sweep adds to, and all others that the calling
+/// thread has written.
 TAI_EXPORT TaiStatus taiTapeClearGradients(TaiTape tape);
 /// Seeds the adjoint of the loss with 1 and replays the adjoints in reverse.
 TAI_EXPORT TaiStatus taiTapeBackward(TaiTape tape);
-/// Runs the recorded launches again on the present contents of the fields.
-/// forward: the primal launches; backward: clear gradients, seed, reverse.
+/// `forward`: runs the recorded launches again on the current contents of the
+/// fields; `backward`: clears gradients, seeds, and reverses.
 TAI_EXPORT TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward);
-/// Records a host function to be called in place: `backward` at its place in
-/// the reverse sweep (custom gradients). Launches made between
-/// taiTapeSuspend and taiTapeResume are not recorded.
+/// Records a host function: `forward` is called in its place by a replay,
+/// `backward` at its place in the reverse sweep (custom gradients). Launches
+/// made between taiTapeSuspend and taiTapeResume are not recorded.
 typedef TaiStatus (*TaiTapeCallback)(void *user);
 TAI_EXPORT TaiStatus taiTapeRecordCallback(TaiTape tape,
                                            TaiTapeCallback forward,
                                            TaiTapeCallback backward,
                                            void *user);
-/// The memory of an array of the caller: its first byte, the byte behind its
-/// last, a divisor of the distances between elements, and their size.
+/// The memory of an array of the caller: its first byte, one past its last
+/// byte, a divisor of the distances between elements, and their size.
 typedef struct TaiArrayRange {
   uint64_t begin, end, step, element_bytes;
 } TaiArrayRange;
-/// For warnings of gradients that get lost. The launch to come gets, at this
-/// address, a copy of an array, which is copied back; and: the caller has
-/// changed an array since the last launch.
+/// For warnings about lost gradients: the next launch gets, at this address, a
+/// copy of an array, which is copied back; and: the caller has changed an array
+/// since the last launch.
 TAI_EXPORT void taiTapeNoteArrayCopy(TaiTape tape, const void *address,
                                      TaiArrayRange array);
 TAI_EXPORT void taiTapeNoteArrayWrite(TaiTape tape, TaiArrayRange array);
@@ -459,51 +460,52 @@ TAI_EXPORT TaiStatus taiTapeResume(TaiTape tape);
 TAI_EXPORT const char *taiTapeExplain(TaiTape tape);
 TAI_EXPORT int64_t taiTapeNumRecords(TaiTape tape);
 TAI_EXPORT int64_t taiTapeNumSkipped(TaiTape tape);
-/// What the tape keeps. With a checkpoint policy: the most snapshots at any
-/// time, the bytes of the largest, records run again since the sequence last
-/// ran forward, and how many the binomial formula asks for.
+/// Memory statistics: bytes of saved values, now and at most. With a checkpoint
+/// policy: the maximum number of snapshots, the bytes of the largest, the
+/// number of re-executed records since the sequence last ran forward, and the
+/// optimum by the binomial formula.
 typedef struct TaiTapeStats {
   int64_t saved_bytes, peak_bytes;
   int64_t snapshots, snapshot_bytes, recomputed, optimum;
 } TaiTapeStats;
 TAI_EXPORT TaiStatus taiTapeGetStats(TaiTape tape, TaiTapeStats *stats);
-/// What a careful user should know about the last sweep. The text holds until
-/// the next one; null after the last line.
+/// Warning number `number` about the last sweep; null after the last one. Valid
+/// until the next sweep.
 TAI_EXPORT const char *taiTapeWarning(TaiTape tape, int64_t number);
-/// Launches one record again, on what the fields hold now and with the random
-/// numbers it had. Another tape that records records it.
+/// Runs one record again, on the current contents of the fields and with the
+/// same random numbers. Recorded by another tape, if one is recording.
 TAI_EXPORT TaiStatus taiTapeRunRecord(TaiTape tape, int64_t record);
 /// The name of the kernel of a record, or null for a host function.
 TAI_EXPORT const char *taiTapeRecordKernel(TaiTape tape, int64_t record);
-/// What a record does to a field. `index` is the position that the launch fixes
-/// along `dimension`, counted from the field's first; dimension is -1 where it
-/// fixes none. Kinds: 0 reads, 1 writes, 2 accumulates.
+/// An access of a record to a field. `index` is the fixed index of the launch
+/// along `dimension`, counted from the field's first; `dimension` is -1 if none
+/// is fixed. Kinds: 0 read, 1 write, 2 accumulate.
 typedef struct TaiTapeAccess {
   const char *field;
   int32_t kind, dimension;
   int64_t index;
 } TaiTapeAccess;
-/// The rows belong to the tape and hold until the next call.
+/// The rows are owned by the tape and valid until the next call.
 TAI_EXPORT TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
                                            const TaiTapeAccess **rows,
                                            int64_t *count);
-/// What the adjoint of a record left in the adjoint of a field: of the finite
-/// numbers the greatest magnitude and the norm.
+/// Statistics of an adjoint field after the adjoint of a record: number of NaNs
+/// and infinities, greatest magnitude and norm of the finite numbers.
 typedef struct TaiTapeHealthRow {
   int64_t record;
   const char *field;
   int64_t nans, infs;
   double max_abs, norm;
 } TaiTapeHealthRow;
-/// Whether reverse sweeps from now on examine what each record leaves.
+/// Makes later reverse sweeps examine the result of each record, or not.
 TAI_EXPORT TaiStatus taiTapeWatchHealth(TaiTape tape, bool on);
-/// Of the last sweep, in its order. The rows belong to the tape and hold until
-/// the next call.
+/// The statistics of the last sweep, in its order. The rows are owned by the
+/// tape and valid until the next call.
 TAI_EXPORT TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
                                    int64_t *count);
 /// Checks the global data access rules in the launches that follow, element by
-/// element, and keeps the first `limit` violations. With `races_only`, looks
-/// for iterations of one loop that meet in an element (kinds 3 and 4) alone.
+/// element, and keeps the first `limit` violations. With `races_only`, only
+/// races between iterations of one loop (kinds 3 and 4).
 TAI_EXPORT TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit,
                                           bool races_only);
 /// One access of a violation: the kernel, the launch (counted among the checked
@@ -527,8 +529,8 @@ typedef struct TaiViolation {
   int64_t component;
   TaiAccessPlace access, earlier;
 } TaiViolation;
-/// What has been found; `total` counts also what was not kept. Valid until the
-/// next call on the tape.
+/// The violations found; `total` includes those that were not kept. Valid until
+/// the next call on the tape.
 TAI_EXPORT TaiStatus taiTapeViolations(TaiTape tape, const TaiViolation **rows,
                                        int64_t *count, int64_t *total);
 
@@ -538,8 +540,8 @@ TAI_EXPORT void taiTapeDestroy(TaiTape tape);
 // Profiler
 //===----------------------------------------------------------------------===//
 
-/// What a row counts: a kernel that ran on the CPU, a loop or another part of a
-/// kernel on a device, or what a device did with memory.
+/// What a row counts: a kernel on the CPU, a loop or another part of a kernel
+/// on a device, or copies and fills of a device.
 typedef enum TaiProfileKind {
   TAI_PROFILE_HOST = 0,
   TAI_PROFILE_DEVICE = 1,
@@ -552,10 +554,10 @@ typedef struct TaiProfileRow {
   double total_ms, min_ms, max_ms;
   const char *place; // "file:line:column", or ""
   TaiProfileKind kind;
-  int64_t bytes; // that a launch touches, once each; -1 for not known
+  int64_t bytes; // that a launch accesses, each element once; -1 for not known
   // Of device code; -1 for not known.
   int32_t registers;        // of a thread
-  int32_t local_bytes;      // of a thread, for what found no room in registers
+  int32_t local_bytes;      // of a thread: spilled registers and local arrays
   int32_t shared_bytes;     // of a block
   double occupancy;         // 0 to 1
   uint32_t blocks, threads; // of the last launch; threads of a block
@@ -573,48 +575,49 @@ typedef struct TaiTraceEvent {
   const char *place;
   TaiProfileKind kind;
   int32_t on_device;
-  int32_t thread;                          // of the host, numbered as they come
+  int32_t thread; // of the host, in the order of first use
   double start_us, duration_us, queued_us; // since the context was made
   uint32_t blocks, threads;
 } TaiTraceEvent;
 /// Events since the last clear, in the order of their start; owned by the
-/// context, valid until the next call. `lost`: those for which there was no
-/// room. Waits for the device.
+/// context, valid until the next call. `lost`: the number of dropped events.
+/// Waits for the device.
 TAI_EXPORT TaiStatus taiProfilerTrace(TaiContext context,
                                       const TaiTraceEvent **events,
                                       int64_t *count, int64_t *lost);
 TAI_EXPORT TaiStatus taiProfilerClear(TaiContext context);
 
 /// An operation of a kernel where digits were lost, with the option "shadow".
-/// Errors are relative to what more digits yield, and 1 at the most.
+/// Errors are relative to the result with more digits, at most 1.
 typedef struct TaiShadowRow {
   const char *operation, *kernel;
-  const char *place; // "file:line:column", or ""
-  int32_t precision; // bits of a number of its type
-  int64_t lost;      // results of which less than half of the bits are right
+  const char *place;     // "file:line:column", or ""
+  int32_t precision;     // bits of a number of its type
+  int64_t lost;          // results with less than half of the bits correct
   int64_t cancellations; // of them, differences of much larger numbers
-  int64_t flips;         // comparisons and conversions that came out otherwise
-  int64_t non_finite;    // infinite or NaN, and finite with more digits
-  // Of the result that lost most bits: its error, that of its operands.
+  int64_t flips; // comparisons and conversions with another result than with
+                 // more digits
+  int64_t non_finite; // infinite or NaN, and finite with more digits
+  // Of the worst result: its error, that of its operands, and the bits lost.
   double error_made, error_in, bits_lost;
 } TaiShadowRow;
-/// What was found since the last clear, what lost most bits first; owned by the
-/// context, valid until the next call. Fails where the option is off.
+/// Findings since the last clear, greatest loss first; owned by the context,
+/// valid until the next call. Fails if the option is off.
 TAI_EXPORT TaiStatus taiShadowRows(TaiContext context,
                                    const TaiShadowRow **rows, int64_t *count);
 TAI_EXPORT TaiStatus taiShadowClear(TaiContext context);
 
-/// One counter of one skip: of what the system leaves out, or does, because the
-/// scene does not need it, or does. Rows of one skip stand together.
+/// One counter of one skip: how often work was left out because the scene does
+/// not need it, or was done. Rows of one skip are consecutive.
 typedef struct TaiSkipRow {
   const char *skip;    // a name for the option "skip"
   const char *counter; // "bytes…" for an amount of memory
   int64_t value;
-  int on;             // whether the skip is
-  const char *former; // the name of the skip before, which is read as well
+  int on;             // whether the skip is on
+  const char *former; // the former name of the skip, which is accepted too
 } TaiSkipRow;
 /// All counters since the last clear; owned by the context, valid until the
-/// next call. Amounts of memory in use are those of now.
+/// next call. Amounts of memory in use are current ones.
 TAI_EXPORT TaiStatus taiProfilerSkips(TaiContext context,
                                       const TaiSkipRow **rows, int64_t *count);
 TAI_EXPORT TaiStatus taiProfilerClearSkips(TaiContext context);

@@ -1,4 +1,4 @@
-//===- Flows.cpp - Derivatives that get lost, in C ------------------------===//
+//===- Flows.cpp - Lost derivatives in the C API --------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

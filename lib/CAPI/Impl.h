@@ -1,4 +1,4 @@
-//===- Impl.h - What the handles of the C API point to ----------*- C++ -*-===//
+//===- Impl.h - The objects behind C API handles ---------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -15,7 +15,7 @@
 #include "llvm/ADT/DenseMap.h"
 #include <mutex>
 
-/// Handles by their addresses: each goes without a look at the others.
+/// Owned handles by address, for removal in constant time.
 template <typename Impl> class Handles {
 public:
   Impl *add(std::unique_ptr<Impl> handle) {
@@ -24,7 +24,7 @@ public:
     return address;
   }
   void drop(Impl *handle) {
-    // Out of the map first: what goes with it may drop others.
+    // Remove it from the map first: its destructor may drop others.
     std::unique_ptr<Impl> gone = std::move(owned[handle]);
     owned.erase(handle);
   }
@@ -34,7 +34,7 @@ private:
   llvm::DenseMap<Impl *, std::unique_ptr<Impl>> owned;
 };
 
-/// Owns every handle made in it that is not given back earlier.
+/// Owns every handle created in it that has not been destroyed.
 struct TaiContextImpl {
   /// Held by every call but launches and reads of single elements on the CPU:
   /// a context has one user at a time.
@@ -68,8 +68,9 @@ struct TaiContextImpl {
   }
 };
 
-/// Waits for the calls of other threads. What waits passes safepoints, so that
-/// the host lets those threads run.
+/// Locks the context. While waiting for another thread's call it passes
+/// safepoints, so that the host language can let that thread run (as with
+/// Python's GIL).
 class ContextLock {
 public:
   explicit ContextLock(TaiContextImpl &context)
@@ -106,7 +107,7 @@ struct TaiKernelImpl {
   TaiContextImpl &context;
   mlir::tai::SessionKernel *kernel;
   std::string text;
-  /// What launches need of the two.
+  /// Cached for launches: the runtime of `context`, the kernel of `kernel`.
   mlir::tai::runtime::Runtime &runtime = context.session.getRuntime();
   mlir::tai::runtime::Kernel &launched = *kernel->kernel;
 };

@@ -1,4 +1,4 @@
-//===- Shadows.cpp - What shadow execution found --------------------------===//
+//===- Shadows.cpp - Shadow execution in the C API ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Skips.cpp - Counters of what was left out --------------------------===//
+//===- Skips.cpp - Counters of skips in the C API -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

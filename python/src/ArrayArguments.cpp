@@ -1,12 +1,11 @@
-//===- ArrayArguments.cpp - Arrays that kernels are called with -----------===//
+//===- ArrayArguments.cpp - Array arguments of kernels --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// Whatever is out of the ordinary is left to Python, which says what is wrong
-// with it.
+// Uncommon cases are left to Python code, which also reports errors.
 //
 //===----------------------------------------------------------------------===//
 
@@ -337,7 +336,7 @@ HeldArrays::addRange(const ArrayArg &arg, const Slots &slots, size_t first) {
   return added;
 }
 
-bool HeldArrays::mustNotMeet(const Range &one, const Range &other) const {
+bool HeldArrays::mustNotOverlap(const Range &one, const Range &other) const {
   bool isRecorded = use != ArrayUse::Forward;
   if (isRecorded && (one.arg->hasGradient || other.arg->hasGradient))
     return true;
@@ -349,7 +348,7 @@ bool HeldArrays::mustNotMeet(const Range &one, const Range &other) const {
 Match HeldArrays::finish(Slots &slots) {
   for (size_t i = 0; i < numRanges; ++i)
     for (size_t j = 0; j < i; ++j)
-      if (ranges[i].overlaps(ranges[j]) && mustNotMeet(ranges[i], ranges[j]))
+      if (ranges[i].overlaps(ranges[j]) && mustNotOverlap(ranges[i], ranges[j]))
         return Match::No;
   slots.append(adjoints);
   return Match::Yes;

@@ -1,12 +1,12 @@
-//===- ArrayArguments.h - Arrays that kernels are called with ---*- C++ -*-===//
+//===- ArrayArguments.h - Array arguments of kernels -----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What a call does with arrays, without running Python code: those of NumPy,
-// `ti.ndarray`, and tensors of the CPU and of a GPU.
+// Conversion of array arguments without running Python code: arrays of NumPy,
+// `ti.ndarray`, and tensors on the CPU and on a GPU.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,30 +22,31 @@ namespace taipy {
 
 enum class Match { Yes, No, Error };
 
-/// An array that a specialisation takes.
+/// An array parameter of a specialisation.
 struct ArrayArg {
   std::string format;           // struct format of a number
   int rank = 0;                 // dimensions, the element's included
   std::vector<int64_t> element; // extents of the element
-  /// The kernel is differentiated by it: its gradient comes behind it.
+  /// The kernel is differentiated with respect to it: its gradient is the next
+  /// argument.
   bool hasGradient = false;
-  /// The annotation says how many dimensions belong to the element. Otherwise a
-  /// `ti.ndarray` does, and of other arrays none.
+  /// The annotation specifies how many dimensions belong to the element.
+  /// Otherwise a `ti.ndarray` does, and for other arrays none do.
   bool isElementFixed = false;
   bool isWritten = false;
 };
 
-/// A number that other bytes have not, but for one case in 2⁶⁴.
+/// A 64-bit hash of the bytes.
 uint64_t digest(uint64_t address, uint64_t bytes);
 
-/// What a launch does with the gradients of its arrays.
+/// How a launch uses the gradients of its arrays.
 enum class ArrayUse {
   Forward,  // nothing
   Gradient, // adds to them
   Recorded  // a tape adds to them later
 };
 
-/// What must not go while a launch is made, and what that has to know.
+/// The arrays of one launch: keeps them alive, and checks them.
 class HeldArrays {
 public:
   /// `mayAlias`: the kernel takes several arrays and writes to one.
@@ -56,15 +57,15 @@ public:
   HeldArrays(const HeldArrays &) = delete;
   HeldArrays &operator=(const HeldArrays &) = delete;
 
-  /// Adds the slots of an array. No: Python must look at it.
+  /// Adds the slots of an array. `No` means that Python code must handle it.
   Match pack(const ArrayArg &arg, PyObject *object, Slots &slots);
-  /// To be called when all arguments have been packed: adds the gradients
-  /// again, as adjoints. No where arrays overlap that must not: one of them is
-  /// written, and it is not the same memory, or one has a gradient.
+  /// Call when all arguments have been packed: appends the gradients, as
+  /// adjoints. `No` for forbidden overlaps: one of two overlapping arrays is
+  /// written, and they are not identical, or one has a gradient.
   Match finish(Slots &slots);
 
-  /// The launch comes after what the libraries of the arrays have queued, and
-  /// what they queue then after the launch. Null and a Python error if not.
+  /// Order the launch after the queued work of the arrays' libraries, and their
+  /// later work after the launch. False, with a Python error, on failure.
   bool orderBefore();
   bool orderAfter();
 
@@ -93,7 +94,7 @@ private:
   bool isUsable(uint64_t address) const;
   Match matchTaped(const Range &range, PyObject *object, Slots &slots,
                    size_t first) const;
-  bool mustNotMeet(const Range &one, const Range &other) const;
+  bool mustNotOverlap(const Range &one, const Range &other) const;
 
   const Kernel &kernel;
   Context &context;
@@ -101,7 +102,7 @@ private:
   bool mayAlias;
   std::vector<Py_buffer> buffers;
   std::vector<PyObject *> objects;
-  /// The arrays so far; those of most kernels lie in place.
+  /// The arrays so far; stored inline for most kernels.
   Range few[4];
   std::vector<Range> many;
   size_t numRanges = 0;
@@ -110,7 +111,7 @@ private:
   std::vector<uint64_t> streams;
 };
 
-/// A tape begins or goes on to record, or none does.
+/// Sets the tape that is recording, or None.
 void setArrayTape(PyObject *tape);
 
 void bindArrayArguments(py::module_ &module);

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 //
 // One builder makes one module with one `tai.kernel`. The front end in Python
-// decides what is built; here are an insertion point, the current location, and
+// drives it; the builder keeps the insertion point, the current location, and
 // interned types and attributes.
 //
-// Bodies are built in regions that belong to no op yet, because the types that
-// an `scf.if` yields are known only once its branches are built.
+// Bodies are built in detached regions, because the result types of an `scf.if`
+// are known only after its branches are built.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- Constants.cpp - Python values that are compiled in -----------------===//
+//===- Constants.cpp - Python values compiled into code -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

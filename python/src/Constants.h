@@ -1,14 +1,14 @@
-//===- Constants.h - Python values that are compiled in ---------*- C++ -*-===//
+//===- Constants.h - Python values compiled into code ----------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// A template argument is part of the code of a kernel. `Constant` keeps it as
-// it was when the kernel was compiled, and tells whether another value, or the
-// same object later, stands for the same code. Python's `==` would not do: to
-// it `1`, `1.0` and `True` are one number, and so are `0.0` and `-0.0`.
+// A template argument is part of the code of a kernel. `Constant` keeps a copy
+// from when the kernel was compiled, and tells whether another value, or the
+// same object later, has the same code. Python's `==` is not enough: it does
+// not distinguish `1`, `1.0` and `True`, nor `0.0` and `-0.0`.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,19 +22,19 @@
 
 namespace taipy {
 
-/// A Python value as it was at some time.
+/// A snapshot of a Python value.
 ///
 /// Numbers, texts, containers, arrays, matrices and structs are the same if
 /// their types and contents are, bit by bit and in order; anything else if it
 /// is the same object, which a constant keeps alive.
 class Constant {
 public:
-  /// Takes a value with its contents.
+  /// A snapshot of a value and its contents.
   ///
   /// \throws py::error_already_set where it is nested too deeply.
   explicit Constant(py::handle value);
 
-  /// Takes the object itself, whatever it contains.
+  /// The object itself, compared by identity.
   static Constant identity(py::handle value);
 
   bool matches(PyObject *given) const {
@@ -42,8 +42,7 @@ public:
                                   : matchesContents(given);
   }
 
-  /// Whether the object that it was made of may change and remain the same
-  /// object.
+  /// Whether the original object is mutable.
   bool canChange() const;
 
   int traverse(visitproc visit, void *arg) const;
@@ -83,12 +82,13 @@ private:
 
 /// An attribute of an object that a kernel read while it was compiled.
 struct Read {
-  /// Takes the owner, the name, and the `Constant` that the attribute was.
+  /// From a tuple of the owner, the name, and the `Constant` of the attribute's
+  /// value.
   explicit Read(const py::tuple &described)
       : owner(described[0]), name(described[1]), constant(described[2]),
         value(&constant.cast<const Constant &>()) {}
 
-  /// Whether the attribute is still what it was.
+  /// Whether the attribute is unchanged.
   bool holds() const;
 
   int traverse(visitproc visit, void *arg) const;
@@ -98,11 +98,12 @@ struct Read {
   const Constant *value;
 };
 
-/// All that a kernel read of template arguments while it was compiled.
+/// All attributes of template arguments that were read while a kernel was
+/// compiled.
 ///
-/// A launch asks for it each time. Python numbers the states of dictionaries:
-/// while that of an object is in the state that was seen, so are the attributes
-/// in it, unless their values can change in place.
+/// Checked at each launch. Python has version numbers of dictionaries: while
+/// that of an object's dictionary is unchanged, so are the attributes in it,
+/// unless their values are mutable.
 class Reads {
 public:
   void add(const py::tuple &described);
@@ -119,7 +120,7 @@ public:
   int traverse(visitproc visit, void *arg) const;
 
 private:
-  /// What the dictionary of one object holds.
+  /// The reads from the dictionary of one object.
   struct Stored {
     bool isAsSeen() const;
     bool look();

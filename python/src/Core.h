@@ -1,13 +1,13 @@
-//===- Core.h - What the parts of the extension module share ----*- C++ -*-===//
+//===- Core.h - Shared by the extension module -----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The extension module `tai._core` stands on tai-c and mlir-c alone: it knows
-// neither LLVM nor C++ MLIR. It is compiled with exceptions, which no function
-// of libtai sees.
+// The extension module `tai._core` uses tai-c and mlir-c alone, neither LLVM
+// nor the C++ API of MLIR. It is compiled with exceptions, which never
+// propagate through libtai.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,13 +28,14 @@ namespace taipy {
 
 namespace py = pybind11;
 
-/// To be called after a call of libtai that cannot fail, but may have waited
-/// for another thread's. Raises what a signal handler has raised meanwhile.
+/// Call after a function of libtai that cannot fail, but may have waited for
+/// another thread. Throws if a signal handler has raised an exception
+/// meanwhile.
 inline void settle() {
   if (!afterCall())
     throw py::error_already_set();
 }
-/// What such a call has returned.
+/// Returns the result of such a call.
 template <typename Result> Result settled(Result result) {
   settle();
   return result;
@@ -52,8 +53,8 @@ struct Context {
   Context(const Context &) = delete;
   Context &operator=(const Context &) = delete;
 
-  /// To be given the status of each call as it returns. Raises the Python
-  /// exception for the last failure if it is one.
+  /// Call with the status of each call as it returns. Throws the Python
+  /// exception for a failure.
   void check(TaiStatus status) const {
     if (!afterCall())
       throw py::error_already_set();
@@ -70,7 +71,7 @@ using ContextRef = std::shared_ptr<Context>;
 /// `tai.errors.from_core`, without throwing.
 void setError(TaiContext context, TaiStatus status);
 
-/// A compiled (or yet to be compiled) kernel.
+/// A kernel, which may not be compiled yet.
 struct Kernel {
   Kernel(ContextRef context, TaiKernel handle)
       : context(std::move(context)), handle(handle) {}

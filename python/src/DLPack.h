@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // Tensors in capsules "dltensor" and "dltensor_versioned", and the table of C
-// functions by which a type of tensors gives them out without capsules.
+// functions by which a tensor type exports them without capsules.
 //
 //===----------------------------------------------------------------------===//
 
@@ -56,10 +56,10 @@ struct ExchangeTable {
   void *allocate;
   void *exportManaged;
   void *importManaged;
-  /// What the tensor holds, for as long as nobody changes it; -1 and a Python
-  /// error where there is none. May be null.
+  /// A borrowed view of the tensor, valid until the tensor is changed; -1 and a
+  /// Python error on failure. May be null.
   int (*view)(void *object, Tensor *tensor);
-  /// The stream on which its library works now.
+  /// The current stream of the tensor's library.
   int (*currentStream)(int32_t deviceType, int32_t deviceNumber, void **stream);
 };
 

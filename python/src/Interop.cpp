@@ -1,4 +1,4 @@
-//===- Interop.cpp - Arrays that go to other libraries and come from them -===//
+//===- Interop.cpp - Array exchange with other libraries ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // The binary interface of DLPack, in both forms: capsules "dltensor", and those
-// with a version and flags. What is in them is decided in
+// with a version and flags. Their contents are decided in
 // tai/_impl/interop/sharing.py.
 //
 //===----------------------------------------------------------------------===//

@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // `Launcher` is the base class of kernels in Python. A call finds the
-// specialisation that its arguments ask for, packs the arguments and launches,
-// without running Python code. Where no specialisation fits, it calls the
-// method `_launch_slow(args, kwargs)`, which compiles one, adds it with
-// `_add`, and launches again.
+// specialisation for its arguments, packs the arguments and launches, without
+// running Python code. If no specialisation fits, it calls the method
+// `_launch_slow(args, kwargs)`, which compiles one, adds it with `_add`, and
+// launches again.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // A call of libtai begins with Python's lock (GIL) held, and most end within
-// microseconds. One that lasts reaches safepoints (tai/Runtime/Safepoint.h);
-// at the first of them signals are handled and the lock is given up, so that
-// other threads run, and `afterCall` takes it back. Short calls pay for
-// neither.
+// microseconds. A longer one reaches safepoints
+// (tai/Runtime/Threads/Safepoint.h); at the first of them signals are handled
+// and the lock is released, so that other threads run, and `afterCall` acquires
+// it again. Short calls pay for neither.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,11 +21,11 @@
 
 namespace taipy {
 
-/// What a safepoint has left to do for the call that passed it.
+/// The state that safepoints leave for the end of the call.
 struct CallState {
-  /// Set where the lock has been given up.
+  /// Set if the lock has been released.
   PyThreadState *released = nullptr;
-  /// A signal handler has raised: the exception is set.
+  /// A signal handler has raised an exception, which is set.
   bool isInterrupted = false;
   /// Either of them.
   bool isChanged = false;
@@ -36,18 +36,18 @@ struct CallState {
 extern thread_local CallState callState
     __attribute__((tls_model("initial-exec")));
 
-/// Set where something waits that `afterCall` is to tell Python.
+/// Set if warnings are pending, which `afterCall` must issue.
 extern std::atomic<bool> warningsWait;
-/// Gives to Python what waits; false where that has raised.
+/// Issues pending warnings; false if that has raised.
 bool tellWarnings();
 
-/// Takes the lock back where a safepoint has given it up.
+/// Acquires the lock again if a safepoint has released it.
 void retakeLock();
 
-/// To be called after each call of libtai, before anything of Python is used:
-/// `scripts/lock_discipline.py` looks for calls that are not followed by it.
-/// False where a Python exception has come in the meantime: the call failed, or
-/// what it did is kept, and the exception is to be passed on.
+/// Call after each call of libtai, before Python is used
+/// (`scripts/lock_discipline.py` finds calls without it). False if a Python
+/// exception has been raised meanwhile, which must be propagated, whether the
+/// call failed or not.
 inline bool afterCall() {
   if (__builtin_expect(!callState.isChanged &&
                            !warningsWait.load(std::memory_order_relaxed),
@@ -59,11 +59,10 @@ inline bool afterCall() {
   return !isInterrupted && tellWarnings();
 }
 
-/// Around a call of libtai that ends what a Python object stood for. It may
-/// wait for another thread's call and gives the lock up meanwhile, but a
-/// destructor has no way to raise: signals stay for the interpreter, and an
-/// exception that is on its way, or a call that this one runs within, is left
-/// as it was.
+/// Around a call of libtai that destroys the object behind a Python object. The
+/// call may wait for another thread and release the lock meanwhile, but a
+/// destructor cannot raise: signals stay pending, and a current exception and
+/// the state of an enclosing call are preserved.
 class Teardown {
 public:
   Teardown();
@@ -73,13 +72,13 @@ public:
 
 private:
   CallState outer;
-  /// False where the interpreter has gone or the thread does not hold its lock.
+  /// False if the interpreter has ended or the thread does not hold its lock.
   bool hasLock;
   PyObject *type = nullptr, *value = nullptr, *trace = nullptr;
 };
 
-/// For what Python was asked and need not answer: PyErr_Clear(), but a Ctrl-C
-/// that came meanwhile is not lost, it comes again.
+/// PyErr_Clear(), except that a KeyboardInterrupt is not lost but raised again
+/// later. For optional queries of Python objects.
 void forgetError();
 
 void bindSafepoints();

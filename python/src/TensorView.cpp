@@ -1,12 +1,12 @@
-//===- TensorView.cpp - What tensors say of themselves --------------------===//
+//===- TensorView.cpp - Reading tensors of other libraries ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// By a C function of their type, where it has the table of DLPack, else by
-// their attributes, each of which costs as much as a launch.
+// Reads tensors by the C functions of DLPack's exchange table if the type has
+// one, else by attributes, each of which costs as much as a launch.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,4 +1,4 @@
-//===- TensorView.h - What tensors say of themselves ------------*- C++ -*-===//
+//===- TensorView.h - Reading tensors of other libraries -------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -15,7 +15,7 @@
 
 namespace taipy {
 
-/// A name that is made once.
+/// An interned string, created once.
 struct Name {
   explicit Name(const char *text) : text(PyUnicode_InternFromString(text)) {}
   operator PyObject *() const { return text; }
@@ -34,19 +34,19 @@ inline py::object take(PyObject *object) {
   return py::reinterpret_steal<py::object>(object);
 }
 
-/// NumPy calls int64 'l' and it may also be 'q'.
+/// Normalises the struct format of int64, which NumPy spells 'l' or 'q'.
 inline char normal(char format) {
   return format == 'l' ? 'q' : format == 'L' ? 'Q' : format;
 }
 
-/// What is known of the type of an object.
+/// Cached facts about the type of an object.
 struct TensorType {
   PyTypeObject *type;
   bool isTensor;
   const dlpack::ExchangeTable *table; // or null
 };
 
-/// The memory of a tensor without gaps.
+/// The memory of a contiguous tensor.
 struct TensorView {
   static constexpr int kMostDimensions = 8;
 
@@ -54,7 +54,7 @@ struct TensorView {
   int32_t deviceType = 0, deviceNumber = 0;
   int rank = 0;
   std::array<int64_t, kMostDimensions> shape{};
-  /// As NumPy has it; 0 for what kernels do not know.
+  /// The struct format, as in NumPy; 0 for an unsupported type.
   char format = 0;
   int itemBytes = 0;
 
@@ -67,10 +67,10 @@ struct TensorView {
 };
 
 TensorType findTensorType(PyObject *object);
-/// False for a tensor that has gaps or is out of the ordinary.
+/// False for a tensor that is not contiguous or not supported.
 bool readTensor(const TensorType &type, PyObject *object, TensorView &view);
-/// The stream on which the library of a tensor works now. False and a Python
-/// error if it does not say.
+/// The current stream of the tensor's library. False and a Python error on
+/// failure.
 bool findStream(const TensorType &type, uint64_t &stream);
 
 } // namespace taipy

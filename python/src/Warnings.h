@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Kernels are compiled on any thread, also by jobs that nobody waits for. What
-// the compiler warns of waits until a call of libtai returns to Python, which
-// issues it as a warning of its own.
+// Kernels are compiled on any thread, also in the background. Warnings of the
+// compiler are kept until a call of libtai returns to Python, and are then
+// issued as Python warnings.
 //
 //===----------------------------------------------------------------------===//
 

@@ -1,14 +1,13 @@
-//===- Upstream.h - Upstream's part of a tool -------------------*- C++ -*-===//
+//===- Upstream.h - What tools register of MLIR ----------------*- C++ -*--===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// What the tools register of upstream MLIR. Linked with the shared libraries
-// that is everything. The portable library would carry every dialect and every
-// backend for it, three times its size, so there it is what programs of tai use
-// on their way to machine code.
+// The upstream parts of MLIR that the tools register. With shared libraries,
+// everything. In the portable library, where that would include every dialect
+// and backend and triple its size, only what tai's own lowerings use.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,9 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs passes and pipelines on `.mlir` files: those of tai, `--tai-autodiff`
-// and
-// `--tai-to-llvm` among them, and all of upstream.
+// Runs passes and pipelines on `.mlir` files: those of tai, such as
+// `--tai-autodiff` and `--tai-to-llvm`, and all of upstream.
 //
 //===----------------------------------------------------------------------===//
 

@@ -13,8 +13,8 @@
 
 namespace mlir::tai {
 
-/// Prints "@x : 2x3xf32 = [[…], […]]", every number with as many digits as it
-/// takes to read the same number back.
+/// Prints "@x : 2x3xf32 = [[…], […]]", every number with enough digits to read
+/// back the same value.
 runtime::Status printField(llvm::raw_ostream &stream,
                            const runtime::Field &field);
 

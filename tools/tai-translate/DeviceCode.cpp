@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// `--tai-to-ptx` prints the code that a GPU gets of what `tai-opt
-// --tai-to-nvvm` made, `--tai-to-device-llvmir` the LLVM IR before that, which
-// the emulated device has too.
+// `--tai-to-ptx` prints the PTX of a module from `tai-opt --tai-to-nvvm`,
+// `--tai-to-device-llvmir` the LLVM IR before that, also for the emulated
+// device.
 //
 //===----------------------------------------------------------------------===//
 

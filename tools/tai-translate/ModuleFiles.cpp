@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// `--tai-to-bytecode` writes the bytecode that programs load, and
-// `--tai-from-bytecode` reads it as they do.
+// `--tai-to-bytecode` writes the bytecode format of taiKernelLoad, and
+// `--tai-from-bytecode` reads it.
 //
 //===----------------------------------------------------------------------===//
 

@@ -10,6 +10,7 @@
 
 namespace mlir::tai {
 
+/// Registers `--tai-to-bytecode` and `--tai-from-bytecode`.
 void registerModuleFileTranslations();
 
 } // namespace mlir::tai
