@@ -1,4 +1,4 @@
-"""What every program of the benchmark shares: the clock, the statistics, the command line.
+"""Shared parts of the benchmark's programs: clock, statistics, command line.
 
 A peer script makes a `Program` per scene and calls `main`. Each measurement is one JSON
 line on standard output; everything a peer's own library prints goes to standard error.

@@ -1,13 +1,12 @@
-"""Time the scenes on two builds of tai in turns: what a change costs.
+"""Time the scenes on two builds of tai, interleaved, to measure the effect of a change.
 
     .venv/bin/python benchmarks/pairs.py BASE [--scenes smoke,wave] [--rounds 5] [--out FILE.csv]
 
 BASE is a checkout of another version with its own build. Both sides run this checkout's
 `tai_scenes.py` on one worker, each measurement in a process of its own and in turns, so
-that a machine that gets slower slows both. What counts is the processor time of the thread
-that runs the scene, and its least of all runs: other programs on the machine make runs
-longer, none shorter. Prints milliseconds and the ratio to BASE; exits with 1 if a ratio is
-above --bar.
+that a machine that gets slower slows both. The result is the least processor time, over all
+runs, of the thread that runs the scene: other programs on the machine only make runs longer.
+Prints milliseconds and the ratio to BASE; exits with 1 if a ratio is above --bar.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Table and picture of a benchmark's records (dicts with peer, scene, phase, ms, ...)."""
+"""Table and plot of a benchmark's records (dicts with peer, scene, phase, ms, ...)."""
 
 from __future__ import annotations
 

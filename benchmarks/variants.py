@@ -1,10 +1,10 @@
-"""What an option of `ti.init` costs in a scene: processes of both kinds in turn.
+"""The cost of an option of `ti.init` in a scene: processes with and without it, interleaved.
 
     .venv/bin/python benchmarks/variants.py --scene diffmpm --option ad_guards=False
 
 prints, for forward and backward, the least and the median time without and with the option,
-and the number of instructions that a run takes where the kernel lets `perf` count them. The
-least time of many short runs is what a busy machine disturbs least.
+and the number of instructions of a run if the operating system lets `perf` count them. The
+least time of many short runs is affected least by other load.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Keeps docs/derivatives.md equal to the rules in lib/AD/Rules.
 
-The table of scalar ops is that of ScalarRules.cpp. The formulas of matrix ops are those above
-the models in MatrixModels.cpp. Every op with a rule, and every kind of atomic, is on the page.
+The table of scalar ops is made from ScalarRules.cpp, the formulas of matrix ops from the comments
+in MatrixModels.cpp. Every op with a rule, and every kind of atomic, is on the page.
 
 python scripts/derivatives.py          checks; exits with 1 and a diff if they differ
 python scripts/derivatives.py --fix    rewrites the table in the page

@@ -1,8 +1,8 @@
 """Runs the examples in the descriptions of ops, types and passes through tai-opt.
 
-Each ```mlir block of include/tai/**/*.td has to parse. An example may use values that it does
-not define: they are given the types with which the parser says they are used. Blocks that
-define all that they name are verified, too. With `--list` the blocks are counted by file.
+Each ```mlir block of include/tai/**/*.td must parse. An example may use values that it does not
+define: they get the types that the parser expects. Blocks without such values are verified, too.
+With `--list` the blocks are counted by file.
 """
 
 from __future__ import annotations

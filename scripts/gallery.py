@@ -1,9 +1,9 @@
-"""Runs examples and makes the gallery of what they draw: docs/gallery.md and its pictures.
+"""Runs examples and makes a gallery of their images: docs/gallery.md.
 
     python scripts/gallery.py                    # all; some minutes on two cores
-    python scripts/gallery.py --keep out/gallery # takes what is there from runs before
+    python scripts/gallery.py --keep out/gallery # reuses the output of earlier runs
 
-Films are made smaller, or become a strip of some of their frames.
+Videos are scaled down, or become a strip of some of their frames.
 """
 
 from __future__ import annotations

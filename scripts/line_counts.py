@@ -3,7 +3,7 @@
     python scripts/line_counts.py
     python scripts/line_counts.py --show smoke
 
-What counts as essential is said in `tai.paper.lines`.
+`tai.paper.lines` defines which lines are essential.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Checks, or with --fix repairs, the style of the tracked C++ and Python files.
 
-Each check prints what it found and counts as one test of `make test`.
+Each check prints its findings and counts as one test of `make test`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Keeps what is made of include/tai/Support/Options.def equal to it.
+"""Generates files from include/tai/Support/Options.def, and checks that they are up to date.
 
-That is the table of docs/options.md, and the rows that `ti.init` takes its keywords from.
+These are the table of docs/options.md, and the rows that define the keywords of `ti.init`.
 
 python scripts/options.py          checks; exits with 1 and a diff if they differ
 python scripts/options.py --fix    rewrites them

@@ -1,6 +1,6 @@
-"""Shrinks a module on which passes fail, as long as they fail in the same way.
+"""Reduces a module on which passes fail to a smaller one on which they fail in the same way.
 
-The passes are those that a reproducer names, or those of --passes. What is left is printed with
+The passes are those of a reproducer, or those of --passes. The reduced module is printed with
 the command that shows the failure.
 """
 

@@ -1,8 +1,8 @@
-"""Keeps the rooms of the C++ sources apart: which may include which.
+"""Checks the layering of the C++ sources: which components ("rooms") may include which.
 
-A room is a folder of lib/ with that of the same name in include/tai; the rooms of the
-runtime and the dialects are subfolders. `ARROWS`, `RUNTIME_ARROWS` and `DIALECT_ARROWS` are
-the rule; docs/architecture.md shows them, and this script writes what it shows (`--write`).
+A room is a folder of lib/ and the one of the same name in include/tai; those of the runtime and
+the dialects are subfolders. `ARROWS`, `RUNTIME_ARROWS` and `DIALECT_ARROWS` are the allowed
+dependencies; `--write` updates the graphs of them in docs/architecture.md.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The arrows between the packages of `python/tai`, and what they must not do.
+"""Checks the layering of `python/tai`: which packages may import which.
 
     python scripts/rooms_python.py          # what is wrong, if anything
     python scripts/rooms_python.py --graph  # which package imports which
 
-A package may import from those that `ALLOWED` names for it, and its modules from one another, but
-not in a circle. What belongs to tai is imported at the top of a module: an import inside of a
-function hides an arrow. Optional libraries (torch, matplotlib, …) are another matter.
+A package may import from those that `ALLOWED` lists for it, and its modules from one another, but
+not in a cycle. Modules of tai are imported at the top of a module: an import inside of a function
+hides a dependency. Optional libraries (torch, matplotlib, …) may be imported anywhere.
 """
 
 from __future__ import annotations

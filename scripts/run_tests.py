@@ -1,7 +1,7 @@
 """Runs all tests: lit, GoogleTest, pytest and the style checks.
 
-Each kind closes on its own count, and the last line counts all of them. A runner
-that dies, or that finds no test, is a failure of its own.
+Each kind ends with its own count, and the last line has the total. A runner that crashes or
+finds no test counts as a failure.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What the tests need in the presets asan and tsan: which of them run, and in what environment.
+"""The tests in the presets asan and tsan: which of them run, and their environment.
 
-The Python interpreter is not built with a sanitizer, so that it loads the run time before all
-else (LD_PRELOAD), as do the processes that tests start. Reports go to files, to be counted: a
-test may swallow the output of a process, and a process that tests expect to fail may fail for
-the wrong reason.
+The Python interpreter is not built with a sanitizer, so it must preload the runtime (LD_PRELOAD),
+as must the processes that tests start. Reports go to files and are counted, because a test may
+discard the output of a process, and a process that is expected to fail may fail for the wrong
+reason.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Runs the 44 stress cases and prints, for each, how it went and what was measured.
+"""Runs the 44 stress cases and prints the outcome and measurements of each.
 
 python scripts/stress.py                    all, at the sizes of the table
 python scripts/stress.py --only S22 S26     some of them
@@ -6,7 +6,7 @@ python scripts/stress.py --short            small sizes, as in the normal test r
 python scripts/stress.py --arch emulated    as on a GPU
 python scripts/stress.py --write            writes docs/stress.md, too
 
-Exits with 1 if a test fails. What is known to fail is listed with its reason.
+Exits with 1 if a test fails. Expected failures are listed with their reasons.
 """
 
 from __future__ import annotations

@@ -4,9 +4,9 @@
     python scripts/tidy.py --all --jobs 2     # the whole tree: about 40 minutes of one core
     python scripts/tidy.py lib/AD/Conventions.cpp
 
-A source is one that the build folder has compiled (its compile_commands.json), so code that a
-platform leaves out is not looked at. Each finding is printed once, however many sources include
-the header it stands in. Exits with 1 if there are findings.
+Sources are those of the build folder's compile_commands.json, so code of other platforms is not
+checked. A finding in a header is printed once, however many sources include it. Exits with 1 if
+there are findings.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 python scripts/ulps.py           prints them
 python scripts/ulps.py --fix     writes them to the table of docs/precision.md
 
-Numbers are drawn from every exponent of the type, as many from each; the reference is mpmath at
-100 digits. A figure is the largest error that was met, and no bound.
+Arguments are sampled uniformly over the exponents of the type; the reference is mpmath at 100
+digits. A figure is the largest error observed, not a bound.
 """
 
 from __future__ import annotations

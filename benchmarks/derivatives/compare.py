@@ -1,11 +1,11 @@
-"""Runs small programs with known gradients on tai and its peers, and writes what came out.
+"""Runs small programs with known gradients on tai and its peers, and writes their results.
 
     benchmarks/setup_peers.py                          # once: peers into build/peers-venv
     .venv/bin/python benchmarks/derivatives/compare.py --write
 
 Each snippet runs in a process of its own, since some of them end in a crash. The numbers are
-compared with closed forms, at 1e-9. What came out of a version of a peer is kept in
-build/derivatives, and not run again. `--write` puts the table into docs/gradients-compared.md;
+compared with closed forms, at 1e-9. Results of a version of a peer are cached in
+build/derivatives. `--write` puts the table into docs/gradients-compared.md;
 the exit status is 1 if tai is wrong anywhere.
 """
 

@@ -2,8 +2,8 @@
 
     python snippets_taichi.py <tai or taichi> <snippet>
 
-prints the gradient as a JSON list. Each function is a program of its own; what the numbers
-should be stands in compare.py.
+prints the gradient as a JSON list. Each function is a program of its own; compare.py has the
+expected values.
 """
 
 import json

@@ -1,12 +1,12 @@
-"""Whether precision reports are right: the rounding that they expect, against what is measured.
+"""Verifies precision reports: estimated rounding errors against measured ones.
 
     .venv/bin/python benchmarks/error/advice.py                  # all scenes, small
     .venv/bin/python benchmarks/error/advice.py --scenes wave,smoke --size tiny
 
-For each scene the loss in f32 is compared with that in f64, and with what the report of either
-says. Exits with 1 where that of f32 is off by more than a factor of ten; what is below the last
-digit of the loss counts as that digit. Where rounding decides which voxel is read, the loss jumps,
-which no derivative can foretell: these scenes are shown and not judged.
+For each scene, the difference of the loss in f32 and in f64 is compared with the estimates of the
+reports of both. Exits with 1 if that of f32 is wrong by more than a factor of ten; errors below one
+unit in the last place of the loss count as one. Scenes in which rounding decides which voxel is
+read have discontinuous losses, which derivatives cannot predict: they are shown and not judged.
 """
 
 from __future__ import annotations

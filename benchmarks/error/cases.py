@@ -1,8 +1,8 @@
-"""What is measured: scenes and micro-kernels by their names, in three sizes.
+"""The cases of the benchmark: scenes and micro-kernels by name, in three sizes.
 
-`tiny` is for tests and for numbers of 50 digits, `quick` for a look, `full` for figures that are
-kept. Scenes of `examples` run as they stand, by their own options; those that the benchmark has in
-other systems, too (`tai_scenes.py`), run as there.
+`tiny` is for tests and for arithmetic of 50 digits, `quick` for a first impression, `full` for
+published figures. Scenes of `examples` run unchanged, with their own options; those that exist for
+other systems, too (`tai_scenes.py`), run from there.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The part of the Taichi API that the scenes use, in numbers of 50 digits.
+"""The part of the Taichi API that the scenes use, in arithmetic of 50 digits.
 
-Kernels are the Python functions that they are; fields are dictionaries of mpmath's numbers. Slow,
-and independent of the compiler: what tai computes in f64 is checked by it.
+Kernels run as plain Python functions; fields are dictionaries of mpmath numbers. Slow, but
+independent of the compiler: the reference for tai's results in f64.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Checks the reference: what tai computes in f64 against numbers of 50 digits.
+"""Checks the reference: tai's results in f64 against arithmetic of 50 digits.
 
     .venv/bin/python benchmarks/error/exact.py [--scenes wave,billiards]
 
 Each scene and kernel at its tiny size: the loss, and the derivative along a direction of all
-unknowns, by a central difference whose error is of the size of 1e-36. Kernels run as Python
-functions, in `decimal_tai.py`. Exits with 1 where f64 is off by more than 1e-11. The scenes in
-three dimensions take many minutes, and are left out unless they are named.
+unknowns, by a central difference with an error of about 1e-36. Kernels run as Python functions,
+in `decimal_tai.py`. Exits with 1 if an error of f64 exceeds 1e-11. The scenes in three dimensions
+take many minutes, and run only if they are named.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Judges what the benchmark of errors measured: exits with 1 if a bar is not kept.
+"""Judges the results of the benchmark of errors: exits with 1 if a bound is violated.
 
     .venv/bin/python benchmarks/error/gates.py benchmarks/results/error-<machine>.csv
 
-A bar for which nothing was measured is not kept either: it is shown as not judged.
+A bound without measurements counts as violated, and is shown as not judged.
 """
 
 from __future__ import annotations

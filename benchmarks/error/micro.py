@@ -1,7 +1,7 @@
-"""Small kernels in the Taichi API, their data, and what they give exactly.
+"""Small kernels in the Taichi API, their data, and their exact results.
 
-The same source runs on tai, taichi and quadrants. All data are numbers of f32, so that what is
-measured is the error of computing. Annotations must be objects, not strings, for taichi.
+The same source runs on tai, taichi and quadrants. All data are representable in f32, so that only
+errors of the computation are measured. Annotations must be objects, not strings, for taichi.
 """
 
 import math

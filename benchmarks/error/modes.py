@@ -1,6 +1,6 @@
-"""The modes of numbers that the benchmark of errors compares: one line for each.
+"""The floating-point modes that the benchmark of errors compares: one line for each.
 
-A mode is what `ti.init` is given. One that this build has no option for is reported as missing.
+A mode is a set of options of `ti.init`. One whose option this build lacks is reported as missing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pictures of run time against error, and docs/accuracy.md, from the rows of the benchmark."""
+"""Plots of run time against error, and docs/accuracy.md, from the rows of the benchmark."""
 
 from __future__ import annotations
 

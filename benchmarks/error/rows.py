@@ -1,4 +1,4 @@
-"""The rows of the benchmark of errors: their columns, their file, who dominates whom."""
+"""The rows of the benchmark of errors: columns, file format, and Pareto dominance."""
 
 from __future__ import annotations
 

@@ -2,13 +2,13 @@
 
     make bench-error                       # full sizes: an hour or two on a quiet machine
     make bench-error ARGS=--quick          # small ones: ten minutes
-    make bench-error ARGS=--resume         # go on where a run was stopped
+    make bench-error ARGS=--resume         # continue an interrupted run
     make bench-error ARGS="--scenes smoke,exp --systems tai,jax"
-    make bench-error ARGS=--page           # the page and its pictures again, from what is kept
+    make bench-error ARGS=--page           # only the page and its plots, from existing results
 
-Each measurement is a process of its own. Its row is written at once, and a row that fails says why
-and loses no other. Writes benchmarks/results/error-<machine>.csv and docs/accuracy.md, then judges
-the gates: the exit status is 1 if one of them fails.
+Each measurement is a process of its own. Its row is written at once; a failed row contains the
+reason and does not affect others. Writes benchmarks/results/error-<machine>.csv and
+docs/accuracy.md, then judges the gates: the exit status is 1 if one of them fails.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The report of a run on a GPU: figures against the floor and against the bars, in Markdown."""
+"""The report of a run on a GPU: figures against hand-written CUDA and the targets, in Markdown."""
 
 from __future__ import annotations
 

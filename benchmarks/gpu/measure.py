@@ -2,8 +2,8 @@
 
     measure.py launch|chain|bandwidth|sparse [--arch cuda] [--quick] [--small]
 
-What is queued is timed in batches, with one wait at the end of each. The values that
-bandwidth and sparse work on are such that f32 holds all results exactly.
+Queued work is timed in batches, with one wait at the end of each. The data of bandwidth and
+sparse are chosen so that all results are exact in f32.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
     benchmarks/gpu/run.py [--only smoke,diffmpm] [--quick] [--minutes 6] [--name h200]
 
-Compiles the floors (benchmarks/floor/cuda) where there is nvcc, runs each program in a
-process of its own, and writes gpu-<name>.csv and gpu-<name>.md into --out after every one of
-them: what fails or takes too long stands in the report with its reason, and the others go on.
-`--arch cpu --small` tries everything out on a machine without a GPU.
+Compiles the hand-written programs (benchmarks/floor/cuda) if there is nvcc, runs each program in
+a process of its own, and writes gpu-<name>.csv and gpu-<name>.md into --out after each of them:
+programs that fail or time out are reported with the reason, and the run continues.
+`--arch cpu --small` tests the benchmark on a machine without a GPU.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What checks of indices cost: milliseconds for each mode of `bounds`, and the ratio to "off".
+"""The cost of bounds checks: milliseconds for each mode of `bounds`, and the ratio to "off".
 
     bounds.py [--package PATH] [--rounds N]
 

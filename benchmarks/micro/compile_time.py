@@ -1,10 +1,10 @@
-"""What compiling costs by the size of a body: a line for each shape and size.
+"""Compile time by the size of a loop body: a line for each shape and size.
 
     compile_time.py [--arch cpu|cuda] [--only SHAPE] [--sizes N,N] [--limit SECONDS] [--forward]
 
-For each size: seconds of the processor to build the kernel, for the kernel and for its gradient (or
-its forward mode), and beside them the factor by which they grow from the size before, over that of
-the size: 1.0 is linear. Each size has a process of its own, which is ended at the limit.
+For each size: processor seconds to build the kernel, to compile it, and to compile its gradient (or
+its forward mode), each with its growth since the previous size divided by the growth of the size:
+1.0 is linear. Each size has a process of its own, which is killed at the limit.
 """
 
 import argparse

@@ -1,11 +1,11 @@
-"""What a launch on a GPU costs besides the driver, without a GPU: nanoseconds for each call of
-a compiled kernel from Python, and calls of the driver for each launch.
+"""The host overhead of a GPU launch without the driver's, measured without a GPU: nanoseconds per
+call of a compiled kernel from Python, and driver calls per launch.
 
     launch.py [--package PATH] [--compiler clang-22]
 
-The driver is ColdDriver.c. It measures itself, and goes through some memory and code at each
-launch, as a driver does, so that the caller finds less in the caches: the first column says how
-much. Compare two builds by running both in the same minutes.
+The driver is ColdDriver.c. It measures its own time, which is subtracted, and touches some memory
+and code at each launch, as a real driver does, to evict the caller from the caches: the first
+column is the amount. To compare two builds, run them interleaved.
 """
 
 import argparse

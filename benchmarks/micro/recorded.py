@@ -1,13 +1,12 @@
-"""What a tape that is recorded anew in each iteration costs against one that is replayed:
+"""A tape that is recorded anew in each iteration against one that is replayed:
 milliseconds for an iteration of recording (or replay), gradient and a step of an optimiser.
 
     recorded.py [--arch cuda] [--scenes chain,mass_spring,smoke] [--iterations 20] [--small]
 
-`chain` is a chain of small kernels, the others are scenes of tai_scenes.py with a step on what
-they are differentiated by. The first column reads the loss in each iteration, before the step,
-and is the median; in the second the host waits in the end alone. Both come after as many
-iterations as the trials of ways to run take. The loss in the last column shows that all compute
-the same.
+`chain` is a chain of small kernels, the others are scenes of tai_scenes.py with a gradient step on
+their parameters. The first column is the median with the loss read in each iteration, before the
+step; for the second the host waits only at the end. Both are measured after the runtime's trials
+of program ways have ended. The loss in the last column shows that all compute the same.
 """
 
 import argparse

@@ -3,10 +3,9 @@
     python benchmarks/micro/serial_sums.py                      # tai alone
     python benchmarks/micro/serial_sums.py --peers-venv FOLDER  # taichi and quadrants in turns
 
-The same file runs under each module's name, on one thread, with and without `fast_math` (which
-is the default of both peers), and says the least processor time of a launch in microseconds; beside
-a peer's, in brackets, times tai's of the same kind. Without `fast_math` sums are added up in the
-order of the program.
+The same file runs on each of the modules, on one thread, with and without `fast_math` (the default
+of both peers), and prints the least processor time of a launch in microseconds; for peers, the
+ratio to tai in brackets. Without `fast_math` sums are evaluated in the order of the program.
 """
 
 from __future__ import annotations

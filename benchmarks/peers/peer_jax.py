@@ -1,6 +1,6 @@
 """The peer jax: each scene one jitted function whose time loop is a compiled scan.
 
-The times of the backward pass are those of value_and_grad less those of the forward pass;
+The time of the backward pass is that of value_and_grad minus that of the forward pass;
 *replay* is value_and_grad alone.
 """
 

@@ -1,4 +1,4 @@
-"""tai in deterministic mode: what bit-identical results cost."""
+"""tai in deterministic mode: the cost of bit-identical results."""
 
 import sys
 from functools import partial

@@ -1,10 +1,10 @@
-"""Runs an example on tai, or as it stands on taichi or quadrants under the name tai, and times it.
+"""Times an example on tai, or unchanged on taichi or quadrants under the name tai.
 
     python benchmarks/programs/measure.py taichi CACHE OUT examples/wave.py [--iterations 6 …]
 
-The examples are programs by Taichi's names; what their frame asks of tai beside these is added to
-the other module here. Prints lines of JSON, milliseconds and losses: one for each iteration of a
-peer, in case that the process does not live to the end, and one of all.
+The examples use Taichi's API; the few names of tai that their main functions need beside it are
+added to the other module here. Prints lines of JSON with milliseconds and losses: one per
+iteration of a peer, in case the process is killed, and one for all iterations.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Times an iteration of every simulator in examples/ on tai, and as it stands on its peers.
+"""Times an iteration of every simulator in examples/ on tai, and unchanged on its peers.
 
     .venv/bin/python benchmarks/programs/run.py                       # wall time, all threads
     .venv/bin/python benchmarks/programs/run.py --processor           # one thread, processor time
@@ -9,13 +9,13 @@
 taichi and quadrants run the very same file (`measure.py`). Warp and JAX have their own programs for
 some scenes of the benchmark (`../peers`); of those the scene with the same settings is taken.
 Each measurement has a process of its own, and the rounds go through all peers of a program in
-turn. A peer whose first losses are others is shown as wrong, one that refuses the program or is not
-ready in time with its reason, and none of these counts as best. Writes programs.csv and programs.md
+turn. A peer whose first losses differ is shown as wrong, one that rejects the program or times out
+with the reason, and none of these counts as best. Writes programs.csv and programs.md
 into build/bench.
 
-Some peers compile for minutes. `--fill` lets them do so beforehand, into the cache that the
-measuring run then finds, and measures nothing: the machine may be busy. `--minutes` bounds
-the whole run; each process then has a share of what is left.
+Some peers compile for minutes. `--fill` only compiles, into the cache that the measuring run then
+uses, so the machine may be busy. `--minutes` bounds the whole run; each process gets a share of
+the remaining time.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     .venv/bin/python benchmarks/sparse/run.py [--rounds 2]
 
 Each measurement has a process of its own, and the rounds go through all of them in turn; the
-least time of all rounds counts, which is what a busy machine disturbs least. Writes sparse.csv
-into build/bench and prints a table. Taichi is timed where benchmarks/setup_peers.py has put it.
+least time of all rounds counts, because it is affected least by other load. Writes sparse.csv
+into build/bench and prints a table. Taichi is timed if benchmarks/setup_peers.py installed it.
 """
 
 from __future__ import annotations

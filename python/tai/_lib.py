@@ -1,4 +1,4 @@
-"""`ti._lib`: what programs ask of Taichi's core."""
+"""`ti._lib`: names of Taichi's core module that programs use."""
 
 from ._impl.fields.snode import AXIS_NAMES
 from .errors import TaiRuntimeError

@@ -1,4 +1,4 @@
-"""`ti.ad`: gradients across kernels, forward mode, and what checks them."""
+"""`ti.ad`: gradients across kernels, forward mode, and checks of gradients."""
 
 from __future__ import annotations
 

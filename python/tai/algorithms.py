@@ -1,6 +1,6 @@
-"""`ti.algorithms`: sorting, and sums of all elements before each one.
+"""`ti.algorithms`: sorting and prefix sums.
 
-They are kernels: they run where the program does, and a tape can record them.
+They are kernels: they run on the program's target, and tapes record them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def _length(x: Any, what: str) -> int:
 
 
 def parallel_sort(keys: Any, values: Any = None) -> None:
-    """Sorts a field of numbers in place, the least one first.
+    """Sorts a field of numbers in place, in ascending order.
 
     Args:
         keys: a field with one index.
@@ -50,7 +50,7 @@ def parallel_sort(keys: Any, values: Any = None) -> None:
 
 
 class PrefixSumExecutor:
-    """Replaces each number of a field by the sum of all up to it.
+    """Inclusive prefix sums: replaces each number of a field by the sum of all up to it.
 
     Args:
         length: how many numbers there are.

@@ -1,4 +1,4 @@
-"""Exceptions. Each shows the line of the program, with a caret, and a hint."""
+"""Exceptions. Each shows the source line, with a caret, and a hint."""
 
 from __future__ import annotations
 

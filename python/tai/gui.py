@@ -1,10 +1,10 @@
-"""`ti.GUI`: it draws into pictures, which `python -m tai.view` shows in a window.
+"""`ti.GUI`: draws images, which `python -m tai.view` shows in a window.
 
-Coordinates run from 0 to 1, the second one upward. `show("frame.png")` writes a picture.
-`show()` writes one for each frame into the folder that the option `frames_dir`, or the
-environment variable TAI_GUI_DIR, names; without one it only counts. As there is nobody to
-close the window, `running` turns false after `max_frames` frames (TAI_GUI_FRAMES, 1000). Keys and
-mice are those of the window of `tai.view`.
+Coordinates run from 0 to 1, the second one upward. `show("frame.png")` writes an image.
+`show()` writes one per frame into the folder given by the option `frames_dir` or the environment
+variable TAI_GUI_DIR; without a folder it only counts frames. Without a window, `running` becomes
+false after `max_frames` frames (or TAI_GUI_FRAMES; 1000 by default). Keyboard and mouse events
+come from the window of `tai.view`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _fits(event: Event, wanted: Any) -> bool:
 
 
 class Event(NamedTuple):
-    """What somebody did at a window: a key, a button of the mouse, its wheel, or its way.
+    """An event of a window: a key, a mouse button, the wheel, or a motion of the mouse.
 
     Attributes:
         type: `GUI.PRESS`, `GUI.RELEASE` or `GUI.MOTION`.
@@ -75,7 +75,7 @@ class GUI:
     """A canvas of `res` pixels.
 
     Args:
-        name: title; part of nothing that is drawn.
+        name: title of the window; not drawn.
         res: width and height, or one number for both.
         background_color: 0xRRGGBB.
         frames_dir: folder for the frames of `show()`.
@@ -274,7 +274,7 @@ class GUI:
     # Keys and mice: of the window of `tai.view`. Elsewhere nobody is at the keyboard.
 
     def get_events(self, *filters: Any) -> Iterator[Event]:
-        """What happened since the last question and fits a filter; all else is forgotten.
+        """Events since the last call that match a filter; others are discarded.
 
         Args:
             filters: a type or key of events, a pair of both, or a list of these; all events, if
@@ -285,17 +285,17 @@ class GUI:
                 yield event
 
     def get_event(self, *filters: Any) -> bool:
-        """Whether such an event happened; `event` is the first one, the others can wait."""
+        """Whether a matching event is pending; it becomes `event`, and later ones stay pending."""
         found = next(self.get_events(*filters), None)
         self.event = self.event if found is None else found
         return found is not None
 
     def get_key_event(self) -> Event | None:
-        """The next press or release; None where there is none."""
+        """The next press or release; None if none is pending."""
         return next(self.get_events(self.PRESS, self.RELEASE), None)
 
     def has_key_event(self) -> bool:
-        """Whether something happened that nobody has asked for yet."""
+        """Whether an event is pending."""
         return bool(self.screen and self.screen.has_events())
 
     def is_pressed(self, *keys: Any) -> bool:
@@ -304,7 +304,7 @@ class GUI:
         return any(key in held for key in keys)
 
     def get_cursor_pos(self) -> tuple[float, float]:
-        """Where the mouse is; the middle where there is none."""
+        """The position of the mouse; the centre without a window."""
         return self.screen.cursor if self.screen else (0.5, 0.5)
 
     def __enter__(self) -> GUI:

@@ -1,4 +1,4 @@
-"""`ti.linalg`: systems of equations over fields, given by kernels, and their gradients."""
+"""`ti.linalg`: solvers of systems of equations over fields that kernels define, with gradients."""
 
 from __future__ import annotations
 

@@ -168,12 +168,12 @@ def vdir(angle: Any) -> Any:
 
 
 def popcnt(x: Any) -> Any:
-    """How many bits of a whole number are set."""
+    """The number of set bits of an integer."""
     return ops.count_bits("popcnt", x)
 
 
 def clz(x: Any) -> Any:
-    """How many bits stand above the highest that is set: all of them for 0."""
+    """The number of leading zero bits of an integer; its width for 0."""
     return ops.count_bits("clz", x)
 
 

@@ -1,7 +1,7 @@
-"""`ti.profiler`: how long kernels run, and what was left out.
+"""`ti.profiler`: run times of kernels, and counters of skipped work.
 
-Times need `ti.init(kernel_profiler=True)`; `skips` and `print_skips` do not. On a GPU they are
-those of the GPU: nothing waits for a kernel while it is timed. See docs/gpu.md.
+Times need `ti.init(kernel_profiler=True)`; `skips` and `print_skips` do not. On a GPU, times are
+measured by its events: the host does not wait for kernels. See docs/gpu.md.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class KernelStats:
             of the part of them that a constant index says; None where that is not known: for
             gradients, sparse fields, and loops of a kernel that has several.
         registers, local_bytes: of a thread; shared_bytes: of a block. None where not known.
-        occupancy: of the threads that a GPU can hold, how many of this can be there, 0 to 1.
+        occupancy: resident threads of this kernel by the maximum of a GPU, 0 to 1.
         blocks, threads: of the last launch; threads of one block.
     """
 
@@ -79,7 +79,7 @@ def get_stats(memory: bool = False) -> list[KernelStats]:
     """The statistics of all kernels since the last clear, longest first; waits for the GPU.
 
     Args:
-        memory: what a GPU did with memory, too.
+        memory: include copies and fills of a GPU.
     """
     if state.program is None:
         return []

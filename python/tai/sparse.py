@@ -1,4 +1,4 @@
-"""`ti.sparse`: grids of structs of which few cells are in use."""
+"""`ti.sparse`: sparse grids of structs."""
 
 from __future__ import annotations
 

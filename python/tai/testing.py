@@ -1,4 +1,4 @@
-"""Checks of gradients, for tests and for programs in doubt."""
+"""Checks of gradients, for tests and for debugging."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def check_gradient(
     """Compares gradients with central differences.
 
     For each field of `wrt` and each of some random directions (components of both signs), the
-    derivative of the loss along the direction is taken by central differences for a ladder of
-    step sizes, improved by Richardson extrapolation. The best rung is compared.
+    derivative of the loss along the direction is computed by central differences with several
+    step sizes and Richardson extrapolation. The most accurate estimate is compared.
 
     Args:
         loss: the field of the loss; f64, as all fields should be.

@@ -1,4 +1,4 @@
-"""`ti.tools`: pictures and videos in files, and what shadow execution found."""
+"""`ti.tools`: image and video files, and the report of shadow execution."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Shows what a program draws: `python -m tai.view examples/mass_spring.py --robot 2`.
 
-Where a display is, in a window of matplotlib: each frame of a `ti.GUI` as it is drawn, and films
-(`ti.tools.write_gif`) played once they are made. `gui.get_event` tells of its keys and mice, and
-closing it ends the loops of a program that ask `gui.running`. Elsewhere, or with `--frames
-FOLDER`, the frames become files. Options behind the program are its own.
+With a display, in a window of matplotlib: each frame of a `ti.GUI` as it is drawn, and videos
+(`ti.tools.write_gif`) when they are complete. `gui.get_event` reports its keyboard and mouse
+events, and `gui.running` becomes false when it is closed. Without a display, or with `--frames
+FOLDER`, frames are written to files. Options after the program's name are passed to it.
 """
 
 from __future__ import annotations

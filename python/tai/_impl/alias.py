@@ -1,4 +1,4 @@
-"""Lets programs that put `tai` in the place of another package import its modules by that name.
+"""Imports of submodules by the name of another package, in whose place a program put `tai`.
 
 After `sys.modules["taichi"] = tai`, `from taichi.lang import impl` must give the module
 `tai.lang.impl`, and not a second copy of it with classes of its own.

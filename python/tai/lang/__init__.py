@@ -1,6 +1,6 @@
-"""Names of Taichi's inner modules that programs reach for.
+"""Names of Taichi's internal modules that programs import.
 
-They are loaded when they are first used: some need the extension module.
+They are loaded on first use: some need the extension module.
 """
 
 import importlib

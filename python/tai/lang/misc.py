@@ -1,4 +1,4 @@
-"""`ti.lang.misc`: targets, and what they can do."""
+"""`ti.lang.misc`: targets and their capabilities."""
 
 from .._impl.base.program import reset
 from .._impl.base.start import init

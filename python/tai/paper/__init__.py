@@ -3,8 +3,8 @@
     python -m tai.paper                     # --quick: all, ten minutes at most on two cores
     python -m tai.paper --only toi flat     # some of them; --list shows their names
     python -m tai.paper --full              # all iterations of the paper: hours
-    python -m tai.paper --resume            # goes on where a run stopped
+    python -m tai.paper --resume            # continues an interrupted run
 
-It runs the programs of the folder `examples`, reads what they print and write, compares it with
-what the paper says, and writes a page of it, `paper.md` and `paper.html` with pictures.
+Runs the programs of the folder `examples`, compares their output with the paper, and writes a
+page of results, `paper.md` and `paper.html`, with images.
 """

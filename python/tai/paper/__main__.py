@@ -1,4 +1,4 @@
-"""The command line of the experiments, and what is kept of a run that is interrupted."""
+"""The command line of the experiments, and the saved state of interrupted runs."""
 
 from __future__ import annotations
 

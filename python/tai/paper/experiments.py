@@ -1,7 +1,7 @@
 """The figures and tables of the paper, an experiment each; `simulators` has those of appendix E.
 
-Numbers of the paper are quoted where they stand beside ours. Those that its text does not give were
-measured on its published programs.
+Numbers of the paper are quoted next to ours. Those that its text omits were measured on its
+published programs.
 """
 
 from __future__ import annotations

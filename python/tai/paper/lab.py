@@ -1,4 +1,4 @@
-"""Where experiments run: programs of the examples, checks, and what goes to the page."""
+"""Helpers of experiments: running example programs, checks, and results for the page."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Counts the lines of simulators as the tables of the paper do.
 
-Counted as essential are fields, numbers by name (`DT = 1e-3`), and what a tape records: the
-kernels and functions that are called within `with ...Tape(...)`, those that these call, and
-gradients by hand of any of them. (Of a program without a tape: all kernels.) Not counted are
-blank lines, comments and docstrings, options, set-up, descent, pictures. `code` is all that is
-neither blank nor a comment nor a docstring.
+Counted as essential are fields, named constants (`DT = 1e-3`), and code that a tape records: the
+kernels and functions called within `with ...Tape(...)`, their callees, and hand-written gradients
+of any of them (without a tape: all kernels). Not counted are blank lines, comments, docstrings,
+options, set-up, the optimiser and drawing. `code` counts all lines except blank lines, comments
+and docstrings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The simulators of the paper's appendix, each by a descent whose first losses are known.
+"""The simulators of the paper's appendix, each by gradient descent with known first losses.
 
 Known losses were measured on the paper's published programs, in f32 and with atomics; tolerances
 are those to which two correct programs agree.

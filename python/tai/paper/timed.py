@@ -1,7 +1,7 @@
-"""Runs a program and writes how long its tapes took: `python -m tai.paper.timed FILE program …`.
+"""Runs a program and writes the times of its tapes: `python -m tai.paper.timed FILE program …`.
 
-The file gets a row for each tape: seconds of the forward pass, with its recording, and of the
-sweep in reverse.
+The file gets a row per tape: seconds of the forward pass, with its recording, and of the reverse
+sweep.
 """
 
 from __future__ import annotations

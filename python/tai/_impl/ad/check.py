@@ -1,4 +1,4 @@
-"""`ti.ad.check`: whether a gradient is right, and if it is not, which kernel is to blame."""
+"""`ti.ad.check`: verifies a gradient and, if it is wrong, names the kernel at fault."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def check(
     forward_tolerance: float | None = None,
     bisect: bool = True,
 ) -> CheckResult:
-    """Checks gradients against forward mode and against differences.
+    """Checks gradients against forward mode and against finite differences.
 
     ```python
     result = ti.ad.check(simulate, loss=loss, wrt=[x])
@@ -32,8 +32,8 @@ def check(
     ```
 
     Args:
-        target: a kernel; a function that runs kernels; or a `ti.ad.Tape` that has been left
-            and whose fields hold again what they held when it was entered.
+        target: a kernel; a function that runs kernels; or a finished `ti.ad.Tape`, with
+            the fields restored to the values that they had when it was entered.
         args: arguments of the kernel or function.
         loss: the field of the loss. Without it all fields that the target changes are
             weighted by random numbers.
@@ -42,7 +42,7 @@ def check(
         seed: of the random directions.
         tolerance: greatest relative error of the differences; 1e-7 for f64, 5e-3 for f32.
         forward_tolerance: greatest relative error against forward mode; 1e-12 and 1e-4.
-        bisect: if a gradient is wrong, look for the first kernel to blame.
+        bisect: if a gradient is wrong, search the first kernel at fault.
 
     Returns:
         A result that is true if everything agrees, and prints as a report. Where nothing was

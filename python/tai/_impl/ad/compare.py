@@ -1,7 +1,7 @@
-"""Gradients compared with forward mode and with differences, and the kernel that is to blame.
+"""Gradients compared with forward mode and with finite differences, and the kernel at fault.
 
-Forward mode's tangents need no step size; differences are taken by a ladder of steps. Every
-comparison is along random directions. All fields are put back bit for bit.
+Forward mode's tangents need no step size; finite differences use a sequence of step sizes. Every
+comparison is along random directions. All fields are restored bit for bit.
 """
 
 from __future__ import annotations
@@ -114,13 +114,13 @@ class Culprit:
 
 @dataclass
 class CheckResult:
-    """What `ti.ad.check` found; true if something was checked, and all of it agrees.
+    """The result of `ti.ad.check`; true if something was checked, and all of it agrees.
 
     Attributes:
         what: the program that was checked.
         fields: one entry for each field.
         culprit: the first record that is wrong by itself, where one was found.
-        note: what else there is to know.
+        note: further remarks.
         unchecked: why nothing was checked, which is a failure; or None.
     """
 

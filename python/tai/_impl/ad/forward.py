@@ -1,4 +1,4 @@
-"""Forward mode: kernels that carry tangents along with what they compute.
+"""Forward mode: kernels that propagate tangents beside values.
 
 The tangent of a field is its dual, `x.dual`. In forward mode every launch, also one that a
 tape replays and the gradient of a kernel, reads and writes duals beside the fields. A field

@@ -1,4 +1,4 @@
-"""How healthy a gradient is: NaN, overflow, explosion and flatness, by record and by kernel."""
+"""Diagnosis of a gradient: NaN, overflow, explosion and vanishing, by record and by kernel."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Finding:
 
 @dataclass
 class HealthReport:
-    """What a reverse sweep did to the adjoints; true if nothing is wrong.
+    """Diagnosis of the adjoints of a reverse sweep; true if there are no findings.
 
     Attributes:
         rows: one for each record that was replayed and each field whose adjoint it adds to,

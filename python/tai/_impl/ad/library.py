@@ -1,6 +1,6 @@
-"""The kernels that tai itself is made of: copies that are followed, and sums of returned numbers.
+"""Kernels of tai itself: differentiable copies, and sums of returned numbers.
 
-They are made when they are first used; the layers below, which cannot name kernels, get at them
+They are defined on first use. The lower layers, which must not import kernels, reach them
 through variables that are set here.
 """
 

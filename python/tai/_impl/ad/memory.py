@@ -14,16 +14,17 @@ _BINOMIAL_SNAPSHOTS = 32
 
 
 class TapeStats(NamedTuple):
-    """What a tape keeps.
+    """The memory that a tape uses, and its recomputation.
 
     Attributes:
-        saved_bytes: of overwritten values, now.
-        peak_bytes: of snapshots and overwritten values, at most at any time.
-        snapshots: most snapshots at any time; 0 without checkpoints.
+        saved_bytes: current size of saved overwritten values.
+        peak_bytes: peak size of snapshots and saved values.
+        snapshots: peak number of snapshots; 0 without checkpoints.
         snapshot_bytes: of the largest snapshot.
         recomputed: records that were run again since the sequence last ran forward.
-        optimum: records that the binomial schedule runs again with as many snapshots, when
-            it knows their number beforehand and saves those of one record only.
+        optimum: records that the optimal binomial schedule would run again with as many
+            snapshots, if it knew the number of records in advance and saved the values of
+            one record only.
     """
 
     saved_bytes: int

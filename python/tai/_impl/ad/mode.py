@@ -1,4 +1,4 @@
-"""Forward mode itself: fields that have tangents, and the time while kernels carry them along."""
+"""The context manager of forward mode, and the fields that have tangents in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What rounding does to a loss, by line and by field: the report of a tape, and what follows.
+"""The effect of rounding on a loss, by line and by field: the report of a tape.
 
 The estimates are those of `rounding`: sums of adjoint times rounding error, of first order.
 """
@@ -67,14 +67,14 @@ class LinePrecision:
 
 @dataclass
 class PrecisionReport:
-    """The rounding of a program, as it reaches its loss.
+    """Estimated effect of the rounding errors of a program on its loss.
 
     Attributes:
         loss: its value.
-        expected: how far it is expected to be off if all arithmetic is that of f32: the lines
-            together, what adds up in fields, and the rounding of the loss itself.
-        fields, lines: what each adds to that, greatest first.
-        target: the relative error that was asked for.
+        expected: its expected absolute error if all arithmetic is in f32: the errors of all
+            lines, accumulated errors of fields, and the rounding of the loss itself.
+        fields, lines: the contribution of each to that, largest first.
+        target: the requested relative error.
     """
 
     loss: float

@@ -1,7 +1,7 @@
-"""Directional derivatives of a program by differences, with an account of how good they are.
+"""Directional derivatives of a program by finite differences, with error estimates.
 
-The checker of gradients is built from this: random directions with components of both signs, a
-ladder of steps with Richardson extrapolation, and one-sided slopes that tell kinks and jumps.
+Used by the checker of gradients: random directions with components of both signs, a sequence of
+step sizes with Richardson extrapolation, and one-sided slopes that detect kinks and jumps.
 """
 
 from __future__ import annotations

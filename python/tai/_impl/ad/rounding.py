@@ -1,10 +1,10 @@
-"""Kernels that compute what their rounding does to a loss.
+"""Kernels that compute the effect of their rounding errors on a loss.
 
 While `state.rounding` is set, kernels are compiled with a probe at each operation of floats and at
 each element that they load: the number r becomes r + t δ, where t is an element of a field that
-holds 0, and δ what rounding does to r there. Nothing changes, but the derivative of the loss by t
-is the sum of adjoint times δ over all iterations and launches: to first order what these roundings
-have done to the loss. There is a t for each line, and some for each field.
+holds 0, and δ is the rounding error of r there. Results do not change, and the derivative of the
+loss with respect to t is the sum of adjoint times δ over all iterations and launches: to first
+order the effect of these roundings on the loss. There is one t per line, and some per field.
 
 See docs/decisions/0032-precision.md.
 """

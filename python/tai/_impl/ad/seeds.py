@@ -1,4 +1,4 @@
-"""Where a reverse sweep starts: losses and the seeds of their gradients."""
+"""Losses, and the seeds of their gradients, from which a reverse sweep starts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the fields of a program hold, to put it back."""
+"""Snapshots of all fields of a program, and their restoration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which lines of the program a recorded kernel comes from."""
+"""Source lines of recorded kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Activity of sparse levels while gradients are checked: kept, put back, and left alone."""
+"""Activity of sparse levels while gradients are checked: saved, restored, kept constant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gradients across kernels: the tape, and gradients that the program writes itself."""
+"""Gradients across kernels: the tape, and custom gradients."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Tape:
     ```
 
     A kernel may overwrite what others have read, as in `x[i] += dt * v[i]`: the tape saves
-    the old values that the reverse sweep reads, and puts them back at their place. After it,
-    all fields hold what they held at the end of the block. Where that takes too much memory,
+    the old values that the reverse sweep reads, and restores them during it. After the sweep,
+    all fields have the values of the end of the block again. If that takes too much memory,
     the tape keeps snapshots and runs kernels again: see `memory_budget` and `checkpoint`.
 
     Args:
@@ -47,26 +47,27 @@ class Tape:
             fields: those of more than one number need a seed, here or in `grad`. Or None:
             then nothing runs in reverse before `backward(…)`, or `grad()` after gradients were
             set by hand. Or a `ti.ndarray` of one number that has a gradient.
-        clear_gradients: set all gradients to zero first, but for those that another thread has
+        clear_gradients: set all gradients to zero first, except those that another thread has
             computed and this tape does not use.
         validation: check the global data access rules at run time, element by element: no
-            element is written again but by accumulation, and none once it was read. What
-            breaks them raises `TaiAssertionError` when the block is left, also where the tape
+            element is written again except by accumulation, and none after it was read.
+            Violations raise `TaiAssertionError` at the end of the block, even if the tape
             could have saved the value; the `violations` of the error list them. In debug
-            mode, iterations of one loop that meet in an element are reported without it.
+            mode, conflicting accesses of iterations of one loop are reported without it.
         grad_check: a list of f64 fields whose gradients are compared with forward mode and
-            differences when the block is left; a wrong one raises `GradientCheckError`, with
-            a report that names the first kernel to blame. See `ti.ad.check`.
+            finite differences at the end of the block; a wrong one raises
+            `GradientCheckError`, with a report that names the first kernel at fault. See
+            `ti.ad.check`.
         health: look at the adjoints after each record of the reverse sweep; see `health()`.
-        precision: let the kernels of the block say what their rounding does to the loss; see
-            `precision_report()`. They are compiled again for it, and slower.
-        seed: what the gradient of the loss is when the reverse sweep starts: a number or an
+        precision: estimate the effect of the rounding errors of the kernels on the loss; see
+            `precision_report()`. The kernels are compiled again for it, and slower.
+        seed: the gradient of the loss from which the reverse sweep starts: a number or an
             array of the shape of the loss; for several losses, a list of them.
-        memory_budget: most bytes that the tape may keep of old values. What does not fit is
-            computed again: kernels run once more, with the same random numbers.
-        checkpoint: how: "periodic" (snapshots at even distances, and saved values between
-            two of them), "binomial" (snapshots alone, placed so that as little as possible
-            runs again), a number (binomial, with so many snapshots), "mixed" (periodic where
+        memory_budget: maximum bytes of saved old values. Values that do not fit are
+            recomputed: kernels run once more, with the same random numbers.
+        checkpoint: the strategy: "periodic" (snapshots at even distances, and saved values
+            between two of them), "binomial" (only snapshots, placed such that recomputation
+            is minimal), a number (binomial, with that many snapshots), "mixed" (periodic if
             the values in between fit). None saves everything, or is "mixed" under a budget.
     """
 
@@ -190,7 +191,7 @@ class Tape:
             )
 
     def grad(self, seed: Any = None) -> None:
-        """Runs the gradients of what was recorded, once more or with other seeds.
+        """Runs the gradients of the recorded kernels, again or with other seeds.
 
         Args:
             seed: as for the tape itself. None takes the seeds of the last time. Gradients are
@@ -213,7 +214,7 @@ class Tape:
         self._sweep(self.clear_gradients and (bool(self._losses) or self._outer_loss is not None))
 
     def backward(self, *losses: Any) -> None:
-        """Runs the gradients of what was recorded, from gradients given for any values.
+        """Runs the gradients of the recorded kernels, from seeds given for any values.
 
         ```python
         with ti.ad.Tape() as tape:
@@ -280,7 +281,7 @@ class Tape:
         warn(self._core, 3)
 
     def stats(self) -> TapeStats:
-        """How much the tape keeps, and how much it has computed again."""
+        """Memory that the tape uses, and amount of recomputation."""
         if self._core is None:
             raise TaiRuntimeError("the tape holds nothing yet", "enter its `with` block first")
         return TapeStats(*self._core.stats())
@@ -291,10 +292,10 @@ class Tape:
         return self.stats().peak_bytes
 
     def replay(self, forward: bool = True, backward: bool = True) -> None:
-        """Runs the recorded kernels, and their gradients, on what the fields hold now.
+        """Runs the recorded kernels, and their gradients, on the current contents of the fields.
 
-        One native call, without Python between the kernels. What the host wrote inside the
-        block is written again. Gradients are cleared before the reverse sweep.
+        One native call, without Python between the kernels. Host writes inside the
+        block are repeated. Gradients are cleared before the reverse sweep.
         """
         self._need_record()
         if forward:
@@ -328,17 +329,17 @@ class Tape:
         return self._core.explain()
 
     def health(self) -> HealthReport:
-        """What the reverse sweep did to the adjoints: NaN, overflow, growth, flatness.
+        """Diagnosis of the adjoints of the reverse sweep: NaN, overflow, explosion, vanishing.
 
         From the last sweep if the tape was made with `health=True`; otherwise the sweep runs
-        once more, and the gradients are put back.
+        once more, and the gradients are restored.
         """
         self._need_record()
         with self._values.arrays.ordered():
             return take_health(self._core, self.loss, self._watches)
 
     def precision_report(self, error: float = 1e-4) -> PrecisionReport:
-        """What rounding does to the loss: which lines lose digits, which fields may be narrower.
+        """The effect of rounding on the loss: lines that lose digits, fields that may be narrower.
 
         ```python
         with ti.ad.Tape(loss, precision=True) as tape:
@@ -347,7 +348,7 @@ class Tape:
         ```
 
         Args:
-            error: the relative error of the loss that is allowed to what the report proposes.
+            error: the relative error of the loss that proposed types may cause.
 
         Raises:
             TaiAutodiffError: the tape was made without `precision=True`, or a field that its
@@ -382,7 +383,7 @@ def clear_all_gradients() -> None:
 
 
 def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Lets a function run without being recorded: no gradient passes through it."""
+    """Excludes a function from recording: no gradient passes through it."""
 
     @functools.wraps(function)
     def decorated(*args: Any, **kwargs: Any) -> Any:

@@ -1,4 +1,4 @@
-"""`ti.ad.tune_precision`: narrower types for fields, by estimates, and measured."""
+"""`ti.ad.tune_precision`: narrower types for fields, chosen by estimates and verified by runs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Types(dict):
 
 @dataclass
 class TunedPrecision:
-    """What was chosen, and what was measured of it.
+    """The chosen types, and measurements with them.
 
     Attributes:
         types: the narrower types, by name of the field.
@@ -80,19 +80,19 @@ def tune_precision(
     x = ti.field(tuned.types.get("x", ti.f32), …)
     ```
 
-    With a loss, `run` is a function that launches kernels on the fields that there are. What
-    narrower fields would hold is measured in them: each number that a kernel loads is rounded
-    first. Without one, `run` makes the program: it takes the types (`ti.field(types["x"], …)`),
-    makes fields and kernels, and returns the function that launches and the field of the loss. It
-    is called again with the types that were chosen, and these are measured.
+    With a loss, `run` is a function that launches kernels on the existing fields. Narrower fields
+    are simulated in them: each number that a kernel loads is rounded first. Without one, `run`
+    makes the program: it gets the types (`ti.field(types["x"], …)`), makes fields and kernels, and
+    returns the function that launches and the field of the loss. It is called again with the
+    chosen types, and these are measured.
 
     Args:
-        run: see above. All fields are put back.
+        run: see above. All fields are restored.
         loss: a field without dimensions.
         error: the greatest relative error of the loss, and of the gradient (L2).
         wrt: the fields whose gradient counts; those that kernels read and do not write, if left
             out.
-        verbose: print what was gained.
+        verbose: print the savings.
 
     Raises:
         TaiAutodiffError: the error is too small: arithmetic in the types that the program has is

@@ -1,4 +1,4 @@
-"""What `ti.ad.Tape(loss, validation=True)` says of broken access rules."""
+"""The messages of `ti.ad.Tape(loss, validation=True)` on violated access rules."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A line on the terminal that names the kernel in the compiler, once that takes over a second.
+"""A line on the terminal that names the kernel being compiled, after one second of it.
 
 Only where standard error is a terminal. `ti.init(compile_progress=False)` turns it off.
 """

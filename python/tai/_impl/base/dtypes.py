@@ -1,4 +1,4 @@
-"""Scalar types: `ti.f32`, `ti.i32`, …: how two of them combine, and how numbers become theirs."""
+"""Scalar types: `ti.f32`, `ti.i32`, …: their promotion, and conversion of numbers to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What fields and arrays have in common for those who only need to tell them from numbers."""
+"""The base class of fields and arrays, for modules that only distinguish them from numbers."""
 
 from __future__ import annotations
 

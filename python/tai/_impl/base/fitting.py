@@ -1,4 +1,4 @@
-"""What Python stores in fields and arrays: which numbers fit, and what to say of others."""
+"""Range checks of numbers that Python stores in fields and arrays, and their errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Taichi's level of a log that tai does not have: it is kept for programs that ask for it."""
+"""Taichi's log level: tai has no log, but stores the level for programs that query it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The modes of numbers: the words of `ti.init` and `@ti.kernel`, and which contradict one another.
+"""Floating-point modes: the keywords of `ti.init` and `@ti.kernel`, and conflicts between them.
 
-docs/precision.md says what they are for.
+See docs/precision.md.
 """
 
 from __future__ import annotations

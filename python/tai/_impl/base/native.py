@@ -1,7 +1,7 @@
 """The extension module `tai._core`, with libtai behind it, loaded when it is first needed.
 
-A program that only imports the package, or makes types and matrices, does not pay for it. Each
-name is looked up once.
+Importing the package and creating types and matrices does not load it. Each name is looked up
+once.
 """
 
 from __future__ import annotations

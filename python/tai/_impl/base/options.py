@@ -1,4 +1,4 @@
-"""The options of `ti.init`: those that change what happens, and those that are accepted."""
+"""The options of `ti.init`: those of tai, and those of Taichi that are accepted and ignored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lives from one `ti.init` to the next: the C++ context, trees, fields and kernels."""
+"""The state between two calls of `ti.init`: the C++ context, trees, fields and kernels."""
 
 from __future__ import annotations
 
@@ -127,6 +127,6 @@ def _stop_background_work() -> None:
 
 
 def sync() -> None:
-    """Waits until everything that was launched has run."""
+    """Waits until all launches have run."""
     if state.program is not None:
         state.program.context.synchronize()

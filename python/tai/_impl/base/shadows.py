@@ -1,4 +1,4 @@
-"""What shadow execution found: `ti.tools.shadow_report()`."""
+"""The report of shadow execution: `ti.tools.shadow_report()`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .program import get_program
 
 @dataclass
 class ShadowRow:
-    """What one operation of one line did to the digits, all launches together.
+    """Loss of precision at one operation of one line, over all launches.
 
     Attributes:
         filename, lineno, column: its place; None, 0 and 0 where it has none.
@@ -24,8 +24,8 @@ class ShadowRow:
         lost: results of which less than half of the bits are right, though those of the operands
             were.
         cancellations: how many of these are sums or differences of much larger numbers.
-        flips: comparisons and conversions that come out otherwise with more digits.
-        non_finite: results that are infinite or NaN, and finite with more digits.
+        flips: comparisons and conversions whose results differ in higher precision.
+        non_finite: results that are infinite or NaN, and finite in higher precision.
         error: relative error of the result that lost most digits, 1 at the most.
         error_in: that of its operands; of a comparison, the greatest.
         digits_lost: decimal digits that the operands had and the result has not.
@@ -82,7 +82,7 @@ class ShadowReport(list):
         return "\n".join(lines)
 
     def on_source(self) -> str:
-        """The lines where something was found, each followed by what, under its column."""
+        """The source lines with findings, each followed by its finding, under the column."""
         by_file: dict[str, dict[int, list[ShadowRow]]] = defaultdict(lambda: defaultdict(list))
         for row in self:
             if row.filename:
@@ -130,5 +130,5 @@ def shadow_report() -> ShadowReport:
 
 
 def clear_shadow_report() -> None:
-    """Begins the report anew."""
+    """Resets the report."""
     _context().clear_shadows()

@@ -1,4 +1,4 @@
-"""What the system left out because the scene did not need it: `ti.profiler.skips()`."""
+"""Counters of skipped work: `ti.profiler.skips()`."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Skips(dict):
 
     Attributes:
         on: the names of the skips that are on.
-        levels: for each sparse level of which there was a list, by what it is called in the
-            layout: lists `made` and `reused`.
+        levels: for each sparse level that has had a list, by its name in the layout: lists
+            `made` and `reused`.
     """
 
     def __init__(self, rows: list[tuple[str, str, int, bool, str]]):
@@ -61,7 +61,7 @@ class Skips(dict):
 
 
 def skips() -> Skips:
-    """What was left out since `ti.init` or the last `clear_skips`.
+    """Counters of skipped work since `ti.init` or the last `clear_skips`.
 
     Returns:
         A dictionary of dictionaries, by the names that `ti.init(skip=…)` takes; see
@@ -92,7 +92,7 @@ def _lists(program: Any) -> dict[Any, tuple[int, int]]:
 
 
 def print_skips() -> None:
-    """Prints a table of what was left out, one line for each skip."""
+    """Prints a table of the counters, one line for each skip."""
     print(skips())
 
 

@@ -24,18 +24,18 @@ from .targets import Arch, check_target, choose_arch, cpu, cuda, why_no_cuda
 def init(
     arch: Arch | None = None, default_fp: Any = None, default_ip: Any = None, **options: Any
 ) -> None:
-    """Starts anew: forgets all fields and kernels, and sets the options.
+    """Resets the program: discards all fields and kernels, and sets the options.
 
-    A name of Taichi's that asks for what is always so here, or tunes its own passes, is accepted:
-    docs/taichi-options.md lists them.
+    Options of Taichi that request tai's fixed behaviour, or tune Taichi's passes, are accepted and
+    ignored: docs/taichi-options.md lists them.
 
     Args:
-        enable_fallback: take the CPU where `ti.cuda` is not there.
+        enable_fallback: use the CPU if `ti.cuda` is not available.
         require: extensions that the target must have (`ti.extension.data64`, …).
         exclude: targets that the program does not run on.
 
     Raises:
-        TaiRuntimeError: an option that does not exist, or a target that is not there, and why.
+        TaiRuntimeError: an option that does not exist, or a target that is not available, and why.
         TaiRuntimeTypeError: a type that cannot be the default.
     """
     reset()

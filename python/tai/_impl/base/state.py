@@ -1,8 +1,8 @@
-"""The program that `ti.init` made, and what the front end is compiling now.
+"""The program that `ti.init` created, and the kernel that the front end is compiling.
 
-Kept in a module of its own, so that every other module can read it without an
-import cycle. The C++ side has no global state: this is the package's one. What
-records, or is being compiled, is that of the calling thread.
+A module of its own, so that every other module can read it without an import cycle. The C++
+side has no global state: this is all of the package's. The active tape and the kernel being
+compiled are thread-local.
 """
 
 from __future__ import annotations

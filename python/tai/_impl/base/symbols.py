@@ -1,7 +1,7 @@
-"""Names in the IR: of trees, fields and kernels.
+"""Symbol names of trees, fields and kernels.
 
-IR keeps each name that it has ever seen. So those of what is gone are given out again: a program
-that makes and frees trees all day has as many names as it had things at one time.
+An MLIR context never frees an identifier. Names of freed objects are therefore reused: a program
+that allocates and frees trees for hours needs only as many names as objects alive at one time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Targets of kernels, such as `ti.cpu` and `ti.cuda`, and what they can do."""
+"""Targets of kernels, such as `ti.cpu` and `ti.cuda`, and their capabilities."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ opengl, gles, dx11, amdgpu = Arch("opengl"), Arch("gles"), Arch("dx11"), Arch("a
 
 
 class Extension(Enum):
-    """What a target may have, or not."""
+    """An optional capability of targets."""
 
     sparse = "sparse"
     quant = "quant"

@@ -1,4 +1,4 @@
-"""Fields below sparse levels: where their elements are active, and fills of those alone."""
+"""Fields below sparse levels: their active elements, and fills of those only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Taichi's names for arrays by their elements: `isinstance` tells them apart, calls make them."""
+"""Taichi's classes of arrays by element kind, for `isinstance` and as constructors."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Copies between fields and arrays as kernels, which tapes and forward mode see.
+"""Copies between fields and arrays as kernels, recorded by tapes and forward mode.
 
-Elsewhere the host copies: that needs no code for each pair of fields.
+Outside of both the host copies, which needs no compiled code per pair of fields.
 """
 
 from __future__ import annotations

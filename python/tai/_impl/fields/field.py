@@ -1,4 +1,4 @@
-"""What all fields have in common: names, gradients, shape, copies."""
+"""The base class of fields: names, gradients, shape, copies."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Field(Elements, Shareable):
-    """What scalar, vector and matrix fields have in common.
+    """The base class of scalar, vector and matrix fields.
 
     Attributes:
         dtype: scalar type of the components.

@@ -1,7 +1,7 @@
-"""Where things lie in a cell: sizes and offsets of levels and fields, in bytes.
+"""The layout of a cell: sizes and offsets of levels and fields, in bytes.
 
-The rules are those of the compiler: fields stand side by side, each aligned to its numbers; what
-stands in a cell of the root starts on a cache line.
+The rules are those of the compiler: fields are contiguous, each aligned to its scalar type;
+children of the root are aligned to cache lines.
 """
 
 from __future__ import annotations

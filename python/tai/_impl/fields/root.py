@@ -1,4 +1,4 @@
-"""`ti.root`: the tree that is being laid out, and when it is allocated."""
+"""`ti.root`: the tree under construction, and its allocation."""
 
 from __future__ import annotations
 

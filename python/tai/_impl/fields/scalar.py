@@ -1,4 +1,4 @@
-"""Fields of numbers, and the places of vectors: what the trees of the runtime hold."""
+"""Scalar fields, and the components of vector fields: the leaves of the runtime's trees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arguments that say how a field is laid out."""
+"""Arguments of fields: shape, order and offset of their layout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What fields hand to other libraries, and take from them; see `interop`."""
+"""Export of fields to other libraries, and import from them; see `interop`."""
 
 from __future__ import annotations
 

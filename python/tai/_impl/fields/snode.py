@@ -66,7 +66,7 @@ class SNode:
         return self._add("dense", axes, dimensions)
 
     def pointer(self, axes: Axes, dimensions: Any) -> SNode:
-        """Cells that are allocated on first write."""
+        """Coarse cells that become active on first write."""
         return self._add("pointer", axes, dimensions)
 
     def bitmasked(self, axes: Axes, dimensions: Any) -> SNode:
@@ -74,7 +74,7 @@ class SNode:
         return self._add("bitmasked", axes, dimensions)
 
     def hash(self, axes: Axes, dimensions: Any) -> SNode:
-        """Cells that are kept in a hash table."""
+        """Sparse cells, named after Taichi's hash level; stored as `pointer` levels are."""
         return self._add("hash", axes, dimensions)
 
     def dynamic(self, axis: Axes, dimension: int, chunk_size: int | None = None) -> SNode:
@@ -83,7 +83,7 @@ class SNode:
         Args:
             axis: one axis, such as `ti.j`.
             dimension: how many cells a list holds at most; one more is an error.
-            chunk_size: accepted; cells have fixed addresses, and nothing is cut in chunks.
+            chunk_size: accepted without effect: cells have fixed addresses.
         """
         if isinstance(axis, tuple) and len(axis) != 1:
             raise TaiRuntimeTypeError(
@@ -236,7 +236,7 @@ class SNode:
     # Activity
 
     def deactivate_all(self) -> None:
-        """Makes all cells of this level inactive, and of those below; what they held is zero.
+        """Deactivates all cells of this level and of those below; their contents become zero.
 
         Of a dense level: of the sparse levels below it.
         """

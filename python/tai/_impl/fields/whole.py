@@ -1,4 +1,4 @@
-"""How a matrix field is stored element by element."""
+"""Contiguous storage of whole elements of matrix fields."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Assignments: to variables, to elements, and what a name stands for from now on."""
+"""Assignments to variables and elements, and rebinding of names."""
 
 from __future__ import annotations
 

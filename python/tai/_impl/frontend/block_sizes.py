@@ -1,4 +1,4 @@
-"""How many threads the blocks of a loop have on a GPU, where the program says so."""
+"""Block sizes of loops on a GPU that the program chooses."""
 
 from __future__ import annotations
 

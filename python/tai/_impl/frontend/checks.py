@@ -1,5 +1,5 @@
-"""What may not stand where it does: conditions that are no truth values, changes of Python objects
-in code that runs later, and calls whose answer would be frozen into the kernel."""
+"""Errors for invalid code: conditions that are not scalar, mutation of Python objects in code that
+runs later, and calls whose result would be frozen into the kernel."""
 
 from __future__ import annotations
 

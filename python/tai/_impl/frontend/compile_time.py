@@ -1,4 +1,4 @@
-"""What the compiler knows now: `ti.static`, callees, sequences of known length."""
+"""Compile-time values: `ti.static`, callees, sequences of known length."""
 
 from __future__ import annotations
 

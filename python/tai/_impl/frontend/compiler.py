@@ -1,4 +1,4 @@
-"""From a Python function and the kinds of its arguments to the module of a kernel."""
+"""Compiles a Python function, for given kinds of arguments, to the MLIR module of a kernel."""
 
 from __future__ import annotations
 

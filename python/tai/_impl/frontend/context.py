@@ -1,4 +1,4 @@
-"""What the parts of the compiler share: the kernel, its scopes, and where operations are made."""
+"""State shared by the parts of the compiler: the kernel, its scopes, and the insertion point."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where errors of a kernel are, and exceptions of Python code as errors of ours."""
+"""Source locations of errors in kernels, and Python exceptions turned into errors of tai."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Expressions: each is a Python object known now, or a value of the kernel."""
+"""Expressions: each is a Python object at compile time, or a value of the kernel."""
 
 from __future__ import annotations
 

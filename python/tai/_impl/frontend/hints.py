@@ -1,4 +1,4 @@
-"""What to do about errors of kernels that do not say so where they arise."""
+"""Hints for errors of kernels that are raised without one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Functions of the program: compiled in place of each call."""
+"""Inlining of `ti.func` functions: compiled anew at each call."""
 
 from __future__ import annotations
 

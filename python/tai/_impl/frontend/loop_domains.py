@@ -1,4 +1,4 @@
-"""What `for` loops run over: ranges, boxes, fields, levels, arrays."""
+"""Iteration spaces of `for` loops: ranges, boxes, fields, levels, arrays."""
 
 from __future__ import annotations
 

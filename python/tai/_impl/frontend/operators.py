@@ -1,4 +1,4 @@
-"""Arithmetic, comparisons, `and`, `or`, and the choice between two expressions."""
+"""Arithmetic, comparisons, `and`, `or`, and conditional expressions."""
 
 from __future__ import annotations
 

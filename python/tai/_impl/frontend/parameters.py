@@ -1,4 +1,4 @@
-"""What goes into a kernel, and what it gives."""
+"""Parameters and results of a kernel."""
 
 from __future__ import annotations
 

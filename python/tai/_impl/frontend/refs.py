@@ -1,4 +1,4 @@
-"""Places that a kernel can read and write: variables, elements of fields and of arrays."""
+"""Lvalues of a kernel: variables, elements of fields and of arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Regions of IR, and the variables that they change."""
+"""MLIR regions, and the variables that they change."""
 
 from __future__ import annotations
 

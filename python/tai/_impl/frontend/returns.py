@@ -1,6 +1,6 @@
 """`return`: the last statement of a function, or anywhere in it.
 
-A return that only some runs reach sets a flag and the results, and what follows runs only
+A conditional return sets a flag and the results, and the statements after it run only
 while the flag is not set. Both are variables like those of the program, so that branches and
 loops carry them, and gradients pass through them.
 """

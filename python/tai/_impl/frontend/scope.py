@@ -1,4 +1,4 @@
-"""What names mean while a function is compiled."""
+"""Scopes: the bindings of names while a function is compiled."""
 
 from __future__ import annotations
 

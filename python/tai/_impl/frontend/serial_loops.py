@@ -1,4 +1,4 @@
-"""`for` loops inside of others: an `scf.for`, or an `scf.while` where they can be left."""
+"""Nested `for` loops: an `scf.for`, or an `scf.while` if they can be left early."""
 
 from __future__ import annotations
 

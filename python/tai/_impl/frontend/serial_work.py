@@ -1,4 +1,4 @@
-"""What one thread has to do, as far as that is known: a GPU's takes its time."""
+"""Estimates of the serial work of a thread, for warnings: a thread of a GPU is slow."""
 
 from __future__ import annotations
 

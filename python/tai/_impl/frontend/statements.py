@@ -1,4 +1,4 @@
-"""Blocks of statements, branches, `assert`, and what kernels have not."""
+"""Blocks of statements, branches, `assert`, and errors for unsupported statements."""
 
 from __future__ import annotations
 

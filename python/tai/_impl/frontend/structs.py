@@ -1,4 +1,4 @@
-"""Structs in kernels: named members, each a value or a place of its own."""
+"""Structs in kernels: named members, each a value or an lvalue."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Template arguments: what kernels read of them while they are compiled.
+"""Template arguments, and the attributes of them that kernels read while they are compiled.
 
 The code of a kernel is compiled for its template arguments. Those that are numbers, texts,
-containers, arrays, matrices or structs count by what they contain (`_core.Constant`), other
+containers, arrays, matrices or structs are compared by contents (`_core.Constant`), other
 objects by identity. Of such an object, a kernel depends on the attributes that it read, which
-`Reads` notes: where one of them is another one at a later launch, other code is wanted.
+`Reads` records: if one of them has changed at a later launch, the kernel is compiled again.
 """
 
 from __future__ import annotations

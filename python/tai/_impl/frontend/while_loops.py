@@ -1,4 +1,4 @@
-"""`while`, and what leaves a loop: `break` and `continue`."""
+"""`while`, `break` and `continue`."""
 
 from __future__ import annotations
 

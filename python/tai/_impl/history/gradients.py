@@ -1,4 +1,4 @@
-"""Where the gradients of what Python holds add up: numbers, matrices and arrays."""
+"""Accumulators for the gradients of numbers, matrices and arrays that Python owns."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Numbers that lose their history: warnings where a tape or forward mode takes them as constants.
+"""Warnings for numbers whose derivatives a tape or forward mode cannot track.
 
-A number that a kernel returns is followed through arithmetic. What `math.sin(r)`, `float(r)`,
-NumPy, or a read of a field gives is a plain number, which kernels and fields take as a constant.
-That is as it should be for what is printed, and a gradient too small for what flows back. So
-where plain numbers go into a kernel or a field while values with a history are about, the text
-of the calling function is looked at, once for each place: does the number come from one?
+A number that a kernel returns is tracked through arithmetic. The results of `math.sin(r)`,
+`float(r)`, NumPy, and reads of fields are plain numbers, which are constants to kernels and fields.
+That is right for numbers that are printed, but gradients miss a contribution if such a number is
+passed to a kernel or stored in a field. So when that happens while tracked values are alive, the
+source of the calling function is analysed, once for each place: is the number computed from one?
 """
 
 from __future__ import annotations

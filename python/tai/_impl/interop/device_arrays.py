@@ -1,4 +1,4 @@
-"""Arrays of other libraries in the memory of a GPU, and launches that use them."""
+"""Arrays of other libraries in GPU memory, and launches that use them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What DLPack calls devices and types."""
+"""DLPack's codes of devices and types."""
 
 from __future__ import annotations
 

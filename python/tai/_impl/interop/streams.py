@@ -1,7 +1,7 @@
 """Streams of other libraries, and their order with launches.
 
-On a GPU each library queues its work in streams. What crosses from one to the other is put in
-order by events on the GPU, and the host waits for nothing.
+On a GPU each library queues its work in streams. Work on shared data is ordered between streams
+by events on the GPU; the host does not wait.
 """
 
 from __future__ import annotations

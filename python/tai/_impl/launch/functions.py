@@ -1,4 +1,4 @@
-"""`@ti.func`: functions that kernels call, and what the compiler needs of them."""
+"""`@ti.func`: functions that kernels call."""
 
 from __future__ import annotations
 

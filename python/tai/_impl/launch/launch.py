@@ -1,4 +1,4 @@
-"""One launch: arguments packed in slots, arrays and gradients told to the tape, and the call."""
+"""A launch: packs arguments into slots, passes arrays and gradients to the tape, and calls."""
 
 from __future__ import annotations
 

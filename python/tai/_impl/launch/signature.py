@@ -1,4 +1,4 @@
-"""Signatures of kernels: the types that parameters and results are annotated by."""
+"""Signatures of kernels: the annotated types of parameters and results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers as the core is given them: the bits of a slot."""
+"""Encoding of scalar arguments as the 64 bits of a slot."""
 
 from __future__ import annotations
 

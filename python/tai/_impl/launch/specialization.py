@@ -1,4 +1,4 @@
-"""Specialisations: the code of a kernel for some kinds of arguments, found or compiled."""
+"""Specialisations: the code of a kernel for given kinds of arguments, and their lookup."""
 
 from __future__ import annotations
 

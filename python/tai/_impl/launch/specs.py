@@ -1,4 +1,4 @@
-"""What the parameters and the result of a kernel are in one specialisation."""
+"""Descriptions of the parameters and the result of a kernel in one specialisation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a kernel returns as a struct: its numbers in a row, in one type that holds them all."""
+"""Structs returned by kernels: flattened to a vector of one common type."""
 
 from __future__ import annotations
 

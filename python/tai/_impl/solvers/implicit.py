@@ -47,11 +47,10 @@ def implicit(
 
     Args:
         step: a kernel `step(x, y, *args)` that computes field y = f(x); it may read any fields.
-        x: the start, and the fixed point afterwards. Under a tape it needs a gradient; that by
-            the start is zero.
-        tol: how small the norm of f(x) - x must be by that of f(x); 1e-10 for f64, 1e-5 for f32.
-            It holds for λ too.
-        max_iterations: the most iterations, of either.
+        x: the initial guess, and the fixed point afterwards. Under a tape it needs a gradient; the
+            derivative with respect to the initial guess is zero.
+        tol: bound of ‖f(x) - x‖ / ‖f(x)‖; 1e-10 for f64, 1e-5 for f32. Also used for λ.
+        max_iterations: maximum of iterations, for each of the two.
         args: more arguments of the kernel.
 
     Returns:
@@ -111,14 +110,14 @@ def newton(
     Args:
         residual: a kernel `residual(x, r, *args)` that computes field r = F(x); it may read any
             fields.
-        x: the start, and the solution afterwards. Under a tape it needs a gradient; that by the
-            start is zero.
-        tol: how small the norm of F must be by that at the start, or the next step by that of
-            x; 1e-10 for f64, 1e-5 for f32. The adjoint system is solved to it too.
+        x: the initial guess, and the solution afterwards. Under a tape it needs a gradient; the
+            derivative with respect to the initial guess is zero.
+        tol: bound of ‖F‖ relative to its initial value, or of the next step relative to ‖x‖;
+            1e-10 for f64, 1e-5 for f32. Also the tolerance of the adjoint system.
         max_iterations: the most steps.
         symmetric: J is symmetric and positive definite, as that of the gradient of an energy
             near its minimum: conjugate gradients instead of BiCGSTAB.
-        linear_tol: how well the system of a step is solved.
+        linear_tol: relative residual of the linear system of a step.
         linear_iterations: the most iterations for a step, and for the adjoint system.
         args: more arguments of the kernel.
 

@@ -1,4 +1,4 @@
-"""Iterations for A x = b, where A is a function from a field to a field.
+"""Krylov methods for A x = b, where A is a function from a field to a field.
 
 They solve for x / scale, where `scale` is a power of two near the largest element of b, so that
 squares neither overflow nor vanish.

@@ -68,11 +68,11 @@ def cg(
     Args:
         apply: a kernel `apply(p, q, *args)` that computes field q = A p; it may read any fields.
         b: the right-hand side.
-        x: the start, and the solution afterwards. Under a tape it needs a gradient; that by the
-            start is zero.
-        tol: how small the norm of b - A x must be by that of b; 1e-10 for f64, 1e-5 for f32. It
-            holds for the adjoint system too.
-        max_iterations: the most iterations, of either system.
+        x: the initial guess, and the solution afterwards. Under a tape it needs a gradient; the
+            derivative with respect to the initial guess is zero.
+        tol: bound of ‖b - A x‖ / ‖b‖; 1e-10 for f64, 1e-5 for f32. Also used for the adjoint
+            system.
+        max_iterations: maximum of iterations, for each of the two systems.
         args: more arguments of the kernel.
 
     Returns:
@@ -102,8 +102,8 @@ def jacobi(
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by Jacobi's iteration, x += damping (b - A x) / diagonal.
 
-    It converges where the diagonal outweighs the rest, and slowly; it takes no sums but those
-    for the residual. Other arguments and the gradient are those of `cg`.
+    It converges, slowly, for diagonally dominant A; its only reductions are those for the
+    residual. Other arguments and the gradient are those of `cg`.
 
     Args:
         diagonal: a field of the diagonal of A. The solution does not depend on it, and so it

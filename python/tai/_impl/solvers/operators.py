@@ -1,4 +1,4 @@
-"""A kernel of the program as a function from a field to a field, and its derivative."""
+"""A user's kernel as a function from a field to a field, and its derivative."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What solvers say: how they ended, and a warning where they did not converge."""
+"""Results of solvers: the reason to stop, and a warning if they did not converge."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class SolveInfo:
     """How a solver ended.
 
     Attributes:
-        iterations: how many it took.
-        residual: the norm of what remains by that of what is given; see the solver.
+        iterations: the number of iterations.
+        residual: the relative norm that `tol` bounds; see the solver.
         converged: whether the residual is at most the tolerance.
         reason: why it is not, in words; empty if it is.
         adjoint: how the solve for the gradient ended, once a tape has run it.

@@ -1,6 +1,6 @@
-"""The kernels of the solvers: fields of numbers, vectors or matrices as vectors of a space.
+"""Kernels of the solvers: fields of numbers, vectors or matrices as vectors.
 
-Sums are kept in f64, whatever the fields hold.
+Sums are accumulated in f64, whatever the types of the fields.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How arguments of a launch and their adjoints are told to the core."""
+"""Passes arguments of a launch and their adjoints to the core."""
 
 from __future__ import annotations
 

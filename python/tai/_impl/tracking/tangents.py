@@ -1,9 +1,9 @@
-"""Tangents of what kernels return and take in forward mode.
+"""Tangents of arguments and results of kernels in forward mode.
 
 In forward mode a number that a kernel returns is also stored to an element of a field, whose
-dual is its tangent, and a kernel that takes such a number as an argument loads it from there.
-What Python computes from such numbers is computed by kernels, too. So the derivative of a
-gradient passes through them as it does through fields.
+dual is its tangent, and a kernel with such a number as an argument loads it from there.
+Python arithmetic on such numbers is done by kernels, too. So second derivatives pass through
+them as through fields.
 """
 
 from __future__ import annotations

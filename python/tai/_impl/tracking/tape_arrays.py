@@ -1,13 +1,13 @@
 """Arrays of the launches that a tape records: on the host, and on a GPU.
 
-A launch may overwrite what an earlier one has read. What was there is kept where the array is,
-and put back in the reverse sweep. On a GPU that is a copy in the order of the launches, and a
-part of the sequence that a sweep or a replay queues at once.
+A launch may overwrite elements that an earlier one has read. The old contents are saved in the
+same memory space, and restored in the reverse sweep. On a GPU the copies are queued in the order
+of the launches, as parts of the sequence that a sweep or a replay queues at once.
 
 Python may change an array at any time. Where the gradient of a launch reads an array of the
 host, the launch gets a copy of it, as long as no recorded kernel writes to the array; the copy
-serves all launches until the array holds something else. What recorded kernels write is the
-array itself: its digest tells whether somebody else has changed it.
+serves all launches until the contents of the array change. Recorded kernels write to the array
+itself: a digest detects changes by others.
 """
 
 from __future__ import annotations

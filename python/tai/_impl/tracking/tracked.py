@@ -1,9 +1,8 @@
-"""Gradients of what Python holds: numbers and matrices given to kernels, what kernels return,
-and arrays.
+"""Gradients of Python's values: arguments and results of kernels (numbers, matrices), and arrays.
 
 Fields have adjoints of their own. A value has a `Gradient`: memory that the adjoints of
-launches add to (arguments) or read (results). A tape sees where the memory is when it records
-a launch; what happens to it around a sweep is done here.
+launches add to (arguments) or read (results). A tape records its address with a launch; this
+module clears it before a sweep and collects it afterwards.
 """
 
 from __future__ import annotations
@@ -47,8 +46,8 @@ def variable(value: Any) -> Any:
         value: a number, a `ti.Vector`, a `ti.Matrix`, or a list of numbers.
 
     Returns:
-        A float, or a vector or matrix, that remembers its gradient. It does not change: make
-        the next one by `a = ti.ad.variable(a - 0.1 * a.grad)`.
+        A float, or a vector or matrix, that has a gradient. It is immutable: make the
+        next one by `a = ti.ad.variable(a - 0.1 * a.grad)`.
 
     Raises:
         TaiRuntimeTypeError: the value is no such thing.

@@ -1,7 +1,7 @@
-"""The operations of IR that the front end emits, a method each.
+"""The MLIR operations that the front end emits, a method each.
 
-Nothing else spells the name of an operation, of an attribute, or the order of operands. Operands
-and results are handles of the extension module: values of the module that is built, of a type.
+Nothing else contains names of operations and attributes, or the order of operands. Operands and
+results are handles of the extension module: typed SSA values of the module that is built.
 """
 
 from __future__ import annotations

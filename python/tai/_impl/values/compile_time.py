@@ -1,4 +1,4 @@
-"""Arithmetic on numbers that are known while a kernel is compiled."""
+"""Arithmetic on compile-time constants."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def cdiv(a: Any, b: Any) -> Any:
 
 
 def csqrt(z: Any) -> Any:
-    """The root with a real part that is not negative: for negative numbers the one above."""
+    """The principal square root; that of a negative real number has a positive imaginary part."""
     # The larger of the two parts first: the other one from it, without cancellation.
     large = ops.sqrt(0.5 * (z.norm() + ops.abs(z[0])))
     small = 0.5 * ops.abs(z[1]) / ops.select(large > 0, large, 1.0)
@@ -46,7 +46,7 @@ def cexp(z: Any) -> Any:
 
 
 def clog(z: Any) -> Any:
-    """The logarithm whose imaginary part is between -π and π."""
+    """The principal logarithm: its imaginary part is between -π and π."""
     return Matrix([ops.log(z.norm()), ops.atan2(z[1], z[0])])
 
 

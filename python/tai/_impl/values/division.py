@@ -1,4 +1,4 @@
-"""Divisions of whole numbers that are known to have no result."""
+"""Errors for integer divisions that are undefined, as known at compile time."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""In debug mode, functions say so where they have no value: log of a negative number, and others.
+"""Domain checks of functions in debug mode, such as log of a negative number.
 
-What is infinite and may be meant, such as a division by zero, passes; but for the logarithm of
-zero, which is where a volume has vanished.
+Infinite results, as of a division by zero, may be intended and are accepted, except for the
+logarithm of zero: usually that of a volume that has vanished.
 """
 
 from __future__ import annotations

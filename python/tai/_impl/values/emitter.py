@@ -1,4 +1,4 @@
-"""Arithmetic in IR: types, constants, casts, elementwise operations, small matrices."""
+"""Emits arithmetic: types, constants, casts, elementwise operations, small matrices."""
 
 from __future__ import annotations
 

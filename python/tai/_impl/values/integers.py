@@ -1,4 +1,4 @@
-"""Whole numbers in IR: shifts, powers, and what may not be done with them."""
+"""Emits integer arithmetic: shifts, powers, and errors for unsupported operations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ti.Matrix` and `ti.Vector`: small matrices in Python, and the way to make them in kernels."""
+"""`ti.Matrix` and `ti.Vector`: small matrices, in Python and in kernels."""
 
 from __future__ import annotations
 

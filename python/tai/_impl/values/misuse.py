@@ -1,4 +1,4 @@
-"""What to say of a thing that stands where a number is needed."""
+"""Errors for objects that are used where a number is needed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Matrices that turn, move and scale, as Taichi defines them: those of 4 x 4, but for `translate`,
-are for row vectors, v @ M.
+"""Matrices of rotations, translations and scalings, as Taichi defines them: those of 4 x 4, except
+for `translate`, are for row vectors, v @ M.
 """
 
 from __future__ import annotations

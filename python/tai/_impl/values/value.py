@@ -1,6 +1,6 @@
 """Values of a kernel: numbers and small matrices that exist when the kernel runs.
 
-They have Python's operators, so that plain Python functions may compute with them while
+They overload Python's operators, so that plain Python functions can compute with them while
 a kernel is compiled.
 """
 
