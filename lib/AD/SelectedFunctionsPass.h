@@ -1,4 +1,4 @@
-//===- SelectedFunctionsPass.h - Run on selected functions -----*- C++ -*--===//
+//===- SelectedFunctionsPass.h - Run on selected functions ------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Impl.h - The objects behind C API handles ---------------*- C++ -*--===//
+//===- Impl.h - The objects behind C API handles ----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

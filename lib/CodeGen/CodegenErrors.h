@@ -1,4 +1,4 @@
-//===- CodegenErrors.h - Errors inside LLVM --------------------*- C++ -*--===//
+//===- CodegenErrors.h - Errors inside LLVM ---------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

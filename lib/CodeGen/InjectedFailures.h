@@ -1,4 +1,4 @@
-//===- InjectedFailures.h - Failures injected by tests ---------*- C++ -*--===//
+//===- InjectedFailures.h - Failures injected by tests ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

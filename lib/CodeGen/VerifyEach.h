@@ -1,4 +1,4 @@
-//===- VerifyEach.h - Verifiers after each step ----------------*- C++ -*--===//
+//===- VerifyEach.h - Verifiers after each step -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

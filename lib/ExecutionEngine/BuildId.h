@@ -1,4 +1,4 @@
-//===- BuildId.h - Identity of the compiler build --------------*- C++ -*--===//
+//===- BuildId.h - Identity of the compiler build ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

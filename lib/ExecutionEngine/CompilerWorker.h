@@ -1,4 +1,4 @@
-//===- CompilerWorker.h - State of one compiling thread --------*- C++ -*--===//
+//===- CompilerWorker.h - State of one compiling thread ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

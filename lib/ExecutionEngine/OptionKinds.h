@@ -1,4 +1,4 @@
-//===- OptionKinds.h - Parsers of option values ----------------*- C++ -*--===//
+//===- OptionKinds.h - Parsers of option values -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

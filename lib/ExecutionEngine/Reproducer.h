@@ -1,4 +1,4 @@
-//===- Reproducer.h - Reproducers of internal errors -----------*- C++ -*--===//
+//===- Reproducer.h - Reproducers of internal errors ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Handlers.h - Implementations of operations --------------*- C++ -*--===//
+//===- Handlers.h - Implementations of operations ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Program.h - A prepared function -------------------------*- C++ -*--===//
+//===- Program.h - A prepared function --------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

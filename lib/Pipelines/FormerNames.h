@@ -1,4 +1,4 @@
-//===- FormerNames.h - Former names of passes ------------------*- C++ -*--===//
+//===- FormerNames.h - Former names of passes -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LoweringPasses.h - Common lowering passes ---------------*- C++ -*--===//
+//===- LoweringPasses.h - Common lowering passes ----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

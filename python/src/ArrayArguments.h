@@ -1,4 +1,4 @@
-//===- ArrayArguments.h - Array arguments of kernels -----------*- C++ -*--===//
+//===- ArrayArguments.h - Array arguments of kernels ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

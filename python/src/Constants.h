@@ -1,4 +1,4 @@
-//===- Constants.h - Python values compiled into code ----------*- C++ -*--===//
+//===- Constants.h - Python values compiled into code -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Core.h - Shared by the extension module -----------------*- C++ -*--===//
+//===- Core.h - Shared by the extension module ------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

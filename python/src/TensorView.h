@@ -1,4 +1,4 @@
-//===- TensorView.h - Reading tensors of other libraries -------*- C++ -*--===//
+//===- TensorView.h - Reading tensors of other libraries --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- DeviceAbi.h - Functions that device code may call -------*- C++ -*--===//
+//===- DeviceAbi.h - Functions that device code may call --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

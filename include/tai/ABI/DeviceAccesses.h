@@ -1,4 +1,4 @@
-//===- DeviceAccesses.h - Accesses of a device function --------*- C++ -*--===//
+//===- DeviceAccesses.h - Accesses of a device function ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- DeviceState.h - Failures and output of device code ------*- C++ -*--===//
+//===- DeviceState.h - Failures and output of device code -------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

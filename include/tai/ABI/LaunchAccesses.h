@@ -1,4 +1,4 @@
-//===- LaunchAccesses.h - Elements that a launch accesses ------*- C++ -*--===//
+//===- LaunchAccesses.h - Elements that a launch accesses -------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- DerivativeBuilder.h - Shared by rules of both modes -----*- C++ -*--===//
+//===- DerivativeBuilder.h - Shared by rules of both modes ------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- NarrowAdjoints.h - Adjoints of 16-bit floats ------------*- C++ -*--===//
+//===- NarrowAdjoints.h - Adjoints of 16-bit floats -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Selection.h - Functions to differentiate ----------------*- C++ -*--===//
+//===- Selection.h - Functions to differentiate -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

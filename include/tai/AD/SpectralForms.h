@@ -1,4 +1,4 @@
-//===- SpectralForms.h - Matrix functions of an SVD ------------*- C++ -*--===//
+//===- SpectralForms.h - Matrix functions of an SVD -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Cost.h - Cost estimates ---------------------------------*- C++ -*--===//
+//===- Cost.h - Cost estimates ----------------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

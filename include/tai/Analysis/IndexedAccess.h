@@ -1,4 +1,4 @@
-//===- IndexedAccess.h - Indices of an access ------------------*- C++ -*--===//
+//===- IndexedAccess.h - Indices of an access -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

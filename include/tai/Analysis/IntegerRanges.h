@@ -1,4 +1,4 @@
-//===- IntegerRanges.h - Ranges of integers --------------------*- C++ -*--===//
+//===- IntegerRanges.h - Ranges of integers ---------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LaunchAccesses.h - Access summaries of kernels ----------*- C++ -*--===//
+//===- LaunchAccesses.h - Access summaries of kernels -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- SkipScope.h - Counters of skips in passes ---------------*- C++ -*--===//
+//===- SkipScope.h - Counters of skips in passes ----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- CompiledObject.h - The result of a compilation ----------*- C++ -*--===//
+//===- CompiledObject.h - The result of a compilation -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

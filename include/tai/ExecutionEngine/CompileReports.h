@@ -1,4 +1,4 @@
-//===- CompileReports.h - Reports of compilations --------------*- C++ -*--===//
+//===- CompileReports.h - Reports of compilations ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ContextModes.h - Numeric modes of a context -------------*- C++ -*--===//
+//===- ContextModes.h - Numeric modes of a context --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

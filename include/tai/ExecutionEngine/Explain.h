@@ -1,4 +1,4 @@
-//===- Explain.h - Explanations of gradients -------------------*- C++ -*--===//
+//===- Explain.h - Explanations of gradients --------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

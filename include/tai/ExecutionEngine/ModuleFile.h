@@ -1,4 +1,4 @@
-//===- ModuleFile.h - Reading and writing modules --------------*- C++ -*--===//
+//===- ModuleFile.h - Reading and writing modules ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

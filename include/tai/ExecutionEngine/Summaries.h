@@ -1,4 +1,4 @@
-//===- Summaries.h - Access summaries for the runtime ----------*- C++ -*--===//
+//===- Summaries.h - Access summaries for the runtime -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- DifferentiableInterfaces.td - What can be differentiated -*- tablegen -*-===//
+//===- DifferentiableInterfaces.td - Derivatives of ops ----*- tablegen -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

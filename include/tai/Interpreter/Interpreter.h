@@ -1,4 +1,4 @@
-//===- Interpreter.h - Executes IR without compiling it --------*- C++ -*--===//
+//===- Interpreter.h - Executes IR without compiling it ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

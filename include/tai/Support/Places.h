@@ -1,4 +1,4 @@
-//===- Places.h - Source locations for messages ----------------*- C++ -*--===//
+//===- Places.h - Source locations for messages -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

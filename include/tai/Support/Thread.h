@@ -1,4 +1,4 @@
-//===- Thread.h - A thread that is always joined ---------------*- C++ -*--===//
+//===- Thread.h - A thread that is always joined ----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

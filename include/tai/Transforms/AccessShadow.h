@@ -1,4 +1,4 @@
-//===- AccessShadow.h - Shadow memory of checked kernels -------*- C++ -*--===//
+//===- AccessShadow.h - Shadow memory of checked kernels --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Slopes.h - Derivatives inside a kernel ------------------*- C++ -*--===//
+//===- Slopes.h - Derivatives inside a kernel -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

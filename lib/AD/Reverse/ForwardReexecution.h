@@ -1,4 +1,4 @@
-//===- ForwardReexecution.h - Re-executing the primal ----------*- C++ -*--===//
+//===- ForwardReexecution.h - Re-executing the primal -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LoopRemarks.h - Remarks about reversed loops ------------*- C++ -*--===//
+//===- LoopRemarks.h - Remarks about reversed loops -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

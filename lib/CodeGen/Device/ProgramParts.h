@@ -1,4 +1,4 @@
-//===- ProgramParts.h - Bodies of kernels in a program ---------*- C++ -*--===//
+//===- ProgramParts.h - Bodies of kernels in a program ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

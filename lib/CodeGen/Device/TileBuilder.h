@@ -1,4 +1,4 @@
-//===- TileBuilder.h - Emits chains of launches in tiles -------*- C++ -*--===//
+//===- TileBuilder.h - Emits chains of launches in tiles --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- GroupLoads.h - Loads before stores ----------------------*- C++ -*--===//
+//===- GroupLoads.h - Loads before stores -----------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

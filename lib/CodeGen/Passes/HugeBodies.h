@@ -1,4 +1,4 @@
-//===- HugeBodies.h - Limits of superlinear passes -------------*- C++ -*--===//
+//===- HugeBodies.h - Limits of superlinear passes --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

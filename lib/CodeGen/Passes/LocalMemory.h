@@ -1,4 +1,4 @@
-//===- LocalMemory.h - Failed allocations on a device ----------*- C++ -*--===//
+//===- LocalMemory.h - Failed allocations on a device -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- UnrollGridLoops.h - Unroll grid-stride loops ------------*- C++ -*--===//
+//===- UnrollGridLoops.h - Unroll grid-stride loops -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

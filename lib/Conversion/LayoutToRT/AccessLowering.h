@@ -1,4 +1,4 @@
-//===- AccessLowering.h - State of access lowerings ------------*- C++ -*--===//
+//===- AccessLowering.h - State of access lowerings -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- CountWrites.h - Count activity tests of writes ----------*- C++ -*--===//
+//===- CountWrites.h - Count activity tests of writes -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LocalArrays.h - Arrays local to a kernel ----------------*- C++ -*--===//
+//===- LocalArrays.h - Arrays local to a kernel -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LoopAccesses.h - Accesses of a parallel loop ------------*- C++ -*--===//
+//===- LoopAccesses.h - Accesses of a parallel loop -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Offload.h - Splitting host and device code --------------*- C++ -*--===//
+//===- Offload.h - Splitting host and device code ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

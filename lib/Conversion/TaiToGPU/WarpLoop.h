@@ -1,4 +1,4 @@
-//===- WarpLoop.h - Loops that one warp executes ---------------*- C++ -*--===//
+//===- WarpLoop.h - Loops that one warp executes ----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

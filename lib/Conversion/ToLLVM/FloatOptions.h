@@ -1,4 +1,4 @@
-//===- FloatOptions.h - Float semantics of lowered code --------*- C++ -*--===//
+//===- FloatOptions.h - Float semantics of lowered code ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ShadowOps.h - Operations in shadow execution ------------*- C++ -*--===//
+//===- ShadowOps.h - Operations in shadow execution -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

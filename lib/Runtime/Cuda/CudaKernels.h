@@ -1,4 +1,4 @@
-//===- CudaKernels.h - Kernels of the runtime itself -----------*- C++ -*--===//
+//===- CudaKernels.h - Kernels of the runtime itself ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

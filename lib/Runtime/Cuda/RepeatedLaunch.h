@@ -1,4 +1,4 @@
-//===- RepeatedLaunch.h - Repeated launches as graphs ----------*- C++ -*--===//
+//===- RepeatedLaunch.h - Repeated launches as graphs -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

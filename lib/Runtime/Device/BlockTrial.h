@@ -1,4 +1,4 @@
-//===- BlockTrial.h - Autotuning of block sizes ----------------*- C++ -*--===//
+//===- BlockTrial.h - Autotuning of block sizes -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TangentFlows.h - Lost tangents in forward mode ----------*- C++ -*--===//
+//===- TangentFlows.h - Lost tangents in forward mode -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

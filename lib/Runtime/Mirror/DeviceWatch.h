@@ -1,4 +1,4 @@
-//===- DeviceWatch.h - Profiling of a device's work ------------*- C++ -*--===//
+//===- DeviceWatch.h - Profiling of a device's work -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- OwedZeros.h - Zeros that are stored on demand -----------*- C++ -*--===//
+//===- OwedZeros.h - Zeros that are stored on demand ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Slabs.h - Parts of fields in buffers --------------------*- C++ -*--===//
+//===- Slabs.h - Parts of fields in buffers ---------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Nvtx.h - Ranges for NVIDIA's tools ----------------------*- C++ -*--===//
+//===- Nvtx.h - Ranges for NVIDIA's tools -----------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

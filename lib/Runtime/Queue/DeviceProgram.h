@@ -1,4 +1,4 @@
-//===- DeviceProgram.h - A repeated sequence of work -----------*- C++ -*--===//
+//===- DeviceProgram.h - A repeated sequence of work ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

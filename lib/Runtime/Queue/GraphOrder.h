@@ -1,4 +1,4 @@
-//===- GraphOrder.h - The order of a graph's steps -------------*- C++ -*--===//
+//===- GraphOrder.h - The order of a graph's steps --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- GraphWay.h - Sequences as graphs ------------------------*- C++ -*--===//
+//===- GraphWay.h - Sequences as graphs -------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

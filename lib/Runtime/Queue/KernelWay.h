@@ -1,4 +1,4 @@
-//===- KernelWay.h - Sequences as one kernel -------------------*- C++ -*--===//
+//===- KernelWay.h - Sequences as one kernel --------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

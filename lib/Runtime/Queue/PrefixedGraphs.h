@@ -1,4 +1,4 @@
-//===- PrefixedGraphs.h - Sequences after other launches -------*- C++ -*--===//
+//===- PrefixedGraphs.h - Sequences after other launches --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

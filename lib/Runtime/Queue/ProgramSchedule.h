@@ -1,4 +1,4 @@
-//===- ProgramSchedule.h - Order and barriers of steps ---------*- C++ -*--===//
+//===- ProgramSchedule.h - Order and barriers of steps ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- RecordedLaunches.h - Repeated recordings ----------------*- C++ -*--===//
+//===- RecordedLaunches.h - Repeated recordings -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

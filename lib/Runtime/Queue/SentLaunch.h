@@ -1,4 +1,4 @@
-//===- SentLaunch.h - The identity of a launch -----------------*- C++ -*--===//
+//===- SentLaunch.h - The identity of a launch ------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

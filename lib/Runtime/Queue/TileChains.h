@@ -1,4 +1,4 @@
-//===- TileChains.h - Finds launches that share tiles ----------*- C++ -*--===//
+//===- TileChains.h - Finds launches that share tiles -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

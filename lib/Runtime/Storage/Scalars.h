@@ -1,4 +1,4 @@
-//===- Scalars.h - Conversions of scalars ----------------------*- C++ -*--===//
+//===- Scalars.h - Conversions of scalars -----------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AdjointForms.h - The variant of each adjoint ------------*- C++ -*--===//
+//===- AdjointForms.h - The variant of each adjoint -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

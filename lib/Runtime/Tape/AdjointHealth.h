@@ -1,4 +1,4 @@
-//===- AdjointHealth.h - Statistics of adjoints in a sweep -----*- C++ -*--===//
+//===- AdjointHealth.h - Statistics of adjoints in a sweep ------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

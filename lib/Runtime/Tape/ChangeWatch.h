@@ -1,4 +1,4 @@
-//===- ChangeWatch.h - Changes after a sequence ran ------------*- C++ -*--===//
+//===- ChangeWatch.h - Changes after a sequence ran -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

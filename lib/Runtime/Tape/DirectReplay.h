@@ -1,4 +1,4 @@
-//===- DirectReplay.h - Replays without extra steps ------------*- C++ -*--===//
+//===- DirectReplay.h - Replays without extra steps -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

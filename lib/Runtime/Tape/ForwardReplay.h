@@ -1,4 +1,4 @@
-//===- ForwardReplay.h - Re-execution of recorded sequences ----*- C++ -*--===//
+//===- ForwardReplay.h - Re-execution of recorded sequences -----*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LostGradients.h - Gradients lost in plain fields --------*- C++ -*--===//
+//===- LostGradients.h - Gradients lost in plain fields ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Overwrites.h - Overwritten elements ---------------------*- C++ -*--===//
+//===- Overwrites.h - Overwritten elements ----------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Rematerialiser.h - Checkpointed reverse sweeps ----------*- C++ -*--===//
+//===- Rematerialiser.h - Checkpointed reverse sweeps -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TapePlan.h - The plan of a reverse sweep ----------------*- C++ -*--===//
+//===- TapePlan.h - The plan of a reverse sweep -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TapeRecording.h - The recorded sequence -----------------*- C++ -*--===//
+//===- TapeRecording.h - The recorded sequence ------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

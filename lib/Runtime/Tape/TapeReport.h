@@ -1,4 +1,4 @@
-//===- TapeReport.h - Texts about sweeps -----------------------*- C++ -*--===//
+//===- TapeReport.h - Texts about sweeps ------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

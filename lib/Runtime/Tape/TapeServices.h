@@ -1,4 +1,4 @@
-//===- TapeServices.h - The runtime as seen by tapes -----------*- C++ -*--===//
+//===- TapeServices.h - The runtime as seen by tapes ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Format.h - Formatting of values -------------------------*- C++ -*--===//
+//===- Format.h - Formatting of values --------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

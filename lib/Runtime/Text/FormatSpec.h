@@ -1,4 +1,4 @@
-//===- FormatSpec.h - Format specifications of numbers ---------*- C++ -*--===//
+//===- FormatSpec.h - Format specifications of numbers ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

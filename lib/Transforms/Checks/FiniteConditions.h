@@ -1,4 +1,4 @@
-//===- FiniteConditions.h - When guards are not needed ---------*- C++ -*--===//
+//===- FiniteConditions.h - When guards are not needed ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

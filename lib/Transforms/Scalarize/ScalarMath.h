@@ -1,4 +1,4 @@
-//===- ScalarMath.h - Scalar arithmetic builder ----------------*- C++ -*--===//
+//===- ScalarMath.h - Scalar arithmetic builder -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Scalarizer.h - Splits vectors into scalars --------------*- C++ -*--===//
+//===- Scalarizer.h - Splits vectors into scalars ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

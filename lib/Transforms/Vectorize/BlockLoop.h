@@ -1,4 +1,4 @@
-//===- BlockLoop.h - Analysis of loops over blocks -------------*- C++ -*--===//
+//===- BlockLoop.h - Analysis of loops over blocks --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

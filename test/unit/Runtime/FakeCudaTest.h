@@ -1,4 +1,4 @@
-//===- FakeCudaTest.h - Tests with the fake CUDA driver --------*- C++ -*--===//
+//===- FakeCudaTest.h - Tests with the fake CUDA driver ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Device.h - A device with its own memory -----------------*- C++ -*--===//
+//===- Device.h - A device with its own memory ------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ExportedBuffer.h - Field memory used by others ----------*- C++ -*--===//
+//===- ExportedBuffer.h - Field memory used by others -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

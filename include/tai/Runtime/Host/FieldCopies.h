@@ -1,4 +1,4 @@
-//===- FieldCopies.h - Copies of whole fields ------------------*- C++ -*--===//
+//===- FieldCopies.h - Copies of whole fields -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- HostWrites.h - Writes of the host to fields -------------*- C++ -*--===//
+//===- HostWrites.h - Writes of the host to fields --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- OtherLaunches.h - Launches of other threads -------------*- C++ -*--===//
+//===- OtherLaunches.h - Launches of other threads --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Recorder.h - The interface to a tape --------------------*- C++ -*--===//
+//===- Recorder.h - The interface to a tape ---------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- KernelProvider.h - The interface to a compiler ----------*- C++ -*--===//
+//===- KernelProvider.h - The interface to a compiler -----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

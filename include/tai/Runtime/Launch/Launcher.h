@@ -1,4 +1,4 @@
-//===- Launcher.h - The path of a launch -----------------------*- C++ -*--===//
+//===- Launcher.h - The path of a launch ------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

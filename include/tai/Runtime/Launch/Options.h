@@ -1,4 +1,4 @@
-//===- Options.h - Options of a runtime ------------------------*- C++ -*--===//
+//===- Options.h - Options of a runtime -------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- RunningLaunches.h - Running launches of all threads -----*- C++ -*--===//
+//===- RunningLaunches.h - Running launches of all threads ------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

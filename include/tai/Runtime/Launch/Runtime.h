@@ -1,4 +1,4 @@
-//===- Runtime.h - The runtime of one context ------------------*- C++ -*--===//
+//===- Runtime.h - The runtime of one context -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

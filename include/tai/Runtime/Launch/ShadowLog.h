@@ -1,4 +1,4 @@
-//===- ShadowLog.h - Results of shadow execution ---------------*- C++ -*--===//
+//===- ShadowLog.h - Results of shadow execution ----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

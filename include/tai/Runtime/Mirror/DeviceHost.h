@@ -1,4 +1,4 @@
-//===- DeviceHost.h - The device of a runtime ------------------*- C++ -*--===//
+//===- DeviceHost.h - The device of a runtime -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Profiler.h - Times of kernels and device work -----------*- C++ -*--===//
+//===- Profiler.h - Times of kernels and device work ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

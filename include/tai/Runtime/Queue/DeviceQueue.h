@@ -1,4 +1,4 @@
-//===- DeviceQueue.h - Work for a device, collected ------------*- C++ -*--===//
+//===- DeviceQueue.h - Work for a device, collected -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ProgramTiles.h - Launches fused by tiles ----------------*- C++ -*--===//
+//===- ProgramTiles.h - Launches fused by tiles -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LoopLists.h - Cells visited by loops --------------------*- C++ -*--===//
+//===- LoopLists.h - Cells visited by loops ---------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

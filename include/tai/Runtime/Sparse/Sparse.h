@@ -1,4 +1,4 @@
-//===- Sparse.h - Activity of sparse levels --------------------*- C++ -*--===//
+//===- Sparse.h - Activity of sparse levels ---------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

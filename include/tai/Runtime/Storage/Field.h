@@ -1,4 +1,4 @@
-//===- Field.h - Trees and fields on the host ------------------*- C++ -*--===//
+//===- Field.h - Trees and fields on the host -------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

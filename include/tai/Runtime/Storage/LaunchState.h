@@ -1,4 +1,4 @@
-//===- LaunchState.h - The validity of prepared launches -------*- C++ -*--===//
+//===- LaunchState.h - The validity of prepared launches --------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

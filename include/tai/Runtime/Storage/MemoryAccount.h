@@ -1,4 +1,4 @@
-//===- MemoryAccount.h - The limit and use of memory -----------*- C++ -*--===//
+//===- MemoryAccount.h - The limit and use of memory ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

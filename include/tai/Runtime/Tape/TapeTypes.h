@@ -1,4 +1,4 @@
-//===- TapeTypes.h - Public types of tapes ---------------------*- C++ -*--===//
+//===- TapeTypes.h - Public types of tapes ----------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Printer.h - Output of kernels ---------------------------*- C++ -*--===//
+//===- Printer.h - Output of kernels ----------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

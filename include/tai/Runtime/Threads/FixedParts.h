@@ -1,4 +1,4 @@
-//===- FixedParts.h - Thread-independent partitions ------------*- C++ -*--===//
+//===- FixedParts.h - Thread-independent partitions -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

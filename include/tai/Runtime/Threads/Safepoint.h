@@ -1,4 +1,4 @@
-//===- Safepoint.h - Points of interruption --------------------*- C++ -*--===//
+//===- Safepoint.h - Points of interruption ---------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

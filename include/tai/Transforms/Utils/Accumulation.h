@@ -1,4 +1,4 @@
-//===- Accumulation.h - Accumulations of parallel loops --------*- C++ -*--===//
+//===- Accumulation.h - Accumulations of parallel loops ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LowerEach.h - A driver for one-to-one lowerings ---------*- C++ -*--===//
+//===- LowerEach.h - A driver for one-to-one lowerings ----------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- OrderedAdditions.h - Deterministic additions by a warp --*- C++ -*--===//
+//===- OrderedAdditions.h - Deterministic additions by a warp ---*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- StoredOutputs.h - Unchanged stored outputs --------------*- C++ -*--===//
+//===- StoredOutputs.h - Unchanged stored outputs ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

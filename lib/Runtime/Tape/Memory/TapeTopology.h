@@ -1,4 +1,4 @@
-//===- TapeTopology.h - The history of activity ----------------*- C++ -*--===//
+//===- TapeTopology.h - The history of activity -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Track.h - The history of a field's memory ---------------*- C++ -*--===//
+//===- Track.h - The history of a field's memory ----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

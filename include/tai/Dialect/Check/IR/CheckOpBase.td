@@ -1,4 +1,4 @@
-//===- CheckOpBase.td - Base classes of checks ------------*- tablegen -*--===//
+//===- CheckOpBase.td - Base classes of checks -------------*- tablegen -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- FormerCheckOps.td - Former names of checks ---------*- tablegen -*--===//
+//===- FormerCheckOps.td - Former names of checks ----------*- tablegen -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Layout.h - Paths and addresses in layouts ---------------*- C++ -*--===//
+//===- Layout.h - Paths and addresses in layouts ----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TaiOpBase.td - Base classes and groups of ops ------*- tablegen -*--===//
+//===- TaiOpBase.td - Base classes and groups of ops -------*- tablegen -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TaiTraits.td - Traits for ops of other dialects ----*- tablegen -*--===//
+//===- TaiTraits.td - Traits for ops of other dialects -----*- tablegen -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

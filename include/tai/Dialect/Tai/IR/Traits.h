@@ -1,4 +1,4 @@
-//===- Traits.h - Traits for ops of other dialects -------------*- C++ -*--===//
+//===- Traits.h - Traits for ops of other dialects --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

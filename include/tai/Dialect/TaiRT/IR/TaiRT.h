@@ -1,4 +1,4 @@
-//===- TaiRT.h - The dialect below tai -------------------------*- C++ -*--===//
+//===- TaiRT.h - The dialect below tai --------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
