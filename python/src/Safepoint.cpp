@@ -65,7 +65,11 @@ Teardown::Teardown()
     : outer(callState), hasLock(Py_IsInitialized() && PyGILState_Check()) {
   if (!hasLock)
     return;
-  PyErr_Fetch(&type, &value, &trace);
+#if PY_VERSION_HEX < 0x030c0000
+  PyErr_Fetch(&type, &error, &trace);
+#else
+  error = PyErr_GetRaisedException();
+#endif
   callState = {};
   callState.isTeardown = true;
 }
@@ -75,7 +79,11 @@ Teardown::~Teardown() {
     return;
   retakeLock();
   callState = outer;
-  PyErr_Restore(type, value, trace);
+#if PY_VERSION_HEX < 0x030c0000
+  PyErr_Restore(type, error, trace);
+#else
+  PyErr_SetRaisedException(error);
+#endif
 }
 
 void taipy::forgetError() {

@@ -74,7 +74,8 @@ private:
   CallState outer;
   /// False if the interpreter has ended or the thread does not hold its lock.
   bool hasLock;
-  PyObject *type = nullptr, *value = nullptr, *trace = nullptr;
+  /// The exception; its type and trace before Python 3.12.
+  PyObject *error = nullptr, *type = nullptr, *trace = nullptr;
 };
 
 /// PyErr_Clear(), except that a KeyboardInterrupt is not lost but raised again
