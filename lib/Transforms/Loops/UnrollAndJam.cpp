@@ -17,7 +17,6 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "mlir/Dialect/SCF/Utils/Utils.h"
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
@@ -34,13 +33,10 @@ using namespace mlir::tai;
 /// Bits of the sums that are carried at once: a vector of AVX, or two where
 /// there are registers for them.
 static constexpr unsigned kBits = 256;
-/// Ops of an iteration up to which there are.
-static constexpr unsigned kFewOps = 16;
+/// Ops of an iteration, but those of indices, up to which there are.
+static constexpr unsigned kFewOps = 10;
 /// Strides of which LLVM makes vectors by loading all that lies between.
 static constexpr int64_t kMaxStride = 8;
-/// Terms of a sum that are added without a branch between them, where each copy
-/// loads its own: rows of a matrix become vectors of columns by shuffles.
-static constexpr unsigned kTerms = 8;
 /// Ops of an iteration beyond which registers, or the cache of code, run out.
 static constexpr unsigned kMaxOps = 64;
 /// LLVM unrolls loops of up to so many instructions completely, and then makes
@@ -65,6 +61,16 @@ struct Candidate {
   /// Width of the widest sum that a serial loop carries; 0 if there is none.
   unsigned sumBits = 0;
   unsigned ops = 0;
+  /// Without those that compute indices, which copies share or addresses hold.
+  unsigned fewOps = 0;
+
+  void count(Operation &op) {
+    if (isa<LLVM::GEPOp>(op) || op.hasTrait<OpTrait::ConstantLike>())
+      return;
+    ++ops;
+    fewOps += !isa<arith::IndexCastOp>(op) &&
+              llvm::none_of(op.getResultTypes(), llvm::IsaPred<IndexType>);
+  }
 };
 
 /// Copies of iterations, side by side.
@@ -82,9 +88,6 @@ public:
   Value lookup(unsigned copy, Value value) const {
     return copies[copy].lookupOrDefault(value);
   }
-
-  /// Jammed loops in which each copy loads its own.
-  ArrayRef<scf::ForOp> getLoopsOfRows() const { return loopsOfRows; }
 
   void emit(Block &body) {
     for (Operation &op : body.without_terminator())
@@ -118,14 +121,6 @@ private:
     return llvm::all_of(ArrayRef(copies), [&](const IRMapping &copy) {
       return copy.lookupOrDefault(value) == first;
     });
-  }
-
-  /// Whether an innermost loop loads what depends on the copy.
-  bool readsApart(scf::ForOp loop) const {
-    return loop.getBody()->getOps<scf::ForOp>().empty() &&
-           llvm::any_of(
-               loop.getBody()->getOps<LLVM::LoadOp>(),
-               [&](LLVM::LoadOp load) { return !isShared(load.getAddr()); });
   }
 
   /// Both sides, then a choice.
@@ -169,13 +164,10 @@ private:
     scf::YieldOp::create(builder, loop.getLoc(), yields);
     jammed->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
     jammed->setAttr(kLoopAnnotation, getNotVectorized(loop.getContext()));
-    if (readsApart(loop))
-      loopsOfRows.push_back(jammed);
   }
 
   OpBuilder &builder;
   SmallVector<IRMapping> copies;
-  SmallVector<scf::ForOp> loopsOfRows;
 };
 } // namespace
 
@@ -293,10 +285,12 @@ static bool visit(scf::IfOp branch, Candidate &candidate) {
     bool isFrame = isa<scf::IfOp, scf::YieldOp>(op);
     if (!isFrame && (op->getNumRegions() || !isPure(op)))
       return WalkResult::interrupt();
-    candidate.ops += !isFrame;
+    if (!isFrame)
+      candidate.count(*op);
     return WalkResult::advance();
   });
   candidate.ops += branch.getNumResults();
+  candidate.fewOps += branch.getNumResults();
   return !result.wasInterrupted();
 }
 
@@ -341,8 +335,7 @@ static bool visit(Block &body, Candidate &candidate,
     if (!loop) {
       if (op.getNumRegions() || !isIndependent(&op, groups))
         return false;
-      candidate.ops +=
-          !isa<LLVM::GEPOp>(op) && !op.hasTrait<OpTrait::ConstantLike>();
+      candidate.count(op);
       continue;
     }
     // The copies leave the loop together.
@@ -380,8 +373,7 @@ static std::optional<Candidate> match(scf::ForOp loop, bool reassociate) {
 static void apply(const Candidate &candidate) {
   scf::ForOp loop = candidate.loop;
   int64_t factor = kBits / std::max(candidate.sumBits, 32u);
-  bool isSmall = candidate.ops <= kFewOps;
-  if (isSmall)
+  if (candidate.fewOps <= kFewOps)
     factor *= 2;
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
@@ -408,9 +400,6 @@ static void apply(const Candidate &candidate) {
     jammer.map(copy, loop.getInductionVar(), own);
   }
   jammer.emit(*loop.getBody());
-  if (isSmall)
-    for (scf::ForOp rows : jammer.getLoopsOfRows())
-      (void)loopUnrollByFactor(rows, kTerms); // or it stays as it is
   loop.getLowerBoundMutable().assign(middle);
 }
 
