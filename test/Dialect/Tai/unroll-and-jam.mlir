@@ -54,8 +54,7 @@ func.func @sums(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) {
 #parallel = #llvm.loop_annotation<parallelAccesses = #group>
 
 // None of these is unrolled: a short sum, which LLVM unrolls; an access of another
-// group; one of none; a bound that is the iteration's own; a call; no
-// annotation; a loop that carries no sum.
+// group; one of none; a call; no annotation; a loop that carries no sum.
 // CHECK-LABEL: func.func @left(
 //   CHECK-NOT:   arith.andi
 //       CHECK:   return
@@ -88,13 +87,6 @@ func.func @left(%a: !llvm.ptr, %lo: index, %hi: index) {
     }
   } {llvm.loop_annotation = #parallel}
   scf.for %i = %lo to %hi step %c1 {
-    %sum = scf.for %j = %c0 to %i step %c1 iter_args(%s = %zero) -> (f32) {
-      %t = llvm.load %a {access_groups = [#group]} : !llvm.ptr -> f32
-      %u = arith.addf %s, %t : f32
-      scf.yield %u : f32
-    }
-  } {llvm.loop_annotation = #parallel}
-  scf.for %i = %lo to %hi step %c1 {
     %sum = scf.for %j = %c0 to %c1000 step %c1 iter_args(%s = %zero) -> (f32) {
       %t = llvm.call @term() : () -> f32
       %u = arith.addf %s, %t : f32
@@ -116,6 +108,114 @@ func.func @left(%a: !llvm.ptr, %lo: index, %hi: index) {
   return
 }
 llvm.func @term() -> f32
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
+// A triangle: what all copies have is jammed, unless it is little, and each copy
+// goes on from there, with its sum. In the second nest each copy counts from where
+// it begins. As there is a loop for each copy, there are half as many copies.
+// CHECK-DAG: #[[$NONE:.+]] = #llvm.loop_unroll<disable = true>
+// CHECK-DAG: #[[$REST:.+]] = #llvm.loop_annotation<vectorize = #{{.+}}, unroll = #[[$NONE]]>
+// CHECK-LABEL: func.func @triangle(
+//       CHECK:   scf.for %[[I:.+]] = %{{.+}} to %{{.+}} step %c8
+//       CHECK:     %[[I1:.+]] = arith.addi %[[I]], %{{.+}}
+// CHECK-COUNT-8:   arith.cmpi slt
+//       CHECK:     arith.minsi
+//       CHECK:     %[[WORTH:.+]] = arith.cmpi sge, %{{.+}}, %c8{{.*}} : index
+//       CHECK:     %[[COMMON:.+]] = arith.select %[[WORTH]], %{{.+}}, %c0{{.*}} : index
+//       CHECK:     %[[END:.+]] = arith.addi %c0, %[[COMMON]]
+//       CHECK:     %[[SUMS:.+]]:8 = scf.for %{{.+}} = %c0 to %[[END]]
+// CHECK-COUNT-8:     arith.addf
+//   CHECK-NOT:       arith.addf
+//       CHECK:     scf.for %{{.+}} = %{{.+}} to %[[I]] step %{{.+}} iter_args(%{{.+}} = %[[SUMS]]#0)
+//       CHECK:     } {llvm.loop_annotation = #[[$REST]]}
+//       CHECK:     scf.for %{{.+}} = %{{.+}} to %[[I1]] step %{{.+}} iter_args(%{{.+}} = %[[SUMS]]#1)
+//       CHECK:   scf.for %{{.+}} step %c8
+//       CHECK:     scf.for %[[K:.+]] = %c0{{.*}} to %{{.+}} iter_args
+// CHECK-COUNT-8:     arith.addi %{{.+}}, %[[K]]
+// CHECK-COUNT-8:   scf.for
+func.func @triangle(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %i step %c1 iter_args(%s = %zero) -> (f32) {
+      %t = llvm.load %a {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %i to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %j64 = arith.index_cast %j : index to i64
+      %p = llvm.getelementptr %a[%j64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  return
+}
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
+// None of these, whose bounds differ: a beginning that was loaded; little work for
+// each load by a loaded index; a loop inside; steps of two.
+// CHECK-LABEL: func.func @uneven_left(
+//   CHECK-NOT:   arith.andi
+//       CHECK:   return
+func.func @uneven_left(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %i = %lo to %hi step %c1 {
+    %i64 = arith.index_cast %i : index to i64
+    %p = llvm.getelementptr %b[%i64] : (!llvm.ptr, i64) -> !llvm.ptr, i64
+    %first = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> i64
+    %begin = arith.index_cast %first : i64 to index
+    %sum = scf.for %j = %begin to %n step %c1 iter_args(%s = %zero) -> (f32) {
+      %t = llvm.load %a {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %i step %c1 iter_args(%s = %zero) -> (f32) {
+      %j64 = arith.index_cast %j : index to i64
+      %p = llvm.getelementptr %b[%j64] : (!llvm.ptr, i64) -> !llvm.ptr, i64
+      %at = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> i64
+      %q = llvm.getelementptr %a[%at] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %t = llvm.load %q {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %i step %c1 iter_args(%s = %zero) -> (f32) {
+      %part = scf.for %k = %c0 to %n step %c1 iter_args(%r = %s) -> (f32) {
+        %t = llvm.load %a {access_groups = [#group]} : !llvm.ptr -> f32
+        %u = arith.addf %r, %t : f32
+        scf.yield %u : f32
+      }
+      scf.yield %part : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %i step %c2 iter_args(%s = %zero) -> (f32) {
+      %t = llvm.load %a {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  return
+}
 
 // -----
 
