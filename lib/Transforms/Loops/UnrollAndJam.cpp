@@ -44,9 +44,10 @@ static constexpr unsigned kMaxOps = 64;
 static constexpr unsigned kFloatsOfScattered = 4;
 /// Iterations that such copies have in common, if they are to be jammed.
 static constexpr int64_t kFewCommon = 8;
-/// LLVM unrolls loops of up to so many instructions completely, and then makes
-/// vectors of whole iterations of the loop around them.
-static constexpr int64_t kUnrolledOps = 300;
+/// Loops of up to so many instructions in all are better left to LLVM, which
+/// unrolls them completely and then makes vectors of whole iterations of the
+/// loop around them. It does so up to 300, but beyond these jamming is faster.
+static constexpr int64_t kUnrolledOps = 120;
 
 static constexpr StringLiteral kLoopAnnotation = "llvm.loop_annotation";
 

@@ -364,6 +364,47 @@ func.func @rows(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index)
 #group = #llvm.access_group<id = distinct[0]<>>
 #parallel = #llvm.loop_annotation<parallelAccesses = #group>
 
+// LLVM unrolls either of these; only of the second, which is shorter, the vectors
+// are good.
+// CHECK-LABEL: func.func @short(
+//       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c16
+//       CHECK:   llvm.load
+//   CHECK-NOT:   arith.andi
+//       CHECK:   return
+func.func @short(%a: !llvm.ptr, %lo: index, %hi: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c24 = arith.constant 24 : index
+  %c48 = arith.constant 48 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %c48 step %c1 iter_args(%s = %zero) -> (f32) {
+      %j64 = arith.index_cast %j : index to i64
+      %p = llvm.getelementptr %a[%j64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+      %m = arith.mulf %t, %t : f32
+      %u = arith.addf %s, %m : f32
+      scf.yield %u : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  scf.for %i = %lo to %hi step %c1 {
+    %sum = scf.for %j = %c0 to %c24 step %c1 iter_args(%s = %zero) -> (f32) {
+      %j64 = arith.index_cast %j : index to i64
+      %p = llvm.getelementptr %a[%j64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+      %m = arith.mulf %t, %t : f32
+      %u = arith.addf %s, %m : f32
+      scf.yield %u : f32
+    }
+  } {llvm.loop_annotation = #parallel}
+  return
+}
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
 // Eleven ops: there are registers for one vector of sums.
 // CHECK-LABEL: func.func @many(
 //       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c8
