@@ -423,8 +423,7 @@ def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
     Unrolls a loop whose annotation says that its accesses are parallel, and jams
     the serial loops in it: each carries the sums of all iterations unrolled, up to
     512 bits. A sum keeps its order, but additions do not wait for one another.
-    Where bounds differ between iterations, what all have is jammed, and each goes
-    on by itself; branches without effects go.
+    Bounds may differ: then each goes on alone. Branches without effects go.
 
     ```mlir
     scf.for %i = %lo to %hi step %c1 { // sixteen of these, with sixteen sums
