@@ -1,4 +1,5 @@
-"""Parallel loops around serial sums: products of matrices, all pairs, iterations of elements.
+"""Parallel loops around serial sums: products of matrices, all pairs, iterations of elements, and
+rows of uneven length.
 
     python benchmarks/micro/serial_sums.py                      # tai alone
     python benchmarks/micro/serial_sums.py --peers-venv FOLDER  # taichi and quadrants in turns
@@ -21,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 ROUNDS = 3
-N, WIDE = 1000, 96
+N, WIDE, MOST = 1000, 96, 48
 
 
 def programs(ti, real):
@@ -29,11 +30,19 @@ def programs(ti, real):
     a, b, c = (ti.field(real, (WIDE, WIDE)) for _ in range(3))
     rows, vector, out = ti.field(real, (N, 116)), ti.field(real, 116), ti.field(real, N)
     place, pull = ti.Vector.field(3, real, N), ti.Vector.field(3, real, N)
-    steps = ti.field(ti.i32, N)
+    steps, count, near = ti.field(ti.i32, N), ti.field(ti.i32, N), ti.field(ti.i32, (N, MOST))
+    table, first = ti.field(real, (N, N)), ti.field(ti.i32, N + 1)
+    column, value = ti.field(ti.i32, 30 * N), ti.field(real, 30 * N)
     random = np.random.RandomState(0)
-    for field in (a, b, rows, vector, place):
+    for field in (a, b, rows, vector, place, table, value):
         shape = field.shape + ((3,) if field is place else ())
         field.from_numpy(random.standard_normal(shape).astype(np.float32))
+    count.from_numpy(random.binomial(MOST, 0.6, N).astype(np.int32))
+    near.from_numpy(random.randint(0, N, (N, MOST)).astype(np.int32))
+    begins = np.sort(random.randint(0, 30 * N, N + 1))
+    begins[0], begins[-1] = 0, 30 * N
+    first.from_numpy(begins.astype(np.int32))
+    column.from_numpy(random.randint(0, N, 30 * N).astype(np.int32))
 
     @ti.kernel
     def multiply():
@@ -83,7 +92,41 @@ def programs(ti, real):
                     count += 1
             steps[i] = count
 
-    return [multiply, layer, bodies, pairs, escape]
+    @ti.kernel
+    def triangle():
+        for i in range(N):
+            total = 0.0
+            for j in range(i):
+                total += table[i, j] * table[0, j]
+            out[i] = total
+
+    @ti.kernel
+    def near_by():
+        for i in range(N):
+            force = ti.Vector([0.0, 0.0, 0.0])
+            for k in range(count[i]):
+                way = place[near[i, k]] - place[i]
+                square = way.dot(way) + 1e-3
+                force += way / (square * ti.sqrt(square))
+            pull[i] = force
+
+    @ti.kernel
+    def padded():
+        for i in range(N):
+            total = 0.0
+            for k in range(count[i]):
+                total += table[i, k] * vector[k]
+            out[i] = total
+
+    @ti.kernel
+    def sparse():
+        for i in range(N):
+            total = 0.0
+            for k in range(first[i], first[i + 1]):
+                total += value[k] * table[0, column[k]]
+            out[i] = total
+
+    return [multiply, layer, bodies, pairs, escape, triangle, near_by, padded, sparse]
 
 
 def measure(module: str, dtype: str, fast: bool) -> None:

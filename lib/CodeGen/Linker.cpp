@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/CodeGen/Linker.h"
+#include "PerfMap.h"
 #include "llvm/ExecutionEngine/Orc/AbsoluteSymbols.h"
 #include "llvm/ExecutionEngine/Orc/Core.h"
 #include "llvm/ExecutionEngine/Orc/ExecutionUtils.h"
@@ -43,6 +44,7 @@ Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
         (linker->reasons.empty() ? "" : "; ") + toString(std::move(error));
   });
   linker->layer = std::make_unique<ObjectLinkingLayer>(*linker->session);
+  addPerfMap(*linker->layer);
 
   JITDylib &library = linker->session->createBareJITDylib("runtime");
   SymbolMap symbols;

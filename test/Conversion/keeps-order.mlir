@@ -3,6 +3,9 @@
 // LLVM looks for no dependences in loops that are annotated as parallel, not
 // even for those within an iteration, and combines accesses at a stride.
 
+!plane = !tai.root<dense<[i: 8, j: 64], {z: f64}>>
+tai.tree @planes : !plane
+tai.field @z = @planes["z"] : f64, rank 2
 !scene = !tai.root<dense<[i: 64], {m: vector<2xf64>}>, dense<[i: 64], {x: f64}>, dense<[i: 128], {y: f64}>, dense<[i: 64], {a: f64, b: f64}>>
 tai.tree @scene : !scene
 tai.field @m = @scene["m"] : vector<2xf64>, rank 1
@@ -72,6 +75,38 @@ tai.kernel @side_by_side(%v: f64) {
     %old = tai.load @x[%i] : f64
     %new = arith.addf %old, %v : f64
     tai.store %new, @x[%i] : f64
+  }
+  tai.return
+}
+
+// The innermost loop is over the last index, along which elements lie side by side.
+// CHECK-LABEL: tai.kernel @rows(
+//       CHECK:   access_groups
+//       CHECK:   tai.return
+tai.kernel @rows(%v: f64) {
+  %c0 = arith.constant 0 : index
+  %c8 = arith.constant 8 : index
+  %c64 = arith.constant 64 : index
+  tai.parallel_for (%i, %j) = (%c0, %c0) to (%c8, %c64) {
+    tai.store %v, @z[%i, %j] : f64
+    %old = tai.load @z[%i, %j] : f64
+    tai.store %old, @z[%i, %j] : f64
+  }
+  tai.return
+}
+
+// Here it goes from row to row.
+// CHECK-LABEL: tai.kernel @columns(
+//   CHECK-NOT:   access_groups
+//       CHECK:   tai.return
+tai.kernel @columns(%v: f64) {
+  %c0 = arith.constant 0 : index
+  %c8 = arith.constant 8 : index
+  %c64 = arith.constant 64 : index
+  tai.parallel_for (%j, %i) = (%c0, %c0) to (%c64, %c8) {
+    tai.store %v, @z[%i, %j] : f64
+    %old = tai.load @z[%i, %j] : f64
+    tai.store %old, @z[%i, %j] : f64
   }
   tai.return
 }

@@ -422,8 +422,8 @@ def UnrollAndJam : Pass<"tai-unroll-and-jam"> {
     Unrolls a loop that is annotated as parallel, and jams the serial loops in
     it: each carries the sums of all unrolled iterations, up to 512 bits. Each
     sum keeps its order, but the additions of different sums are independent.
-    The bounds must be the same in all iterations; branches without effects
-    become selects.
+    Where bounds differ, the common part is jammed and each continues alone;
+    branches without effects become selects.
 
     ```mlir
     scf.for %i = %lo to %hi step %c1 { // sixteen of these, with sixteen sums

@@ -96,12 +96,25 @@ static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
 }
 
 namespace {
-/// Where rows start: at the lanes of a vector of pointers, or at one pointer
-/// plus the lanes of a vector of indices times a number of bytes.
+/// Where rows start: at the lanes of a vector of pointers, at one pointer plus
+/// the lanes of a vector of indices times a number of bytes, or at the lanes of
+/// a vector of pointers plus one index times that.
 struct Rows {
   Value *pointer = nullptr;
   Value *index = nullptr;
   int64_t scale = 0;
+
+  Value *getLanes() const {
+    return pointer->getType()->isVectorTy() ? pointer : index;
+  }
+  /// Bytes from a row to the next, if that is the same for all.
+  std::optional<int64_t> findStep(const DataLayout &layout) const {
+    Value *lanes = getLanes();
+    std::optional<int64_t> step = ::findStep(lanes, layout);
+    if (step && lanes == index)
+      *step *= scale;
+    return step;
+  }
 
   bool operator==(const Rows &other) const {
     return pointer == other.pointer && index == other.index &&
@@ -207,10 +220,13 @@ std::optional<Transposer::Matrix> Transposer::findColumn(CallBase &call,
       rows.pointer = address->getPointerOperand();
       continue;
     }
-    if (address->getPointerOperand()->getType()->isVectorTy() ||
+    // Lanes of pointers with lanes of indices are no rows.
+    bool hasPointers = address->getPointerOperand()->getType()->isVectorTy();
+    if ((hasPointers && !splat) ||
         !index->getType()->getScalarType()->isIntegerTy(64))
       break;
-    rows = {address->getPointerOperand(), index, sizeOf(address)};
+    rows = {address->getPointerOperand(), hasPointers ? splat : index,
+            sizeOf(address)};
     Value *rest = nullptr;
     const APInt *added = nullptr;
     using namespace PatternMatch;
@@ -273,12 +289,21 @@ bool Transposer::canMove(ArrayRef<Column> run, Instruction *to) const {
 Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
                            IRBuilder<> &builder) {
   const Rows &rows = matrix.first;
+  auto emitLane = [&](Value *value, unsigned lane) -> Value * {
+    if (!value->getType()->isVectorTy())
+      return value;
+    // What a vector was made of is there already.
+    Value *scalar = findScalarElement(value, lane);
+    return scalar ? scalar
+                  : builder.CreateExtractElement(value, uint64_t(lane));
+  };
   auto emitStart = [&](unsigned lane) {
+    Value *pointer = emitLane(rows.pointer, lane);
     if (!rows.index)
-      return builder.CreateExtractElement(rows.pointer, uint64_t(lane));
-    Value *index = builder.CreateExtractElement(rows.index, uint64_t(lane));
+      return pointer;
+    Value *index = emitLane(rows.index, lane);
     return builder.CreatePtrAdd(
-        rows.pointer, builder.CreateMul(index, builder.getInt64(rows.scale)));
+        pointer, builder.CreateMul(index, builder.getInt64(rows.scale)));
   };
   std::optional<int64_t> step = steps.find(rows)->second;
   Value *row = nullptr;
@@ -287,18 +312,19 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
     Value *&first = firstRows[rows];
     if (!first) {
       IRBuilder<>::InsertPointGuard guard(builder);
-      auto *lanes =
-          dyn_cast<Instruction>(rows.index ? rows.index : rows.pointer);
-      auto *pointer = dyn_cast<Instruction>(rows.pointer);
+      SmallVector<Instruction *> here;
+      for (Value *value : {rows.pointer, rows.index})
+        if (auto *made = dyn_cast_or_null<Instruction>(value);
+            made && made->getParent() == &block)
+          here.push_back(made);
       // As early as it can be: other runs of the matrix use it too.
-      if (lanes && lanes->getParent() == &block &&
-          !(pointer && pointer != lanes && pointer->getParent() == &block))
-        builder.SetInsertPoint(*lanes->getInsertionPointAfterDef());
-      else if (!(pointer && pointer->getParent() == &block))
-        builder.SetInsertPoint(&block, block.getFirstInsertionPt());
-      else
+      if (here.size() > 1)
         return builder.CreatePtrAdd(emitStart(lane),
                                     builder.getInt64(offset - *step * lane));
+      if (here.empty())
+        builder.SetInsertPoint(&block, block.getFirstInsertionPt());
+      else
+        builder.SetInsertPoint(*here.front()->getInsertionPointAfterDef());
       first = emitStart(0);
     }
     row = first;
@@ -431,11 +457,7 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
       known[call] = {matrix->first, column.offset,
                      getElementBytes(matrix->second)};
       const Rows &rows = matrix->first;
-      std::optional<int64_t> step =
-          findStep(rows.index ? rows.index : rows.pointer, layout);
-      if (step && rows.index)
-        *step *= rows.scale;
-      steps[rows] = step;
+      steps[rows] = rows.findStep(layout);
       if (stores ? scatters : gathers)
         find(*matrix).push_back(column);
     }

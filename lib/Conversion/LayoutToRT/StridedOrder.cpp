@@ -49,9 +49,12 @@ bool isStrided(const ElementAccess &access, Value iv) {
   for (auto [number, index] : llvm::enumerate(access.indices)) {
     bool isLast = number + 1 == access.indices.size();
     for (auto [value, factor] : getLinearIndex(index).terms) {
-      // Another value may be made of the index in its own way.
+      // Another value may be made of the index in its own way. The indices of
+      // the other dimensions stay as they are in the innermost loop.
+      auto argument = dyn_cast<BlockArgument>(value);
+      bool isOuter = argument && argument.getOwner() == iv.getParentBlock();
       bool isOther =
-          value != iv && value.getParentRegion() == iv.getParentRegion();
+          !isOuter && value.getParentRegion() == iv.getParentRegion();
       if (isOther || (value == iv && (!isLast || factor != 1)))
         return true;
     }

@@ -16,7 +16,6 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "mlir/Dialect/SCF/Utils/Utils.h"
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
@@ -33,28 +32,37 @@ using namespace mlir::tai;
 /// Bits of the sums that are carried at once: a vector of AVX, or two where
 /// there are registers for them.
 static constexpr unsigned kBits = 256;
-/// Ops of an iteration up to which there are.
-static constexpr unsigned kFewOps = 16;
+/// Ops of an iteration, but those of indices, up to which there are.
+static constexpr unsigned kFewOps = 10;
 /// Strides of which LLVM makes vectors by loading all that lies between.
 static constexpr int64_t kMaxStride = 8;
-/// Terms of a sum that are added without a branch between them, where each copy
-/// loads its own: rows of a matrix become vectors of columns by shuffles.
-static constexpr unsigned kTerms = 8;
 /// Ops of an iteration beyond which registers, or the cache of code, run out.
 static constexpr unsigned kMaxOps = 64;
-/// LLVM unrolls loops of up to so many instructions completely, and then makes
-/// vectors of whole iterations of the loop around them.
-static constexpr int64_t kUnrolledOps = 300;
+/// Operations on floats for each load by a loaded index, from which on copies
+/// with bounds of their own pay.
+static constexpr unsigned kFloatsOfScattered = 4;
+/// Iterations that such copies have in common, if they are to be jammed.
+static constexpr int64_t kFewCommon = 8;
+/// Loops of up to so many instructions in all are better left to LLVM, which
+/// unrolls them completely and then makes vectors of whole iterations of the
+/// loop around them. It does so up to 300, but beyond these jamming is faster.
+static constexpr int64_t kUnrolledOps = 120;
 
 static constexpr StringLiteral kLoopAnnotation = "llvm.loop_annotation";
 
-/// Says to LLVM that a loop has its vectors: across iterations of another.
-static LLVM::LoopAnnotationAttr getNotVectorized(MLIRContext *context) {
-  auto vectorize = LLVM::LoopVectorizeAttr::get(
-      context, /*disable=*/BoolAttr::get(context, true), {}, {}, {}, {}, {},
-      {});
-  return LLVM::LoopAnnotationAttr::get(context, {}, vectorize, {}, {}, {}, {},
-                                       {}, {}, {}, {}, {}, {}, {}, {}, {});
+/// Says to LLVM that a loop has its vectors: across iterations of another. With
+/// `isRest` it is what a copy has left: sums that are few, and many loops.
+static LLVM::LoopAnnotationAttr getNotVectorized(MLIRContext *context,
+                                                 bool isRest = false) {
+  BoolAttr yes = BoolAttr::get(context, true);
+  auto vectorize = LLVM::LoopVectorizeAttr::get(context, /*disable=*/yes, {},
+                                                {}, {}, {}, {}, {});
+  LLVM::LoopUnrollAttr unroll;
+  if (isRest)
+    unroll = LLVM::LoopUnrollAttr::get(context, /*disable=*/yes, {}, {}, {}, {},
+                                       {}, {});
+  return LLVM::LoopAnnotationAttr::get(context, {}, vectorize, {}, unroll, {},
+                                       {}, {}, {}, {}, {}, {}, {}, {}, {}, {});
 }
 
 namespace {
@@ -64,6 +72,18 @@ struct Candidate {
   /// Width of the widest sum that a serial loop carries; 0 if there is none.
   unsigned sumBits = 0;
   unsigned ops = 0;
+  /// Without those that compute indices, which copies share or addresses hold.
+  unsigned fewOps = 0;
+  /// Whether copies have bounds of their own, and each a loop for what is left.
+  bool isUneven = false;
+
+  void count(Operation &op) {
+    if (isa<LLVM::GEPOp>(op) || op.hasTrait<OpTrait::ConstantLike>())
+      return;
+    ++ops;
+    fewOps += !isa<arith::IndexCastOp>(op) &&
+              llvm::none_of(op.getResultTypes(), llvm::IsaPred<IndexType>);
+  }
 };
 
 /// Copies of iterations, side by side.
@@ -81,9 +101,6 @@ public:
   Value lookup(unsigned copy, Value value) const {
     return copies[copy].lookupOrDefault(value);
   }
-
-  /// Jammed loops in which each copy loads its own.
-  ArrayRef<scf::ForOp> getLoopsOfRows() const { return loopsOfRows; }
 
   void emit(Block &body) {
     for (Operation &op : body.without_terminator())
@@ -119,14 +136,6 @@ private:
     });
   }
 
-  /// Whether an innermost loop loads what depends on the copy.
-  bool readsApart(scf::ForOp loop) const {
-    return loop.getBody()->getOps<scf::ForOp>().empty() &&
-           llvm::any_of(
-               loop.getBody()->getOps<LLVM::LoadOp>(),
-               [&](LLVM::LoadOp load) { return !isShared(load.getAddr()); });
-  }
-
   /// Both sides, then a choice.
   void flatten(scf::IfOp branch) {
     emit(*branch.thenBlock());
@@ -143,16 +152,29 @@ private:
   }
 
   void jam(scf::ForOp loop) {
-    SmallVector<Value> inits;
-    for (unsigned copy = 0; copy < copies.size(); ++copy)
+    if (isShared(loop.getLowerBound()) && isShared(loop.getUpperBound()))
+      jam(loop, lookup(0, loop.getLowerBound()),
+          lookup(0, loop.getUpperBound()), lookup(0, loop.getStep()),
+          /*isCounter=*/false);
+    else
+      jamCommonPart(loop);
+  }
+
+  /// Emits one loop in the place of those of all copies. Its index is theirs,
+  /// or what is added to where each of them starts.
+  void jam(scf::ForOp loop, Value lower, Value upper, Value step,
+           bool isCounter) {
+    Location loc = loop.getLoc();
+    SmallVector<Value> inits, starts;
+    for (unsigned copy = 0; copy < copies.size(); ++copy) {
+      starts.push_back(lookup(copy, loop.getLowerBound()));
       for (Value init : loop.getInitArgs())
         inits.push_back(lookup(copy, init));
-    auto jammed = scf::ForOp::create(
-        builder, loop.getLoc(), lookup(0, loop.getLowerBound()),
-        lookup(0, loop.getUpperBound()), lookup(0, loop.getStep()), inits,
-        [](OpBuilder &, Location, Value, ValueRange) {});
+    }
+    auto jammed =
+        scf::ForOp::create(builder, loc, lower, upper, step, inits,
+                           [](OpBuilder &, Location, Value, ValueRange) {});
     unsigned carried = loop.getNumResults();
-    mapShared(loop.getInductionVar(), jammed.getInductionVar());
     for (unsigned copy = 0; copy < copies.size(); ++copy)
       for (auto [i, argument] : llvm::enumerate(loop.getRegionIterArgs())) {
         map(copy, argument, jammed.getRegionIterArg(copy * carried + i));
@@ -160,6 +182,12 @@ private:
       }
     OpBuilder::InsertionGuard guard(builder);
     builder.setInsertionPointToStart(jammed.getBody());
+    mapShared(loop.getInductionVar(), jammed.getInductionVar());
+    if (isCounter)
+      for (auto [copy, start] : llvm::enumerate(starts))
+        map(copy, loop.getInductionVar(),
+            arith::AddIOp::create(builder, loc, start,
+                                  jammed.getInductionVar()));
     emit(*loop.getBody());
     SmallVector<Value> yields;
     for (unsigned copy = 0; copy < copies.size(); ++copy)
@@ -168,13 +196,59 @@ private:
     scf::YieldOp::create(builder, loop.getLoc(), yields);
     jammed->setDiscardableAttrs(loop->getDiscardableAttrDictionary());
     jammed->setAttr(kLoopAnnotation, getNotVectorized(loop.getContext()));
-    if (readsApart(loop))
-      loopsOfRows.push_back(jammed);
+  }
+
+  /// As many iterations as all copies have are jammed; what a copy has more of
+  /// comes after.
+  void jamCommonPart(scf::ForOp loop) {
+    Location loc = loop.getLoc();
+    Type type = loop.getInductionVar().getType();
+    auto constant = [&](int64_t value) -> Value {
+      return arith::ConstantOp::create(builder, loc,
+                                       builder.getIntegerAttr(type, value));
+    };
+    Value zero = constant(0), common;
+    for (unsigned copy = 0; copy < copies.size(); ++copy) {
+      Value lower = lookup(copy, loop.getLowerBound());
+      Value upper = lookup(copy, loop.getUpperBound());
+      // The difference of bounds that are far apart may have any sign.
+      Value some = arith::CmpIOp::create(
+          builder, loc, arith::CmpIPredicate::slt, lower, upper);
+      Value count = arith::SubIOp::create(builder, loc, upper, lower);
+      count = arith::SelectOp::create(builder, loc, some, count, zero);
+      common =
+          common ? arith::MinSIOp::create(builder, loc, common, count) : count;
+    }
+    Value isWorth = arith::CmpIOp::create(
+        builder, loc, arith::CmpIPredicate::sge, common, constant(kFewCommon));
+    common = arith::SelectOp::create(builder, loc, isWorth, common, zero);
+    bool isCounter = !isShared(loop.getLowerBound());
+    Value lower = zero, upper = common;
+    if (!isCounter) {
+      lower = lookup(0, loop.getLowerBound());
+      upper = arith::AddIOp::create(builder, loc, lower, common);
+    }
+    jam(loop, lower, upper, constant(1), isCounter);
+    for (IRMapping &copy : copies) {
+      IRMapping own = copy;
+      for (BlockArgument argument : loop.getBody()->getArguments())
+        own.erase(argument);
+      auto remainder = cast<scf::ForOp>(builder.clone(*loop, own));
+      Value from = arith::AddIOp::create(builder, loc,
+                                         remainder.getLowerBound(), common);
+      from.getDefiningOp()->moveBefore(remainder);
+      remainder.getLowerBoundMutable().assign(from);
+      remainder->setAttr(kLoopAnnotation,
+                         getNotVectorized(loop.getContext(), /*isRest=*/true));
+      for (auto [init, result] :
+           llvm::zip(remainder.getInitArgsMutable(), loop.getResults()))
+        init.assign(copy.lookup(result));
+      copy.map(loop.getResults(), remainder.getResults());
+    }
   }
 
   OpBuilder &builder;
   SmallVector<IRMapping> copies;
-  SmallVector<scf::ForOp> loopsOfRows;
 };
 } // namespace
 
@@ -292,10 +366,12 @@ static bool visit(scf::IfOp branch, Candidate &candidate) {
     bool isFrame = isa<scf::IfOp, scf::YieldOp>(op);
     if (!isFrame && (op->getNumRegions() || !isPure(op)))
       return WalkResult::interrupt();
-    candidate.ops += !isFrame;
+    if (!isFrame)
+      candidate.count(*op);
     return WalkResult::advance();
   });
   candidate.ops += branch.getNumResults();
+  candidate.fewOps += branch.getNumResults();
   return !result.wasInterrupted();
 }
 
@@ -322,6 +398,38 @@ static bool isUnrolledByLLVM(scf::ForOp loop) {
   return trips->ule(kUnrolledOps / ops);
 }
 
+/// Whether a value is computed from what ops within `scope` load, or carry.
+static bool dependsOnLoads(Value value, Operation *scope) {
+  llvm::SmallDenseSet<Value> seen;
+  SmallVector<Value> list = {value};
+  while (!list.empty()) {
+    Value next = list.pop_back_val();
+    Operation *op = next.getDefiningOp();
+    if (!op || !scope->isProperAncestor(op) || !seen.insert(next).second)
+      continue;
+    if (isa<LLVM::LoadOp>(op) || op->getNumRegions())
+      return true;
+    llvm::append_range(list, op->getOperands());
+  }
+  return false;
+}
+
+/// Whether it pays to jam a loop whose bounds each copy has for itself. Copies
+/// that start where data says read from all over; and so do loads by indices
+/// that were loaded, which are worth it where much is computed of them.
+static bool paysUnevenly(scf::ForOp loop, Operation *around) {
+  if (dependsOnLoads(loop.getLowerBound(), around))
+    return false;
+  unsigned scattered = 0, floats = 0;
+  for (Operation &op : loop.getBody()->without_terminator()) {
+    if (auto load = dyn_cast<LLVM::LoadOp>(op))
+      scattered += dependsOnLoads(load.getAddr(), loop);
+    else
+      floats += llvm::any_of(op.getResultTypes(), llvm::IsaPred<FloatType>);
+  }
+  return floats >= kFloatsOfScattered * scattered;
+}
+
 /// Looks at the ops of an iteration of `candidate.loop`, or of a serial loop
 /// in it.
 static bool visit(Block &body, Candidate &candidate,
@@ -340,17 +448,19 @@ static bool visit(Block &body, Candidate &candidate,
     if (!loop) {
       if (op.getNumRegions() || !isIndependent(&op, groups))
         return false;
-      candidate.ops +=
-          !isa<LLVM::GEPOp>(op) && !op.hasTrait<OpTrait::ConstantLike>();
+      candidate.count(op);
       continue;
     }
-    // The copies leave the loop together.
-    if (!llvm::all_of(ValueRange{loop.getLowerBound(), loop.getUpperBound(),
-                                 loop.getStep()},
-                      isUniform))
-      return false;
     unsigned bits = getSumBits(loop);
     bool holdsLoops = !loop.getBody()->getOps<scf::ForOp>().empty();
+    // The copies leave the loop together, or each goes on by itself.
+    bool isUniformLoop =
+        isUniform(loop.getLowerBound()) && isUniform(loop.getUpperBound());
+    if (!isUniform(loop.getStep()) ||
+        (!isUniformLoop &&
+         (holdsLoops || !matchPattern(loop.getStep(), m_One()) ||
+          !paysUnevenly(loop, candidate.loop))))
+      return false;
     // A loop that carries nothing is better off with vectors of its own.
     if ((!bits && !holdsLoops) || isUnrolledByLLVM(loop))
       return false;
@@ -358,6 +468,7 @@ static bool visit(Block &body, Candidate &candidate,
     if (reassociate && !holdsLoops && !readsColumns(loop))
       return false;
     candidate.sumBits = std::max(candidate.sumBits, bits);
+    candidate.isUneven |= !isUniformLoop;
     if (!visit(*loop.getBody(), candidate, groups, reassociate))
       return false;
   }
@@ -379,8 +490,7 @@ static std::optional<Candidate> match(scf::ForOp loop, bool reassociate) {
 static void apply(const Candidate &candidate) {
   scf::ForOp loop = candidate.loop;
   int64_t factor = kBits / std::max(candidate.sumBits, 32u);
-  bool isSmall = candidate.ops <= kFewOps;
-  if (isSmall)
+  if (candidate.fewOps <= kFewOps && !candidate.isUneven)
     factor *= 2;
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
@@ -407,9 +517,6 @@ static void apply(const Candidate &candidate) {
     jammer.map(copy, loop.getInductionVar(), own);
   }
   jammer.emit(*loop.getBody());
-  if (isSmall)
-    for (scf::ForOp rows : jammer.getLoopsOfRows())
-      (void)loopUnrollByFactor(rows, kTerms); // or it stays as it is
   loop.getLowerBoundMutable().assign(middle);
 }
 

@@ -109,6 +109,95 @@ def test_products_of_matrices(shape):
     np.testing.assert_array_equal(c.to_numpy(), in_order(terms))
 
 
+@pytest.mark.parametrize("dtype", [ti.f32, ti.f64], ids=str)
+@pytest.mark.parametrize("n", SIZES[:-1])
+def test_triangles(n, dtype):
+    """Bounds of each iteration's own: above, below, and beside the diagonal."""
+    ti.init(strict=True)
+    kind = np.float32 if dtype == ti.f32 else np.float64
+    a, x, y = ti.field(dtype, (n, n)), ti.field(dtype, n), ti.Vector.field(3, dtype, n)
+    a.from_numpy(numbers((n, n), kind))
+    x.from_numpy(numbers(n, kind, 1))
+
+    @ti.kernel
+    def sums():
+        for i in range(n):
+            # Where a sum starts is a factor of its terms, too.
+            first, below, above, band = x[0], x[0], 0.0 * x[0], x[i]
+            for j in range(i):
+                below += first * a[i, j] * x[j]
+            for j in range(i + 1, n):
+                above += a[j, i] * x[j]
+            for j in range(i - 20, i - 3):
+                if 0 <= j:
+                    band = band * 0.5 + first
+            y[i] = [below, above, band]
+
+    sums()
+    rows, column, found = a.to_numpy(), x.to_numpy(), y.to_numpy()
+    half = kind(0.5)
+    for i in range(n):
+        below, above, band = column[0], kind(0), column[i]
+        for j in range(i):
+            below = below + column[0] * rows[i, j] * column[j]
+        for j in range(i + 1, n):
+            above = above + rows[j, i] * column[j]
+        for _ in range(max(0, i - 20), i - 3):
+            band = band * half + column[0]
+        np.testing.assert_array_equal(found[i], [below, above, band])
+
+
+@pytest.mark.parametrize("most", [3, 12, 60])
+def test_lists_of_neighbours(most):
+    """Counts of each iteration's own; some are none, or less."""
+    ti.init(strict=True)
+    n = 101
+    count, near = ti.field(ti.i32, n), ti.field(ti.i32, (n, most))
+    place, pull = ti.Vector.field(3, ti.f32, n), ti.Vector.field(3, ti.f32, n)
+    random = np.random.RandomState(2)
+    count.from_numpy(random.randint(-1, most + 1, n).astype(np.int32) // (1 + np.arange(n) % 2))
+    near.from_numpy(random.randint(0, n, (n, most)).astype(np.int32))
+    place.from_numpy(numbers((n, 3)))
+
+    @ti.kernel
+    def pulls():
+        for i in range(n):
+            force = ti.Vector([0.0, 0.0, 0.0])
+            for k in range(count[i]):
+                way = place[near[i, k]] - place[i]
+                force += way / (way.dot(way) + 0.125)
+            pull[i] = force
+
+    pulls()
+    places, lists, found = place.to_numpy(), near.to_numpy(), pull.to_numpy()
+    for i, length in enumerate(count.to_numpy()):
+        way = places[lists[i, : max(length, 0)]] - places[i]
+        square = in_order(way * way) + np.float32(0.125)
+        np.testing.assert_array_equal(found[i], in_order((way / square[:, None]).T))
+
+
+def test_bounds_far_apart():
+    """The number of iterations between them has no sign that says something."""
+    ti.init(strict=True)
+    n, least = 40, -(2**63)
+    stop, y = ti.field(ti.i64, n), ti.field(ti.f32, n)
+    stop.from_numpy(np.where(np.arange(n) % 5, least, least + 30))
+
+    @ti.kernel
+    def sums(start: ti.i64):
+        for i in range(n):
+            total = 1.0
+            for _ in range(start + i, stop[i]):
+                total += 0.5
+            y[i] = total
+
+    sums(2**63 - 1 - n)
+    np.testing.assert_array_equal(y.to_numpy(), np.ones(n))
+    stop.fill(least + 30)
+    sums(least)
+    np.testing.assert_array_equal(y.to_numpy(), 1 + 0.5 * np.maximum(30 - np.arange(n), 0))
+
+
 def test_several_sums_and_two_levels():
     ti.init(strict=True)
     n = 37

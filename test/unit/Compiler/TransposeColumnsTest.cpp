@@ -104,6 +104,38 @@ TEST(TransposeColumns, RowsNeedNotBeEven) {
             "L8");
 }
 
+TEST(TransposeColumns, OneIndexMayStandForAllRows) {
+  // As in a loop along rows that was unrolled: %any[lane][%j + n].
+  auto body = [](const std::string &other) {
+    std::string text;
+    for (int n : {0, 1, 2, 3}) {
+      std::string number = std::to_string(n);
+      std::string index = n == 2 && !other.empty() ? other : "%j";
+      text += "  %i" + number + " = or disjoint i64 " + index + ", " + number +
+              "\n  %p" + number +
+              " = getelementptr float, <8 x ptr> %any, i64 %i" + number +
+              "\n  %v" + number +
+              " = call <8 x float> @llvm.masked.gather.v8f32.v8p0(<8 x ptr> "
+              "align 4 %p" +
+              number + ", <8 x i1> splat (i1 true), <8 x float> poison)\n";
+    }
+    return text;
+  };
+  EXPECT_EQ(order(body(""), "  %j = shl i64 %i, 2\n"), "L8");
+  EXPECT_EQ(order(body("%k"), "  %j = shl i64 %i, 2\n  %k = shl i64 %i, 3\n"),
+            "G4");
+}
+
+TEST(TransposeColumns, IndicesOfLanesAreNoRows) {
+  std::string body;
+  for (int n : {0, 1, 2, 3})
+    body += gather(n);
+  EXPECT_EQ(order(body, "  %s = insertelement <8 x i64> poison, i64 %i, i64 0\n"
+                        "  %rows = getelementptr float, <8 x ptr> %any, "
+                        "<8 x i64> %s\n"),
+            "L8");
+}
+
 TEST(TransposeColumns, OthersStayColumns) {
   EXPECT_EQ(order(gather(0) + gather(1) + gather(2)), "G3");
   EXPECT_EQ(order(gather(0) + gather(1) + gather(2) + gather(4)), "G4");
