@@ -46,7 +46,8 @@ void emitMeeting(OpBuilder &builder, Location loc, const WarpPart &part,
 /// Makes the additions in `body`, which all threads of the warp run together,
 /// ordered ones. Threads that have no iteration, so that `isActive` is false,
 /// have the number of another one and do nothing else.
-void orderAdditions(Block *body, Value isActive, RuntimeCalls &runtime);
+void orderAdditions(Block *body, Value isActive, bool inTurn,
+                    RuntimeCalls &runtime);
 
 /// Stores the parts that threads of the warp have of a sum, and that of others,
 /// which changes nothing.
