@@ -98,3 +98,51 @@ void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value) {
 void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value) {
   add(plan, target, value);
 }
+
+//===----------------------------------------------------------------------===//
+// One after another
+//===----------------------------------------------------------------------===//
+
+// Of the lowest lane of an address: the others that have it, in the low bits;
+// the number of rounds of the warp; and whether this lane writes.
+
+uint64_t tai_dev_ordered_turns(const void *address) {
+#ifndef __NVPTX__
+  if (tai_dev_block_dim() == 1)
+    return address ? writes : 0;
+#endif
+  // What the others have read is read before it is written.
+  meetWarp();
+  uint32_t same = matchAny(reinterpret_cast<uint64_t>(address));
+  auto lane = getLane();
+  bool isLowest = address && !(same & ((uint32_t(1) << lane) - 1));
+  uint32_t others = isLowest ? same & ~(uint32_t(1) << lane) : 0;
+  uint64_t rounds = 0;
+  for (uint32_t left = others; voteAny(left != 0); left &= left - 1)
+    ++rounds;
+  return (isLowest ? writes : 0) | rounds << countShift | others;
+}
+
+template <typename T> static void append(uint64_t turns, T *target, T value) {
+  auto left = static_cast<uint32_t>(turns);
+  uint32_t rounds = static_cast<uint32_t>(turns >> countShift) & 31;
+  T sum = turns & writes ? *target + value : value;
+  for (uint32_t round = 0; round < rounds; ++round) {
+    T next = exchange(value, left ? __builtin_ctz(left) : getLane());
+    if (left)
+      sum += next;
+    left &= left - 1;
+  }
+  if (turns & writes)
+    *target = sum;
+  // The next addition may be one to the same element, by another lane.
+  meetWarp();
+}
+
+void tai_dev_ordered_append_f32(uint64_t turns, float *target, float value) {
+  append(turns, target, value);
+}
+
+void tai_dev_ordered_append_f64(uint64_t turns, double *target, double value) {
+  append(turns, target, value);
+}

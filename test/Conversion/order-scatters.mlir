@@ -49,7 +49,7 @@ tai.field @p = @s["p"] : f32, rank 1
 //   GPU-NOT:     atomicrmw
 //       GPU:   scf.if
 //       GPU:     llvm.call @tai_dev_ordered_meet()
-//       GPU:   scf.for %{{.+}} = %{{.+}} to %c128
+//       GPU:   scf.for %{{.+}} = %{{.+}} to %c256
 //       GPU:     arith.select %{{.+}} : f64
 //       GPU:     llvm.store
 //       GPU:   llvm.return

@@ -69,3 +69,32 @@ tai.kernel @scatter() {
   }
   tai.return
 }
+
+// In strict kernels, in the order of the iterations, as if one thread did them.
+// CHECK-LABEL: .entry turns_0(
+//       CHECK: .maxntid 32
+//   CHECK-NOT: {{atom|red[.]}}
+//       CHECK: match.any.sync.b64
+//       CHECK: ld.global.b32
+//       CHECK: shfl.sync.idx.b32
+//       CHECK: st.global.b32
+//   CHECK-NOT: {{atom|red[.]}}
+//       CHECK: ret;
+tai.kernel @turns() attributes {modes = {math = "strict"}} {
+  %c0 = arith.constant 0 : index
+  %n = arith.constant 70 : index
+  %zero = arith.constant 0.0 : f32
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %j32 = tai.load @at[%i] : i32
+    %j = arith.index_cast %j32 : i32 to index
+    %v = tai.load @v[%i] : f32
+    %w = tai.load @w[%i] : f64
+    tai.atomic add %v, @a[%j] : f32
+    tai.atomic sub %v, @b[%j] : f32
+    %positive = arith.cmpf ogt, %v, %zero : f32
+    scf.if %positive {
+      tai.atomic add %w, @d[%j] : f64
+    }
+  }
+  tai.return
+}

@@ -49,9 +49,18 @@ def model(at, v, w, a, b, d):
         v[i] = round_to(2 * v[i], "f") if v[i] > 0 else v[i]
 
 
-def check_that_errors_show(text, data):
+def model_of_turns(at, v, w, a, b, d):
+    """One iteration after another."""
+    for i in range(COUNT):
+        a[at[i]] = round_to(a[at[i]] + v[i], "f")
+        b[at[i]] = round_to(b[at[i]] - v[i], "f")
+        if v[i] > 0:
+            d[at[i]] += w[i]
+
+
+def check_that_errors_show(text, name, data):
     """Without barriers, lanes touch what others have not finished with."""
-    kernel = ptx_warp.Kernel(re.sub(r"\tbar\.warp\.sync.*", "", text), "scatter_0")
+    kernel = ptx_warp.Kernel(re.sub(r"\tbar\.warp\.sync.*", "", text), name)
     try:
         ptx_warp.run(kernel, data, [0, 16 * COUNT], 1, 32, 0)
     except SystemExit as error:
@@ -62,7 +71,12 @@ def check_that_errors_show(text, data):
 
 def main():
     text = pathlib.Path(sys.argv[1]).read_text()
-    kernel = ptx_warp.Kernel(text, "scatter_0")
+    compare(text, "scatter_0", model)
+    compare(text, "turns_0", model_of_turns)
+
+
+def compare(text, name, model):
+    kernel = ptx_warp.Kernel(text, name)
     values = random.Random(1)
     for spread in (1, CELLS):
         at = [values.randrange(spread) for _ in range(COUNT)]
@@ -75,12 +89,14 @@ def main():
             return data + b"".join(struct.pack("<ffd", *cell) for cell in zip(a, b, d, strict=True))
 
         before = pack()
-        check_that_errors_show(text, before)
+        check_that_errors_show(text, name, before)
         model(at, v, w, a, b, d)
         for seed, (blocks, threads) in enumerate([(1, 32), (3, 64)]):
             after = ptx_warp.run(kernel, before, [0, 16 * COUNT], blocks, threads, seed)
             if after != pack():
-                sys.exit(f"{blocks} blocks of {threads} threads give other bits than the model")
+                sys.exit(
+                    f"{name}: {blocks} blocks of {threads} threads give other bits than the model"
+                )
 
 
 main()

@@ -37,6 +37,7 @@ ONE_RUN_DOES = {
     "test_device_lists": {ALL: CHOOSES},
     "test_sanitizer": {ALL: CHOOSES},
     "test_same_bits": {ALL: CHOOSES},
+    "test_one_order": {ALL: CHOOSES},
     "test_serial_work": {"test_a_cpu_has_no_such_threads": CHOOSES},
     "test_emulated_blocks": {ALL: CHOOSES},
     "test_forward_mode": {"test_every_scalar_rule_is_tested": NAMES},

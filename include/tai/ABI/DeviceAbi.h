@@ -80,6 +80,12 @@ uint64_t tai_dev_ordered_plan(const void *address);
 void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value);
 void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value);
 
+/// The same, but the values are added to memory one after another, by lanes:
+/// as if their iterations followed one another.
+uint64_t tai_dev_ordered_turns(const void *address);
+void tai_dev_ordered_append_f32(uint64_t turns, float *target, float value);
+void tai_dev_ordered_append_f64(uint64_t turns, double *target, double value);
+
 //===----------------------------------------------------------------------===//
 // Memory of one thread, out of the heap of the device
 //===----------------------------------------------------------------------===//

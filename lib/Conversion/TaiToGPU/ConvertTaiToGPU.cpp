@@ -260,6 +260,7 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
           lowering.deterministic,
           Modes::of(kernel).isDeterministic(deterministic));
       const Modes modes = Modes::of(kernel);
+      device.oneOrder = modes.hasOneOrder(deterministic);
       auto functions = [&] {
         SmallVector<LLVM::LLVMFuncOp> all;
         for (Region *region :

@@ -20,6 +20,7 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/SumOrder.h"
 #include "llvm/ADT/SetVector.h"
 
 using namespace mlir;
@@ -56,7 +57,8 @@ struct Iterations {
 /// Programs count on which they are: see FunctionAccesses::isGridStride.
 static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
                                  MutableArrayRef<Sum> sums,
-                                 RuntimeCalls &runtime) {
+                                 DeviceLowering &lowering) {
+  RuntimeCalls &runtime = lowering.device.runtime;
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
   SmallVector<Value> extents;
@@ -75,6 +77,7 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
     count = math.mul(count, extents.back());
   }
   auto [thread, threads] = emitThread(builder, loc);
+  Value end = count;
   WarpPart warp;
   if (loop.getInWarp()) {
     warp = emitWarpPart(builder, loop, thread, count, runtime);
@@ -89,10 +92,24 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
       if (sum.isPartial)
         emitSlotStore(builder, loc,
                       arith::ConstantOp::create(
-                          builder, loc, getIdentity(sum.kind, sum.kept)),
+                          builder, loc, getLaneStart(sum.kind, sum.kept)),
                       sum.slot);
-    auto number =
-        arith::ConstantIndexOp::create(builder, loc, getSumThreads(loop));
+    // It is a lane of a chunk of iterations. A chunk behind the last is empty.
+    IndexMath in(builder, loc);
+    Value number = standIns.getInductionVar();
+    Value length = emitChunkLength(builder, loc, count);
+    Value chunk = in.div(number, SumOrder::kLanes);
+    Value chunks = in.div(in.add(count, in.sub(length, 1)), length);
+    Value isThere = arith::CmpIOp::create(
+        builder, loc, arith::CmpIPredicate::slt, chunk, chunks);
+    Value first = in.mul(
+        arith::SelectOp::create(builder, loc, isThere, chunk, in.constant(0)),
+        length);
+    Value last = in.add(first, in.min(length, in.sub(count, first)));
+    auto strides = in.constant(SumOrder::kLanes);
+    thread = in.add(first, in.rem(number, SumOrder::kLanes));
+    end = arith::SelectOp::create(builder, loc, isThere, last, in.constant(0));
+    threads = strides;
     builder.setInsertionPoint(standIns.getBody()->getTerminator());
     for (Sum &sum : sums)
       if (sum.isPartial)
@@ -100,13 +117,11 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
                   emitPointer(builder, loc, getStorageType(sum.kept),
                               sum.target, standIns.getInductionVar()),
                   AliasScopes());
-    thread = standIns.getInductionVar();
-    threads = number;
-    builder.setInsertionPointAfter(number);
+    builder.setInsertionPointAfter(end.getDefiningOp());
   }
   if (warp.lane)
     emitWarpBarrier(builder, loc, warp, runtime);
-  auto iterations = scf::ForOp::create(builder, loc, thread, count, threads);
+  auto iterations = scf::ForOp::create(builder, loc, thread, end, threads);
   // The number of iterations may be close to the largest index: behind it there
   // is room for the stride of the grid if the comparison has no sign.
   if (extents.size() == 1 && !getConstantIntValue(count) && !warp.lane)
@@ -137,7 +152,7 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   block->getOperations().splice(block->getTerminator()->getIterator(),
                                 body.getOperations());
   if (isActive)
-    orderAdditions(block, isActive, runtime);
+    orderAdditions(block, isActive, lowering.device.oneOrder, runtime);
   return {iterations, std::move(indices)};
 }
 
@@ -477,7 +492,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   for (Sum &sum : sums)
     emitSumStart(builder, loc, sum);
   builder.setInsertionPoint(ret);
-  Iterations iterations = emitIterations(builder, loop, sums, runtime);
+  Iterations iterations = emitIterations(builder, loop, sums, lowering);
   for (Sum &sum : sums)
     rewriteUpdates(sum);
   builder.setInsertionPoint(ret);

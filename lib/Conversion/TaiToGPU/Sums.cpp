@@ -16,34 +16,33 @@
 #include "Sums.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/SumOrder.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
-/// In deterministic mode a float sum is kept by so many threads at most,
-/// whatever the number of those that run: iteration i is of thread i modulo
-/// theirs. Their partial sums are added up in groups, and the groups one after
-/// another.
-constexpr int64_t kSumThreads = 8192;
-constexpr int64_t kSumGroups = 128;
+/// How many sums are added up one after another in the end, of a loop that one
+/// warp runs: its threads have parts of their own.
+static int64_t getNumChunks(ParallelForOp loop) {
+  if (loop.getInWarp())
+    return 1;
+  std::optional<int64_t> count = getNumIterations(loop);
+  if (!count)
+    return SumOrder::kChunks;
+  int64_t chunks = llvm::divideCeil(*count, getChunkLength(*count));
+  return std::max<int64_t>(1, chunks);
+}
 
 int64_t tai::getSumThreads(ParallelForOp loop) {
-  // Those of a warp have parts of their own, and one group has each.
-  if (loop.getInWarp())
-    return kSumGroups;
-  std::optional<int64_t> count = getNumIterations(loop);
-  return count ? std::clamp<int64_t>(llvm::alignTo(*count, kSumGroups),
-                                     kSumGroups, kSumThreads)
-               : kSumThreads;
+  return getNumChunks(loop) * SumOrder::kLanes;
 }
 
 static Type getKeptType(AtomicKind kind, Type type) {
-  bool isWidened = type.isF32() && kind == AtomicKind::Add;
-  return isWidened ? Float64Type::get(type.getContext()) : type;
+  return isa<FloatType>(type) ? getLaneType(kind, type) : type;
 }
 
-/// Loops behind `loop` that add up the partial sums of its threads. Yields the
-/// address of the first.
+/// Loops behind `loop` that add up the partial sums of its threads, which are
+/// the lanes of its chunks. Yields the address of the first.
 static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
                              Type type, Value target, RuntimeCalls &runtime) {
   OpBuilder builder(loop);
@@ -53,38 +52,39 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
     return runtime.tai_rt_device_scratch(builder, loc, frame,
                                          runtime.i64(builder, loc, 8 * count));
   };
-  int64_t threads = getSumThreads(loop);
-  Value partials = scratch(threads), groups = scratch(kSumGroups);
+  int64_t numGroups = getNumChunks(loop) * SumOrder::kGroups;
+  Value partials = scratch(getSumThreads(loop)), groups = scratch(numGroups);
   builder.setInsertionPointAfter(loop);
   IndexMath outside(builder, loc);
   Value zero = outside.constant(0), one = outside.constant(1);
-  /// The sum of `count` numbers from `first` on.
-  auto addUp = [&](OpBuilder &b, Value numbers, Value first, int64_t count) {
-    Value start = arith::ConstantOp::create(b, loc, getIdentity(kind, kept));
-    IndexMath math(b, loc);
-    auto add = scf::ForOp::create(
-        b, loc, math.constant(0), math.constant(count), math.constant(1), start,
-        [&](OpBuilder &in, Location, Value i, ValueRange sums) {
-          Value number = emitLoad(in, loc, kept,
-                                  emitPointer(in, loc, storage, numbers,
-                                              IndexMath(in, loc).add(first, i)),
-                                  AliasScopes());
-          scf::YieldOp::create(
-              in, loc, emitCombination(in, loc, kind, sums.front(), number));
-        });
-    return add.getResult(0);
-  };
   auto perGroup =
-      ParallelForOp::create(builder, loc, zero, outside.constant(kSumGroups));
+      ParallelForOp::create(builder, loc, zero, outside.constant(numGroups));
   OpBuilder b = OpBuilder::atBlockBegin(&perGroup.getBody().front());
   Value group = perGroup.getInductionVars().front();
-  int64_t size = threads / kSumGroups;
-  Value sum = addUp(b, partials, IndexMath(b, loc).mul(group, size), size);
+  IndexMath math(b, loc);
+  Value chunk = math.div(group, SumOrder::kGroups);
+  Value own = math.rem(group, SumOrder::kGroups);
+  Value lanes =
+      emitPointer(b, loc, storage, partials, math.mul(chunk, SumOrder::kLanes));
+  emitLaneTree(b, loc, kind, kept, lanes, own, SumOrder::kGroups);
+  Value sum = emitLoad(b, loc, kept, emitPointer(b, loc, storage, lanes, own),
+                       AliasScopes());
   emitStore(b, loc, sum, emitPointer(b, loc, storage, groups, group),
             AliasScopes());
   auto all = ParallelForOp::create(builder, loc, zero, one);
   b.setInsertionPointToStart(&all.getBody().front());
-  sum = addUp(b, groups, IndexMath(b, loc).constant(0), kSumGroups);
+  Value start = arith::ConstantOp::create(b, loc, getLaneStart(kind, kept));
+  IndexMath last(b, loc);
+  auto add = scf::ForOp::create(
+      b, loc, last.constant(0), last.constant(numGroups), last.constant(1),
+      start, [&](OpBuilder &in, Location, Value i, ValueRange sums) {
+        Value number =
+            emitLoad(in, loc, kept, emitPointer(in, loc, storage, groups, i),
+                     AliasScopes());
+        scf::YieldOp::create(
+            in, loc, emitCombination(in, loc, kind, sums.front(), number));
+      });
+  sum = add.getResult(0);
   if (kept != type)
     sum = arith::TruncFOp::create(b, loc, type, sum);
   emitPlainUpdate(b, loc, kind, sum, target, AliasScopes());

@@ -22,6 +22,7 @@
 #include "mlir/Transforms/CSE.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/OrderedAdditions.h"
+#include "tai/Transforms/Utils/SumOrder.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -140,8 +141,8 @@ struct Addition {
 
 class AdditionOrder {
 public:
-  AdditionOrder(Block *body, Value isActive, RuntimeCalls &runtime)
-      : body(body), isActive(isActive), runtime(runtime) {}
+  AdditionOrder(Block *body, Value isActive, bool inTurn, RuntimeCalls &runtime)
+      : body(body), isActive(isActive), inTurn(inTurn), runtime(runtime) {}
   void process(Block *block);
 
 private:
@@ -159,6 +160,8 @@ private:
 
   Block *body;
   Value isActive;
+  /// Whether values are added to memory one after another.
+  bool inTurn;
   /// What threads without an iteration do as well.
   llvm::DenseSet<Operation *> forAll;
   RuntimeCalls &runtime;
@@ -313,8 +316,9 @@ void AdditionOrder::emit(OpBuilder &builder, const Addition &addition,
   Location loc = addition.loc;
   Value &plan = plans[addition.base];
   if (!plan)
-    plan = runtime.call(builder, loc, "tai_dev_ordered_plan",
-                        builder.getI64Type(), {addition.base});
+    plan = runtime.call(
+        builder, loc, inTurn ? "tai_dev_ordered_turns" : "tai_dev_ordered_plan",
+        builder.getI64Type(), {addition.base});
   Value target = addition.base;
   if (addition.offset != 0) {
     Value offset = runtime.i64(builder, loc, addition.offset);
@@ -322,9 +326,12 @@ void AdditionOrder::emit(OpBuilder &builder, const Addition &addition,
         LLVM::GEPOp::create(builder, loc, target.getType(), builder.getI8Type(),
                             target, ArrayRef<LLVM::GEPArg>{offset});
   }
-  StringRef callee = addition.value.getType().isF32()
-                         ? "tai_dev_ordered_add_f32"
-                         : "tai_dev_ordered_add_f64";
+  bool isSingle = addition.value.getType().isF32();
+  StringRef callee =
+      isSingle ? "tai_dev_ordered_add_f32" : "tai_dev_ordered_add_f64";
+  if (inTurn)
+    callee =
+        isSingle ? "tai_dev_ordered_append_f32" : "tai_dev_ordered_append_f64";
   runtime.call(builder, loc, callee, Type(), {plan, target, addition.value});
   auto *call = &*std::prev(builder.getInsertionPoint());
   call->setAttr(kOrderedScopeAttrName, addition.scope
@@ -441,8 +448,9 @@ void AdditionOrder::process(Block *block) {
   }
 }
 
-void tai::orderAdditions(Block *body, Value isActive, RuntimeCalls &runtime) {
-  AdditionOrder(body, isActive, runtime).process(body);
+void tai::orderAdditions(Block *body, Value isActive, bool inTurn,
+                         RuntimeCalls &runtime) {
+  AdditionOrder(body, isActive, inTurn, runtime).process(body);
 }
 
 //===----------------------------------------------------------------------===//
@@ -454,7 +462,7 @@ void tai::storeParts(OpBuilder &builder, Location loc, Sum &sum, Value thread,
   IndexMath math(builder, loc);
   Value mine = emitSlotLoad(builder, loc, sum.kept, sum.slot);
   Value none =
-      arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, sum.kept));
+      arith::ConstantOp::create(builder, loc, getLaneStart(sum.kind, sum.kept));
   scf::ForOp::create(
       builder, loc, thread, math.constant(count), threads, ValueRange(),
       [&](OpBuilder &in, Location, Value part, ValueRange) {

@@ -45,9 +45,11 @@ void emitWarpBarrier(OpBuilder &builder, Location loc, const WarpPart &part,
                      RuntimeCalls &runtime);
 
 /// Replaces the additions in `body`, which all threads of the warp run
-/// together, by ordered ones. Threads without an iteration (`isActive` is
-/// false) run with the number of another iteration and have no other effect.
-void orderAdditions(Block *body, Value isActive, RuntimeCalls &runtime);
+/// together, by ordered ones, or with `inTurn` by one lane after the other.
+/// Threads without an iteration (`isActive` is false) run with the number of
+/// another iteration and have no other effect.
+void orderAdditions(Block *body, Value isActive, bool inTurn,
+                    RuntimeCalls &runtime);
 
 /// Stores the partial sums of the threads of the warp, and zeros for the
 /// remaining partial sums.

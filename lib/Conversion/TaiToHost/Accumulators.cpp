@@ -11,6 +11,7 @@
 #include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/SumOrder.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -65,7 +66,8 @@ static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
 /// in f64 costs nothing.
 void Accumulators::Register::sumInBlocks() {
   // Compensated ones have the digits.
-  if (!isa<FloatType>(type) || kind != AtomicKind::Add || isCompensated)
+  if (!isa<FloatType>(type) || kind != AtomicKind::Add || isCompensated ||
+      ordered)
     return;
   isBlocked = true;
   totalType = Float64Type::get(type.getContext());
@@ -161,6 +163,14 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
       sum.isCompensated = isa<FloatType>(own) && sum.kind == AtomicKind::Add;
       sum.isPair = sum.isCompensated && own.isF64();
       sum.keepsTerms = sum.isPair && PairLanes::canHold(sum.getUpdates(), loop);
+    }
+  if (lowering.oneOrder)
+    for (Register &sum : result.registers) {
+      SmallVector<Operation *> updates = sum.getUpdates();
+      Type term =
+          sum.field ? sum.atomics.front().getValue().getType() : sum.localType;
+      if (isFloatTotal(updates.front()))
+        sum.ordered.emplace(sum.kind, term);
     }
   if (!isShort(loop))
     for (Register &sum : result.registers)
@@ -258,7 +268,7 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
 int64_t Accumulators::getPartialSlot(size_t i) const {
   int64_t slot = 0;
   for (const Register &sum : ArrayRef(registers).take_front(i))
-    slot += sum.isPair ? 2 : 1;
+    slot += sum.ordered ? 0 : sum.isPair ? 2 : 1;
   return slot;
 }
 
@@ -294,7 +304,10 @@ void Accumulators::emitBefore(OpBuilder &builder, Location loc, Value frame,
   Value one = runtime.i64(builder, loc, 1);
   Value single =
       arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::eq, parts, one);
-  if (!registers.empty()) {
+  for (Register &sum : registers)
+    if (sum.ordered)
+      sum.ordered->emitGroups(builder, loc);
+  if (getPartialSlot(registers.size()) != 0) {
     Value onStack =
         emitStackSlots(builder, loc, getPartialBytes() / sizeof(uint64_t));
     auto choice = scf::IfOp::create(builder, loc, TypeRange{pointer}, single,
@@ -383,17 +396,45 @@ static void emitCompensatedUpdate(OpBuilder &builder, Location loc, Pair sum,
   emitStore(builder, loc, next, address, scopes);
 }
 
+/// Adds the sum of all iterations to its element.
+void Accumulators::emitTotal(OpBuilder &builder, Location loc,
+                             const Register &sum, Pair total) {
+  if (sum.address && sum.isCompensated)
+    return emitCompensatedUpdate(builder, loc, total, sum.localType,
+                                 sum.address, {});
+  if (sum.address) {
+    Value narrowed = emitNarrowed(builder, loc, total.sum,
+                                  sum.ordered ? sum.localType : sum.type);
+    emitPlainUpdate(builder, loc, sum.kind, narrowed, sum.address, {});
+    return;
+  }
+  const FieldInfo &field = *sum.field;
+  SmallVector<Value> zeroBased =
+      emitZeroBased(builder, loc, field, sum.indices);
+  Value offset =
+      emitElementOffset(builder, loc, field, zeroBased, sum.components);
+  Value address = emitPointer(builder, loc, getStorageType(field.scalarType),
+                              emitFieldBase(builder, loc, field), offset);
+  if (sum.isCompensated)
+    return emitCompensatedUpdate(builder, loc, total, field.scalarType, address,
+                                 lowering->fields.getScopes(field));
+  Value narrowed = emitNarrowed(builder, loc, total.sum, field.scalarType);
+  emitPlainUpdate(builder, loc, sum.kind, narrowed, address,
+                  lowering->fields.getScopes(field));
+}
+
 void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
                              Value parts) {
   RuntimeCalls &runtime = lowering->runtime;
   IndexMath math(builder, loc);
 
-  if (!registers.empty()) {
+  if (getPartialSlot(registers.size()) != 0) {
     SmallVector<Value> initial;
     for (Register &sum : registers)
-      initial.append(sum.isPair ? 2 : 1,
-                     arith::ConstantOp::create(
-                         builder, loc, getIdentity(sum.kind, sum.totalType)));
+      if (!sum.ordered)
+        initial.append(sum.isPair ? 2 : 1,
+                       arith::ConstantOp::create(
+                           builder, loc, getIdentity(sum.kind, sum.totalType)));
     auto combine = [&](OpBuilder &b, Location, Value part, ValueRange sums) {
       Value bytes =
           arith::MulIOp::create(b, loc, IndexMath(b, loc).toI64(part),
@@ -401,6 +442,8 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
       Value slots = emitPointer(b, loc, b.getI8Type(), partials, bytes);
       SmallVector<Value> next;
       for (auto [i, sum] : llvm::enumerate(registers)) {
+        if (sum.ordered)
+          continue;
         int64_t at = getPartialSlot(i);
         auto load = [&](int64_t slot) {
           return emitSlotLoad(b, loc, sums[at].getType(),
@@ -421,37 +464,12 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
         scf::ForOp::create(builder, loc, math.constant(0), math.toIndex(parts),
                            math.constant(1), initial, combine);
     for (auto [i, sum] : llvm::enumerate(registers)) {
+      if (sum.ordered)
+        continue;
       int64_t at = getPartialSlot(i);
-      Pair compensated = {total.getResult(at),
-                          sum.isPair ? total.getResult(at + 1) : Value()};
-      if (sum.address && sum.isCompensated) {
-        emitCompensatedUpdate(builder, loc, compensated, sum.localType,
-                              sum.address, {});
-        continue;
-      }
-      if (sum.address) {
-        Value narrowed =
-            emitNarrowed(builder, loc, total.getResult(at), sum.type);
-        emitPlainUpdate(builder, loc, sum.kind, narrowed, sum.address, {});
-        continue;
-      }
-      const FieldInfo &field = *sum.field;
-      SmallVector<Value> zeroBased =
-          emitZeroBased(builder, loc, field, sum.indices);
-      Value offset =
-          emitElementOffset(builder, loc, field, zeroBased, sum.components);
-      Value address =
-          emitPointer(builder, loc, getStorageType(field.scalarType),
-                      emitFieldBase(builder, loc, field), offset);
-      if (sum.isCompensated) {
-        emitCompensatedUpdate(builder, loc, compensated, field.scalarType,
-                              address, lowering->fields.getScopes(field));
-        continue;
-      }
-      Value narrowed =
-          emitNarrowed(builder, loc, total.getResult(at), field.scalarType);
-      emitPlainUpdate(builder, loc, sum.kind, narrowed, address,
-                      lowering->fields.getScopes(field));
+      emitTotal(builder, loc, sum,
+                {total.getResult(at),
+                 sum.isPair ? total.getResult(at + 1) : Value()});
     }
   }
 
@@ -484,6 +502,14 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
   }
 }
 
+void Accumulators::emitAfterChunks(OpBuilder &builder, Location loc,
+                                   Value chunks) {
+  for (Register &sum : registers)
+    if (sum.ordered)
+      emitTotal(builder, loc, sum,
+                {sum.ordered->emitTotal(builder, loc, chunks), Value()});
+}
+
 //===----------------------------------------------------------------------===//
 // In the function of the loop
 //===----------------------------------------------------------------------===//
@@ -491,6 +517,10 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
 void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
   RuntimeCalls &runtime = lowering->runtime;
   for (Register &sum : registers) {
+    if (sum.ordered) {
+      sum.ordered->emitLanes(builder, loc);
+      continue;
+    }
     sum.slot = emitStackSlots(builder, loc, 1);
     Value identity = arith::ConstantOp::create(builder, loc,
                                                getIdentity(sum.kind, sum.type));
@@ -509,7 +539,7 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
         builder, loc, getIdentity(sum.kind, sum.totalType));
     emitSlotStore(builder, loc, zero, sum.total);
   }
-  if (!registers.empty()) {
+  if (getPartialSlot(registers.size()) != 0) {
     Value bytes = arith::MulIOp::create(
         builder, loc, part, runtime.i64(builder, loc, getPartialBytes()));
     insidePartials =
@@ -577,6 +607,13 @@ void Accumulators::rewriteUpdates() {
     moveBehindBranches(update, value, kind);
     OpBuilder builder(update);
     Location loc = update->getLoc();
+    if (sum.ordered) {
+      Value lane =
+          IndexMath(builder, loc).sub(innermost.getInductionVar(), laneBase);
+      sum.ordered->emitTerm(builder, loc, kind, value.get(), lane);
+      update->erase();
+      return;
+    }
     Value old = emitSlotLoad(builder, loc, sum.type, sum.slot);
     Value term = value.get();
     if (term.getType() != sum.type)
@@ -708,6 +745,8 @@ void Accumulators::emitBlockSums(OpBuilder &builder, Location loc) {
 void Accumulators::emitExit(OpBuilder &builder, Location loc) {
   emitBlockSums(builder, loc);
   for (auto [i, sum] : llvm::enumerate(registers)) {
+    if (sum.ordered)
+      continue;
     if (sum.lanes) {
       Pair total = sum.lanes->emitTotal(builder, loc);
       emitSlotStore(builder, loc, total.sum, sum.slot);
@@ -723,6 +762,18 @@ void Accumulators::emitExit(OpBuilder &builder, Location loc) {
     if (sum.isPair)
       keep(sum.rest, at + 1);
   }
+}
+
+void Accumulators::emitChunkStart(OpBuilder &builder, Location loc) {
+  for (Register &sum : registers)
+    if (sum.ordered)
+      sum.ordered->emitChunkStart(builder, loc);
+}
+
+void Accumulators::emitChunkEnd(OpBuilder &builder, Location loc, Value chunk) {
+  for (Register &sum : registers)
+    if (sum.ordered)
+      sum.ordered->emitChunkEnd(builder, loc, chunk);
 }
 
 LogicalResult tai::lowerNonAtomic(AtomicOp atomic, FieldTable &fields) {

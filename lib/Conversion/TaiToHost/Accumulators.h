@@ -14,6 +14,7 @@
 #ifndef TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
 #define TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
 
+#include "LaneSums.h"
 #include "Lowering.h"
 #include "PairSums.h"
 #include "tai/Transforms/Utils/Accumulation.h"
@@ -61,8 +62,20 @@ public:
   /// After the loops.
   void emitExit(OpBuilder &builder, Location loc);
 
+  /// In the function of a loop that is cut into chunks, because of sums in the
+  /// order of all targets: around the iterations of a chunk.
+  void emitChunkStart(OpBuilder &builder, Location loc);
+  void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk);
+  /// Of these sums, iteration i of `loop` belongs to lane i - `base`.
+  void setLanes(scf::ForOp loop, Value base) {
+    innermost = loop;
+    laneBase = base;
+  }
+
   /// In the kernel, after the loop: adds the partial sums to the fields.
   void emitAfter(OpBuilder &builder, Location loc, Value frame, Value parts);
+  /// The same for the groups of `chunks`.
+  void emitAfterChunks(OpBuilder &builder, Location loc, Value chunks);
 
 private:
   /// A sum of one component in a register.
@@ -97,6 +110,8 @@ private:
     /// A pair whose terms are stored for a block of iterations; see PairSums.h.
     bool keepsTerms = false;
     std::optional<PairLanes> lanes;
+    /// Of sums in the order of all targets.
+    std::optional<LaneSum> ordered;
   };
   /// Sums of a part of a field in a buffer.
   struct Buffer {
@@ -135,6 +150,8 @@ private:
   void collectLocalSums(ParallelForOp loop);
   Value emitTarget(OpBuilder &builder, Location loc, const Buffer &buffer);
   void emitBlockSums(OpBuilder &builder, Location loc);
+  void emitTotal(OpBuilder &builder, Location loc, const Register &sum,
+                 Pair total);
   int64_t getPartialSlot(size_t i) const;
   int64_t getPartialBytes() const;
 
@@ -147,8 +164,9 @@ private:
   bool keepsOrder = false;
   std::vector<Register> registers;
   std::vector<Buffer> buffers;
-  /// The innermost loop, in the function.
+  /// The innermost loop, in the function, and its iteration of the first lane.
   scf::ForOp innermost;
+  Value laneBase;
   /// Memory for the register sums of all partitions, in the kernel.
   Value partials;
   Value insidePartials;

@@ -62,6 +62,7 @@ LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
   llvm::SaveAndRestore deterministic(
       lowering.deterministic,
       Modes::of(kernel).isDeterministic(lowering.deterministic));
+  lowering.oneOrder = Modes::of(kernel).hasOneOrder(lowering.deterministic);
   std::string name = getEntryPointName(kernel.getSymName());
   Location loc = kernel.getLoc();
   RuntimeCalls &runtime = lowering.runtime;

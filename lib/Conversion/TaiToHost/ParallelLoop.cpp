@@ -20,6 +20,7 @@
 #include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/SumOrder.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -213,6 +214,56 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
   endBlock(inner);
 }
 
+/// The same for a range of chunks of `length` out of `count` iterations, with
+/// sums in the order of all targets. Rows and lanes cut a chunk into pieces in
+/// which neighbours belong to neighbouring lanes.
+static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
+                       Value count, Value length, Value begin, Value end,
+                       Accumulators &accumulators) {
+  Location loc = loop.getLoc();
+  IndexMath math(builder, loc);
+  auto chunks = createFor(builder, loc, begin, end);
+  builder.setInsertionPointToStart(chunks.getBody());
+  Value chunk = chunks.getInductionVar();
+  accumulators.emitChunkStart(builder, loc);
+  Value first = math.mul(chunk, length);
+  // As a sum behind `first`, which is in range whatever the length.
+  Value last = math.add(first, math.min(length, math.sub(count, first)));
+  OpBuilder atEnd(chunks.getBody()->getTerminator());
+
+  Value extent = box.extent.back(), lower = box.lower.back();
+  SmallVector<Value> ivs;
+  Value start = math.constant(0);
+  if (box.rank() > 1) {
+    auto rows =
+        createFor(builder, loc, math.div(first, extent),
+                  math.div(math.add(last, math.sub(extent, 1)), extent));
+    builder.setInsertionPointToStart(rows.getBody());
+    ivs = delinearize(builder, loc, box, rows.getInductionVar());
+    start = math.mul(rows.getInductionVar(), extent);
+  }
+  // The iterations of this row in this chunk, by their numbers.
+  Value from = math.max(start, first);
+  Value to = math.min(math.add(start, extent), last);
+  auto pieces =
+      createFor(builder, loc, math.div(from, SumOrder::kLanes),
+                math.div(math.add(to, math.constant(SumOrder::kLanes - 1)),
+                         SumOrder::kLanes));
+  builder.setInsertionPointToStart(pieces.getBody());
+  Value piece = math.mul(pieces.getInductionVar(), SumOrder::kLanes);
+  from = math.max(from, piece);
+  to = math.min(to, math.add(piece, math.constant(SumOrder::kLanes)));
+  // Index of an iteration, less its number.
+  Value shift = math.sub(lower, start);
+  Value firstLane = math.add(piece, shift);
+  auto inner =
+      createFor(builder, loc, math.add(from, shift), math.add(to, shift));
+  ivs.push_back(inner.getInductionVar());
+  accumulators.setLanes(inner, firstLane);
+  moveBody(loop, inner, ivs);
+  accumulators.emitChunkEnd(atEnd, loc, chunk);
+}
+
 LogicalResult
 tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                       ModuleLowering &lowering,
@@ -228,8 +279,10 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   IndexMath math(builder, loc);
   Box box(loop, builder);
   std::optional<int64_t> total = box.constantCount(box.rank());
+  bool isOrdered =
+      lowering.oneOrder && !(total && *total == 0) && hasFloatTotals(loop);
   if (loop.getSerialize() || loop->getParentOfType<ParallelForOp>() ||
-      (total && *total <= 1)) {
+      (total && *total <= 1 && !isOrdered)) {
     return ::lowerSerially(loop, box, lowering.fields);
   }
   FailureOr<Accumulators> accumulators = Accumulators::collect(loop, lowering);
@@ -258,8 +311,18 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
       perStep *= getConstantIntValue(extent).value_or(1);
     byRows = false;
   }
+  Value iterations, length;
+  if (isOrdered) {
+    // A partition counts chunks.
+    perStep = double(SumOrder::kLanes);
+    iterations = box.count(box.rank(), builder, loc);
+    length = emitChunkLength(builder, loc, iterations);
+  }
   cost *= perStep;
-  Value count = math.toI64(box.count(counted, builder, loc));
+  Value count =
+      isOrdered ? math.toI64(math.div(math.add(iterations, math.sub(length, 1)),
+                                      length))
+                : math.toI64(box.count(counted, builder, loc));
 
   Type pointer = runtime.getPointerType();
   Type i64 = builder.getI64Type();
@@ -284,6 +347,10 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                                     : int(reduces || lowering.deterministic));
   Value nanoseconds =
       runtime.i64(builder, loc, std::max<int64_t>(1, std::llround(cost)));
+  if (isOrdered)
+    nanoseconds =
+        arith::MulIOp::create(builder, loc, nanoseconds,
+                              math.toI64(math.div(length, SumOrder::kLanes)));
   Value parts =
       runtime.tai_rt_parts(builder, loc, frame, count, nanoseconds, fixed);
   if (reduces) {
@@ -298,9 +365,13 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   auto ret = LLVM::ReturnOp::create(inside, loc, ValueRange());
   inside.setInsertionPoint(ret);
   IndexMath insideMath(inside, loc);
-  emitPartition(inside, loop, box, insideMath.toIndex(entry->getArgument(2)),
-                insideMath.toIndex(entry->getArgument(3)), byRows,
-                *accumulators);
+  Value begin = insideMath.toIndex(entry->getArgument(2));
+  Value end = insideMath.toIndex(entry->getArgument(3));
+  if (isOrdered)
+    emitChunks(inside, loop, box, iterations, length, begin, end,
+               *accumulators);
+  else
+    emitPartition(inside, loop, box, begin, end, byRows, *accumulators);
   accumulators->rewriteUpdates();
   inside.setInsertionPoint(ret);
   accumulators->emitExit(inside, loc);
@@ -312,6 +383,8 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   runtime.tai_rt_parallel_for(builder, loc, frame, address, environment, count,
                               parts);
   accumulators->emitAfter(builder, loc, frame, parts);
+  if (isOrdered)
+    accumulators->emitAfterChunks(builder, loc, math.toIndex(count));
   loop.erase();
   return success();
 }

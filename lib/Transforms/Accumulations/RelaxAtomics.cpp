@@ -22,6 +22,7 @@
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/Accumulation.h"
 #include "tai/Transforms/Utils/OrderedAdditions.h"
+#include "tai/Transforms/Utils/SumOrder.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 namespace mlir::tai {
@@ -58,9 +59,11 @@ struct FieldAccesses {
 class LoopRelaxation {
 public:
   LoopRelaxation(ParallelForOp loop, FieldTable &fields, bool deterministic,
-                 bool compensated, bool onDevice)
-      : loop(loop), fields(fields), deterministic(deterministic),
-        compensated(compensated), onDevice(onDevice) {}
+                 const Modes &modes, bool onDevice)
+      : loop(loop), fields(fields),
+        deterministic(modes.isDeterministic(deterministic)),
+        compensated(modes.isCompensated()),
+        oneOrder(modes.hasOneOrder(deterministic)), onDevice(onDevice) {}
 
   LogicalResult run();
 
@@ -72,11 +75,15 @@ private:
   bool isWorthPrivate(const AccumulationGroup &group);
   bool isWarpSum(AtomicOp atomic);
   bool hasCompensatedSums();
+  bool canRunInWarp();
   LogicalResult checkCompensated();
 
   ParallelForOp loop;
   FieldTable &fields;
-  bool deterministic, compensated, onDevice;
+  bool deterministic, compensated;
+  /// All targets must choose alike.
+  bool oneOrder;
+  bool onDevice;
   int64_t numBuffers = 0;
 };
 } // namespace
@@ -245,12 +252,12 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
     };
     if (group.isFixed() && llvm::all_of(group.atomics, isFixed))
       sums.push_back(std::move(group));
-    else if (!onDevice && isWorthPrivate(group))
+    else if (!onDevice && !oneOrder && isWorthPrivate(group))
       buffers.push_back(std::move(group));
     else
       return;
   }
-  if (onDevice && sums.size() > kMaxRegisters)
+  if ((onDevice || oneOrder) && sums.size() > kMaxRegisters)
     return;
   if (onDevice &&
       llvm::all_of(atomics, [&](AtomicOp atomic) { return isWarpSum(atomic); }))
@@ -326,6 +333,24 @@ LogicalResult LoopRelaxation::checkCompensated() {
   return failure(result.wasInterrupted());
 }
 
+/// True if a warp of a GPU can run the loop.
+bool LoopRelaxation::canRunInWarp() {
+  if (!oneOrder)
+    return canOrderAdditions(loop, fields);
+  // Another target has one thread for all of it: sums of all iterations take
+  // their turns too.
+  bool hasLocalSums = false;
+  loop.walk([&](Operation *op) {
+    if (!isFloatTotal(op))
+      return;
+    if (auto atomic = dyn_cast<AtomicOp>(op))
+      atomic.removeStrategyAttr();
+    else
+      hasLocalSums = true;
+  });
+  return !hasLocalSums && canQueueAdditions(loop, fields);
+}
+
 LogicalResult LoopRelaxation::run() {
   if (loop.getSerialize()) {
     serialize();
@@ -389,9 +414,9 @@ LogicalResult LoopRelaxation::run() {
   std::optional<int64_t> iterations = getNumIterations(loop);
   bool isSmall =
       !onDevice && iterations && !hasCompensatedSums() &&
+      !(oneOrder && hasFloatTotals(loop)) &&
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
-  if (deterministic && dependsOnTiming && onDevice &&
-      canOrderAdditions(loop, fields)) {
+  if (deterministic && dependsOnTiming && onDevice && canRunInWarp()) {
     loop.setInWarp(true);
   } else if (isSmall || (deterministic && dependsOnTiming)) {
     loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });
@@ -420,11 +445,10 @@ struct RelaxAtomics : tai::impl::RelaxAtomicsBase<RelaxAtomics> {
       if (atomic && !op->getParentOfType<ParallelForOp>())
         atomic.setExclusive(true);
     });
-    Modes modes = Modes::of(getOperation());
-    bool fixed = modes.isDeterministic(deterministic);
-    bool paired = modes.isCompensated();
     for (ParallelForOp loop : loops)
-      if (failed(LoopRelaxation(loop, fields, fixed, paired, onDevice).run()))
+      if (failed(LoopRelaxation(loop, fields, deterministic, Modes::of(loop),
+                                onDevice)
+                     .run()))
         return signalPassFailure();
   }
 };

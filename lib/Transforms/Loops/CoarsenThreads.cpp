@@ -35,10 +35,12 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/Accumulation.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "tai/Transforms/Utils/IndexMath.h"
+#include "tai/Transforms/Utils/SumOrder.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 namespace mlir::tai {
@@ -500,6 +502,9 @@ struct CoarsenThreads : tai::impl::CoarsenThreadsBase<CoarsenThreads> {
       return;
     std::optional<FieldTable> fields;
     for (LoopBox &box : findConstantBoxes(getOperation())) {
+      // Strips are not the iterations by which all targets order sums.
+      if (Modes::of(box.loop).hasOneOrder(true) && hasFloatTotals(box.loop))
+        continue;
       std::optional<int64_t> count = getNumIterations(box.loop);
       if (!count || *count < minIterations || !isSimple(box.loop, maxOps))
         continue;

@@ -8,6 +8,7 @@
 #include "tai/Transforms/Utils/OrderedAdditions.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Transforms/Utils/Accumulation.h"
@@ -88,6 +89,7 @@ public:
   Checker(ParallelForOp loop, FieldTable &fields)
       : loop(loop), fields(fields) {}
   bool run();
+  bool haveElementsOfTheirOwn();
 
 private:
   bool visit(Operation *op);
@@ -251,4 +253,44 @@ bool Checker::run() {
 
 bool tai::canOrderAdditions(ParallelForOp loop, FieldTable &fields) {
   return Checker(loop, fields).run();
+}
+
+/// The constant components of an element that an update names.
+static ValueRange getComponentsOf(Operation *op) {
+  auto atomic = dyn_cast<AtomicOp>(op);
+  return atomic ? ValueRange(atomic.getComponents()) : ValueRange();
+}
+
+/// True if no two additions can reach one element, and each is done once.
+bool Checker::haveElementsOfTheirOwn() {
+  using Access = PlaceAccesses::Access;
+  auto areApart = [&](const Access &a, const Access &b) {
+    if (!mayReach(a.indices, b.indices))
+      return true;
+    ValueRange x = getComponentsOf(a.op), y = getComponentsOf(b.op);
+    return x.size() == y.size() &&
+           llvm::any_of(llvm::zip_equal(x, y), [](auto pair) {
+             auto one = getConstantIntValue(std::get<0>(pair));
+             auto other = getConstantIntValue(std::get<1>(pair));
+             return one && other && *one != *other;
+           });
+  };
+  for (const auto &[key, place] : places)
+    for (auto [i, update] : llvm::enumerate(place.updates)) {
+      if (!additions.contains(update.op))
+        continue;
+      for (Operation *at = update.op->getParentOp(); at != loop;
+           at = at->getParentOp())
+        if (!isa<scf::IfOp>(at))
+          return false;
+      for (const Access &other : ArrayRef(place.updates).drop_front(i + 1))
+        if (additions.contains(other.op) && !areApart(update, other))
+          return false;
+    }
+  return true;
+}
+
+bool tai::canQueueAdditions(ParallelForOp loop, FieldTable &fields) {
+  Checker checker(loop, fields);
+  return checker.run() && checker.haveElementsOfTheirOwn();
 }

@@ -32,6 +32,11 @@ Operation *findDivergence(ParallelForOp loop, OpPredicate isAddition);
 /// iterations write.
 bool canOrderAdditions(ParallelForOp loop, FieldTable &fields);
 
+/// The same for the order of iterations: no element gets more than one of the
+/// additions of an iteration, so that it does not matter that threads do one
+/// addition of 32 iterations after another.
+bool canQueueAdditions(ParallelForOp loop, FieldTable &fields);
+
 } // namespace mlir::tai
 
 #endif // TAI_TRANSFORMS_UTILS_ORDEREDADDITIONS_H

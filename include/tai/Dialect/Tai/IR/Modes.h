@@ -52,6 +52,12 @@ struct Modes {
   /// Whether the kernel is deterministic; `otherwise` is the context's setting.
   bool isDeterministic(bool otherwise) const;
   bool isCompensated() const { return sums == SumsMode::Compensated; }
+  /// Whether its sums have the order that all targets share, in a context that
+  /// is deterministic or not: see docs/decisions/0039-bits.md.
+  bool hasOneOrder(bool deterministic) const {
+    return math == MathMode::Strict && !isCompensated() &&
+           isDeterministic(deterministic);
+  }
   bool isAccurate() const { return math == MathMode::Accurate; }
   bool flushes() const { return ftz.value_or(false); }
 

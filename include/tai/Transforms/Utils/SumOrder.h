@@ -1,0 +1,55 @@
+//===- SumOrder.h - The order of float sums over iterations -----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A sum of all iterations whose order is the same on every target. The n
+// iterations, in their row-major order, are cut into chunks of
+// 256 * (n / 8192 + 1), so that there are 32 at the most. Lane l of a chunk
+// adds up its iterations l, l + 256, ... one after another. Lanes l and l + 128
+// are added, then l and l + 64, and so on until four are left: the groups of
+// the chunk. All groups of all chunks are added up one after another. Additions
+// are of f64 whatever the type of the sum, which is rounded to that once.
+//
+// See docs/decisions/0039-bits.md.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_TRANSFORMS_UTILS_SUMORDER_H
+#define TAI_TRANSFORMS_UTILS_SUMORDER_H
+
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+
+struct SumOrder {
+  static constexpr int64_t kChunks = 32;
+  static constexpr int64_t kLanes = 256;
+  static constexpr int64_t kGroups = 4;
+};
+
+/// What the lanes of such a sum are kept in.
+Type getLaneType(AtomicKind kind, Type type);
+
+/// What lanes start with: added to any number, also to -0, it leaves that.
+TypedAttr getLaneStart(AtomicKind kind, Type type);
+
+/// The iterations of a chunk, for a number of all that is not negative.
+int64_t getChunkLength(int64_t iterations);
+Value emitChunkLength(OpBuilder &builder, Location loc, Value iterations);
+
+/// Adds lanes up in place until the groups from `first` on, in steps of `step`,
+/// are left: 0 and 1 for all.
+void emitLaneTree(OpBuilder &builder, Location loc, AtomicKind kind, Type type,
+                  Value lanes, Value first, int64_t step);
+
+/// True for a float sum or product of all iterations that a loop keeps out of
+/// memory.
+bool isFloatTotal(Operation *update);
+bool hasFloatTotals(ParallelForOp loop);
+
+} // namespace mlir::tai
+
+#endif // TAI_TRANSFORMS_UTILS_SUMORDER_H
