@@ -35,9 +35,6 @@ struct ArrayArg {
   bool isWritten = false;
 };
 
-/// A number that other bytes have not, but for one case in 2⁶⁴.
-uint64_t digest(uint64_t address, uint64_t bytes);
-
 /// What a launch does with the gradients of its arrays.
 enum class ArrayUse {
   Forward,  // nothing
