@@ -77,7 +77,7 @@ fmt: setup ## format C++ and Python
 lint: setup ## check the format and the style of C++ and Python
 	@$(PYTHON) scripts/lint.py
 
-tidy: build ## clang-tidy over changed sources (ARGS=--all); needs clang-tidy-22
+tidy: build ## clang-tidy over changed sources and headers (ARGS=--all); needs clang-tidy-22
 	@$(PYTHON) scripts/tidy.py --build $(BUILD) --jobs $(JOBS) $(ARGS)
 
 portable: setup ## make dist/tai-portable-*.tar.xz, which needs no LLVM to run

@@ -5,7 +5,8 @@
     python scripts/tidy.py lib/AD/Conventions.cpp
 
 Sources are those of the build folder's compile_commands.json, so code of other platforms is not
-checked. A finding in a header is printed once, however many sources include it. Exits with 1 if
+checked; a header is checked in a source that includes it. Each finding is printed once, however
+many sources include the header that it is in. Exits with 1 if
 there are findings.
 """
 
@@ -22,6 +23,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 TIDY = "clang-tidy-22"
+INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.M)
 FINDING = re.compile(r"^(\S+?):(\d+):(\d+): (?:warning|error): (.*)$", re.M)
 
 
@@ -31,9 +33,48 @@ def git(*command: str) -> list[str]:
 
 
 def changed() -> set[str]:
-    """Sources that differ from main, whether committed or not."""
+    """Sources and headers that differ from main, committed or not, tracked or not yet."""
     names = git("diff", "--name-only", "main...HEAD") + git("diff", "--name-only", "HEAD")
-    return {name for name in names if name.endswith(".cpp")}
+    names += git("ls-files", "--others", "--exclude-standard")
+    return {name for name in names if name.endswith((".cpp", ".h")) and (ROOT / name).exists()}
+
+
+def includes(name: str) -> set[str]:
+    """The files of the checkout that a file includes."""
+    found = set()
+    for other in INCLUDE.findall((ROOT / name).read_text()):
+        for folder in ((ROOT / name).parent, ROOT / "include"):
+            path = (folder / other).resolve()
+            if path.is_relative_to(ROOT) and path.is_file():
+                found.add(str(path.relative_to(ROOT)))
+    return found
+
+
+def includer(header: str, known: set[str]) -> str | None:
+    """A source that includes the header, by way of few others; its own source if there is one."""
+    headers = {name for name in git("ls-files", "*.h") if (ROOT / name).is_file()}
+    included = {name: includes(name) for name in known | headers}
+    stem = Path(header).stem
+    wanted, seen = {header}, {header}
+    while wanted:
+        wanted = {name for name, others in included.items() if others & wanted} - seen
+        sources = sorted(wanted & known, key=lambda name: (Path(name).stem != stem, name))
+        if sources:
+            return sources[0]
+        seen |= wanted
+    return None
+
+
+def to_look_at(names: set[str], known: set[str]) -> set[str]:
+    """The sources among the names, and one for each header."""
+    sources = names & known
+    for name in sorted(names - known):
+        source = includer(name, known) if name.endswith(".h") else None
+        if source:
+            sources.add(source)
+        else:
+            print(f"{name} is not compiled")
+    return sources
 
 
 def compiled(build: Path) -> set[str]:
@@ -76,7 +117,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("files", nargs="*", help="sources; those that differ from main by default")
+    parser.add_argument(
+        "files", nargs="*", help="sources, headers; without any, those that differ from main"
+    )
     parser.add_argument("--all", action="store_true", help="every source that is compiled")
     parser.add_argument("--build", type=Path, default=ROOT / "build", help="build folder (build)")
     parser.add_argument("--jobs", type=int, default=2, help="sources at once (2)")
@@ -89,11 +132,9 @@ def main() -> int:
         print(f"{build} has no compile_commands.json: configure it first (make build)")
         return 2
     known = compiled(build)
-    wanted = known if args.all else set(args.files) or changed()
-    for name in sorted(set(args.files) - known):
-        print(f"{name} is not compiled in {build.name}")
-    count = report(wanted & known, build, args.jobs)
-    print(f"clang-tidy: {count} findings in {len(wanted & known)} sources")
+    sources = known if args.all else to_look_at(set(args.files) or changed(), known)
+    count = report(sources, build, args.jobs)
+    print(f"clang-tidy: {count} findings in {len(sources)} sources")
     return 1 if count else 0
 
 

@@ -9,6 +9,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/Analysis/ZeroTests.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -95,9 +96,7 @@ void mlir::tai::noteGuards(FunctionOpInterface function) {
 
 /// True for `select (x == 0), 0, y`.
 static bool looksLikeGuard(arith::SelectOp select) {
-  auto test = select.getCondition().getDefiningOp<arith::CmpFOp>();
-  return test && test.getPredicate() == arith::CmpFPredicate::OEQ &&
-         matchPattern(test.getRhs(), m_AnyZeroFloat()) &&
+  return getTestedForZero(select) &&
          matchPattern(select.getTrueValue(), m_AnyZeroFloat());
 }
 

@@ -12,6 +12,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
+#include "tai/Analysis/ZeroTests.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Interfaces/Differentiable.h"
 #include "llvm/ADT/TypeSwitch.h"
@@ -319,9 +320,7 @@ static bool isNormalization(Operation *op) {
   if (!select)
     return false;
   Value size = select.getFalseValue();
-  auto test = select.getCondition().getDefiningOp<arith::CmpFOp>();
-  if (!test || test.getPredicate() != arith::CmpFPredicate::OEQ ||
-      test.getLhs() != size || !matchPattern(test.getRhs(), m_AnyZeroFloat()) ||
+  if (getTestedForZero(select) != size ||
       !matchConstant(select.getTrueValue(), [](const APFloat &x) {
         return x.isFinite() && !x.isZero();
       }))

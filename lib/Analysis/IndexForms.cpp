@@ -237,7 +237,8 @@ LinearForm IndexForms::makeVariable(Kind kind, NumberRange range) {
   return form;
 }
 
-LinearForm IndexForms::makeLaunchForm(LaunchValue launch, NumberRange range) {
+LinearForm IndexForms::makeLaunchForm(const LaunchValue &launch,
+                                      NumberRange range) {
   auto [entry, isNew] =
       launch.array
           ? extentVariables.try_emplace({launch.array, launch.dimension}, 0)

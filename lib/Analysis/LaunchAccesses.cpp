@@ -193,7 +193,8 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
   using Boxes = std::vector<runtime::StoredBox>;
   // Of each access, unless something else stores there too.
   std::vector<std::optional<Boxes>> found(accesses.size(), Boxes());
-  auto add = [&](StringRef field, std::optional<runtime::FixedIndex> fixed,
+  auto add = [&](StringRef field,
+                 const std::optional<runtime::FixedIndex> &fixed,
                  std::optional<runtime::StoredBox> box) {
     for (auto [access, boxes] : llvm::zip(accesses, found)) {
       if (access.kind != runtime::AccessKind::Write || field != access.field ||

@@ -185,7 +185,7 @@ void ObjectCompiler::runPasses(Module &module) {
   PassInstrumentationCallbacks callbacks;
   bool isDivided = divideManyLoops(module);
   callbacks.registerShouldRunOptionalPassCallback(
-      [isDivided](StringRef name, Any ir) {
+      [isDivided](StringRef name, const Any &ir) {
         return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir) &&
                !(isDivided && looksThroughCalls(name));
       });

@@ -7,7 +7,7 @@
 
 #include "tai/ExecutionEngine/Background.h"
 #include "tai/Runtime/Threads/Safepoint.h"
-#include <algorithm>
+#include "llvm/ADT/STLExtras.h"
 #include <cstdlib>
 #include <pthread.h>
 #include <vector>
@@ -86,7 +86,7 @@ Background::~Background() {
   {
     BackgroundForks &forks = BackgroundForks::get();
     std::lock_guard<std::mutex> lock(forks.mutex);
-    forks.all.erase(std::find(forks.all.begin(), forks.all.end(), this));
+    forks.all.erase(llvm::find(forks.all, this));
   }
   stop();
 }
@@ -187,9 +187,8 @@ void Background::run(std::list<runtime::Thread>::iterator self) {
 }
 
 bool Background::take(Job &job) {
-  auto found =
-      std::find_if(queue.begin(), queue.end(),
-                   [&](const JobPtr &other) { return other.get() == &job; });
+  auto found = llvm::find_if(
+      queue, [&](const JobPtr &other) { return other.get() == &job; });
   if (found == queue.end())
     return false;
   queue.erase(found);

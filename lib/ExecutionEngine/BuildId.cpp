@@ -15,7 +15,7 @@
 #include "mlir/IR/Dialect.h"
 #include "mlir/IR/Verifier.h"
 #include "tai/ABI/Abi.h"
-#include "tai/Runtime/Cache/CacheStore.h"
+#include "tai/Support/XXHash.h"
 #include "llvm/ADT/STLExtras.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Config/llvm-config.h"

@@ -20,7 +20,7 @@
 #include "tai/Dialect/Check/IR/Check.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/Background.h"
-#include "tai/Runtime/Cache/CacheStore.h"
+#include "tai/Support/XXHash.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/BLAKE3.h"
 

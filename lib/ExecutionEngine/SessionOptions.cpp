@@ -100,16 +100,18 @@ LogicalResult Session::setModes(const ContextModes &wanted) {
   return success();
 }
 
+static ContextModes with(ContextModes modes, bool ContextModes::*mode,
+                         bool on) {
+  modes.*mode = on;
+  return modes;
+}
+
 LogicalResult Session::setDeterministic(bool on) {
-  ContextModes wanted = modes;
-  wanted.deterministic = on;
-  return setModes(wanted);
+  return setModes(with(modes, &ContextModes::deterministic, on));
 }
 
 LogicalResult Session::setStrict(bool on) {
-  ContextModes wanted = modes;
-  wanted.strict = on;
-  return setModes(wanted);
+  return setModes(with(modes, &ContextModes::strict, on));
 }
 
 LogicalResult Session::setWord(StringRef name, StringRef word) {
@@ -133,9 +135,7 @@ LogicalResult Session::setAdjoints(StringRef word) {
 }
 
 LogicalResult Session::setFtz(bool on) {
-  ContextModes wanted = modes;
-  wanted.ftz = on;
-  return setModes(wanted);
+  return setModes(with(modes, &ContextModes::ftz, on));
 }
 
 LogicalResult Session::setDebug(bool on) {
@@ -145,14 +145,11 @@ LogicalResult Session::setDebug(bool on) {
 }
 
 LogicalResult Session::setFastMath(bool on) {
-  ContextModes wanted = modes;
-  wanted.fastMath = on;
-  return setModes(wanted);
+  return setModes(with(modes, &ContextModes::fastMath, on));
 }
 
 LogicalResult Session::setShadow(bool on) {
-  ContextModes wanted = modes;
-  wanted.shadow = on;
+  ContextModes wanted = with(modes, &ContextModes::shadow, on);
   if (std::string problem = wanted.findContradiction(); !problem.empty())
     return fail(FailureKind::Usage, problem);
   if (on && (rt->getDevice() || compileOptions.interpret))

@@ -12,6 +12,7 @@
 #include "ArrayArguments.h"
 #include "Safepoint.h"
 #include "TensorView.h"
+#include "tai/Support/XXHash.h"
 
 #include <algorithm>
 #include <cstring>
@@ -59,6 +60,12 @@ TapedArray *findTaped(PyObject *object) {
 void forgetArrays() {
   // What goes with them may come back here.
   delete std::exchange(taped, nullptr);
+}
+
+/// A number that other bytes have not, but for one case in 2⁶⁴.
+uint64_t digest(uint64_t address, uint64_t bytes) {
+  return mlir::tai::runtime::xxh64(reinterpret_cast<const void *>(address),
+                                   bytes);
 }
 
 /// A digest of some of the bytes.
@@ -373,32 +380,6 @@ bool HeldArrays::orderBefore() {
 }
 
 bool HeldArrays::orderAfter() { return orderStreams(&taiContextLetStreamWait); }
-
-uint64_t taipy::digest(uint64_t address, uint64_t bytes) {
-  // Four lanes, so that a word does not wait for the one before.
-  const auto *from = reinterpret_cast<const unsigned char *>(address);
-  constexpr uint64_t odd = 0x9e3779b97f4a7c15, even = 0xc2b2ae3d27d4eb4f;
-  uint64_t lanes[4] = {bytes, odd, even, bytes ^ odd};
-  auto mix = [&](uint64_t &lane, uint64_t word) {
-    lane = (lane ^ word) * odd;
-    lane ^= lane >> 29;
-  };
-  uint64_t words[4], at = 0;
-  for (; at + sizeof words <= bytes; at += sizeof words) {
-    std::memcpy(words, from + at, sizeof words);
-    for (int i = 0; i < 4; ++i)
-      mix(lanes[i], words[i]);
-  }
-  std::memset(words, 0, sizeof words);
-  std::memcpy(words, from + at, bytes - at);
-  uint64_t result = 0;
-  for (int i = 0; i < 4; ++i) {
-    mix(lanes[i], words[i]);
-    result = (result ^ lanes[i]) * even;
-    result ^= result >> 32;
-  }
-  return result;
-}
 
 void taipy::setArrayTape(PyObject *tape) {
   // While a function runs that is not recorded there is none.

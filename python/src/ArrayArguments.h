@@ -36,9 +36,6 @@ struct ArrayArg {
   bool isWritten = false;
 };
 
-/// A 64-bit hash of the bytes.
-uint64_t digest(uint64_t address, uint64_t bytes);
-
 /// How a launch uses the gradients of its arrays.
 enum class ArrayUse {
   Forward,  // nothing

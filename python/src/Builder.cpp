@@ -124,6 +124,7 @@ public:
   Block block(const RegionRef &region, const std::vector<Type> &arguments,
               const std::vector<std::string> &names) {
     std::vector<MlirType> argumentTypes;
+    argumentTypes.reserve(arguments.size());
     for (Type argument : arguments)
       argumentTypes.push_back(argument.handle);
     std::vector<MlirLocation> locations(arguments.size(), location);

@@ -149,6 +149,7 @@ py::list readAll(const Field &field, const py::tuple &indices) {
 
 std::vector<TaiField> handlesOf(const std::vector<Field *> &fields) {
   std::vector<TaiField> handles;
+  handles.reserve(fields.size());
   for (const Field *field : fields)
     handles.push_back(field->handle);
   return handles;
@@ -308,12 +309,12 @@ void bindTape(py::module_ &module) {
              t.kept.push_back(std::make_unique<py::object>(std::move(object)));
            })
       .def("record",
-           [](Tape &t, py::object forward, py::object backward) {
+           [](Tape &t, const py::object &forward, const py::object &backward) {
              t.hostFunctions[settled(taiTapeNumRecords(t.handle))] = forward;
              // One user pointer serves both directions: a pair of callables.
              bool reverses = !backward.is_none();
              auto pair = std::make_unique<py::object>(
-                 py::make_tuple(std::move(forward), std::move(backward)));
+                 py::make_tuple(forward, backward));
              void *user = pair.get();
              t.kept.push_back(std::move(pair));
              t.context->check(taiTapeRecordCallback(
@@ -615,7 +616,7 @@ void taipy::bindRuntime(py::module_ &module) {
              c.check(taiContextDeactivateAll(c.handle, tree.c_str(), level));
            })
       .def("add_field",
-           [](ContextRef c, const std::string &declaration) {
+           [](const ContextRef &c, const std::string &declaration) {
              auto field = std::make_unique<Field>();
              field->context = c;
              c->check(taiContextAddField(c->handle, declaration.c_str(),
@@ -652,6 +653,7 @@ void taipy::bindRuntime(py::module_ &module) {
            [](Context &c, const std::vector<std::shared_ptr<Kernel>> &kernels,
               bool adjoints) {
              std::vector<TaiKernel> handles;
+             handles.reserve(kernels.size());
              for (const auto &kernel : kernels)
                handles.push_back(kernel->handle);
              c.check(taiKernelsCompile(c.handle, handles.data(),
@@ -660,7 +662,7 @@ void taipy::bindRuntime(py::module_ &module) {
            })
       .def(
           "tape",
-          [](ContextRef c, const Field *loss, bool clear) {
+          [](const ContextRef &c, const Field *loss, bool clear) {
             auto tape = std::make_unique<Tape>();
             tape->context = c;
             tape->handle = nullptr;

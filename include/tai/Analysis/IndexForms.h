@@ -66,7 +66,7 @@ public:
   NumberRange rangeOfSum(const LinearSum &sum) const;
   /// True if the value can be computed before the kernel runs.
   bool isLaunchValue(Value value);
-  LinearForm makeLaunchForm(LaunchValue launch, NumberRange range);
+  LinearForm makeLaunchForm(const LaunchValue &launch, NumberRange range);
 
   Kind getKind(unsigned variable) const { return variables[variable].kind; }
   NumberRange getRange(unsigned variable) const {

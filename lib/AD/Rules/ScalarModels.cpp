@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/AD/AdjointBuilder.h"
+#include "tai/Analysis/ZeroTests.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/StringMap.h"
 
@@ -112,19 +113,6 @@ static void applyTangentRule(Operation *op, TangentBuilder &b) {
     sum = sum ? Value(arith::AddFOp::create(b, sum, term)) : term;
   }
   b.setTangent(op->getResult(0), sum);
-}
-
-/// The value whose zeros a guard tests for, or null.
-static Value getGuarded(arith::SelectOp guard) {
-  auto test = guard.getCondition().getDefiningOp<arith::CmpFOp>();
-  if (!test || test.getPredicate() != arith::CmpFPredicate::OEQ)
-    return {};
-  Value tested = test.getLhs();
-  // All components of a matrix at once: a sum of absolute values.
-  if (auto sum = tested.getDefiningOp<SumOp>())
-    if (auto abs = sum.getVector().getDefiningOp<math::AbsFOp>())
-      return abs.getOperand();
-  return tested;
 }
 
 /// A guard stands for the product g p, with 0 where g = 0 whatever p is. The

@@ -45,13 +45,16 @@ void addComponents(AdjointBuilder &b, Value to, int64_t toFirst,
     b.addAdjointComponent(to, toFirst + i, component);
 }
 
-struct BroadcastModel
-    : DifferentiableOpInterface::ExternalModel<BroadcastModel,
-                                               vector::BroadcastOp> {
+/// A model of an op that is linear: it takes tangents as it takes values.
+template <typename Model, typename Op>
+struct LinearModel : DifferentiableOpInterface::ExternalModel<Model, Op> {
   LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
     b.applyToTangents(op);
     return success();
   }
+};
+
+struct BroadcastModel : LinearModel<BroadcastModel, vector::BroadcastOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto broadcast = cast<vector::BroadcastOp>(op);
     Value source = broadcast.getSource();
@@ -81,13 +84,7 @@ struct BroadcastModel
   }
 };
 
-struct ExtractModel
-    : DifferentiableOpInterface::ExternalModel<ExtractModel,
-                                               vector::ExtractOp> {
-  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
-    b.applyToTangents(op);
-    return success();
-  }
+struct ExtractModel : LinearModel<ExtractModel, vector::ExtractOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto extract = cast<vector::ExtractOp>(op);
     Value source = extract.getSource();
@@ -113,12 +110,7 @@ struct ExtractModel
   }
 };
 
-struct InsertModel
-    : DifferentiableOpInterface::ExternalModel<InsertModel, vector::InsertOp> {
-  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
-    b.applyToTangents(op);
-    return success();
-  }
+struct InsertModel : LinearModel<InsertModel, vector::InsertOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto insert = cast<vector::InsertOp>(op);
     Value value = insert.getValueToStore();
@@ -147,12 +139,7 @@ struct InsertModel
 };
 
 struct FromElementsModel
-    : DifferentiableOpInterface::ExternalModel<FromElementsModel,
-                                               vector::FromElementsOp> {
-  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
-    b.applyToTangents(op);
-    return success();
-  }
+    : LinearModel<FromElementsModel, vector::FromElementsOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     SmallVector<Value> seeds = b.getAdjointComponents(op->getResult(0));
     for (auto [element, seed] : llvm::zip(op->getOperands(), seeds))
@@ -161,13 +148,7 @@ struct FromElementsModel
   }
 };
 
-struct ToElementsModel
-    : DifferentiableOpInterface::ExternalModel<ToElementsModel,
-                                               vector::ToElementsOp> {
-  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
-    b.applyToTangents(op);
-    return success();
-  }
+struct ToElementsModel : LinearModel<ToElementsModel, vector::ToElementsOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     for (OpResult element : op->getResults())
       b.addAdjointComponent(op->getOperand(0), element.getResultNumber(),
@@ -176,13 +157,7 @@ struct ToElementsModel
   }
 };
 
-struct ShapeCastModel
-    : DifferentiableOpInterface::ExternalModel<ShapeCastModel,
-                                               vector::ShapeCastOp> {
-  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
-    b.applyToTangents(op);
-    return success();
-  }
+struct ShapeCastModel : LinearModel<ShapeCastModel, vector::ShapeCastOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     addComponents(b, op->getOperand(0), 0,
                   b.getAdjointComponents(op->getResult(0)));
@@ -190,13 +165,7 @@ struct ShapeCastModel
   }
 };
 
-struct ShuffleModel
-    : DifferentiableOpInterface::ExternalModel<ShuffleModel,
-                                               vector::ShuffleOp> {
-  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
-    b.applyToTangents(op);
-    return success();
-  }
+struct ShuffleModel : LinearModel<ShuffleModel, vector::ShuffleOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto shuffle = cast<vector::ShuffleOp>(op);
     // The mask speaks of the leading dimension; each entry moves a slice.
@@ -216,13 +185,7 @@ struct ShuffleModel
   }
 };
 
-struct TransposeModel
-    : DifferentiableOpInterface::ExternalModel<TransposeModel,
-                                               vector::TransposeOp> {
-  LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
-    b.applyToTangents(op);
-    return success();
-  }
+struct TransposeModel : LinearModel<TransposeModel, vector::TransposeOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto transpose = cast<vector::TransposeOp>(op);
     VectorType from = transpose.getSourceVectorType();

@@ -278,7 +278,7 @@ static void shareLocals(LLVM::LLVMFuncOp host, Value frame,
   }
   for (AllocaOp local : locals) {
     // Below serial code it is a variable of the thread that runs that.
-    auto outer = local->getParentOp();
+    Operation *outer = local->getParentOp();
     if (outer != host && !staysOnHost(outer))
       continue;
     OpBuilder builder(local);

@@ -106,7 +106,7 @@ struct ExtendedTanh : ComputeExtended<math::TanhOp> {
     constexpr StringLiteral name = "tanhl";
     Operation *table =
         SymbolTable::getNearestSymbolTable(x.getDefiningOp()->getParentOp());
-    auto function = SymbolTable::lookupSymbolIn(table, name);
+    Operation *function = SymbolTable::lookupSymbolIn(table, name);
     if (!function) {
       OpBuilder::InsertionGuard guard(rewriter);
       rewriter.setInsertionPointToStart(&table->getRegion(0).front());

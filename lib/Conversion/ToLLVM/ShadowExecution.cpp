@@ -202,7 +202,7 @@ Value Shadows::emitIsTainted(Value value) {
     return known->second;
   Operation *op = value.getDefiningOp();
   Value any;
-  if (op && isa<LLVM::ConstantOp, LLVM::SIToFPOp, LLVM::UIToFPOp>(op)) {
+  if (isa_and_nonnull<LLVM::ConstantOp, LLVM::SIToFPOp, LLVM::UIToFPOp>(op)) {
     any = {};
   } else if (!op || !onlyRounds(op) || !shadows.contains(value) ||
              isa<VectorType>(value.getType())) {

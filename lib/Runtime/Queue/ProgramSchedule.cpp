@@ -126,30 +126,30 @@ void StepMemory::addNumbers(DeviceAccess::Kind kind, uint64_t begin,
 // Two steps
 //===----------------------------------------------------------------------===//
 
+bool mlir::tai::runtime::liesBetween(int64_t distance, int64_t bytes,
+                                     int64_t size, int64_t step) {
+  if (step <= 0)
+    return false;
+  distance %= step;
+  if (distance < 0)
+    distance += step;
+  return distance >= size && bytes <= step - distance;
+}
+
 /// True if all elements of one piece lie between those of the other: fields
 /// that share cells do.
 static bool areInterleaved(const StepMemory::Piece &a,
                            const StepMemory::Piece &b) {
-  int64_t step = std::gcd(a.step, b.step);
-  if (step == 0)
-    return false;
-  int64_t distance = static_cast<int64_t>(b.first - a.first) % step;
-  if (distance < 0)
-    distance += step;
-  return distance >= a.size && distance + b.size <= step;
+  return liesBetween(static_cast<int64_t>(b.first - a.first), b.size, a.size,
+                     std::gcd(a.step, b.step));
 }
 
 /// True if all of one piece lies between two elements of the other: a row of
 /// numbers where the rows of their gradients are cleared.
 static bool liesBetween(const StepMemory::Piece &a,
                         const StepMemory::Piece &b) {
-  auto bytes = static_cast<int64_t>(a.end - a.begin);
-  if (b.step <= 0 || bytes > b.step - b.size)
-    return false;
-  int64_t distance = static_cast<int64_t>(a.begin - b.first) % b.step;
-  if (distance < 0)
-    distance += b.step;
-  return distance >= b.size && distance + bytes <= b.step;
+  return liesBetween(static_cast<int64_t>(a.begin - b.first),
+                     static_cast<int64_t>(a.end - a.begin), b.size, b.step);
 }
 
 /// True if in both the same iterations reach the same memory, and no others do.

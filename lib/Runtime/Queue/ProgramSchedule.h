@@ -70,6 +70,10 @@ private:
   std::shared_ptr<Footprint::Map> ownMap;
 };
 
+/// True if so many bytes, `distance` behind an element, lie between elements of
+/// `size` bytes each of which is `step` behind the one before.
+bool liesBetween(int64_t distance, int64_t bytes, int64_t size, int64_t step);
+
 /// The order in which a program runs its steps.
 struct ProgramSchedule {
   ProgramSchedule() = default;

@@ -12,6 +12,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "TileChains.h"
+#include "ProgramSchedule.h"
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -152,14 +153,9 @@ bool ChainMaker::findPlace(const ChainStep &step, const TileSite &site,
 bool ChainMaker::isApart(const Place &one, const Place &other) const {
   if (one.end <= other.begin || other.end <= one.begin)
     return true;
-  int64_t step = std::gcd(one.step, other.step);
-  if (step == 0)
-    return false;
-  int64_t distance = static_cast<int64_t>(other.address - one.address) % step;
-  if (distance < 0)
-    distance += step;
-  return distance >= one.site->access.size &&
-         distance + other.site->access.size <= step;
+  return liesBetween(static_cast<int64_t>(other.address - one.address),
+                     other.site->access.size, one.site->access.size,
+                     std::gcd(one.step, other.step));
 }
 
 static bool areSameCells(const TileSite &one, const TileSite &other) {

@@ -592,7 +592,7 @@ void Spreading::emitRest(OpBuilder &builder, ValueRange indices) {
   for (Operation &op : box.body().without_terminator()) {
     if (needed.contains(&op))
       builder.clone(op, mapping);
-    if (auto found = byEffect.find(&op); found != byEffect.end())
+    if (auto *found = byEffect.find(&op); found != byEffect.end())
       for (unsigned number : found->second)
         emitAddition(builder, additions[number], mapping);
   }

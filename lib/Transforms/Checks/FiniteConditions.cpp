@@ -12,6 +12,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/ZeroTests.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Interfaces/Differentiable.h"
 #include "llvm/ADT/TypeSwitch.h"
@@ -102,26 +103,12 @@ Value mlir::tai::createTestOfFinite(OpBuilder &builder, Location loc,
 // Conditions
 //===----------------------------------------------------------------------===//
 
-/// The adjoint or tangent, or partial derivative, whose zeros a guard tests
-/// for.
-static Value getSeed(arith::SelectOp guard) {
-  auto test = guard.getCondition().getDefiningOp<arith::CmpFOp>();
-  if (!test || test.getPredicate() != arith::CmpFPredicate::OEQ ||
-      !matchPattern(test.getRhs(), m_AnyZeroFloat()))
-    return {};
-  Value tested = test.getLhs();
-  if (auto sum = tested.getDefiningOp<SumOp>())
-    if (auto abs = sum.getVector().getDefiningOp<math::AbsFOp>())
-      return abs.getOperand();
-  return tested;
-}
-
 namespace {
 /// What a guarded product makes of its seed.
 class Product {
 public:
   explicit Product(arith::SelectOp guard)
-      : block(guard->getBlock()), seed(getSeed(guard)) {}
+      : block(guard->getBlock()), seed(getGuarded(guard)) {}
   bool dependsOnSeed(Value value) {
     if (!seed || value == seed)
       return static_cast<bool>(seed);
@@ -158,9 +145,7 @@ static bool isDivisorOfNorm(OpOperand &use) {
   if (!norm.getDefiningOp<NormOp>() || !select ||
       select.getFalseValue() != op->getResult(0))
     return false;
-  auto test = select.getCondition().getDefiningOp<arith::CmpFOp>();
-  return test && test.getPredicate() == arith::CmpFPredicate::OEQ &&
-         test.getLhs() == norm && matchPattern(test.getRhs(), m_AnyZeroFloat());
+  return getTestedForZero(select) == norm;
 }
 
 /// The factors and divisors of the seed in what the guard selects.
@@ -174,7 +159,7 @@ bool FiniteConditions::requirePartial(arith::SelectOp guard) {
   while (!pending.empty()) {
     Value value = pending.pop_back_val();
     Operation *op = value.getDefiningOp();
-    if (!seen.insert(value).second || value == getSeed(guard))
+    if (!seen.insert(value).second || value == getGuarded(guard))
       continue;
     for (OpOperand &operand : op->getOpOperands()) {
       if (product.dependsOnSeed(operand.get())) {
@@ -282,10 +267,7 @@ static bool isNormOrNumber(Value value) {
   Value norm = select.getFalseValue();
   if (auto product = norm.getDefiningOp<arith::MulFOp>())
     norm = product.getLhs();
-  auto test = select.getCondition().getDefiningOp<arith::CmpFOp>();
-  return norm.getDefiningOp<NormOp>() && test &&
-         test.getPredicate() == arith::CmpFPredicate::OEQ &&
-         test.getLhs() == norm && matchPattern(test.getRhs(), m_AnyZeroFloat());
+  return norm.getDefiningOp<NormOp>() && getTestedForZero(select) == norm;
 }
 
 bool FiniteConditions::requireFinite(Value value, Operation *at) {

@@ -214,7 +214,7 @@ void Instrumentation::check(Operation *access, FieldUse use, bool isClearing,
 }
 
 LogicalResult Instrumentation::instrument(Operation *access) {
-  auto found = shadows.find(getStorageKey(access));
+  auto *found = shadows.find(getStorageKey(access));
   if (found == shadows.end())
     return success();
   current = &found->second;

@@ -83,23 +83,6 @@ static Components emitIdentity(ScalarMath &math, Type type, unsigned n) {
   return result;
 }
 
-static Components emitProduct(ScalarMath &math, ArrayRef<Value> a,
-                              ArrayRef<Value> b, unsigned n, bool transposeA,
-                              bool transposeB) {
-  Components result;
-  for (unsigned i = 0; i != n; ++i)
-    for (unsigned j = 0; j != n; ++j) {
-      Value sum;
-      for (unsigned k = 0; k != n; ++k) {
-        Value product = math.mul(a[transposeA ? k * n + i : i * n + k],
-                                 b[transposeB ? j * n + k : k * n + j]);
-        sum = sum ? math.add(sum, product) : product;
-      }
-      result.push_back(sum);
-    }
-  return result;
-}
-
 /// The pairs of columns of one sweep.
 static constexpr unsigned kPairs[3][2] = {{0, 1}, {0, 2}, {1, 2}};
 
@@ -341,16 +324,17 @@ Svd tai::emitSvd(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
     return emitSvd3(math, a);
   // A = R S, S = V Σ Vᵀ, U = R V.
   Components rotation = emitRotation2(math, a);
-  Components stretch = emitProduct(math, rotation, a, 2, true, false);
+  Components stretch = math.product(math.transpose(rotation, 2, 2), a, 2, 2, 2);
   SymEig eig = emitSymEig(math, stretch, 2);
-  return {emitProduct(math, rotation, eig.vectors, 2, false, false), eig.values,
+  return {math.product(rotation, eig.vectors, 2, 2, 2), eig.values,
           eig.vectors};
 }
 
 Polar tai::emitPolar(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   if (n == 2) {
     Components rotation = emitRotation2(math, a);
-    Components stretch = emitProduct(math, rotation, a, 2, true, false);
+    Components stretch =
+        math.product(math.transpose(rotation, 2, 2), a, 2, 2, 2);
     // Symmetric but for rounding.
     stretch[1] = stretch[2] = math.mul(math.constant(a[0].getType(), 0.5),
                                        math.add(stretch[1], stretch[2]));
@@ -360,6 +344,7 @@ Polar tai::emitPolar(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   Components scaled;
   for (unsigned i = 0; i != 9; ++i)
     scaled.push_back(math.mul(svd.v[i], svd.sigma[i % 3]));
-  return {emitProduct(math, svd.u, svd.v, 3, false, true),
-          emitProduct(math, scaled, svd.v, 3, false, true)};
+  Components transposed = math.transpose(svd.v, 3, 3);
+  return {math.product(svd.u, transposed, 3, 3, 3),
+          math.product(scaled, transposed, 3, 3, 3)};
 }

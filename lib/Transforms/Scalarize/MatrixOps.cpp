@@ -20,22 +20,6 @@ static int64_t getColumns(Value matrix) {
   return type.getRank() == 2 ? type.getDimSize(1) : 1;
 }
 
-static Components emitMatmul(ScalarMath &math, ArrayRef<Value> a,
-                             ArrayRef<Value> b, unsigned n, unsigned k,
-                             unsigned m) {
-  Components result;
-  for (unsigned i = 0; i != n; ++i)
-    for (unsigned j = 0; j != m; ++j) {
-      Value sum;
-      for (unsigned l = 0; l != k; ++l) {
-        Value product = math.mul(a[i * k + l], b[l * m + j]);
-        sum = sum ? math.add(sum, product) : product;
-      }
-      result.push_back(sum);
-    }
-  return result;
-}
-
 /// The matrix without one row and one column.
 static Components getMinor(ArrayRef<Value> a, unsigned n, unsigned row,
                            unsigned column) {
@@ -177,21 +161,18 @@ bool tai::expandMatrixOp(Operation *op, Scalarizer &scalarizer) {
 
   return llvm::TypeSwitch<Operation *, bool>(op)
       .Case([&](MatmulOp matmul) {
-        scalarizer.set(
-            matmul.getResult(),
-            emitMatmul(math, get(matmul.getLhs()), get(matmul.getRhs()),
-                       getRows(matmul.getLhs()), getColumns(matmul.getLhs()),
-                       getColumns(matmul.getRhs())));
+        scalarizer.set(matmul.getResult(),
+                       math.product(get(matmul.getLhs()), get(matmul.getRhs()),
+                                    getRows(matmul.getLhs()),
+                                    getColumns(matmul.getLhs()),
+                                    getColumns(matmul.getRhs())));
         return true;
       })
       .Case([&](TransposeOp transpose) {
-        Components from = get(transpose.getMatrix()), to;
-        unsigned n = getRows(transpose.getMatrix());
-        unsigned m = getColumns(transpose.getMatrix());
-        for (unsigned j = 0; j != m; ++j)
-          for (unsigned i = 0; i != n; ++i)
-            to.push_back(from[i * m + j]);
-        scalarizer.set(transpose.getResult(), std::move(to));
+        Value matrix = transpose.getMatrix();
+        scalarizer.set(
+            transpose.getResult(),
+            math.transpose(get(matrix), getRows(matrix), getColumns(matrix)));
         return true;
       })
       .Case([&](DotOp dot) {

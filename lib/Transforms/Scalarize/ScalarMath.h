@@ -87,6 +87,30 @@ public:
     return result;
   }
 
+  /// Of a matrix of n rows and k columns and one of k rows and m columns.
+  Components product(ArrayRef<Value> a, ArrayRef<Value> b, unsigned n,
+                     unsigned k, unsigned m) {
+    Components result;
+    for (unsigned i = 0; i != n; ++i)
+      for (unsigned j = 0; j != m; ++j) {
+        Value sum;
+        for (unsigned l = 0; l != k; ++l) {
+          Value term = mul(a[i * k + l], b[l * m + j]);
+          sum = sum ? add(sum, term) : term;
+        }
+        result.push_back(sum);
+      }
+    return result;
+  }
+  /// Of a matrix of n rows and m columns.
+  static Components transpose(ArrayRef<Value> a, unsigned n, unsigned m) {
+    Components result;
+    for (unsigned j = 0; j != m; ++j)
+      for (unsigned i = 0; i != n; ++i)
+        result.push_back(a[i * m + j]);
+    return result;
+  }
+
   OpBuilder &getBuilder() { return builder; }
   Location getLoc() { return loc; }
 

@@ -326,7 +326,7 @@ static Components expandConstant(arith::ConstantOp op, DenseElementsAttr dense,
 //===----------------------------------------------------------------------===//
 
 LogicalResult Scalarizer::process(Operation *op) {
-  if (op->getDialect() && isa<scf::SCFDialect>(op->getDialect()))
+  if (isa_and_nonnull<scf::SCFDialect>(op->getDialect()))
     return processStructure(op);
   if (isa<ParallelForOp>(op) || op->hasTrait<RecordsLaunches>())
     return processBlock(op->getRegion(0).front());

@@ -143,10 +143,10 @@ static void expandBroadcast(vector::BroadcastOp op, Scalarizer &scalarizer) {
   Components result;
   for (int64_t i = 0, e = getCount(op.getType()); i != e; ++i) {
     SmallVector<int64_t> at = delinearize(to, i);
-    SmallVector<int64_t> source_at(ArrayRef(at).take_back(from.size()));
-    for (auto [index, extent] : llvm::zip(source_at, from))
+    SmallVector<int64_t> sourceAt(ArrayRef(at).take_back(from.size()));
+    for (auto [index, extent] : llvm::zip(sourceAt, from))
       index = extent == 1 ? 0 : index;
-    result.push_back(source[linearize(from, source_at)]);
+    result.push_back(source[linearize(from, sourceAt)]);
   }
   scalarizer.set(op.getResult(), std::move(result));
 }
@@ -157,10 +157,10 @@ static void expandTranspose(vector::TransposeOp op, Scalarizer &scalarizer) {
   ArrayRef<int64_t> to = op.getResultVectorType().getShape();
   Components result;
   for (int64_t i = 0, e = getCount(op.getType()); i != e; ++i) {
-    SmallVector<int64_t> at = delinearize(to, i), source_at(from.size());
+    SmallVector<int64_t> at = delinearize(to, i), sourceAt(from.size());
     for (auto [d, axis] : llvm::enumerate(op.getPermutation()))
-      source_at[axis] = at[d];
-    result.push_back(source[linearize(from, source_at)]);
+      sourceAt[axis] = at[d];
+    result.push_back(source[linearize(from, sourceAt)]);
   }
   scalarizer.set(op.getResult(), std::move(result));
 }

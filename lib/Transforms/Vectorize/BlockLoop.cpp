@@ -185,7 +185,7 @@ bool BlockLoop::getForm(Value index, IndexForm &form) {
   if (!collectIndexVariables(index, body, variables) || variables.size() != 1)
     return false;
   auto ivs = loop.getInductionVars();
-  auto iv = llvm::find(ivs, variables.front());
+  auto *iv = llvm::find(ivs, variables.front());
   if (iv == ivs.end())
     return false;
   unsigned d = iv - ivs.begin();

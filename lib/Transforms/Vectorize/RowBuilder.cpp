@@ -43,7 +43,7 @@ void RowBuilder::findNeeded() {
       llvm::append_range(pending, taken.front().getTerminator()->getOperands());
       continue;
     }
-    auto access = block.accesses.find(op);
+    const auto *access = block.accesses.find(op);
     if (access == block.accesses.end() || !access->second.rowIndex)
       llvm::append_range(pending, op->getOperands());
   }
@@ -328,7 +328,7 @@ void RowBuilder::emitAccess(const BlockAccess &access) {
 
 void RowBuilder::emitBody(Block &body) {
   for (Operation &op : body.without_terminator()) {
-    if (auto access = block.accesses.find(&op);
+    if (const auto *access = block.accesses.find(&op);
         access != block.accesses.end()) {
       emitAccess(access->second);
       continue;

@@ -145,7 +145,7 @@ TEST(EngineCache, DamagedEntriesAreCompiledAnew) {
   std::string warned = testing::internal::GetCapturedStderr();
   // One warning, however many entries.
   EXPECT_NE(warned.find("cache"), std::string::npos) << warned;
-  EXPECT_EQ(std::count(warned.begin(), warned.end(), '\n'), 1) << warned;
+  EXPECT_EQ(llvm::count(warned, '\n'), 1) << warned;
   // The entries are whole again.
   Program third(folder.path);
   EXPECT_EQ(third.run(), std::make_pair(36.0, 6.0));

@@ -16,9 +16,9 @@
 using namespace mlir::tai::runtime;
 
 namespace {
-constexpr auto Read = DeviceAccess::Read;
-constexpr auto Write = DeviceAccess::Write;
-constexpr auto Sum = DeviceAccess::Sum;
+constexpr auto reads = DeviceAccess::Read;
+constexpr auto writes = DeviceAccess::Write;
+constexpr auto sums = DeviceAccess::Sum;
 
 /// An access to row `row` + the second parameter, `shift` bytes further on.
 DeviceAccess at(DeviceAccess::Kind kind, int64_t row = 0, int64_t shift = 0) {
@@ -46,7 +46,8 @@ FunctionAccesses function(std::vector<DeviceAccess> accesses,
 
 class ProgramSchedules : public ::testing::Test {
 protected:
-  StepMemory step(FunctionAccesses accesses, uint64_t field, uint64_t row = 0) {
+  StepMemory step(const FunctionAccesses &accesses, uint64_t field,
+                  uint64_t row = 0) {
     footprints.push_back(std::make_unique<Footprint>(accesses));
     uint64_t slots[] = {field, row};
     return StepMemory::ofLaunch(footprints.back().get(), slots, 2);
@@ -60,84 +61,85 @@ protected:
 } // namespace
 
 TEST_F(ProgramSchedules, ReadersNeedNothing) {
-  EXPECT_EQ(relate(function({anyOf(Read)}), function({at(Read)})),
+  EXPECT_EQ(relate(function({anyOf(reads)}), function({at(reads)})),
             StepRelation::None);
 }
 
 TEST_F(ProgramSchedules, RowsAreApart) {
-  EXPECT_EQ(relate(function({anyOf(Write)}), function({anyOf(Read)}), 3, 4),
+  EXPECT_EQ(relate(function({anyOf(writes)}), function({anyOf(reads)}), 3, 4),
             StepRelation::None);
-  EXPECT_EQ(relate(function({anyOf(Write)}), function({anyOf(Read)}), 3, 3),
+  EXPECT_EQ(relate(function({anyOf(writes)}), function({anyOf(reads)}), 3, 3),
             StepRelation::Barrier);
-  EXPECT_EQ(relate(function({anyOf(Write, 1)}), function({anyOf(Read)}), 3, 4),
-            StepRelation::Barrier);
+  EXPECT_EQ(
+      relate(function({anyOf(writes, 1)}), function({anyOf(reads)}), 3, 4),
+      StepRelation::Barrier);
 }
 
 TEST_F(ProgramSchedules, ThreadsKeepTheirElements) {
-  EXPECT_EQ(relate(function({at(Write)}), function({at(Read), at(Write)})),
+  EXPECT_EQ(relate(function({at(writes)}), function({at(reads), at(writes)})),
             StepRelation::SameThread);
   // A neighbour was another thread's.
-  EXPECT_EQ(relate(function({at(Write)}), function({at(Read, 0, 4)})),
+  EXPECT_EQ(relate(function({at(writes)}), function({at(reads, 0, 4)})),
             StepRelation::Barrier);
-  EXPECT_EQ(relate(function({at(Write)}), function({at(Read, 0, 32)})),
+  EXPECT_EQ(relate(function({at(writes)}), function({at(reads, 0, 32)})),
             StepRelation::Barrier);
-  EXPECT_EQ(relate(function({at(Write)}), function({at(Read), anyOf(Read)})),
+  EXPECT_EQ(relate(function({at(writes)}), function({at(reads), anyOf(reads)})),
             StepRelation::Barrier);
 }
 
 TEST_F(ProgramSchedules, OtherLoopsHaveOtherThreads) {
   // Row 2 is of the same threads in a loop over fewer rows, but not over
   // shorter ones.
-  EXPECT_EQ(relate(function({at(Write)}), function({at(Read)}, {5, 8})),
+  EXPECT_EQ(relate(function({at(writes)}), function({at(reads)}, {5, 8})),
             StepRelation::SameThread);
-  EXPECT_EQ(relate(function({at(Write)}), function({at(Read)}, {10, 4})),
+  EXPECT_EQ(relate(function({at(writes)}), function({at(reads)}, {10, 4})),
             StepRelation::Barrier);
-  DeviceAccess transposed = at(Read);
+  DeviceAccess transposed = at(reads);
   transposed.strides = {4, 40};
-  EXPECT_EQ(relate(function({at(Write)}), function({transposed}, {8, 10})),
+  EXPECT_EQ(relate(function({at(writes)}), function({transposed}, {8, 10})),
             StepRelation::Barrier);
-  FunctionAccesses strange = function({at(Read)});
+  FunctionAccesses strange = function({at(reads)});
   strange.isGridStride = false;
-  EXPECT_EQ(relate(function({at(Write)}), strange), StepRelation::Barrier);
+  EXPECT_EQ(relate(function({at(writes)}), strange), StepRelation::Barrier);
 }
 
 TEST_F(ProgramSchedules, DenseMemoryIsOneDimension) {
-  DeviceAccess flat = at(Read);
+  DeviceAccess flat = at(reads);
   flat.strides = {4};
-  EXPECT_EQ(relate(function({at(Write)}), function({flat}, {80})),
+  EXPECT_EQ(relate(function({at(writes)}), function({flat}, {80})),
             StepRelation::SameThread);
   StepMemory fill;
-  fill.addNumbers(Write, 4096, 4, 80);
-  EXPECT_EQ(getRelation(fill, step(function({at(Sum)}), 4096)),
+  fill.addNumbers(writes, 4096, 4, 80);
+  EXPECT_EQ(getRelation(fill, step(function({at(sums)}), 4096)),
             StepRelation::SameThread);
-  EXPECT_EQ(getRelation(fill, step(function({at(Sum)}), 4096, 1)),
+  EXPECT_EQ(getRelation(fill, step(function({at(sums)}), 4096, 1)),
             StepRelation::None);
   StepMemory wide;
-  wide.addNumbers(Write, 4096, 8, 40);
-  EXPECT_EQ(getRelation(wide, step(function({at(Sum)}), 4096)),
+  wide.addNumbers(writes, 4096, 8, 40);
+  EXPECT_EQ(getRelation(wide, step(function({at(sums)}), 4096)),
             StepRelation::Barrier);
 }
 
 TEST_F(ProgramSchedules, RowsLieBetweenThoseThatAreFilled) {
   // Every other row, the second one first.
   StepMemory fill;
-  fill.addRows(Write, 4096 + 320, 640, 320, 5);
+  fill.addRows(writes, 4096 + 320, 640, 320, 5);
   for (uint64_t row = 0; row < 10; ++row) {
     auto expected = row % 2 == 0 ? StepRelation::None : StepRelation::Barrier;
-    StepMemory touched = step(function({anyOf(Read)}), 4096, row);
+    StepMemory touched = step(function({anyOf(reads)}), 4096, row);
     EXPECT_EQ(getRelation(fill, touched), expected) << row;
     EXPECT_EQ(getRelation(touched, fill), expected) << row;
   }
   // Not all of it lies between two.
-  EXPECT_EQ(getRelation(fill, step(function({anyOf(Read)}), 4096 + 4, 2)),
+  EXPECT_EQ(getRelation(fill, step(function({anyOf(reads)}), 4096 + 4, 2)),
             StepRelation::Barrier);
-  EXPECT_EQ(getRelation(fill, step(function({anyOf(Read)}), 4096 - 4, 2)),
+  EXPECT_EQ(getRelation(fill, step(function({anyOf(reads)}), 4096 - 4, 2)),
             StepRelation::Barrier);
 }
 
 TEST_F(ProgramSchedules, FieldsThatShareCellsAreApart) {
   // Cells of 8 bytes with a float of either field.
-  DeviceAccess first = at(Write), second = at(Read, 0, 4);
+  DeviceAccess first = at(writes), second = at(reads, 0, 4);
   for (DeviceAccess *access : {&first, &second}) {
     access->strides = {64, 8};
     access->step = 8;
@@ -156,27 +158,27 @@ TEST_F(ProgramSchedules, FieldsThatShareCellsAreApart) {
 }
 
 TEST_F(ProgramSchedules, SumsChangePlaces) {
-  EXPECT_EQ(relate(function({anyOf(Sum)}), function({anyOf(Sum)})),
+  EXPECT_EQ(relate(function({anyOf(sums)}), function({anyOf(sums)})),
             StepRelation::None);
-  EXPECT_EQ(relate(function({anyOf(Sum)}), function({anyOf(Read)})),
+  EXPECT_EQ(relate(function({anyOf(sums)}), function({anyOf(reads)})),
             StepRelation::Barrier);
 }
 
 TEST_F(ProgramSchedules, SingleIterationsAreOfOneThread) {
-  EXPECT_EQ(
-      relate(function({anyOf(Write)}, {1, 1}), function({anyOf(Read)}, {1, 1})),
-      StepRelation::SameThread);
-  EXPECT_EQ(relate(function({anyOf(Write)}, {1, 1}), function({anyOf(Read)})),
+  EXPECT_EQ(relate(function({anyOf(writes)}, {1, 1}),
+                   function({anyOf(reads)}, {1, 1})),
+            StepRelation::SameThread);
+  EXPECT_EQ(relate(function({anyOf(writes)}, {1, 1}), function({anyOf(reads)})),
             StepRelation::Barrier);
 }
 
 TEST_F(ProgramSchedules, WhatIsUnknownWaits) {
-  EXPECT_EQ(getRelation(StepMemory(), step(function({at(Read)}), 4096)),
+  EXPECT_EQ(getRelation(StepMemory(), step(function({at(reads)}), 4096)),
             StepRelation::Barrier);
   EXPECT_EQ(getRelation(step(function({}), 4096), StepMemory()),
             StepRelation::Barrier);
   // A product in 32 bits that may have wrapped.
-  DeviceAccess product = at(Read);
+  DeviceAccess product = at(reads);
   product.unit = 4;
   EXPECT_TRUE(step(function({product}), 4096, 10).isKnown);
   EXPECT_FALSE(step(function({product}), 4096, 1 << 24).isKnown);
@@ -187,7 +189,8 @@ TEST_F(ProgramSchedules, StepsFillEarlierGroups) {
   std::vector<StepMemory> steps;
   for (uint64_t field : {4096, 1 << 20})
     for (uint64_t row : {0, 1, 2})
-      steps.push_back(step(function({anyOf(Read), at(Write, 1)}), field, row));
+      steps.push_back(
+          step(function({anyOf(reads), at(writes, 1)}), field, row));
   ProgramSchedule schedule(steps);
   EXPECT_EQ(schedule.order, (std::vector<uint32_t>{0, 3, 1, 4, 2, 5}));
   EXPECT_EQ(schedule.waits,
@@ -197,17 +200,18 @@ TEST_F(ProgramSchedules, StepsFillEarlierGroups) {
 
 TEST_F(ProgramSchedules, AllStepsSinceTheLastBarrierCount) {
   // The third step does not meet the second one, but the first.
-  std::vector<StepMemory> steps{step(function({at(Write)}), 4096),
-                                step(function({at(Write)}), 1 << 20),
-                                step(function({anyOf(Read)}), 4096)};
+  std::vector<StepMemory> steps{step(function({at(writes)}), 4096),
+                                step(function({at(writes)}), 1 << 20),
+                                step(function({anyOf(reads)}), 4096)};
   ProgramSchedule schedule(steps);
   EXPECT_EQ(schedule.numBarriers, 1u);
   EXPECT_EQ(schedule.order.back(), 2u);
 }
 
 TEST_F(ProgramSchedules, NothingPassesWhatIsUnknown) {
-  std::vector<StepMemory> steps{step(function({at(Write)}), 4096), StepMemory(),
-                                step(function({at(Write)}), 1 << 20)};
+  std::vector<StepMemory> steps{step(function({at(writes)}), 4096),
+                                StepMemory(),
+                                step(function({at(writes)}), 1 << 20)};
   ProgramSchedule schedule(steps);
   EXPECT_EQ(schedule.order, (std::vector<uint32_t>{0, 1, 2}));
   EXPECT_EQ(schedule.numBarriers, 2u);
@@ -216,16 +220,16 @@ TEST_F(ProgramSchedules, NothingPassesWhatIsUnknown) {
 TEST_F(ProgramSchedules, ThreadsRunTheirStepsInOrder) {
   // The last step needs the second one's elements from the same thread, and
   // must not come before it.
-  std::vector<StepMemory> steps{step(function({at(Write)}), 1 << 20),
-                                step(function({at(Write)}), 4096),
-                                step(function({at(Read)}), 4096)};
+  std::vector<StepMemory> steps{step(function({at(writes)}), 1 << 20),
+                                step(function({at(writes)}), 4096),
+                                step(function({at(reads)}), 4096)};
   ProgramSchedule schedule(steps);
   EXPECT_EQ(schedule.order, (std::vector<uint32_t>{0, 1, 2}));
   EXPECT_EQ(schedule.numBarriers, 0u);
 }
 
 TEST(FunctionAccesses, AreEncoded) {
-  FunctionAccesses accesses = function({at(Read, 2, 4), anyOf(Sum)});
+  FunctionAccesses accesses = function({at(reads, 2, 4), anyOf(sums)});
   auto decoded = FunctionAccesses::decode(accesses.encode());
   ASSERT_TRUE(decoded);
   EXPECT_EQ(decoded->isGridStride, accesses.isGridStride);

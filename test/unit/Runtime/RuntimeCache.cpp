@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Cache/CacheStore.h"
+#include "tai/Support/XXHash.h"
 #include "gtest/gtest.h"
 #include <cstdlib>
 #include <cstring>
@@ -90,12 +91,12 @@ TEST_F(RuntimeCache, GivesBackWhatWasStored) {
   ASSERT_EQ(stat(folder.c_str(), &info), 0);
   EXPECT_EQ(info.st_mode & 0777, 0700u);
   EXPECT_FALSE(store.get("key"));
-  std::string bytes("some\0bytes", 10), long_(1000000, 'x');
+  std::string bytes("some\0bytes", 10), large(1000000, 'x');
   EXPECT_TRUE(store.put("key", bytes));
-  EXPECT_TRUE(store.put("", long_));
+  EXPECT_TRUE(store.put("", large));
   EXPECT_TRUE(store.put("empty", ""));
   EXPECT_EQ(store.get("key"), bytes);
-  EXPECT_EQ(store.get(""), long_);
+  EXPECT_EQ(store.get(""), large);
   EXPECT_EQ(store.get("empty"), "");
   EXPECT_TRUE(store.put("key", "newer"));
   // Another process would see the same.

@@ -31,7 +31,7 @@ struct Stored {
   LaunchState state;
   TreeStore store{memory, state, {workers, skips, counters}};
 
-  FieldPtr add(const std::string &name, std::vector<int64_t> shape,
+  FieldPtr add(const std::string &name, const std::vector<int64_t> &shape,
                const std::string &adjoint = "", const std::string &dual = "") {
     FieldInfo info;
     info.name = name;

@@ -91,7 +91,7 @@ struct Scene {
                  TaiKernelFn function, TaiKernelFn reverse, int64_t slots,
                  TaiKernelFn zeroing = nullptr) {
     KernelInfo info;
-    info.name = name;
+    info.name = std::move(name);
     info.argSlots = slots;
     info.trees = {tree(*from), tree(*to)};
     info.summary = {{from, AccessKind::Read}, {to, kind}};
@@ -117,12 +117,12 @@ struct Scene {
     provider.zeroes = zeroing != nullptr;
     return runtime.createKernel(info);
   }
-  KernelPtr sineOf(FieldPtr from, FieldPtr to) {
+  KernelPtr sineOf(const FieldPtr &from, const FieldPtr &to) {
     return pair(to->name() + "=sin(" + from->name() + ")", from, to,
                 AccessKind::Write, sine, sineAdjoint<false>, 1,
                 sineAdjoint<true>);
   }
-  KernelPtr squaresOf(FieldPtr from) {
+  KernelPtr squaresOf(const FieldPtr &from) {
     return pair("loss+=" + from->name() + "^2", from, loss,
                 AccessKind::Accumulate, squares, squaresAdjoint, 0);
   }

@@ -34,9 +34,10 @@ struct Scene {
     return runtime.findTree(field.tree().name());
   }
   /// A kernel over `fields`; its adjoint gets them and then their adjoints.
-  KernelPtr make(std::string name, const std::vector<FieldPtr> &fields,
+  KernelPtr make(const std::string &name, const std::vector<FieldPtr> &fields,
                  std::vector<Access> summary, TaiKernelFn function,
-                 TaiKernelFn reverse, AdjointPlan plan, int64_t slots = 0) {
+                 TaiKernelFn reverse, const AdjointPlan &plan,
+                 int64_t slots = 0) {
     KernelInfo info;
     info.name = name;
     info.argSlots = slots;

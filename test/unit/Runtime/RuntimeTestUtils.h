@@ -79,8 +79,9 @@ inline TestProvider &provide(KernelInfo &info) {
 }
 
 /// The levels of a dense row-major field.
-inline FieldLayout rowMajor(ScalarKind scalar, std::vector<int64_t> shape,
-                            std::vector<int64_t> element = {},
+inline FieldLayout rowMajor(ScalarKind scalar,
+                            const std::vector<int64_t> &shape,
+                            const std::vector<int64_t> &element = {},
                             int64_t place = 0) {
   FieldLayout layout;
   layout.scalar = scalar;
@@ -99,8 +100,8 @@ inline FieldLayout rowMajor(ScalarKind scalar, std::vector<int64_t> shape,
 
 /// A dense field in a tree of its own.
 inline FieldPtr makeField(Runtime &runtime, const std::string &name,
-                          ScalarKind scalar, std::vector<int64_t> shape,
-                          std::vector<int64_t> element = {},
+                          ScalarKind scalar, const std::vector<int64_t> &shape,
+                          const std::vector<int64_t> &element = {},
                           std::string adjoint = "") {
   FieldInfo info;
   info.name = name;
@@ -120,7 +121,7 @@ inline FieldPtr makeField(Runtime &runtime, const std::string &name,
 /// A field with its adjoint "<name>_grad".
 inline FieldPtr makeDifferentiable(Runtime &runtime, const std::string &name,
                                    ScalarKind scalar,
-                                   std::vector<int64_t> shape) {
+                                   const std::vector<int64_t> &shape) {
   makeField(runtime, name + "_grad", scalar, shape);
   return makeField(runtime, name, scalar, shape, {}, name + "_grad");
 }

@@ -53,6 +53,7 @@ struct Scene {
   std::vector<Decision> decide(std::vector<Field *> live) {
     plan.make(services, recording, std::move(live));
     std::vector<Decision> decisions;
+    decisions.reserve(recording.size());
     for (size_t i = 0; i < recording.size(); ++i)
       decisions.push_back(plan[i]);
     return decisions;

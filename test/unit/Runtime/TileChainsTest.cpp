@@ -18,8 +18,8 @@
 using namespace mlir::tai::runtime;
 
 namespace {
-constexpr auto Read = DeviceAccess::Read;
-constexpr auto Write = DeviceAccess::Write;
+constexpr auto reads = DeviceAccess::Read;
+constexpr auto writes = DeviceAccess::Write;
 
 /// The cell of the iteration, shifted, in the row that parameter `slot` names.
 TileSite at(DeviceAccess::Kind kind, int64_t slot, int64_t i = 0, int64_t j = 0,
@@ -36,7 +36,7 @@ TileSite at(DeviceAccess::Kind kind, int64_t slot, int64_t i = 0, int64_t j = 0,
 
 /// Any cell of the row.
 TileSite anyOf(int64_t slot) {
-  TileSite site = at(Read, slot);
+  TileSite site = at(reads, slot);
   site.isRegular = false;
   site.access.window = 320;
   site.access.step = 4;
@@ -79,10 +79,10 @@ protected:
   TileLimits limits{4, 1 << 14, 1 << 10};
 
   FunctionAccesses sweep = function(
-      {at(Read, 1, 1), at(Read, 1, -1), at(Read, 1, 0, 2), at(Write, 2)});
+      {at(reads, 1, 1), at(reads, 1, -1), at(reads, 1, 0, 2), at(writes, 2)});
   /// Adds to what is there.
-  FunctionAccesses gather =
-      function({at(Read, 1, 1), at(Read, 1, 0, -1), at(Read, 2), at(Write, 2)});
+  FunctionAccesses gather = function(
+      {at(reads, 1, 1), at(reads, 1, 0, -1), at(reads, 2), at(writes, 2)});
 };
 } // namespace
 
@@ -125,7 +125,7 @@ TEST_F(TileChains, WhatIsAddedToIsLoadedFirst) {
 
 TEST_F(TileChains, BlocksDoNotWaitForWhatIsTheirOwn) {
   FunctionAccesses own =
-      function({at(Read, 1), at(Read, 2), at(Write, 2), at(Write, 1)});
+      function({at(reads, 1), at(reads, 2), at(writes, 2), at(writes, 1)});
   add(own, 0, 1);
   add(own, 0, 1);
   std::optional<TileChain> chain = make();
@@ -136,7 +136,7 @@ TEST_F(TileChains, BlocksDoNotWaitForWhatIsTheirOwn) {
 
 TEST_F(TileChains, BordersAreLoaded) {
   FunctionAccesses inside = function(
-      {at(Read, 1, 1, 0, false), at(Read, 1, -1, 0, false), at(Write, 2)},
+      {at(reads, 1, 1, 0, false), at(reads, 1, -1, 0, false), at(writes, 2)},
       {8, 8}, {1, 0});
   add(inside, 0, 1);
   add(inside, 1, 2);
@@ -149,7 +149,7 @@ TEST_F(TileChains, BordersAreLoaded) {
 }
 
 TEST_F(TileChains, StoresThatMayBeLeftOutKeepTheOld) {
-  FunctionAccesses some = function({at(Read, 1, 1), sometimes(at(Write, 2))});
+  FunctionAccesses some = function({at(reads, 1, 1), sometimes(at(writes, 2))});
   add(some, 0, 1);
   add(some, 1, 2);
   std::optional<TileChain> chain = make();
@@ -170,7 +170,7 @@ TEST_F(TileChains, TheLoadedIsKeptFromWritersWhoeverReadsFirst) {
 }
 
 TEST_F(TileChains, WhatIsReadFromAnywhereIsNotWritten) {
-  FunctionAccesses jump = function({anyOf(1), at(Write, 2)});
+  FunctionAccesses jump = function({anyOf(1), at(writes, 2)});
   add(sweep, 0, 1);
   add(jump, 5, 6);
   EXPECT_TRUE(make());
@@ -188,13 +188,13 @@ TEST_F(TileChains, RowsThatOverlapAreNoRows) {
 }
 
 TEST_F(TileChains, FieldsThatShareCellsAreApart) {
-  auto first = at(Write, 2), second = at(Write, 2);
+  auto first = at(writes, 2), second = at(writes, 2);
   for (TileSite *site : {&first, &second}) {
     site->digits = {{64, 10, 0, false}, {8, 8, 0, false}};
     site->access.terms = {{2, 32, 640}};
   }
   second.access.offset = 4;
-  add(function({at(Read, 1, 1), first, second}), 0, 10);
+  add(function({at(reads, 1, 1), first, second}), 0, 10);
   ASSERT_TRUE(make());
   EXPECT_EQ(make()->rows.size(), 2u);
   functions.back().sites[2].access.offset = 2;
@@ -202,13 +202,13 @@ TEST_F(TileChains, FieldsThatShareCellsAreApart) {
 }
 
 TEST_F(TileChains, EachIterationWritesItsOwnCell) {
-  add(function({at(Read, 1), at(Write, 2, 1)}), 0, 1);
+  add(function({at(reads, 1), at(writes, 2, 1)}), 0, 1);
   EXPECT_FALSE(make());
   // The same cell for all iterations along a dimension.
-  functions.back().sites[1] = at(Write, 2);
+  functions.back().sites[1] = at(writes, 2);
   functions.back().sites[1].digits[0] = {};
   EXPECT_FALSE(make());
-  functions.back().sites[1] = at(Write, 2);
+  functions.back().sites[1] = at(writes, 2);
   EXPECT_TRUE(make());
 }
 
@@ -244,7 +244,7 @@ TEST_F(TileChains, OverlaysHaveLimits) {
 }
 
 TEST_F(TileChains, EndWithALaunchThatHasToDoWithOthers) {
-  FunctionAccesses own = function({at(Read, 1), at(Write, 2)});
+  FunctionAccesses own = function({at(reads, 1), at(writes, 2)});
   add(sweep, 0, 1);
   add(own, 7, 8);
   add(sweep, 1, 2);

@@ -114,9 +114,6 @@ private:
   std::unique_ptr<Writer> writer;
 };
 
-/// XXH64, a fast non-cryptographic hash.
-uint64_t xxh64(const void *data, size_t length, uint64_t seed = 0);
-
 } // namespace mlir::tai::runtime
 
 #endif // TAI_RUNTIME_CACHE_CACHESTORE_H

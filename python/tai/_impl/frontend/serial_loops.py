@@ -100,16 +100,20 @@ class SerialLoops(Part):
         region = builder.region()
         names = [v.name for v in variables]
         block = builder.block(region, [emitter.index_type, *types], names)
-        builder.set_block(block)
+        self._fill(block, variables, inside, node)
+        builder.yield_([v.value.handle for v in variables])
+        builder.set_block(outer)
+        results = builder.for_(begin, end, emitter.index(1), initial, types, region)
+        self.regions.take_results(results, variables)
+
+    def _fill(self, block: Any, variables: list[Variable], inside: Any, node: ast.For) -> None:
+        """Puts the body of a loop into a block of its index and the variables."""
+        self.builder.set_block(block)
         self.regions.take_arguments(block, variables, 1)
         self.context.depth += 1
         inside(block.argument(0))
         self.context.depth -= 1
         self.at(node)
-        builder.yield_([v.value.handle for v in variables])
-        builder.set_block(outer)
-        results = builder.for_(begin, end, emitter.index(1), initial, types, region)
-        self.regions.take_results(results, variables)
 
     def _counted_while(
         self, loop: Loop, variables: list[Variable], begin: Any, end: Any, inside: Any,
@@ -134,12 +138,7 @@ class SerialLoops(Part):
         carried = [v.value.handle for v in variables]
         builder.condition_of_while(go_on.handle, [index, *carried])
         block = builder.block(after, all_types, names)
-        builder.set_block(block)
-        self.regions.take_arguments(block, variables, 1)
-        self.context.depth += 1
-        inside(block.argument(0))
-        self.context.depth -= 1
-        self.at(node)
+        self._fill(block, variables, inside, node)
         following = builder.apply(
             "arith.addi", [block.argument(0), emitter.index(1)], emitter.index_type
         )

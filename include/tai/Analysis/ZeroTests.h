@@ -1,0 +1,25 @@
+//===- ZeroTests.h - Choices by a test for zero -----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_ZEROTESTS_H
+#define TAI_ANALYSIS_ZEROTESTS_H
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+
+namespace mlir::tai {
+
+/// The value that is tested for zero where a select chooses; null for another
+/// condition.
+Value getTestedForZero(arith::SelectOp select);
+
+/// The adjoint or tangent, or partial derivative, whose zeros a guard tests
+/// for; null if it tests something else.
+Value getGuarded(arith::SelectOp guard);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_ZEROTESTS_H
