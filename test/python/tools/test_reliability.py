@@ -4,6 +4,7 @@ import contextlib
 import io
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +38,48 @@ def test_a_tool_ends_with_the_time_of_the_run(program, kind):
     ended = r1.run_limited(command, seconds=100, left=1, stdin=reader, stdout=subprocess.DEVNULL)
     os.close(reader), os.close(writer)
     assert ended[0] == kind
+
+
+PLANTED = """#!/bin/sh
+# A tool that dies of one text and never ends with another.
+for last; do case $last in *.mlir) file=$last;; esac; done
+grep -q CRASH "$file" && kill -SEGV $$
+grep -q HANG "$file" && while :; do :; done
+exit 1
+"""
+
+
+@pytest.mark.parametrize("risky", ["", "array<index: 1>"])
+def test_the_mutants_that_crash_and_hang_are_found_in_a_batch(tmp_path, monkeypatch, risky):
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import r1_text_mutants as r1
+
+    monkeypatch.setattr(r1, "SECONDS", 1)
+    tool = tmp_path / "tool"
+    tool.write_text(PLANTED)
+    tool.chmod(0o755)
+    texts = [f"text {number}" for number in range(20)]
+    texts[7] = f"CRASH {risky}"
+    texts[12] = f"HANG {risky}"
+    found = r1.judge_batch(tool, "", texts, tmp_path, lambda: 1000.0)
+    assert {text: outcome.kind for text, outcome in found} == {
+        texts[7]: f"signal {signal.SIGSEGV}",
+        texts[12]: "hang",
+    }
+
+
+def test_generic_forms_stand_where_their_texts_stood():
+    """A text that no parser takes stays as it is."""
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import bars
+    import r1_text_mutants as r1
+
+    tool = bars.build_folder() / "bin/tai-opt"
+    texts = ["func.func @one() { return }", "not a module", "func.func @two() { return }", "%"]
+    forms = r1.generic_forms(tool, texts)
+    assert [forms[1], forms[3]] == ["not a module", "%"]
+    for form, name in ((forms[0], "one"), (forms[2], "two")):
+        assert '"func.func"' in form and f'"{name}"' in form
 
 
 @pytest.fixture
