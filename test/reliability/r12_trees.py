@@ -182,8 +182,10 @@ def measure(part, rounds, seconds):
               for piece in (slice(tenth), slice(number - tenth, number))]  # fmt: skip
     slowing = ratios[1] / ratios[0]
     if args.verbose:
-        print(f"  {part.__name__}: {number} rounds of {1000 * own[:number].mean():.2f} ms, "
-              f"RSS {growth:+.2f} %, {slowing:.2f} times")
+        print(
+            f"  {part.__name__}: {number} rounds of {1000 * own[:number].mean():.2f} ms, "
+            f"RSS {growth:+.2f} %, {slowing:.2f} times"
+        )
     return growth, slowing, -number / rounds
 
 
