@@ -11,7 +11,7 @@ def kernel0():
         else:
             loss[None] += ti.tanh(x[q[i]])
         s[None] -= ti.tanh(z[(i + 1) % N] * x[2])
-    for i in x:
+    for _ in x:
         for j in range(3):
             u[3, 2] -= ti.sin((s[None] * v[p[j]]).norm_sqr())
 
