@@ -1,7 +1,8 @@
 """R6: processes are killed while they compile, and leave nothing that harms those that follow.
 
-A process compiles some kernels into a cache and is killed at a random moment; in half of the cases
-another process wants the same kernels at the same time. Whoever comes after must get the right
+A process compiles some kernels into a cache and is killed after a random time of the processor,
+which is the same share of its work however busy the machine is; in half of the cases another
+process wants the same kernels at the same time. Whoever comes after must get the right
 numbers, wait for no lock of the dead, find the entries that were whole, and complain of none.
 """
 
@@ -16,7 +17,7 @@ from pathlib import Path
 import cold_kernels
 from bars import Bar
 
-KERNELS = 8
+KERNELS = 4
 SECONDS = 50  # a claim that nobody gives back ends after 60
 
 
@@ -24,7 +25,8 @@ def judge(first: int, cache: Path, delay: float, with_another: bool, counts: Cou
     """What is wrong after one kill."""
     killed = cold_kernels.Process(first, KERNELS, cache)
     another = cold_kernels.Process(first, KERNELS, cache) if with_another else None
-    time.sleep(delay)
+    while killed.seconds() < delay and not killed.has_ended():
+        time.sleep(0.0005)
     killed.kill()
     problems = []
     if another and (problem := another.wait(SECONDS).problem):
@@ -46,6 +48,21 @@ def judge(first: int, cache: Path, delay: float, with_another: bool, counts: Cou
     return problems
 
 
+def measure(first: int, cache: Path) -> tuple[float, float]:
+    """Seconds of the processor until there is an entry, and until all are there."""
+    process = cold_kernels.Process(first, KERNELS, cache)
+    known = len(cold_kernels.entries(cache))
+    begin = end = 0.0
+    while not process.has_ended():
+        end = process.seconds()
+        if not begin and len(cold_kernels.entries(cache)) > known:
+            begin = end
+        time.sleep(0.0005)
+    if problem := process.wait(SECONDS).problem:
+        raise RuntimeError(problem)
+    return begin, end
+
+
 def main() -> None:
     bar = Bar(
         "R6", "kills while the cache is cold", full=1000, short=6, adds=True,
@@ -57,14 +74,14 @@ def main() -> None:
     counts: Counter[str] = Counter()
     wrong = done = 0
     with tempfile.TemporaryDirectory() as folder:
-        begun = time.monotonic()
-        for warm_up in range(2):
-            cold_kernels.run(warm_up * KERNELS, KERNELS, Path(folder) / "first")
-        usual = (time.monotonic() - begun) / 2
+        usual = [measure(KERNELS * n, Path(folder) / "first") for n in range(3)]
+        begin = min(begin for begin, _ in usual)
+        end = max(end for _, end in usual)
         while done < args.count and bar.left() > 0:
             # What many kills leave behind is in one folder.
             cache = Path(folder) / f"cache-{done // 50}"
-            delay = choose.uniform(0, 1.2 * usual)
+            # A tenth before anything is compiled, and some when all is.
+            delay = choose.uniform(0.7 * begin if choose.random() < 0.9 else 0, 1.05 * end)
             problems = judge(1000 + done * KERNELS, cache, delay, choose.random() < 0.5, counts)
             for problem in problems:
                 print(f"kill {done} after {delay:.3f} s: {problem}", flush=True)

@@ -147,6 +147,20 @@ def damage(path: Path, choose: random.Random, others: list[bytes], counts: Count
         path.mkdir()
 
 
+def judge(cache: Path, kernels: int, damaged: int) -> list[str]:
+    """What is wrong with the two runs after so many entries were damaged."""
+    ended = cold_kernels.run(0, kernels, cache)
+    after = cold_kernels.run(0, kernels, cache)
+    problems = [one.problem for one in (ended, after) if one.problem]
+    if ended.compiled.total() != damaged:
+        problems.append(f"{damaged} damaged, {ended.compiled.total()} compiled")
+    if len(ended.warnings) != 1 or "damaged" not in ended.warnings[0]:
+        problems.append(f"{len(ended.warnings)} warnings: {ended.warnings[:2]}")
+    if after.compiled or after.warnings:
+        problems.append(f"not made whole: {after.compiled}, {after.warnings}")
+    return problems
+
+
 def main() -> None:
     bar = Bar(
         "R8", "damaged entries of the cache", full=10_000, short=60, adds=True,
@@ -169,15 +183,7 @@ def main() -> None:
             chosen = choose.sample(cold_kernels.entries(cache), size)
             for path in chosen:
                 damage(path, choose, list(whole.values()), counts)
-            ended = cold_kernels.run(0, kernels, cache)
-            after = cold_kernels.run(0, kernels, cache)
-            problems = [one.problem for one in (ended, after) if one.problem]
-            if ended.compiled.total() != size:
-                problems.append(f"{size} damaged, {ended.compiled.total()} compiled")
-            if len(ended.warnings) != 1 or "damaged" not in ended.warnings[0]:
-                problems.append(f"{len(ended.warnings)} warnings: {ended.warnings[:2]}")
-            if after.compiled or after.warnings:
-                problems.append(f"not made whole: {after.compiled}, {after.warnings}")
+            problems = judge(cache, kernels, size)
             for problem in problems:
                 print(f"after {done}: {problem}", flush=True)
             if problems:

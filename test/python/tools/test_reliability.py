@@ -1,13 +1,17 @@
 """The bars of reliability in their short form; see test/reliability/README.md."""
 
+import argparse
 import contextlib
 import io
 import os
 import re
+import signal
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -37,6 +41,138 @@ def test_a_tool_ends_with_the_time_of_the_run(program, kind):
     ended = r1.run_limited(command, seconds=100, left=1, stdin=reader, stdout=subprocess.DEVNULL)
     os.close(reader), os.close(writer)
     assert ended[0] == kind
+
+
+PLANTED = """#!/bin/sh
+# A tool that dies of one text and never ends with another.
+for last; do case $last in *.mlir) file=$last;; esac; done
+grep -q CRASH "$file" && kill -SEGV $$
+grep -q HANG "$file" && while :; do :; done
+exit 1
+"""
+
+
+@pytest.mark.parametrize("risky", ["", "array<index: 1>"])
+def test_the_mutants_that_crash_and_hang_are_found_in_a_batch(tmp_path, monkeypatch, risky):
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import r1_text_mutants as r1
+
+    monkeypatch.setattr(r1, "SECONDS", 1)
+    tool = tmp_path / "tool"
+    tool.write_text(PLANTED)
+    tool.chmod(0o755)
+    texts = [f"text {number}" for number in range(20)]
+    texts[7] = f"CRASH {risky}"
+    texts[12] = f"HANG {risky}"
+    found = r1.judge_batch(tool, "", texts, tmp_path, lambda: 1000.0)
+    assert {text: outcome.kind for text, outcome in found} == {
+        texts[7]: f"signal {signal.SIGSEGV}",
+        texts[12]: "hang",
+    }
+
+
+def test_generic_forms_stand_where_their_texts_stood():
+    """A text that no parser takes stays as it is."""
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import bars
+    import r1_text_mutants as r1
+
+    tool = bars.build_folder() / "bin/tai-opt"
+    texts = ["func.func @one() { return }", "not a module", "func.func @two() { return }", "%"]
+    forms = r1.generic_forms(tool, texts)
+    assert [forms[1], forms[3]] == ["not a module", "%"]
+    for form, name in ((forms[0], "one"), (forms[2], "two")):
+        assert '"func.func"' in form and f'"{name}"' in form
+
+
+def test_a_module_that_differs_and_one_that_ends_its_process_are_found(monkeypatch):
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import r3_modules as r3
+
+    monkeypatch.setenv("TAI_CUDA_EMULATION", "")
+    judge = r3.Judge(["interpreter", "O0"])
+    seed = next(s for s in range(100) if judge.judge(s)["kind"] == "same")
+    run = judge.contexts["O0"].run
+
+    def flip_last_bit(module, inputs):
+        found = run(module, inputs)
+        values = next(array for array in found.values() if array.size)
+        values.view(np.uint8).flat[0] ^= 1
+        return found
+
+    judge.contexts["O0"].run = flip_last_bit
+    assert judge.judge(seed)["kind"] == "MISMATCH"
+
+    worker = r3.Worker(argparse.Namespace(configurations=["interpreter"]))
+    worker.give(seed)
+    worker.process.kill()
+    worker.process.wait()
+    answer = worker.answer(limit=60)
+    while answer["kind"] != "CRASH":  # it may have answered before it was killed
+        answer = worker.answer(limit=60)
+    assert "ended with -9" in answer["detail"]
+    worker.end()
+
+
+def end_of_a_worker(seed, folder):
+    """In the place of a program: one ends its process, one never ends."""
+    if seed in (3, 5):
+        signal.raise_signal(signal.SIGSEGV if seed == 3 else signal.SIGPROF)
+    return {"seed": seed, "kind": "agree", "reason": "", "detail": ""}
+
+
+def test_programs_that_end_their_process_are_found(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "test/fuzz"))
+    import workers
+
+    rows = workers.judge_all(end_of_a_worker, list(range(8)), 2, None)
+    assert sorted(row["seed"] for row in rows) == list(range(8))
+    assert {row["seed"]: row["reason"] for row in rows if row["kind"] == "FAIL"} == {
+        3: f"the process died ({-signal.SIGSEGV})",
+        5: "timeout",
+    }
+
+
+@pytest.fixture
+def cold_kernels():
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import cold_kernels
+
+    return cold_kernels
+
+
+def test_harm_done_by_a_kill_is_found(cold_kernels, tmp_path, monkeypatch):
+    import r6_kills as r6
+
+    entries = cold_kernels.entries
+
+    def damage_first(cache):
+        found = entries(cache)
+        if found:
+            found[0].write_bytes(b"half of it")
+        return found
+
+    assert r6.judge(0, tmp_path / "a", 1e9, False, Counter()) == []
+    monkeypatch.setattr(cold_kernels, "entries", damage_first)
+    problems = r6.judge(0, tmp_path / "b", 1e9, False, Counter())
+    assert any("says" in problem for problem in problems)
+    monkeypatch.setattr(cold_kernels, "entries", entries)
+    monkeypatch.setattr(cold_kernels, "expected", lambda first, count: [])
+    problems = r6.judge(0, tmp_path / "a", 1e9, True, Counter())
+    assert len([one for one in problems if "wrong numbers" in one]) == 2
+
+
+def test_a_damaged_entry_that_is_used_is_found(cold_kernels, tmp_path):
+    """One that is whole in its place, of which the run says nothing."""
+    import r8_damaged_entries as r8
+
+    cold_kernels.run(0, 2, tmp_path)
+    assert [one.split(":")[0] for one in r8.judge(tmp_path, 2, damaged=1)] == [
+        "1 damaged, 0 compiled",
+        "0 warnings",
+    ]
+    cold_kernels.entries(tmp_path)[0].write_bytes(b"cut")
+    assert r8.judge(tmp_path, 2, damaged=1) == []
 
 
 @pytest.fixture
