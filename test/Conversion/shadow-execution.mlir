@@ -11,9 +11,9 @@
 //   CHECK-DAG:   %[[SB:.+]] = llvm.fpext %[[B]] : f32 to f64
 //   CHECK-DAG:   %[[R:.+]] = llvm.fsub %[[A]], %[[B]] : f32
 //   CHECK-DAG:   %[[SR:.+]] = llvm.fsub %[[SA]], %[[SB]] : f64
-//       CHECK:   llvm.cond_br %{{.+}} weights([1, 1000]), ^[[ASK:bb[0-9]+]], ^[[REST:bb[0-9]+]]
+//       CHECK:   llvm.cond_br %{{.+}} weights([1, 4]), ^[[ASK:bb[0-9]+]], ^[[REST:bb[0-9]+]]
 //       CHECK: ^[[ASK]]:
-//       CHECK:   llvm.cond_br %{{.+}}, ^[[TELL:bb[0-9]+]], ^{{.+}}
+//       CHECK:   llvm.cond_br %{{.+}} weights([1, 1000]), ^[[TELL:bb[0-9]+]], ^{{.+}}
 //       CHECK: ^[[TELL]]:
 //       CHECK:   llvm.call @tai_rt_shadow_site(%[[FRAME]], {{.*}}%[[SR]])
 //       CHECK:   llvm.br ^[[REST]]

@@ -49,12 +49,16 @@ extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
   // Of a difference: both operands are at least eight times as large.
   if (std::min(std::abs(a), std::abs(b)) > 8 * std::abs(result))
     count(site.cancellations, alone);
-  double made = relativeError(result, error);
   // Rounding alone makes so much.
   double least = precision == 24 ? 0x1p-24 : std::ldexp(1, -precision);
+  // Most are not the worst by far, which takes no division to see.
+  double worst = site.growth.load(std::memory_order_relaxed);
+  if (std::abs(error) < 0.99 * least * worst * std::abs(exact))
+    return;
+  double made = relativeError(result, error);
   double in = std::max(relativeError(a, errorOfA), relativeError(b, errorOfB));
   double growth = made / std::max(in, least);
-  if (growth <= site.growth.load(std::memory_order_relaxed))
+  if (growth <= worst)
     return;
   std::lock_guard<std::mutex> lock(site.worst);
   if (growth <= site.growth.load(std::memory_order_relaxed))
