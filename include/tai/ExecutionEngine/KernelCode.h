@@ -166,7 +166,8 @@ private:
   /// The adjoint, in the form that a tape launches for all we know, between the
   /// two steps of its compilation, taken by whoever makes the second; and what
   /// it asks of memory.
-  std::mutex prepareMutex;
+  std::timed_mutex prepareMutex;
+  using PrepareLock = runtime::safepoint::Guard<std::timed_mutex>;
   bool planZeroes = false, planLoadsStored = true;
   std::optional<Compiler::Prepared> prepared;
   std::optional<std::string> toBeRecorded;

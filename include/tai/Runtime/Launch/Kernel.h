@@ -19,6 +19,7 @@
 #include "tai/Runtime/Launch/LoopTimes.h"
 #include "tai/Runtime/Sparse/LoopLists.h"
 #include "tai/Runtime/Storage/Field.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <array>
 #include <functional>
 #include <mutex>
@@ -306,8 +307,10 @@ private:
   PreparedLaunch prepared;
   KernelInfo info;
   std::atomic<TaiKernelFn> function{nullptr};
-  /// Recursive: the resolver of an adjoint may resolve its primal.
-  std::recursive_mutex mutex;
+  /// Recursive: the resolver of an adjoint may resolve its primal. Held while
+  /// code is made, which looks up.
+  std::recursive_timed_mutex mutex;
+  using Lock = safepoint::Guard<std::recursive_timed_mutex>;
   /// Of the forms of the adjoint: the plain one and the one that zeroes, and
   /// these two where they load what the kernel has stored.
   struct AdjointForm {
@@ -319,6 +322,8 @@ private:
   std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
   std::unique_ptr<AdjointPlan> adjointPlan;
+  /// The one before, which others may look at still.
+  std::unique_ptr<AdjointPlan> provisionalPlan;
   /// Why there is no plan: an adjoint that nobody planned for is not launched.
   Status planFailure;
   std::optional<KernelFlows> valueFlows;

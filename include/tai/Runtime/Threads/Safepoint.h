@@ -82,9 +82,25 @@ bool wait(std::condition_variable &changed, std::unique_lock<std::mutex> &lock,
 /// Takes a lock that another thread may hold for long. While it waits, the host
 /// may let its other threads run, the holder among them. Not interrupted.
 template <typename Mutex> void lock(Mutex &mutex) {
+  if (mutex.try_lock())
+    return;
   while (!mutex.try_lock_for(std::chrono::milliseconds(5)))
     (void)look();
 }
+
+/// Has taken such a lock, and gives it back. To be used for all that is held
+/// where work may look up: whoever waits for it without doing so keeps the
+/// host's own lock, for which the holder may wait meanwhile.
+template <typename Mutex> class Guard {
+public:
+  explicit Guard(Mutex &mutex) : mutex(mutex) { safepoint::lock(mutex); }
+  ~Guard() { mutex.unlock(); }
+  Guard(const Guard &) = delete;
+  Guard &operator=(const Guard &) = delete;
+
+private:
+  Mutex &mutex;
+};
 
 /// Ends the clock for good, before the end of the process.
 void stopClock();
