@@ -15,6 +15,7 @@
 
 #include "tai/Runtime/Host/FieldCopies.h"
 #include "tai/Runtime/Host/Recordings.h"
+#include <functional>
 
 namespace mlir::tai::runtime {
 
@@ -38,10 +39,13 @@ public:
   bool areOwed() const {
     return __builtin_expect(owesAny.load(std::memory_order_acquire), false);
   }
-  /// Stores them. To be called before anybody looks past the fields.
-  void settle();
+  /// Stores them. To be called before anybody looks past the fields. Those that
+  /// another thread has left belong to it, which may be at work there: of them,
+  /// only those of the fields that the caller is about to use.
+  using Uses = std::function<bool(const FieldPtr &)>;
+  void settle(const Uses &uses = nullptr);
   /// The same for those fields that `settleSome` settles.
-  template <typename Body> void settle(const Body &settleSome) {
+  template <typename Body> void settleThose(const Body &settleSome) {
     std::lock_guard<std::mutex> lock(mutex);
     settleSome();
     forgetSettled();

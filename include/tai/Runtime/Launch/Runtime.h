@@ -158,7 +158,7 @@ public:
   DeviceContext *getDeviceContext() const { return deviceHost.get(); }
   Status synchronize() { return deviceHost.synchronize(); }
   Status deviceAddress(const Tree &tree, int64_t offset, void *&address) {
-    settleZeros();
+    settleZeros(&tree);
     return deviceHost.addressOf(tree, offset, address);
   }
   Status waitForStream(uint64_t stream) {
@@ -259,10 +259,15 @@ public:
   void clearTangents() { fieldGradients.clearTangents(); }
   /// Stores the zeros that sweeps have left to whoever looks at gradients. To
   /// be called before that is done past the fields.
-  void settleZeros() { fieldGradients.settle(); }
+  void settleZeros(const Gradients::Uses &uses = nullptr) {
+    fieldGradients.settle(uses);
+  }
+  void settleZeros(const Tree *tree) {
+    settleZeros([=](const FieldPtr &field) { return &field->tree() == tree; });
+  }
   Status exportField(Field &field, ExportedField &exported) {
     // Others look at the memory of the whole tree from now on.
-    settleZeros();
+    settleZeros(&field.tree());
     return ExportedBuffer::make(field, deviceHost, exported);
   }
   Status noteOutsideWrite(Field &field) {
