@@ -28,7 +28,7 @@ MEMORY = """
 """.split()
 
 # With ThreadSanitizer: those in which several threads run, or one and a clock.
-THREADS = "thread_tapes interrupts launches running_launches".split()
+THREADS = "device_threads interrupts launches running_launches thread_tapes waiting_calls".split()
 
 
 @dataclass

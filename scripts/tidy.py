@@ -6,8 +6,7 @@
 
 Sources are those of the build folder's compile_commands.json, so code of other platforms is not
 checked; a header is checked in a source that includes it. Each finding is printed once, however
-many sources include the header that it is in. Exits with 1 if
-there are findings.
+many sources include the header that it is in. Exits with 1 if there are findings.
 """
 
 from __future__ import annotations

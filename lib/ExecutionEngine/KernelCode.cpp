@@ -173,7 +173,7 @@ KernelCode::compilePlannedAdjoint(Failure &failure) {
   auto first = std::make_shared<std::optional<Compiler::Prepared>>();
   {
     // Who plans the tape waits for this step, but not for the next.
-    std::lock_guard<std::mutex> lock(prepareMutex);
+    PrepareLock lock(prepareMutex);
     if (failed(prepareAdjoint(failure, /*claims=*/true)))
       return std::nullopt;
     *first = std::move(prepared);
@@ -204,7 +204,7 @@ static bool overwritesGradients(const std::vector<runtime::Access> &summary) {
 
 /// Decides, once, which form of the adjoint a tape launches for all we know.
 void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
-  std::lock_guard<std::mutex> lock(prepareMutex);
+  PrepareLock lock(prepareMutex);
   if (toBeRecorded || ahead)
     return;
   // What runs while the tape is suspended has a gradient of the program's own,
@@ -328,7 +328,7 @@ runtime::Status KernelCode::makeAdjoint(runtime::Kernel &kernel,
                                   getName() + "' was being compiled"));
   std::optional<ToBeRecorded> told;
   {
-    std::lock_guard<std::mutex> lock(prepareMutex);
+    PrepareLock lock(prepareMutex);
     if (toBeRecorded)
       told = ToBeRecorded::deserialize(*toBeRecorded);
   }
@@ -439,11 +439,14 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   plan.zeroes = planZeroes;
   std::optional<ToBeRecorded> told;
   {
-    std::lock_guard<std::mutex> lock(prepareMutex);
+    PrepareLock lock(prepareMutex);
     Failure failure;
     // It may take long until the code itself is asked for.
-    if (!toBeRecorded && failed(prepareAdjoint(failure, /*claims=*/false)))
+    if (!toBeRecorded && failed(prepareAdjoint(failure, /*claims=*/false))) {
+      // What was interrupted is planned again.
+      plan.provisional = failure.kind == FailureKind::Runtime;
       return services.failures.keep(std::move(failure));
+    }
     told = ToBeRecorded::deserialize(*toBeRecorded);
   }
   // The fields that the kernel was made for, even if others have their names

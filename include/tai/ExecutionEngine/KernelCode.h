@@ -165,8 +165,9 @@ private:
   std::vector<Compiler::Function> functions;
   /// The adjoint, in the variant that a tape most likely launches, between the
   /// two steps of its compilation (moved out by the second); and its serialized
-  /// ToBeRecorded.
-  std::mutex prepareMutex;
+  /// ToBeRecorded. Held during compilation, which has safepoints.
+  std::timed_mutex prepareMutex;
+  using PrepareLock = runtime::safepoint::Guard<std::timed_mutex>;
   bool planZeroes = false, planLoadsStored = true;
   std::optional<Compiler::Prepared> prepared;
   std::optional<std::string> toBeRecorded;

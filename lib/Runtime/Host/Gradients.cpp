@@ -49,20 +49,29 @@ void Gradients::owe(const FieldPtr &adjoint,
 }
 
 void Gradients::forgetSettled() {
-  owing.erase(
-      std::remove_if(owing.begin(), owing.end(),
-                     [](const FieldPtr &field) { return !field->owesZeros(); }),
-      owing.end());
+  owing.erase(std::remove_if(owing.begin(), owing.end(),
+                             [](const FieldPtr &field) {
+                               return !field->isDirtiedByOther() &&
+                                      !field->owesZeros();
+                             }),
+              owing.end());
   update();
 }
 
-void Gradients::settle() {
+void Gradients::settle(const Uses &uses) {
   if (!areOwed())
     return;
-  settle([&] {
-    for (const FieldPtr &field : owing)
-      field->settleZeros();
-  });
+  std::lock_guard<std::mutex> lock(mutex);
+  owing.erase(std::remove_if(owing.begin(), owing.end(),
+                             [&](const FieldPtr &field) {
+                               if (field->isDirtiedByOther() &&
+                                   !(uses && uses(field)))
+                                 return false;
+                               field->settleZeros();
+                               return true;
+                             }),
+              owing.end());
+  update();
 }
 
 void Gradients::forget(const Tree &tree) {
@@ -102,7 +111,9 @@ void Gradients::clear(const Recorder *tape) {
   bool forward = recordings.isForward();
   const Field *cleared = nullptr;
   for (const FieldPtr &field : store.fields()) {
-    if (tape && field->isAdjoint() && field->isDirtiedByOther() &&
+    // Asked once: another thread may be about to write to what is clear.
+    uint64_t writer = field->dirtiedBy();
+    if (tape && field->isAdjoint() && writer != 0 && writer != threadNumber() &&
         !tape->uses(field))
       continue;
     if (forward && field->isAdjoint() && field->dual())
@@ -114,7 +125,8 @@ void Gradients::clear(const Recorder *tape) {
     // clear already is cleared along with its neighbour.
     bool isAlong =
         cleared && cleared->tree().mirror() && endsBeside(*cleared, *field);
-    if (!field->dirty() && skips.has(Skip::CleanGradients) && !isAlong) {
+    bool isDirty = writer != 0 || field->tree().isExported();
+    if (!isDirty && skips.has(Skip::CleanGradients) && !isAlong) {
       counters.bump(SkipCount::FieldsNotCleared);
       counters.bump(SkipCount::BytesNotCleared, bytes);
       continue;

@@ -98,7 +98,7 @@ static Status loadOrMakeAgain(Device &device,
 }
 
 Status DeviceLaunches::load(Kernel &kernel, uint64_t epoch) {
-  std::lock_guard<std::recursive_mutex> lock(kernel.mutex);
+  Kernel::Lock lock(kernel.mutex);
   std::shared_ptr<DeviceCode> &code = kernel.deviceCode;
   // Another thread may have come first.
   if (code && code->epoch == epoch && code->image == kernel.info.image)

@@ -81,7 +81,7 @@ Status KernelProvider::makeTangent(KernelPtr &) { return Status::success(); }
 Status Kernel::resolve() {
   if (resolved())
     return Status::success();
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   if (resolved())
     return Status::success();
   if (!info.provider)
@@ -105,7 +105,7 @@ static Status planFailed(const Status &why) {
 }
 
 Status Kernel::resolveAdjoint(Kernel *&adjoint, bool zeroes) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   adjoint = nullptr;
   if (!info.differentiable)
     return Status::success();
@@ -126,7 +126,7 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint, bool zeroes) {
 }
 
 Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool zeroes) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   AdjointForm &form = storedForms[zeroes];
   if (!form.asked && info.provider) {
     Status status = info.provider->makeAdjoint(
@@ -141,21 +141,26 @@ Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool zeroes) {
 }
 
 const AdjointPlan &Kernel::plan() {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   if (adjointPlan && !adjointPlan->provisional)
     return *adjointPlan;
-  adjointPlan = std::make_unique<AdjointPlan>();
-  if (!info.differentiable)
-    return *adjointPlan;
-  if (!info.provider) {
-    adjointPlan->reads = info.summary;
-    return *adjointPlan;
+  auto made = std::make_unique<AdjointPlan>();
+  if (info.differentiable && info.provider) {
+    // Without an adjoint nothing is read. What is wrong is said when a reverse
+    // sweep needs it.
+    planFailure = info.provider->planAdjoint(*this, *made);
+    if (!planFailure) {
+      bool provisional = made->provisional;
+      *made = AdjointPlan();
+      made->provisional = provisional;
+    }
+  } else if (info.differentiable) {
+    made->reads = info.summary;
   }
-  // Without an adjoint nothing is read. What is wrong is said when a reverse
-  // sweep needs it.
-  planFailure = info.provider->planAdjoint(*this, *adjointPlan);
-  if (!planFailure)
-    *adjointPlan = AdjointPlan();
+  if (adjointPlan && made->provisional)
+    return *adjointPlan;
+  provisionalPlan = std::move(adjointPlan);
+  adjointPlan = std::move(made);
   adjointReexecutes = adjointPlan->reexecutes;
   loadsStored = adjointPlan->loadsStored;
   alwaysZeroes = adjointPlan->zeroes;
@@ -163,7 +168,7 @@ const AdjointPlan &Kernel::plan() {
 }
 
 const KernelFlows &Kernel::flows() {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   if (!valueFlows)
     valueFlows =
         info.provider ? info.provider->findFlows(*this) : KernelFlows();
@@ -171,7 +176,7 @@ const KernelFlows &Kernel::flows() {
 }
 
 Status Kernel::resolveTangent(Kernel *&result) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   if (!tangentAsked && info.provider) {
     Status status = info.provider->makeTangent(tangent);
     if (!status)
@@ -183,7 +188,7 @@ Status Kernel::resolveTangent(Kernel *&result) {
 }
 
 void Kernel::setTrees(std::vector<TreePtr> trees) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   for (TreePtr &tree : trees)
     for (const TreePtr &known : info.trees)
       if (tree && known && tree->name() == known->name())
@@ -193,13 +198,13 @@ void Kernel::setTrees(std::vector<TreePtr> trees) {
 }
 
 void Kernel::setSummary(std::vector<Access> summary) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   info.summary = std::move(summary);
   forget();
 }
 
 void Kernel::setLoopLevels(std::vector<LoopLevel> levels) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   info.loopLevels = std::move(levels);
   forget();
 }
@@ -236,7 +241,7 @@ bool Kernel::uses(const Tree &tree) const {
 }
 
 void Kernel::setDeviceImage(std::shared_ptr<const DeviceImage> image) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   info.image = std::move(image);
   forget();
 }
@@ -253,7 +258,7 @@ static void replace(std::vector<T> &old, std::vector<T> &&made) {
 }
 
 Status Kernel::bind(uint64_t epoch) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   if (boundEpoch.load(std::memory_order_acquire) == epoch)
     return Status::success();
   for (const TreePtr &tree : info.trees)
@@ -301,7 +306,7 @@ Status Kernel::bind(uint64_t epoch) {
 }
 
 Status Kernel::resolveChecked(CheckedKernel *&result) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Lock lock(mutex);
   if (!checked && info.provider) {
     auto made = std::make_shared<CheckedKernel>();
     Status status = info.provider->makeChecked(*made);

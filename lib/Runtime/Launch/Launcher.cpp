@@ -69,8 +69,19 @@ Status Launcher::failureOf(Launch &launch, const Kernel &kernel) {
                          "kernel '" + kernel.name() + "' failed");
 }
 
+/// Those in the trees of the kernel, and the gradients of what it uses.
+static Gradients::Uses fieldsOf(const Kernel &kernel) {
+  return [&](const FieldPtr &field) {
+    return kernel.uses(field->tree()) ||
+           std::any_of(kernel.summary().begin(), kernel.summary().end(),
+                       [&](const Access &access) {
+                         return access.field->adjoint() == field.get();
+                       });
+  };
+}
+
 void Launcher::settleZeros(const Kernel &kernel, const uint64_t *args) {
-  parts.gradients.settle([&] {
+  parts.gradients.settleThose([&] {
     for (const Access &access : kernel.summary())
       if (const OwedZeros *zeros = access.field->owesZeros())
         if (mayAlias(*zeros, access, args))
@@ -117,7 +128,7 @@ void Launcher::takeOverTangents(const Kernel &kernel) {
 Status Launcher::runTangent(Launch &launch, Kernel &kernel,
                             const uint64_t *args, uint64_t *results,
                             uint64_t number) {
-  parts.gradients.settle();
+  parts.gradients.settle(fieldsOf(kernel));
   Kernel *tangent = nullptr;
   Status status = kernel.resolveTangent(tangent);
   if (status)
@@ -327,7 +338,7 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
     status = checkAdjointHolds(kernel);
   if (!status)
     return status;
-  parts.gradients.settle();
+  parts.gradients.settle(fieldsOf(kernel));
   const AdjointPlan &plan = kernel.plan();
   if (!plan.before.empty() || !plan.parts.empty())
     return Status::failure(

@@ -225,6 +225,9 @@ int64_t SparseNode::append(int64_t list) {
 
 /// Zeroes memory, and gives whole pages back.
 static void release(char *begin, int64_t bytes) {
+  // Of a level without cells there is none.
+  if (bytes == 0)
+    return;
   static const int64_t page = sysconf(_SC_PAGESIZE);
   auto address = reinterpret_cast<intptr_t>(begin);
   intptr_t first = (address + page - 1) / page * page;

@@ -33,11 +33,19 @@ struct mlir::tai::runtime::HostState {
   std::unordered_map<const char *, Kernel *> kernels;
 };
 
+static Gradients::Uses fieldsIn(const std::vector<TreePtr> &trees) {
+  return [&](const FieldPtr &field) {
+    return std::any_of(trees.begin(), trees.end(), [&](const TreePtr &tree) {
+      return tree.get() == &field->tree();
+    });
+  };
+}
+
 Status mlir::tai::runtime::runHost(Runtime &runtime, TaiKernelFn function,
                                    const std::vector<TreePtr> &trees,
                                    HostModule &module, const uint64_t *args,
                                    uint64_t *results) {
-  runtime.settleZeros();
+  runtime.settleZeros(fieldsIn(trees));
   std::vector<void *> bases;
   for (const TreePtr &tree : trees) {
     if (!tree->base())
@@ -92,7 +100,7 @@ static int32_t reportUsage(Launch &launch, std::string message,
 /// What the program itself uses it finds on the host, whatever kernels have
 /// done since.
 static int32_t returnTo(Launch &launch, Status status) {
-  launch.owner().settleZeros();
+  launch.owner().settleZeros(fieldsIn(*launch.host->trees));
   if (launch.owner().getDevice() && launch.host->module->usesTrees)
     for (const TreePtr &tree : *launch.host->trees)
       (void)tree->writable();
@@ -216,7 +224,7 @@ public:
     launch.host->tape.reset();
     if (!status)
       return report(launch, std::move(status));
-    runtime.settleZeros();
+    runtime.settleZeros(fieldsIn(*launch.host->trees));
     after = save();
     return 0;
   }

@@ -118,7 +118,7 @@ Status Tape::replayAll(bool forward, bool reverse) {
   if (reverse)
     runtime.clearGradients(this);
   else
-    runtime.settleZeros();
+    runtime.settleZeros([this](const FieldPtr &field) { return uses(field); });
   if (forward) {
     parts->seeds.clearSums();
     Status status = replayForward();
@@ -157,7 +157,8 @@ Status Tape::sweep() {
   tape.health.clear();
   std::vector<std::string> &notes = tape.report.notes;
   notes.clear();
-  tape.services.owner().settleZeros();
+  tape.services.owner().settleZeros(
+      [this](const FieldPtr &field) { return uses(field); });
   bool lostStored = false;
   Status status = tape.topology.check();
   if (status) {

@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 
+import numpy as np
 import pytest
 import tai as ti
 
@@ -242,6 +243,49 @@ def test_a_compilation_is_interrupted():
     # It takes seconds, so it was still being compiled.
     assert not ended
     check_usable()
+
+
+def test_a_plan_that_was_interrupted_is_made_again():
+    """The exception is that of the handler, and what was not planned is no failure to keep."""
+    ti.init(arch=ti.cpu, default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=4, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    count = 400
+
+    @ti.kernel
+    def large(a: ti.types.ndarray(dtype=ti.f64, ndim=1)):
+        for i in x:
+            s = 0.0
+            for k in ti.static(range(count)):
+                s += ti.sin(a[i] * x[i] * k)
+            loss[None] += s
+
+    array = np.array([0.1, 0.2, 0.3, 0.4])
+    x.from_numpy(np.ones(4))
+    core = large._specialize(large._get_signature().bind((array,), {})).core
+    ended = []
+
+    class Stop(Exception):
+        pass
+
+    def stop(*_):
+        raise Stop
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        with pytest.raises(Stop):
+            signal.setitimer(signal.ITIMER_REAL, 0.01)
+            core.reads_in_reverse(0)
+            ended.append(True)
+            threading.Event().wait()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert not ended
+    with ti.ad.Tape(loss):
+        large(array)
+    numbers = np.arange(count)
+    expected = [(a * numbers * np.cos(a * numbers)).sum() for a in array]
+    np.testing.assert_allclose(x.grad.to_numpy(), expected)
 
 
 def test_a_handler_that_raises_in_the_front_end():

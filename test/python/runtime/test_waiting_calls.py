@@ -207,6 +207,69 @@ def test_ctrl_c_while_a_field_goes(tmp_path):
     assert run.stdout == "interrupted 2.0\n" and run.stderr == ""
 
 
+WAITING = """
+    import sys
+    import threading
+
+    import numpy as np
+    import tai as ti
+
+    ti.init(arch=ti.cpu, offline_cache=False, default_fp=ti.f64)
+    x = ti.field(ti.f64, shape=16, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    Array = ti.types.ndarray(dtype=ti.f64, ndim=1)
+
+    @ti.kernel
+    def large(a: Array, b: Array):
+        for i in a:
+            s = 0.0
+            for k in ti.static(range(800)):
+                s += ti.sin(a[i] * x[i] * k) * ti.exp(a[i] - x[i] * k)
+            loss[None] += s
+            b[i] = s
+
+    arrays = np.ones(16), np.ones(16)
+    asked = 0
+    core = large._specialize(large._get_signature().bind(arrays, {})).core
+    begins, done = threading.Event(), threading.Event()
+    ask = {
+        "plan": lambda: core.reads_in_reverse(0),
+        "flows": lambda: core.ends_gradients(0),
+        "launch": lambda: large(*arrays),
+    }[sys.argv[1]]
+
+    def go_on():
+        global asked
+        begins.wait()
+        sys.setswitchinterval(0.005)
+        while not done.is_set():
+            ask()
+            asked += 1
+
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    # The other thread goes on when this one gives up the lock: within the call.
+    sys.setswitchinterval(100)
+    begins.set()
+    large(*arrays) if sys.argv[1] == "launch" else core.reads_in_reverse(0)
+    done.set()
+    thread.join()
+    print("asked", asked)
+"""
+
+
+@pytest.mark.parametrize("what", ["plan", "flows", "launch"])
+def test_threads_that_want_one_kernel_while_it_is_made(what, tmp_path):
+    """The main thread takes the lock back now and then; whoever waits for the kernel lets it."""
+    program = tmp_path / "program.py"
+    program.write_text(textwrap.dedent(WAITING))
+    command = [sys.executable, program, what]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr[:2000]
+    assert run.stdout.startswith("asked ")
+
+
 def test_gradients_that_are_given_up_hide_no_error():
     """Adjoints are compiled side by side; where one is refused, that is what is said."""
     ti.init(offline_cache=False)

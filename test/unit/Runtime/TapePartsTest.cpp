@@ -388,6 +388,22 @@ TEST(Checkpoints, PutsBackWhatChanged) {
   EXPECT_EQ(get(*scene.x, {1}), 3);
 }
 
+TEST(Checkpoints, MergesWhatTheOneBeforeKnowsNothingOf) {
+  Scene scene;
+  Track track(scene.x, -1);
+  Checkpoints checkpoints(scene.runtime, {CheckpointPolicy::Kind::Binomial, 3});
+  set(*scene.x, {1}, 1);
+  checkpoints.push(0);
+  checkpoints.push(1);
+  EXPECT_OK(checkpoints.log(track, -1));
+  set(*scene.x, {1}, 2);
+  checkpoints.settle();
+  checkpoints.pop();
+  EXPECT_EQ(checkpoints.count(), 1);
+  checkpoints.restore();
+  EXPECT_EQ(get(*scene.x, {1}), 1);
+}
+
 TEST(Rematerialiser, RefusesBadPolicies) {
   Scene scene;
   TapeRecording recording;

@@ -16,6 +16,7 @@
 
 #include "tai/Runtime/Host/FieldCopies.h"
 #include "tai/Runtime/Host/Recordings.h"
+#include <functional>
 
 namespace mlir::tai::runtime {
 
@@ -39,11 +40,14 @@ public:
   bool areOwed() const {
     return __builtin_expect(owesAny.load(std::memory_order_acquire), false);
   }
-  /// Stores all owed zeros. Call before memory is accessed other than through
-  /// fields.
-  void settle();
+  /// Stores owed zeros. Call before memory is accessed other than through
+  /// fields. Zeros owed by another thread belong to that thread, which may be
+  /// using the field: of those, only the ones in fields that the caller is
+  /// about to use (`uses`) are stored.
+  using Uses = std::function<bool(const FieldPtr &)>;
+  void settle(const Uses &uses = nullptr);
   /// The same for the fields that `settleSome` settles, under the lock.
-  template <typename Body> void settle(const Body &settleSome) {
+  template <typename Body> void settleThose(const Body &settleSome) {
     std::lock_guard<std::mutex> lock(mutex);
     settleSome();
     forgetSettled();

@@ -19,6 +19,7 @@
 #include "tai/Runtime/Launch/LoopTimes.h"
 #include "tai/Runtime/Sparse/LoopLists.h"
 #include "tai/Runtime/Storage/Field.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <array>
 #include <functional>
 #include <mutex>
@@ -308,8 +309,10 @@ private:
   PreparedLaunch prepared;
   KernelInfo info;
   std::atomic<TaiKernelFn> function{nullptr};
-  /// Recursive: the resolver of an adjoint may resolve its primal.
-  std::recursive_mutex mutex;
+  /// Recursive: the resolver of an adjoint may resolve its primal. Held during
+  /// compilation, which has safepoints.
+  std::recursive_timed_mutex mutex;
+  using Lock = safepoint::Guard<std::recursive_timed_mutex>;
   /// The variants of the adjoint: plain and zeroing; and these two with stored
   /// outputs.
   struct AdjointForm {
@@ -321,6 +324,8 @@ private:
   std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
   std::unique_ptr<AdjointPlan> adjointPlan;
+  /// The previous plan, which other threads may still read.
+  std::unique_ptr<AdjointPlan> provisionalPlan;
   /// Why planning failed: an adjoint without a plan is not launched.
   Status planFailure;
   std::optional<KernelFlows> valueFlows;

@@ -158,7 +158,7 @@ public:
   DeviceContext *getDeviceContext() const { return deviceHost.get(); }
   Status synchronize() { return deviceHost.synchronize(); }
   Status deviceAddress(const Tree &tree, int64_t offset, void *&address) {
-    settleZeros();
+    settleZeros(&tree);
     return deviceHost.addressOf(tree, offset, address);
   }
   Status waitForStream(uint64_t stream) {
@@ -257,12 +257,17 @@ public:
     fieldGradients.clear(tape);
   }
   void clearTangents() { fieldGradients.clearTangents(); }
-  /// Stores the zeros that sweeps owe. Call before memory is accessed other
-  /// than through fields.
-  void settleZeros() { fieldGradients.settle(); }
+  /// Stores the zeros that sweeps owe; see Gradients::settle. Call before
+  /// memory is accessed other than through fields.
+  void settleZeros(const Gradients::Uses &uses = nullptr) {
+    fieldGradients.settle(uses);
+  }
+  void settleZeros(const Tree *tree) {
+    settleZeros([=](const FieldPtr &field) { return &field->tree() == tree; });
+  }
   Status exportField(Field &field, ExportedField &exported) {
     // Others may read the memory of the whole tree from now on.
-    settleZeros();
+    settleZeros(&field.tree());
     return ExportedBuffer::make(field, deviceHost, exported);
   }
   Status noteOutsideWrite(Field &field) {

@@ -83,9 +83,25 @@ bool wait(std::condition_variable &changed, std::unique_lock<std::mutex> &lock,
 /// Locks a mutex that another thread may hold for long, with safepoints in
 /// between, so that the host can let the owner run. Cannot be interrupted.
 template <typename Mutex> void lock(Mutex &mutex) {
+  if (mutex.try_lock())
+    return;
   while (!mutex.try_lock_for(std::chrono::milliseconds(5)))
     (void)look();
 }
+
+/// A scoped `lock`. Use it for every mutex that is held across safepoints: a
+/// thread that blocked on one would keep the host's own lock, for which the
+/// owner may wait.
+template <typename Mutex> class Guard {
+public:
+  explicit Guard(Mutex &mutex) : mutex(mutex) { safepoint::lock(mutex); }
+  ~Guard() { mutex.unlock(); }
+  Guard(const Guard &) = delete;
+  Guard &operator=(const Guard &) = delete;
+
+private:
+  Mutex &mutex;
+};
 
 /// Stops the clock permanently, before the process exits.
 void stopClock();

@@ -193,11 +193,12 @@ void Checkpoints::mergeIntoPrevious(size_t index) {
     for (int64_t cell = piece.cell; cell < piece.endCell; ++cell)
       if (track.loggedBy[cell] == newer.id)
         track.loggedBy[cell] = older.id;
+    // The older one may know nothing of the track, or of cells that came later.
+    track.marks.resize(static_cast<size_t>(track.numCells()));
     auto begin = track.marks.begin() + piece.cell;
     auto end = track.marks.begin() + piece.endCell;
-    if (!track.marks.empty() && std::all_of(begin, end, [&](uint32_t found) {
-          return found == mark;
-        })) {
+    if (std::all_of(begin, end,
+                    [&](uint32_t found) { return found == mark; })) {
       total -= piece.keptBytes();
       continue;
     }
