@@ -112,7 +112,7 @@ uint64_t tai_dev_ordered_turns(const void *address) {
     return address ? writes : 0;
 #endif
   // What the others have read is read before it is written.
-  meetWarp();
+  syncWarp();
   uint32_t same = matchAny(reinterpret_cast<uint64_t>(address));
   auto lane = getLane();
   bool isLowest = address && !(same & ((uint32_t(1) << lane) - 1));
@@ -136,7 +136,7 @@ template <typename T> static void append(uint64_t turns, T *target, T value) {
   if (turns & writes)
     *target = sum;
   // The next addition may be one to the same element, by another lane.
-  meetWarp();
+  syncWarp();
 }
 
 void tai_dev_ordered_append_f32(uint64_t turns, float *target, float value) {
