@@ -8,7 +8,7 @@
 
 // HELP-DAG: --tai-autodiff
 // HELP-DAG: --tai-to-llvm
-// HELP: --bounds={{.+}} What happens to indices that depend on data
+// HELP: --bounds={{.+}} Semantics of out-of-range indices that depend on data
 // HELP: --bounds-check {{.+}} The same as bounds=check
 // HELP: --deterministic {{.+}} Make results bit-identical
 
