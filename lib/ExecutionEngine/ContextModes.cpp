@@ -87,8 +87,9 @@ void ContextModes::addTo(ModuleOp module) const {
   };
   add("precision", precision);
   add("sums", sums);
-  // As in Python: what is accurate stays so with `strict`.
-  add("math", strict && math != "accurate" ? "strict" : StringRef(math));
+  // As in Python: what is accurate stays so with `strict`, which `shadow`
+  // implies.
+  add("math", (strict || shadow) && math != "accurate" ? "strict" : StringRef(math));
   if (ftz)
     words.append("ftz", builder.getBoolAttr(true));
   if (words.empty())

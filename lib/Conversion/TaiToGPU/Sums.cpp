@@ -66,9 +66,15 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   Value own = math.rem(group, SumOrder::kGroups);
   Value lanes =
       emitPointer(b, loc, storage, partials, math.mul(chunk, SumOrder::kLanes));
-  emitLaneTree(b, loc, kind, kept, lanes, own, SumOrder::kGroups);
+  // The ranges of chunks and lanes, for programs: see LoopAccesses.
+  int64_t bytes = llvm::divideCeil(kept.getIntOrFloatBitWidth(), 8);
+  AliasScopes inChunks;
+  inChunks.digits = b.getDenseI64ArrayAttr({bytes * SumOrder::kLanes,
+                                            getNumChunks(loop), 0, bytes,
+                                            SumOrder::kLanes, 0});
+  emitLaneTree(b, loc, kind, kept, lanes, own, SumOrder::kGroups, inChunks);
   Value sum = emitLoad(b, loc, kept, emitPointer(b, loc, storage, lanes, own),
-                       AliasScopes());
+                       inChunks);
   emitStore(b, loc, sum, emitPointer(b, loc, storage, groups, group),
             AliasScopes());
   auto all = ParallelForOp::create(builder, loc, zero, one);

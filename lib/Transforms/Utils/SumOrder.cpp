@@ -40,7 +40,8 @@ Value tai::emitChunkLength(OpBuilder &builder, Location loc, Value iterations) {
 }
 
 void tai::emitLaneTree(OpBuilder &builder, Location loc, AtomicKind kind,
-                       Type type, Value lanes, Value first, int64_t step) {
+                       Type type, Value lanes, Value first, int64_t step,
+                       const AliasScopes &scopes) {
   IndexMath outside(builder, loc);
   Value stepValue = outside.constant(step);
   for (int64_t half = SumOrder::kLanes / 2; half >= SumOrder::kGroups;
@@ -53,9 +54,9 @@ void tai::emitLaneTree(OpBuilder &builder, Location loc, AtomicKind kind,
         [&](OpBuilder &b, Location, Value lane, ValueRange) {
           Value other = IndexMath(b, loc).add(lane, outside.constant(half));
           Value sum = emitCombination(
-              b, loc, kind, emitLoad(b, loc, type, at(b, lane), AliasScopes()),
-              emitLoad(b, loc, type, at(b, other), AliasScopes()));
-          emitStore(b, loc, sum, at(b, lane), AliasScopes());
+              b, loc, kind, emitLoad(b, loc, type, at(b, lane), scopes),
+              emitLoad(b, loc, type, at(b, other), scopes));
+          emitStore(b, loc, sum, at(b, lane), scopes);
           scf::YieldOp::create(b, loc);
         });
   }

@@ -21,6 +21,7 @@
 #define TAI_TRANSFORMS_UTILS_SUMORDER_H
 
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Utils/FieldAddress.h"
 
 namespace mlir::tai {
 
@@ -42,8 +43,10 @@ Value emitChunkLength(OpBuilder &builder, Location loc, Value iterations);
 
 /// Adds lanes up in place until the groups from `first` on, in steps of `step`,
 /// are left: 0 and 1 for all.
+/// `scopes` is for the accesses to lanes.
 void emitLaneTree(OpBuilder &builder, Location loc, AtomicKind kind, Type type,
-                  Value lanes, Value first, int64_t step);
+                  Value lanes, Value first, int64_t step,
+                  const AliasScopes &scopes = {});
 
 /// True for a float sum or product of all iterations that a loop keeps out of
 /// memory.

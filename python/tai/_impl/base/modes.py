@@ -153,7 +153,7 @@ def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
         keeps = name not in own or (option == "deterministic" and own[name] == "compensated")
         together[option] = keeps and getattr(options, option)
     check_together(together, "modes")
-    if together["strict"]:
+    if together["strict"] or options.shadow:  # which implies it
         together["math"] = together["math"] if together["math"] == "accurate" else "strict"
     return {
         name: word
