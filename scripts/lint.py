@@ -16,6 +16,7 @@ from pathlib import Path
 import lock_discipline
 import rooms
 import rooms_python
+import tidy
 
 ROOT = Path(__file__).resolve().parent.parent
 LICENSE_TAG = "SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception"
@@ -108,6 +109,26 @@ def python_lock(_fix: bool) -> str:
     return "\n".join(lock_discipline.check())
 
 
+# Each takes some 8 seconds of a core.
+MOST_TIDIED = 8
+
+
+def clang_tidy(_fix: bool) -> str:
+    """clang-tidy over sources and headers that are not committed; `make tidy` takes more."""
+    names = tidy.changed(committed=False)
+    if not names:
+        return ""
+    build = ROOT / "build"
+    if lacks := tidy.why_not(build):
+        print(f"lint: changed sources are not checked: {lacks}")
+        return ""
+    sources = tidy.to_look_at(names, tidy.compiled(build))
+    if len(sources) > MOST_TIDIED:
+        print(f"lint: {len(sources)} sources have changed, which are left to `make tidy`")
+        return ""
+    return "\n".join(tidy.findings(sources, build, jobs=2))
+
+
 CHECKS: dict[str, Callable[[bool], str]] = {
     "clang-format": clang_format,
     "ruff format": ruff_format,
@@ -119,6 +140,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "Python types": python_types,
     "rooms": rooms_of_sources,
     "Python's lock": python_lock,
+    "clang-tidy": clang_tidy,
 }
 
 

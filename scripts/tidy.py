@@ -18,6 +18,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -31,9 +32,10 @@ def git(*command: str) -> list[str]:
     return result.stdout.split("\n") if result.returncode == 0 else []
 
 
-def changed() -> set[str]:
-    """Sources and headers that differ from main, committed or not, tracked or not yet."""
-    names = git("diff", "--name-only", "main...HEAD") + git("diff", "--name-only", "HEAD")
+def changed(committed: bool = True) -> set[str]:
+    """Sources and headers that differ from main (else from the last commit), tracked or not yet."""
+    names = git("diff", "--name-only", "main...HEAD") if committed else []
+    names += git("diff", "--name-only", "HEAD")
     names += git("ls-files", "--others", "--exclude-standard")
     return {name for name in names if name.endswith((".cpp", ".h")) and (ROOT / name).exists()}
 
@@ -101,15 +103,25 @@ def look_at(build: Path, source: str) -> set[tuple[str, int, int, str]]:
     return found
 
 
-def report(sources: set[str], build: Path, jobs: int) -> int:
-    """Prints what is found in the sources; the number of findings."""
+def findings(sources: set[str], build: Path, jobs: int) -> Iterator[str]:
+    """`file:line:column: text`, each once."""
     seen: set[tuple[str, int, int, str]] = set()
     with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
         for found in pool.map(lambda source: look_at(build, source), sorted(sources)):
-            for place, line, column, text in sorted(found - seen):
-                print(f"{place}:{line}:{column}: {text}", flush=True)
+            yield from (
+                f"{place}:{line}:{column}: {text}"
+                for place, line, column, text in sorted(found - seen)
+            )
             seen |= found
-    return len(seen)
+
+
+def why_not(build: Path) -> str:
+    """What clang-tidy lacks; empty if nothing."""
+    if not shutil.which(TIDY):
+        return f"{TIDY} is not installed: apt-get install clang-tidy-22"
+    if not (build / "compile_commands.json").exists():
+        return f"{build} has no compile_commands.json: configure it first (make build)"
+    return ""
 
 
 def main() -> int:
@@ -123,16 +135,16 @@ def main() -> int:
     parser.add_argument("--build", type=Path, default=ROOT / "build", help="build folder (build)")
     parser.add_argument("--jobs", type=int, default=2, help="sources at once (2)")
     args = parser.parse_args()
-    if not shutil.which(TIDY):
-        print(f"{TIDY} is not installed: apt-get install clang-tidy-22")
-        return 2
     build = args.build.resolve()
-    if not (build / "compile_commands.json").exists():
-        print(f"{build} has no compile_commands.json: configure it first (make build)")
+    if lacks := why_not(build):
+        print(lacks)
         return 2
     known = compiled(build)
     sources = known if args.all else to_look_at(set(args.files) or changed(), known)
-    count = report(sources, build, args.jobs)
+    count = 0
+    for line in findings(sources, build, args.jobs):
+        print(line, flush=True)
+        count += 1
     print(f"clang-tidy: {count} findings in {len(sources)} sources")
     return 1 if count else 0
 

@@ -64,6 +64,10 @@ static Interval getInterval(Value value) {
     range.low = getConstant(serial.getLowerBound());
     if (std::optional<int64_t> upper = getConstant(serial.getUpperBound()))
       range.high = *upper - 1;
+    // Bounds that are compared without a sign are none of signed numbers.
+    if (serial.getUnsignedCmp() &&
+        !(range.low && range.high && *range.low >= 0 && *range.high >= -1))
+      range = Interval();
   } else if (auto parallel = dyn_cast_if_present<ParallelForOp>(loop)) {
     if (std::optional<LoopBox> box = getConstantBox(parallel))
       if (std::optional<unsigned> dim = box->find(value))

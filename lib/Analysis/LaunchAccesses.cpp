@@ -104,7 +104,7 @@ findLoopRanges(Operation *store, const ArgumentSlots &slots) {
   Operation *parent = store->getParentOp();
   for (; !isa<KernelOp>(parent); parent = parent->getParentOp()) {
     if (auto loop = dyn_cast<scf::ForOp>(parent)) {
-      if (!matchPattern(loop.getStep(), m_One()) ||
+      if (!matchPattern(loop.getStep(), m_One()) || loop.getUnsignedCmp() ||
           !add(loop.getInductionVar(), loop.getLowerBound(),
                loop.getUpperBound()))
         return std::nullopt;

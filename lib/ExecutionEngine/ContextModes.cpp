@@ -89,7 +89,8 @@ void ContextModes::addTo(ModuleOp module) const {
   add("sums", sums);
   // As in Python: what is accurate stays so with `strict`, which `shadow`
   // implies.
-  add("math", (strict || shadow) && math != "accurate" ? "strict" : StringRef(math));
+  add("math",
+      (strict || shadow) && math != "accurate" ? "strict" : StringRef(math));
   if (ftz)
     words.append("ftz", builder.getBoolAttr(true));
   if (words.empty())

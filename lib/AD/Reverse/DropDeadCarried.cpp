@@ -50,9 +50,10 @@ static void replaceResults(Operation *loop, Operation *smaller,
 static void dropFromFor(scf::ForOp loop, ArrayRef<bool> kept) {
   OpBuilder builder(loop);
   SmallVector<Value> inits(loop.getInitArgs());
-  auto smaller = scf::ForOp::create(builder, loop.getLoc(),
-                                    loop.getLowerBound(), loop.getUpperBound(),
-                                    loop.getStep(), filter(inits, kept));
+  auto smaller = scf::ForOp::create(
+      builder, loop.getLoc(), loop.getLowerBound(), loop.getUpperBound(),
+      loop.getStep(), filter(inits, kept), /*bodyBuilder=*/nullptr,
+      loop.getUnsignedCmp());
   smaller.getRegion().takeBody(loop.getRegion());
   Block *body = smaller.getBody();
   Operation *yield = body->getTerminator();

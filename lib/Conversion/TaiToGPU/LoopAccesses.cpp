@@ -129,6 +129,9 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
     lower = getWholeConstant(serial.getLowerBound());
     upper = getWholeConstant(serial.getUpperBound());
     step = getWholeConstant(serial.getStep()).value_or(0);
+    // Bounds that are compared without a sign may have any order.
+    if (serial.getUnsignedCmp() && lower && upper && (*lower < 0 || *upper < 0))
+      return std::nullopt;
   } else if (auto inner = dyn_cast<ParallelForOp>(parent)) {
     if (std::optional<LoopBox> box = getConstantBox(inner)) {
       lower = box->lower[iv.getArgNumber()];

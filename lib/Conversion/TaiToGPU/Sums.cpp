@@ -69,9 +69,9 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   // The ranges of chunks and lanes, for programs: see LoopAccesses.
   int64_t bytes = llvm::divideCeil(kept.getIntOrFloatBitWidth(), 8);
   AliasScopes inChunks;
-  inChunks.digits = b.getDenseI64ArrayAttr({bytes * SumOrder::kLanes,
-                                            getNumChunks(loop), 0, bytes,
-                                            SumOrder::kLanes, 0});
+  inChunks.digits =
+      b.getDenseI64ArrayAttr({bytes * SumOrder::kLanes, getNumChunks(loop), 0,
+                              bytes, SumOrder::kLanes, 0});
   emitLaneTree(b, loc, kind, kept, lanes, own, SumOrder::kGroups, inChunks);
   Value sum = emitLoad(b, loc, kept, emitPointer(b, loc, storage, lanes, own),
                        inChunks);

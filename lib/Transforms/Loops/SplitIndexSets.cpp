@@ -57,8 +57,8 @@ static std::optional<int64_t> getOffsetFrom(Value value, Value iv) {
 static std::optional<Split> matchSplit(scf::IfOp branch) {
   auto interior = branch->getAttrOfType<DenseI64ArrayAttr>(kInterior);
   auto loop = dyn_cast<scf::ForOp>(branch->getParentOp());
-  if (!interior || !loop || loop.getNumResults() || branch.getNumResults() ||
-      !matchPattern(loop.getStep(), m_One()))
+  if (!interior || !loop || loop.getUnsignedCmp() || loop.getNumResults() ||
+      branch.getNumResults() || !matchPattern(loop.getStep(), m_One()))
     return std::nullopt;
   for (Operation &op : loop.getBody()->without_terminator())
     if (&op != branch && !isMemoryEffectFree(&op))

@@ -451,6 +451,9 @@ static bool visit(Block &body, Candidate &candidate,
       candidate.count(op);
       continue;
     }
+    // Jammed loops compare their indices with a sign.
+    if (loop.getUnsignedCmp())
+      return false;
     unsigned bits = getSumBits(loop);
     bool holdsLoops = !loop.getBody()->getOps<scf::ForOp>().empty();
     // The copies leave the loop together, or each goes on by itself.
@@ -477,7 +480,7 @@ static bool visit(Block &body, Candidate &candidate,
 
 static std::optional<Candidate> match(scf::ForOp loop, bool reassociate) {
   ArrayRef<LLVM::AccessGroupAttr> groups = getParallelAccesses(loop);
-  if (groups.empty() || loop.getNumResults() ||
+  if (groups.empty() || loop.getNumResults() || loop.getUnsignedCmp() ||
       !matchPattern(loop.getStep(), m_One()))
     return std::nullopt;
   Candidate candidate{loop};

@@ -542,3 +542,45 @@ func.func @doubled(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
   } {llvm.loop_annotation = #parallel}
   return
 }
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
+// Loops that compare without a sign are left: their bounds may be negative as
+// signed numbers.
+// CHECK-LABEL: func.func @unsigned(
+//   CHECK-NOT:   arith.andi
+//       CHECK:   return
+func.func @unsigned(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c1000 = arith.constant 1000 : index
+  %zero = arith.constant 0.0 : f64
+  scf.for %i = %lo to %hi step %c1 {
+    %i64 = arith.index_cast %i : index to i64
+    %sum = scf.for unsigned %j = %c0 to %hi step %c1 iter_args(%s = %zero) -> (f64) {
+      %j64 = arith.index_cast %j : index to i64
+      %p = llvm.getelementptr %a[%j64] : (!llvm.ptr, i64) -> !llvm.ptr, f64
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f64
+      %u = arith.addf %s, %t : f64
+      scf.yield %u : f64
+    }
+    %q = llvm.getelementptr %b[%i64] : (!llvm.ptr, i64) -> !llvm.ptr, f64
+    llvm.store %sum, %q {access_groups = [#group]} : f64, !llvm.ptr
+  } {llvm.loop_annotation = #parallel}
+  scf.for unsigned %i = %lo to %hi step %c1 {
+    %i64 = arith.index_cast %i : index to i64
+    %sum = scf.for %j = %c0 to %c1000 step %c1 iter_args(%s = %zero) -> (f64) {
+      %j64 = arith.index_cast %j : index to i64
+      %p = llvm.getelementptr %a[%j64] : (!llvm.ptr, i64) -> !llvm.ptr, f64
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f64
+      %u = arith.addf %s, %t : f64
+      scf.yield %u : f64
+    }
+    %q = llvm.getelementptr %b[%i64] : (!llvm.ptr, i64) -> !llvm.ptr, f64
+    llvm.store %sum, %q {access_groups = [#group]} : f64, !llvm.ptr
+  } {llvm.loop_annotation = #parallel}
+  return
+}
