@@ -71,6 +71,8 @@ def machine_name(arch: str) -> str:
 
 
 def revision() -> str:
+    if known := os.environ.get("TAI_COMMIT"):
+        return known
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude=*"]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 

@@ -3,6 +3,7 @@
     .venv/bin/python benchmarks/programs/run.py                       # wall time, all threads
     .venv/bin/python benchmarks/programs/run.py --processor           # one thread, processor time
     .venv/bin/python benchmarks/programs/run.py --only wave billiards --peers taichi
+    .venv/bin/python benchmarks/programs/run.py --arch cuda           # on a GPU
     .venv/bin/python benchmarks/programs/run.py --fill                # peers only compile
     .venv/bin/python benchmarks/programs/run.py --minutes 12 --rounds 1 --keep
 
@@ -160,7 +161,7 @@ def measured(program: Program, peer: str, args: argparse.Namespace, folder: Path
     command = [python, HERE / "measure.py", peer, cache, folder, path, *program.words()]
     count = 1 if args.fill else args.iterations
     command += ["--count" if program.call else "--iterations", count]
-    command += ["--seconds", args.seconds]
+    command += ["--seconds", args.seconds, "--arch", args.arch]
     command += ["--processor", "--threads", 1] if args.processor else []
     if not Path(python).exists():
         return {"reason": "missing: run benchmarks/setup_peers.py"}
@@ -190,6 +191,7 @@ def scene(program: Program, peer: str, args: argparse.Namespace) -> dict:
     if not python.exists():
         return {"reason": "missing: run benchmarks/setup_peers.py"}
     command = [python, HERE.parent / "peers" / f"peer_{peer}.py", "--scene", program.scene]
+    command += ["--arch", args.arch]
     command += ["--runs", 1 if args.fill else 5, "--cache", args.cache / peer / program.scene]
     found, reason = call(command, args.limit)
     times = {record["phase"]: record for record in found if "phase" in record}
@@ -261,6 +263,16 @@ def table(rows: list[dict], programs: list[Program], peers: list[str]) -> str:
     return "\n".join([*lines, "", *notes])
 
 
+def gpu() -> str:
+    """The name of the GPU."""
+    command = ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True)
+    except OSError:
+        return "a GPU"
+    return (done.stdout.splitlines() or ["a GPU"])[0]
+
+
 def versions(peers: list[str], python: Path) -> str:
     """The peers with their versions."""
     packages = {"warp": "warp-lang"}
@@ -279,6 +291,8 @@ def versions(peers: list[str], python: Path) -> str:
 def page(rows: list[dict], programs: list[Program], args: argparse.Namespace, load: float) -> str:
     """The table with what was measured, and where."""
     kind = "processor time of one thread" if args.processor else "wall time, all threads"
+    if args.arch == "cuda":
+        kind = f"wall time on {gpu()}"
     peers = versions(args.peers, peers_python(args.peers_venv))
     lines = [
         "# The examples on tai and on its peers", "",
@@ -307,6 +321,7 @@ def main() -> int:
     add = parser.add_argument
     add("--only", nargs="+", choices=sorted({p.name for p in PROGRAMS}), help="some programs")
     add("--peers", nargs="+", choices=[*SAME_FILE, *SCENES], default=[*SAME_FILE, *SCENES])
+    add("--arch", choices=["cpu", "cuda"], default="cpu", help="what computes (cpu)")
     add("--rounds", type=int, default=2, help="processes per measurement (2)")
     add("--iterations", type=int, default=6, help="the first one compiles (6)")
     add(
@@ -324,6 +339,8 @@ def main() -> int:
     add("--cache", type=Path, help="folder of compiled code (cache in --out)")
     add("--peers-venv", type=Path, default=ROOT / "build" / "peers-venv")
     args = parser.parse_args()
+    if args.processor and args.arch == "cuda":
+        parser.error("--processor is of the CPU: on a GPU its time says nothing")
     args.cache = args.cache or args.out / "cache"
     args.out.mkdir(parents=True, exist_ok=True)
     load = os.getloadavg()[0]

@@ -10,12 +10,12 @@
 // CHECK: .entry math
 // DEFAULT: sqrt.rn.f32
 // STRICT: sqrt.rn.f32
-// FAST: sqrt.approx.ftz.f32
+// FAST: sqrt.approx.f32
 // DEFAULT: ex2.approx.ftz.f32
 // DEFAULT-NOT: .f32.ftz
 // DEFAULT-NOT: mul.ftz
 // STRICT: mul.rn.f32
-// FAST: mul.ftz.f32
+// FAST: mul.f32
 gpu.module @kernels {
   llvm.func @__nv_sqrtf(f32) -> f32
   llvm.func @__nv_expf(f32) -> f32

@@ -22,9 +22,9 @@ module attributes {gpu.container_module} {
     // DEFAULT: fma.rn.f32
     // DEFAULT-NEXT: div.rn.f32
     // DEFAULT-NEXT: sqrt.rn.f32
-    // FAST: fma.rn.ftz.f32
-    // FAST-NEXT: div.approx.ftz.f32
-    // FAST-NEXT: sqrt.approx.ftz.f32
+    // FAST: fma.rn.f32
+    // FAST-NEXT: div.approx.f32
+    // FAST-NEXT: sqrt.approx.f32
     // CHECK: st.global.b32
     llvm.func @saxpy(%x: !llvm.ptr, %y: !llvm.ptr, %a: f32, %n: i32) attributes {gpu.kernel, nvvm.kernel} {
       %thread = nvvm.read.ptx.sreg.tid.x : i32

@@ -8,6 +8,8 @@ ALL = "*"  # of a module
 
 NO_KERNEL = "no kernel runs in it, and no field is read or written"
 NAMES = "looks at names alone"
+SOURCES = "looks at the sources"
+CPU = "is of the CPU"
 CHOOSES = "chooses the target itself"
 
 # Nothing in them depends on the target, or they choose it themselves: one run does.
@@ -33,6 +35,7 @@ ONE_RUN_DOES = {
         "test_an_array_has_a_gradient_of_its_kind": NO_KERNEL,
         "test_a_loss_of_several_numbers": NO_KERNEL,
     },
+    "test_bench_error": {ALL: CHOOSES},
     "test_cuda_floors": {ALL: "programs in CUDA C++"},
     "test_device_lists": {ALL: CHOOSES},
     "test_sanitizer": {ALL: CHOOSES},
@@ -48,16 +51,26 @@ ONE_RUN_DOES = {
         "test_in_python": "matrices of Python, which no kernel computes",
         "test_python_matrices": "matrices of Python, which no kernel computes",
     },
+    "test_perf_map": {ALL: CPU},
+    "test_reliability": {ALL: "the bars that a device can run are a step of make test-gpu"},
+    "test_rooms": {ALL: SOURCES},
     "test_running_launches": {
         ALL: "its kernel waits for the host, which waits for what a device has begun",
     },
-    "test_stripped_attributes": {"test_results_stay_on_a_device": CHOOSES},
+    "test_shadow": {ALL: CPU},
+    "test_stripped_attributes": {
+        "test_modes_stay": CPU,
+        "test_modes_stay_on_a_device": CHOOSES,
+        "test_results_stay_on_a_device": CHOOSES,
+    },
     "test_taichi_names": {
         "test_names_are_there": NAMES,
         "test_field_attributes": NAMES,
         "test_inner_modules_are_the_same_under_the_other_name": NAMES,
         "test_no_alias_without_being_asked": NAMES,
     },
+    "test_tidy": {ALL: SOURCES},
+    "test_worked_examples": {ALL: SOURCES},
 }
 
 # On the emulated device and on GPUs.
@@ -104,9 +117,6 @@ NOT_RUN_ON_A_GPU = {
         "test_a_chain_of_thousands": "ptxas takes minutes for thousands of statements",
         "test_code_of_huge_blocks_is_in_parts": "looks at code of the CPU",
         "test_huge_loops_call_a_function_once_for_each_call": "looks at code of the CPU",
-    },
-    "test_reliability": {
-        "test_bar": "the bars that a GPU can run are a step of make test-gpu",
     },
     "test_sparse_api": {
         "test_addresses_hold_the_elements": "the host cannot follow addresses of a GPU",

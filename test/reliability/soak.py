@@ -186,7 +186,8 @@ def read_line(
     row |= {"bar": name, "met": "yes" if returned == 0 else "no", "version": version(script)}
     # Other options make other cases.
     row["version"] += f" {args.options}" if args.options else ""
-    row |= {"date": datetime.date.today().isoformat(), "machine": machine(args.arch)}
+    where = args.machine or machine(args.arch)
+    row |= {"date": datetime.date.today().isoformat(), "machine": where}
     row |= {"commit": args.commit or commit()}
     if found:
         row |= {"cases": found[-1][2], "seen": found[-1][3], "limit": found[-1][4]}
@@ -307,6 +308,7 @@ def main() -> int:
     parser.add_argument("--lines", type=Path, help="run none: take what a script has printed")
     parser.add_argument("--status", type=int, default=0, help="with which that script ended")
     parser.add_argument("--commit", help="of what was run, in place of that of this checkout")
+    parser.add_argument("--machine", help="on which that script ran, in place of this one")
     args = parser.parse_args()
     known = scripts()
     unknown = set(args.only or ()) - set(known)

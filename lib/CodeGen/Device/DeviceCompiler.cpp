@@ -340,7 +340,13 @@ void DeviceCompiler::prepareForCuda(llvm::Module &module) {
     return function.getFnAttribute(kDenormalsAttrName).getValueAsString() ==
            kFlushing;
   };
-  if (options.fastMath || llvm::any_of(module, saysFlush))
+  auto isKernel = [](const llvm::Function &function) {
+    return function.getCallingConv() == llvm::CallingConv::PTX_Kernel;
+  };
+  // The math library asks for the whole module; a kernel that keeps denormals
+  // must not lose them because another one flushes.
+  auto kernels = llvm::make_filter_range(module, isKernel);
+  if (!kernels.empty() && llvm::all_of(kernels, saysFlush))
     module.addModuleFlag(llvm::Module::Override, "nvvm-reflect-ftz", 1);
   // What other threads see is what those of this device see.
   llvm::SyncScope::ID device =
@@ -348,8 +354,6 @@ void DeviceCompiler::prepareForCuda(llvm::Module &module) {
   for (llvm::Function &function : module) {
     if (function.isDeclaration())
       continue;
-    if (options.fastMath)
-      function.addFnAttr(kDenormalsAttrName, kFlushing);
     function.setDoesNotThrow();
     function.addFnAttr("no-trapping-math", "true");
     for (llvm::Instruction &instruction : llvm::instructions(function)) {
@@ -417,6 +421,15 @@ static void putBackMostThreads(DeviceCode &code) {
       code.module->getFunction(name)->addFnAttr(kMostThreadsAttrName, most);
 }
 
+static bool saysWhatIsApproximate(const llvm::Module &module) {
+  return llvm::any_of(module, [](const llvm::Function &function) {
+    return llvm::any_of(llvm::instructions(function), [](auto &instruction) {
+      return isa<llvm::FPMathOperator>(instruction) &&
+             instruction.hasApproxFunc();
+    });
+  });
+}
+
 Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
   DeviceCode code;
   for (Operation &op : deviceModule->getRegion(0).front())
@@ -445,7 +458,9 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
     return createStringError("");
   llvm::Module &module = *code.module;
   setTarget(module);
-  if (isCuda() && options.fastMath)
+  // Modules of kernels have flags on each operation, and none where the order
+  // of roundings matters.
+  if (isCuda() && options.fastMath && !saysWhatIsApproximate(module))
     allowFastMath(module);
   SmallVector<llvm::GlobalValue *> visible;
   for (const std::string &name : code.functions) {

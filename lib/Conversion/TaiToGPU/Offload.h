@@ -46,6 +46,10 @@ constexpr int64_t kTreeAlignment = 16;
 /// that of an array of partial sums, one for each thread.
 constexpr llvm::StringLiteral kPartialSumAttrName = "tai.partial_sum";
 
+/// On the same cast, by default: the address is that of an f64 for a sum of
+/// f32.
+constexpr llvm::StringLiteral kWideSumAttrName = "tai.wide_sum";
+
 /// On a module, by `tai-narrow-indices`, and then on its gpu.module: the width
 /// of an index in bits; 64 where absent.
 constexpr llvm::StringLiteral kIndexBitsAttrName = "tai.index_bits";

@@ -9,7 +9,7 @@
 // reduced over a block before they are added to memory. In deterministic mode,
 // a fixed number of threads keeps partial float sums, and later loops add them
 // up. A thread accumulates f32 in f64, to reduce the rounding error of
-// sequential addition.
+// sequential addition, and so do blocks of loops with many iterations.
 //
 //===----------------------------------------------------------------------===//
 
@@ -97,6 +97,42 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   return partials;
 }
 
+/// So many terms of f32, added up by blocks, are at most some hundred additions
+/// in f32.
+constexpr int64_t kFewTerms = 1 << 15;
+
+/// Whether the sums of blocks are added up in f64 as well.
+static bool isWide(ParallelForOp loop, AtomicKind kind, Type type) {
+  std::optional<int64_t> count = getNumIterations(loop);
+  return kind == AtomicKind::Add && type.isF32() && !loop.getInWarp() &&
+         (!count || *count > kFewTerms);
+}
+
+/// A loop of one iteration behind `loop` that adds the sum of its blocks to
+/// the target. Yields the address of that sum, which is zero between launches.
+static Value emitWideSum(ParallelForOp loop, Value frame, Type type,
+                         Value target, RuntimeCalls &runtime) {
+  OpBuilder builder(loop);
+  Location loc = loop.getLoc();
+  Type wide = builder.getF64Type();
+  Value sum = runtime.tai_rt_device_scratch(builder, loc, frame,
+                                            runtime.i64(builder, loc, 8));
+  builder.setInsertionPointAfter(loop);
+  IndexMath outside(builder, loc);
+  auto once = ParallelForOp::create(builder, loc, outside.constant(0),
+                                    outside.constant(1));
+  OpBuilder b = OpBuilder::atBlockBegin(&once.getBody().front());
+  Value found = emitLoad(b, loc, wide, sum, AliasScopes());
+  // A replay begins with what the last one has left.
+  emitStore(
+      b, loc,
+      arith::ConstantOp::create(b, loc, getIdentity(AtomicKind::Add, wide)),
+      sum, AliasScopes());
+  found = arith::TruncFOp::create(b, loc, type, found);
+  emitAtomicUpdate(b, loc, AtomicKind::Add, found, target, AliasScopes());
+  return sum;
+}
+
 LogicalResult tai::prepareSums(ParallelForOp loop, Value frame,
                                DeviceLowering &lowering) {
   if (lowering.deterministic && failed(checkOrderIsFixed(loop)))
@@ -174,14 +210,20 @@ LogicalResult tai::prepareSums(ParallelForOp loop, Value frame,
     // Integers, minima and maxima do not depend on the order.
     bool isPartial = lowering.deterministic && isa<FloatType>(type) &&
                      (kind == AtomicKind::Add || kind == AtomicKind::Mul);
-    Value address = isPartial ? emitPartialSums(loop, frame, kind, type, target,
-                                                lowering.host.runtime)
-                              : target;
+    bool inWide = !lowering.deterministic && isWide(loop, kind, type);
+    Value address = target;
+    if (isPartial)
+      address = emitPartialSums(loop, frame, kind, type, target,
+                                lowering.host.runtime);
+    else if (inWide)
+      address = emitWideSum(loop, frame, type, target, lowering.host.runtime);
     builder.setInsertionPointToStart(&loop.getBody().front());
     auto marker = UnrealizedConversionCastOp::create(
         builder, loc, address.getType(), address);
     if (isPartial)
       marker->setAttr(kPartialSumAttrName, builder.getUnitAttr());
+    if (inWide)
+      marker->setAttr(kWideSumAttrName, builder.getUnitAttr());
     marker->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
   }
   return success();
@@ -207,6 +249,7 @@ SmallVector<Sum> tai::collectSums(ParallelForOp loop, FieldTable &fields) {
     if (auto marker = dyn_cast<UnrealizedConversionCastOp>(op)) {
       sum.target = marker.getOperand(0);
       sum.isPartial = marker->hasAttr(kPartialSumAttrName);
+      sum.isWide = marker->hasAttr(kWideSumAttrName);
       markers.push_back(marker);
       return;
     }
@@ -224,8 +267,11 @@ SmallVector<Sum> tai::collectSums(ParallelForOp loop, FieldTable &fields) {
   });
   for (Operation *marker : markers)
     marker->erase();
-  for (Sum &sum : sums)
+  for (Sum &sum : sums) {
     sum.kept = getKeptType(sum.kind, sum.type);
+    if (sum.isWide)
+      sum.type = sum.kept;
+  }
   return sums;
 }
 

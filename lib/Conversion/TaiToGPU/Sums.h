@@ -23,6 +23,8 @@ struct Sum {
   /// The target address, or that of the first partial sum.
   Value target;
   bool isPartial = false;
+  /// Blocks add to an f64, and a later loop adds that to the element of f32.
+  bool isWide = false;
   ArrayAttr scope;
   Value slot;
 };

@@ -7,6 +7,7 @@
 
 #include "../TaiToGPU/Offload.h"
 #include "../ToLLVM/FloatOptions.h"
+#include "DeviceFloats.h"
 #include "mlir/Conversion/GPUToNVVM/GPUToNVVMPass.h"
 #include "mlir/Conversion/LLVMCommon/ConversionTarget.h"
 #include "mlir/Conversion/LLVMCommon/TypeConverter.h"
@@ -76,17 +77,6 @@ LogicalResult checkAccurate(Operation *function) {
   return failure(result.wasInterrupted());
 }
 
-/// The backend flushes denormal numbers of f32 in a function that says so.
-void flushOnDevice(LLVM::LLVMFuncOp function) {
-  Builder builder(function.getContext());
-  SmallVector<Attribute> all;
-  if (ArrayAttr others = function.getPassthroughAttr())
-    llvm::append_range(all, others);
-  all.push_back(builder.getStrArrayAttr(
-      {"denormal-fp-math-f32", "preserve-sign,preserve-sign"}));
-  function.setPassthroughAttr(builder.getArrayAttr(all));
-}
-
 struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
   using Base::Base;
 
@@ -127,6 +117,8 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
       populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     } else {
       configureGpuToNVVMTypeConverter(converter);
+      // Before those of libdevice.
+      populateFastDeviceMath(patterns, /*benefit=*/15);
       // Before the intrinsics of LLVM, which the backend cannot select.
       populateGpuToNVVMConversionPatterns(converter, patterns, /*benefit=*/10);
     }

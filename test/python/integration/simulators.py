@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 
+# Two runs on a GPU add up in other orders.
+ROUNDING = 1e-5 if os.environ.get("TI_ARCH") == "cuda" else 0
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 

@@ -49,6 +49,8 @@ def run(path, options, arch):
 
 @pytest.mark.parametrize("path, options", commands())
 def test_as_on_the_cpu(path, options):
+    if path.name == "words.mlir" and os.environ.get("TI_ARCH") == "cuda":
+        pytest.skip("it shows what a sum loses in the order of a CPU")
     cpu, gpu = (run(path, options, arch) for arch in ("cpu", "cuda"))
     assert gpu.returncode == cpu.returncode, gpu.stderr
     for ours, theirs in ((gpu.stdout, cpu.stdout), (gpu.stderr, cpu.stderr)):

@@ -15,7 +15,7 @@ import tai as ti
 from PIL import Image
 
 from reference import mpm3d
-from simulators import EXAMPLES, descent, printed, start, table
+from simulators import EXAMPLES, ROUNDING, descent, printed, start, table
 
 sys.path.insert(0, str(EXAMPLES))
 
@@ -228,7 +228,9 @@ def test_the_nearest_ball_is_seen():
 
 
 def test_all_checkpoints_give_one_gradient(tmp_path):
-    options = ("--side", 12, "--steps", 60, "--segment", 7, "--budget", 1, "--double")
+    # A device keeps fields whole, where a CPU keeps the elements that a launch changes.
+    budget = 2 if os.environ.get("TI_ARCH") == "cuda" else 1
+    options = ("--side", 12, "--steps", 60, "--segment", 7, "--budget", budget, "--double")
     lines = printed("checkpointing", tmp_path, *options).splitlines()
     names, numbers = [], []
     for line in lines:
@@ -241,7 +243,7 @@ def test_all_checkpoints_give_one_gradient(tmp_path):
     np.testing.assert_allclose(table[:, 2:], table[:1, 2:].repeat(5, 0), atol=1.1e-6)
     fields, kept = table[:, 0], table[:, 1]
     assert (np.diff(fields[:4]) < 0).all() and fields[4] == fields[3]
-    assert (kept[:3] == 0).all() and 0 < kept[4] <= 1 < kept[3]
+    assert (kept[:3] == 0).all() and 0 < kept[4] <= budget < kept[3]
 
 
 @pytest.mark.parametrize("scheme", ["stored", "grid", "segments", "tape", "budget"])
@@ -279,7 +281,7 @@ def test_volumes_of_files(tmp_path):
     options = ("--n", 8, "--res", 16, "--views", 2, "--iterations", 2)
     first = descent("volume_renderer", tmp_path, *options, "--volume", tmp_path / "body.npy")
     second = descent("volume_renderer", tmp_path, *options, "--volume", tmp_path / "body.raw")
-    same(first, second, 0)
+    same(first, second, ROUNDING)
     line = refused("volume_renderer", tmp_path, "--volume", tmp_path / "body.raw")
     assert "body.raw" in line and "not 128³ numbers" in line
 

@@ -64,6 +64,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.rerun_read", Kind::Integer},
     {"tai.site", Kind::Integer},
     {"tai.sum_target", Kind::Integer},
+    {"tai.wide_sum", Kind::Unit},
 };
 
 static constexpr RenamedAttr kRenamed[] = {

@@ -16,7 +16,7 @@ ROWS: tuple[Row, ...] = (
     ("precision", "Text", "default", "default, f64 or f32", "the minimum precision of arithmetic, whatever the types of fields: narrower values are widened when they are loaded"),
     ("sums", "Text", "default", "default, compensated or deterministic", "how sums over iterations and scatters are kept: with twice the digits of their type, or as by the option deterministic"),
     ("math", "Text", "default", "default, fast, strict or accurate", "fast and strict are as by the options fast_math and strict; accurate: elementary functions are within one unit in the last place"),
-    ("ftz", "Switch", "false", "true or false", "denormal numbers are zero, as operands and as results: those of f32 and, on the CPU, of f64"),
+    ("ftz", "Switch", "false", "true or false", "denormal numbers are zero, as operands and as results"),
     ("adjoints", "Text", "default", "default or f64", "the type of gradient fields: with f64, a field whose gradient has another type is an error"),
     ("shadow", "Switch", "false", "true or false", "kernels compute each float again in higher precision, and lines where digits are lost are reported; implies strict, excludes fast_math, CPU only"),
     ("sanitize", "Sanitizer", "", "\"address\" or nothing", "accesses of kernels are checked by AddressSanitizer, whose runtime the process must have loaded"),

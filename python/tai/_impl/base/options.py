@@ -97,8 +97,7 @@ _OWN = (
             "of that name"),
     Keyword("math", str, "default", "'fast' and 'strict' are as by the options fast_math and "
             "strict; 'accurate': elementary functions are within one unit in the last place"),
-    Keyword("ftz", bool, False, "denormal numbers are zero, as operands and as results: those of "
-            "f32 and, on the CPU, of f64"),
+    Keyword("ftz", bool, False, "denormal numbers are zero, as operands and as results"),
     Keyword("adjoints", str, "default", "what gradients of fields are kept and summed in: 'f64'; "
             "by default the type of the field, and f32 for one of 16 bits"),
     Keyword("check_out_of_bound", bool, False, "the same as bounds='check'"),
