@@ -36,6 +36,7 @@ ONE_RUN_DOES = {
         "test_a_loss_of_several_numbers": NO_KERNEL,
     },
     "test_bench_error": {ALL: CHOOSES},
+    "test_compile_progress": {ALL: "of the time that one compilation takes"},
     "test_cuda_floors": {ALL: "programs in CUDA C++"},
     "test_device_lists": {ALL: CHOOSES},
     "test_sanitizer": {ALL: CHOOSES},
@@ -52,6 +53,7 @@ ONE_RUN_DOES = {
         "test_python_matrices": "matrices of Python, which no kernel computes",
     },
     "test_perf_map": {ALL: CPU},
+    "test_random_kernels": {"test_a_few_dozen": "the targets of a GPU are a step of make test-gpu"},
     "test_reliability": {ALL: "the bars that a device can run are a step of make test-gpu"},
     "test_rooms": {ALL: SOURCES},
     "test_running_launches": {
@@ -94,10 +96,6 @@ FAILS_ON_A_DEVICE = {
     },
     "test_program_limits": {
         "test_reports_have_names_that_are_not_english": "counts launches of kernels on the CPU",
-    },
-    "test_sum_accuracy": {
-        "test_many_into_one_cell": "a device adds to an element of f32 by atomics",
-        "test_many_into_cells_beside_others": "a device adds to an element of f32 by atomics",
     },
     "test_sparse_errors": {
         "test_out_of_memory_in_a_kernel": "cells have their memory from the start on a device",

@@ -83,8 +83,9 @@ llvm::Function *addSlotsFunction(llvm::Function &kernel);
 llvm::ArrayRef<char> getDeviceLibrary(runtime::DeviceKind kind);
 
 /// Used by one thread at a time. Float semantics follow the options: with
-/// fastMath, division and square root are approximate; with contract, a product and a sum may be rounded once;
-/// without both, every operation is rounded as IEEE 754 says.
+/// fastMath, division and square root are approximate; with contract, a product
+/// and a sum may be rounded once; without both, every operation is rounded as
+/// IEEE 754 says.
 class DeviceCompiler {
 public:
   static llvm::Expected<std::unique_ptr<DeviceCompiler>>

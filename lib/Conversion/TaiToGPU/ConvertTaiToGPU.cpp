@@ -261,6 +261,7 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
           Modes::of(kernel).isDeterministic(deterministic));
       const Modes modes = Modes::of(kernel);
       device.oneOrder = modes.hasOneOrder(deterministic);
+      lowering.compensated = modes.isCompensated();
       auto functions = [&] {
         SmallVector<LLVM::LLVMFuncOp> all;
         for (Region *region :

@@ -24,6 +24,8 @@ struct DeviceLowering {
   ModuleLowering &host, &device;
   gpu::GPUModuleOp kernels;
   bool deterministic;
+  /// Of the kernel that is being lowered.
+  bool compensated = false;
 };
 
 /// On an unrealized_conversion_cast from an address to a value: the value is in

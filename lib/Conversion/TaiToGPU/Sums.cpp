@@ -102,10 +102,11 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
 constexpr int64_t kFewTerms = 1 << 15;
 
 /// Whether the sums of blocks are added up in f64 as well.
-static bool isWide(ParallelForOp loop, AtomicKind kind, Type type) {
+static bool isWide(ParallelForOp loop, AtomicKind kind, Type type,
+                   bool compensated) {
   std::optional<int64_t> count = getNumIterations(loop);
   return kind == AtomicKind::Add && type.isF32() && !loop.getInWarp() &&
-         (!count || *count > kFewTerms);
+         (!count || *count > kFewTerms || compensated);
 }
 
 /// A loop of one iteration behind `loop` that adds the sum of its blocks to
@@ -210,7 +211,8 @@ LogicalResult tai::prepareSums(ParallelForOp loop, Value frame,
     // Integers, minima and maxima do not depend on the order.
     bool isPartial = lowering.deterministic && isa<FloatType>(type) &&
                      (kind == AtomicKind::Add || kind == AtomicKind::Mul);
-    bool inWide = !lowering.deterministic && isWide(loop, kind, type);
+    bool inWide = !lowering.deterministic &&
+                  isWide(loop, kind, type, lowering.compensated);
     Value address = target;
     if (isPartial)
       address = emitPartialSums(loop, frame, kind, type, target,

@@ -308,15 +308,19 @@ LogicalResult LoopRelaxation::checkCompensated() {
     return success();
   WalkResult result = loop.walk([&](Operation *op) {
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      // On a device, blocks add up in f64, which is twice the digits of f32.
+      bool isWideTotal =
+          isFloatTotal(op) && atomic.getValue().getType().isF32();
       if (!isFloatSum(atomic) || atomic.getExclusive() ||
-          (atomic.getStrategy() && !onDevice))
+          (atomic.getStrategy() && (!onDevice || isWideTotal)))
         return WalkResult::advance();
       StringRef why = "its field is sparse or large, or takes other updates "
                       "or reads in the same loop";
       if (!atomic.getOld().use_empty())
         why = "the value before the addition is used";
       else if (onDevice)
-        why = "a GPU keeps no sum wider than its type";
+        why = "a GPU has sums wider than their type for those of all "
+              "iterations in f32 alone";
       op->emitError(what) << why << "; give the kernel sums=\"default\"";
       return WalkResult::interrupt();
     }

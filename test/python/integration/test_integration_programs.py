@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from device_tensors import ON_GPU
+
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "test" / "Integration" / "CPU"
 BIN = Path(os.environ.get("TAI_BUILD_DIR", ROOT / "build")) / "bin"
@@ -51,6 +53,8 @@ def run(path, options, arch):
 def test_as_on_the_cpu(path, options):
     if path.name == "words.mlir" and os.environ.get("TI_ARCH") == "cuda":
         pytest.skip("it shows what a sum loses in the order of a CPU")
+    if path.name == "bf16-denormals.mlir" and ON_GPU:
+        pytest.skip("it shows bits of a NaN, which are others on a GPU")
     cpu, gpu = (run(path, options, arch) for arch in ("cpu", "cuda"))
     assert gpu.returncode == cpu.returncode, gpu.stderr
     for ours, theirs in ((gpu.stdout, cpu.stdout), (gpu.stderr, cpu.stderr)):

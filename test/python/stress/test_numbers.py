@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import tai as ti
 
+from device_tensors import ON_GPU
 from points import MODES, TYPES, Points, number
 
 
@@ -64,6 +65,8 @@ def test_s38_denormals_are_kept(count, dtype, mode, fast):
 @pytest.mark.parametrize("accumulate", ["atomic", "sum"])
 def test_s38_mass_of_denormals(dtype, accumulate):
     """1024 particles of a denormal mass: the mass of the cell is the sum, exactly."""
+    if ON_GPU and (dtype, accumulate) == ("f32", "atomic"):
+        pytest.skip("additions of f32 in the memory of a GPU make denormal numbers zero")
     ti.init(offline_cache=False, deterministic=accumulate == "sum")
     m, n = DENORMAL[dtype], 1024
     mass = ti.field(TYPES[dtype], shape=n)
