@@ -1,7 +1,7 @@
 """Scatters in deterministic mode: what a fixed result costs over atomic additions in any order.
 
     python benchmarks/micro/deterministic_scatters.py --arch cuda
-    python benchmarks/micro/deterministic_scatters.py --arch cpu --sizes 6400,200000 --modes default,deterministic
+    python benchmarks/micro/deterministic_scatters.py --sizes 6400 --modes default,deterministic
 
 Contended scatters go to one cell, or to 4096; sparse ones to as many cells as there are particles,
 or to 10^6; `particles` add a mass and a momentum to nine neighbours of a 256 x 256 grid; `gather`

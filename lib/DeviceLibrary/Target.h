@@ -150,6 +150,11 @@ template <typename T> inline T atomicAdd(T *target, T value) {
                                    __MEMORY_SCOPE_DEVICE);
 }
 
+template <typename T> inline T atomicMax(T *target, T value) {
+  return __scoped_atomic_fetch_max(target, value, __ATOMIC_RELAXED,
+                                   __MEMORY_SCOPE_DEVICE);
+}
+
 template <typename T> inline T atomicOr(T *target, T bits) {
   return __scoped_atomic_fetch_or(target, bits, __ATOMIC_RELAXED,
                                   __MEMORY_SCOPE_DEVICE);
