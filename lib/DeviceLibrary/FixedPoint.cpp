@@ -11,6 +11,9 @@
 // in two integers of 30 bits. Each integer has 64 bits, so that 2^33 values
 // cannot overflow it.
 //
+// Where all lanes of a warp add to one element, they combine what they have
+// first: memory would do one after another.
+//
 //===----------------------------------------------------------------------===//
 
 #include "Target.h"
@@ -58,14 +61,43 @@ static constexpr uint64_t hasInfinity = 1, hasNegative = 2, hasNaN = 4;
 static constexpr unsigned limbBits = 30;
 
 //===----------------------------------------------------------------------===//
+// Warps
+//===----------------------------------------------------------------------===//
+
+static uint32_t exchange(uint32_t value, unsigned from) {
+  return shuffle(wholeWarp, value, from);
+}
+
+static uint64_t exchange(uint64_t value, unsigned from) {
+  uint64_t low = exchange(static_cast<uint32_t>(value), from);
+  uint64_t high = exchange(static_cast<uint32_t>(value >> 32), from);
+  return high << 32 | low;
+}
+
+/// Combines the values of a whole warp; all lanes call it and have the result.
+template <typename T, typename Combine>
+static T combineInWarp(T value, Combine combine) {
+  for (unsigned offset = warpSize / 2; offset; offset /= 2)
+    value = combine(value, exchange(value, getLane() ^ offset));
+  return value;
+}
+
+//===----------------------------------------------------------------------===//
 // Scales
 //===----------------------------------------------------------------------===//
 
 template <typename T> static void noteScale(uint32_t *scale, T value) {
   Parts<T> parts(value);
+  uint32_t exponent = parts.significand != 0 ? parts.exponent : 0;
+  if (isSameInWarp(reinterpret_cast<uint64_t>(scale))) {
+    exponent = combineInWarp(
+        exponent, [](uint32_t a, uint32_t b) { return a < b ? b : a; });
+    if (getLane() != 0)
+      return;
+  }
   // That of another thread may be missed, and is then stored once more.
-  if (parts.significand != 0 && *scale < parts.exponent)
-    atomicMax(scale, parts.exponent);
+  if (*scale < exponent)
+    atomicMax(scale, exponent);
 }
 
 //===----------------------------------------------------------------------===//
@@ -85,28 +117,43 @@ static uint64_t toUnits(const Parts<T> &parts, uint32_t scale) {
   return (units + (uint64_t(1) << (below - 1))) >> below;
 }
 
-static void addInteger(uint64_t *sum, uint64_t units, bool isNegative) {
+static void addInteger(uint64_t *sum, uint64_t units, bool isNegative,
+                       bool isTogether) {
+  if (isNegative)
+    units = -units;
+  if (isTogether) {
+    units = combineInWarp(units, [](uint64_t a, uint64_t b) { return a + b; });
+    if (getLane() != 0)
+      return;
+  }
   if (units != 0)
-    atomicAdd(sum, isNegative ? -units : units);
+    atomicAdd(sum, units);
 }
 
-static void addUnits(uint64_t *sum, uint64_t units, bool isNegative, float) {
-  addInteger(sum, units, isNegative);
+static void addUnits(uint64_t *sum, uint64_t units, bool isNegative,
+                     bool isTogether, float) {
+  addInteger(sum, units, isNegative, isTogether);
 }
 
-static void addUnits(uint64_t *sum, uint64_t units, bool isNegative, double) {
-  addInteger(sum, units >> limbBits, isNegative);
-  addInteger(sum + 1, units & ((uint64_t(1) << limbBits) - 1), isNegative);
+static void addUnits(uint64_t *sum, uint64_t units, bool isNegative,
+                     bool isTogether, double) {
+  addInteger(sum, units >> limbBits, isNegative, isTogether);
+  addInteger(sum + 1, units & ((uint64_t(1) << limbBits) - 1), isNegative,
+             isTogether);
 }
 
 template <typename T>
 static void addValue(const uint32_t *scale, uint64_t *sum, T value) {
   Parts<T> parts(value);
-  if (parts.significand == 0)
+  bool isTogether = isSameInWarp(reinterpret_cast<uint64_t>(scale));
+  if (parts.significand == 0 && !isTogether)
     return;
+  // One to which zeros alone are added has none.
   uint32_t exponent = *scale;
-  if (exponent != Parts<T>::special)
-    return addUnits(sum, toUnits(parts, exponent), parts.isNegative, value);
+  if (exponent != Parts<T>::special) {
+    uint64_t units = parts.significand != 0 ? toUnits(parts, exponent) : 0;
+    return addUnits(sum, units, parts.isNegative, isTogether, value);
+  }
   if (parts.exponent == exponent)
     atomicOr(sum, value != value     ? hasNaN
                   : parts.isNegative ? hasNegative
