@@ -99,6 +99,34 @@ tai.kernel @effects(%t: index) {
   tai.return
 }
 
+// An iteration has stacks of its own each time.
+// RELAX-LABEL: tai.kernel @stacks
+//       RELAX:   strategy private
+//   GPU-LABEL: llvm.func @stacks_0(
+//       GPU:     call @tai_dev_fixed_scale_f32(
+//   GPU-LABEL: llvm.func @stacks_1(
+//       GPU:     call @tai_dev_fixed_add_f32(
+tai.kernel @stacks() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c20000 = arith.constant 20000 : index
+  tai.parallel_for (%i) = (%c0) to (%c20000) {
+    %v = tai.load @v[%i] : f32
+    %at = tai.load @at[%i] : i32
+    %j = arith.index_cast %at : i32 to index
+    %stack = tai.stack_create : !tai.stack<f32>
+    scf.for %k = %c0 to %j step %c1 {
+      tai.stack_push %v, %stack : f32
+    }
+    scf.for %k = %c0 to %j step %c1 {
+      %w = tai.stack_pop %stack : f32
+      tai.atomic add %w, @one[%k] : f32
+    }
+    tai.stack_destroy %stack : !tai.stack<f32>
+  }
+  tai.return
+}
+
 // A warp or a thread does what remains.
 
 // What an iteration reads after it has written it would not be there yet.

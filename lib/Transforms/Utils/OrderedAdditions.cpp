@@ -103,6 +103,8 @@ private:
 
   ParallelForOp loop;
   FieldTable &fields;
+  /// Iterations may take memory of their own.
+  bool allowsStacks = false;
   llvm::MapVector<const void *, PlaceAccesses> places;
   llvm::DenseSet<Operation *> additions;
 };
@@ -196,6 +198,13 @@ bool Checker::visit(Operation *op) {
     return true;
   if (isa<scf::YieldOp, scf::ConditionOp, YieldOp>(op))
     return true;
+  if (isa<StackCreateOp>(op))
+    return allowsStacks;
+  if (isa<StackPushOp, StackPopOp, StackDestroyOp>(op))
+    return allowsStacks && llvm::none_of(op->getOperands(), [&](Value operand) {
+             return isa<StackType>(operand.getType()) &&
+                    loop.isDefinedOutsideOfLoop(operand);
+           });
   return op->getNumRegions() == 0 && isMemoryEffectFree(op);
 }
 
@@ -285,6 +294,7 @@ bool Checker::readsComeFirst(const PlaceAccesses &place) {
 }
 
 bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
+  allowsStacks = true;
   if (!areFree())
     return false;
   WalkResult result = loop.getBody().walk([&](Operation *op) {

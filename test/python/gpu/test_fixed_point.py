@@ -212,11 +212,12 @@ def test_an_iteration_reads_what_it_wrote(threads):
     np.testing.assert_allclose(grid.to_numpy(), doubled, rtol=1e-4)
 
 
+@pytest.mark.parametrize("fuse_launches", [True, False], ids=["", "apart"])
 @pytest.mark.parametrize("dtype", ["f32", "f64"])
-def test_gradients_of_gathers(dtype, threads):
-    """Of several launches, replayed; and of one kernel."""
-    real, kind, _ = TYPES[dtype]
-    begin(dtype)
+def test_gradients_of_gathers(dtype, fuse_launches, threads):
+    """Of several launches that are replayed."""
+    real = TYPES[dtype][0]
+    begin(dtype, fuse_launches=fuse_launches)
     x = ti.field(real, 997, needs_grad=True)
     y, loss = ti.field(real, N, needs_grad=True), ti.field(real, (), needs_grad=True)
     at = ti.field(ti.i32, N)
@@ -235,7 +236,7 @@ def test_gradients_of_gathers(dtype, threads):
             loss[None] += y[i] * 0.5
 
     first = None
-    for _ in range(4):
+    for _ in range(7):
         y.fill(0)
         loss[None] = 0
         with ti.ad.Tape(loss=loss):
@@ -248,6 +249,70 @@ def test_gradients_of_gathers(dtype, threads):
     other = (np.arange(N) * 17) % 997
     exact = values[:997].astype(np.float64)
     expected = np.bincount(where, exact[other], 997) + np.bincount(other, exact[where], 997)
-    assert_near = 1e-5 if dtype == "f32" else 1e-13
+    near = 1e-5 if dtype == "f32" else 1e-13
     expected *= 0.5 * 12.5
-    np.testing.assert_allclose(first, expected, rtol=0, atol=assert_near * np.abs(expected).max())
+    np.testing.assert_allclose(first, expected, rtol=0, atol=near * np.abs(expected).max())
+
+
+def test_blocks_and_matrices(threads):
+    """Elements in an order of their own, of two dimensions."""
+    begin("f64")
+    grid, other = ti.Matrix.field(2, 3, ti.f64), ti.field(ti.f64)
+    ti.root.dense(ti.ij, (5, 4)).dense(ti.ij, (3, 6)).place(grid, other)
+    x, at = ti.field(ti.f64, N), ti.field(ti.i32, N)
+    values, where, _ = draw("f64", N, 15 * 24)
+    x.from_numpy(values)
+    at.from_numpy(where.astype(np.int32))
+
+    @ti.kernel
+    def run():
+        for i in x:
+            cell = ti.Vector([at[i] // 24, at[i] % 24])
+            grid[cell] += x[i] * ti.Matrix([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+            other[cell] -= x[i]
+
+    run()
+    sums = np.bincount(where, values, 15 * 24).reshape(15, 24)
+    atol = 1e-12 * np.abs(sums).max()
+    np.testing.assert_allclose(other.to_numpy(), -sums, rtol=0, atol=atol)
+    expected = sums[:, :, None, None] * np.arange(1, 7).reshape(2, 3)
+    np.testing.assert_allclose(grid.to_numpy(), expected, rtol=0, atol=6 * atol)
+
+
+def test_loops_of_uneven_length(threads):
+    """Their adjoints keep what the loop went through, in memory of each iteration."""
+    begin("f64")
+    w = ti.field(ti.f64, 211, needs_grad=True)
+    y = ti.field(ti.f64, N, needs_grad=True)
+
+    @ti.kernel
+    def run():
+        for i in y:
+            v = 1.0
+            for k in range(i % 7):
+                v = ti.sin(v * w[(i * 31 + k * k) % 211])
+            y[i] = v
+
+    values, _, _ = draw("f64", N, 1)
+    w.from_numpy(np.linspace(0.2, 1.4, 211))
+    first = None
+    for _ in range(3):
+        with ti.ad.Tape() as tape:
+            run()
+        tape.backward({y: values})
+        found = w.grad.to_numpy()
+        first = found if first is None else first
+        assert found.tobytes() == first.tobytes()
+    expected = np.zeros(211)
+    for i in range(N):
+        chain, number = [], 1.0
+        for k in range(i % 7):
+            at = (i * 31 + k * k) % 211
+            chain.append((at, number, 0.2 + at * (1.2 / 210)))
+            number = math.sin(number * chain[-1][2])
+        adjoint = values[i]
+        for at, number, weight in reversed(chain):
+            slope = adjoint * math.cos(number * weight)
+            expected[at] += slope * number
+            adjoint = slope * weight
+    np.testing.assert_allclose(first, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
