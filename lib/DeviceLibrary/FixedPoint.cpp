@@ -77,6 +77,7 @@ static uint64_t exchange(uint64_t value, unsigned from) {
 /// Combines the values of a whole warp; all lanes call it and have the result.
 template <typename T, typename Combine>
 static T combineInWarp(T value, Combine combine) {
+#pragma unroll
   for (unsigned offset = warpSize / 2; offset; offset /= 2)
     value = combine(value, exchange(value, getLane() ^ offset));
   return value;
