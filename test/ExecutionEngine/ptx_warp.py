@@ -261,7 +261,7 @@ def go_on(lane, values):
 
 
 def meet_some(lanes, order):
-    """Lets lanes on that ask who is there, or that meet those of whom they know. False if none do."""
+    """Lets lanes go on that ask who is there, or that meet those of whom they know, if any do."""
     waiting = {i: lane for i, lane in enumerate(lanes) if lane.waiting}
     asking = [i for i, lane in waiting.items() if lane.waiting[0].startswith("activemask")]
     if asking:

@@ -228,9 +228,10 @@ bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups) {
       updates += estimateRuns(atomic, loop);
   }
   // A visit in order costs less than one by an index.
-  constexpr double isCheaper = 8;
+  constexpr double isCheaper = 8, guessedIterations = 1 << 17;
   std::optional<int64_t> iterations = getNumIterations(loop);
-  return !iterations || elements <= isCheaper * updates * double(*iterations);
+  return elements <= isCheaper * updates *
+                         (iterations ? double(*iterations) : guessedIterations);
 }
 
 LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
