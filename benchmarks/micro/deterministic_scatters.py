@@ -3,13 +3,13 @@
     python benchmarks/micro/deterministic_scatters.py --arch cuda
     python benchmarks/micro/deterministic_scatters.py --sizes 6400 --modes default,deterministic
 
-Contended scatters go to one cell of 4096, or to all of them; sparse ones to as many cells as there are particles,
-or to 10^6; `particles` add a mass and a momentum to nine neighbours of a 256 x 256 grid; `gather`
-is the adjoint of a lookup in 10^6 cells. Each mode is a process of its own, in turns; a launch is
-the time of a batch of launches up to the end of its last, divided by their number, and the least
-of the rounds counts. In brackets stands the ratio to the default. Behind it is the largest error
-against sums in f64, relative to the largest sum of absolute values of an element, and a star where
-the bits of five launches differ.
+Contended scatters go to one cell of 4096, or to all of them; sparse ones to as many cells as there
+are particles, or to 10^6; `particles` add a mass and a momentum to nine neighbours of a 256 x 256
+grid; `gather` is the adjoint of a lookup in 10^6 cells. Each mode is a process of its own, in turn;
+a launch is the time of a batch of launches up to the end of its last, divided by their number, and
+the least of the rounds counts. In brackets stands the ratio to the default. Then comes the largest
+error against sums in f64, relative to the largest sum of absolute values of an element, and a star
+where the bits of five launches differ.
 """
 
 from __future__ import annotations
