@@ -65,6 +65,13 @@ inline uint32_t matchAny(uint64_t value) {
   return __nvvm_match_any_sync_i64(wholeWarp, value);
 }
 inline bool voteAny(bool mine) { return __nvvm_vote_any_sync(wholeWarp, mine); }
+/// True if all lanes of the warp are here, with the same value.
+inline bool isSameInWarp(uint64_t value) {
+  uint32_t active = __nvvm_activemask();
+  int isSame = 0;
+  __nvvm_match_all_sync_i64p(active, static_cast<long long>(value), &isSame);
+  return isSame && active == wholeWarp;
+}
 #else
 #define TAI_SHARED
 #define TAI_SHARED_VARIABLE
@@ -83,6 +90,8 @@ inline uint32_t matchAny(uint64_t value) { return tai_emu_match(value); }
 inline bool voteAny(bool mine) {
   return tai_emu_match(mine) != wholeWarp || mine;
 }
+/// Lanes of the emulated warp may be anywhere.
+inline bool isSameInWarp(uint64_t) { return false; }
 #endif
 
 /// A volatile read: the host writes to this address asynchronously.
@@ -147,6 +156,11 @@ inline void forEachTogether(const uint64_t (&own)[count], const Body &body) {
 /// previous value.
 template <typename T> inline T atomicAdd(T *target, T value) {
   return __scoped_atomic_fetch_add(target, value, __ATOMIC_RELAXED,
+                                   __MEMORY_SCOPE_DEVICE);
+}
+
+template <typename T> inline T atomicMax(T *target, T value) {
+  return __scoped_atomic_fetch_max(target, value, __ATOMIC_RELAXED,
                                    __MEMORY_SCOPE_DEVICE);
 }
 

@@ -121,8 +121,8 @@ tai.kernel @inner_loop() attributes {modes = {math = "strict"}} {
 
 // Without strict floats, the targets choose for themselves.
 // RELAX-LABEL: tai.kernel @own_orders
-//        HOST:   strategy private
-//      DEVICE: } {in_warp}
+//       RELAX:   strategy private
+//  DEVICE-NOT: in_warp
 tai.kernel @own_orders() {
   %c0 = arith.constant 0 : index
   %c20000 = arith.constant 20000 : index

@@ -95,12 +95,23 @@ class Thread:
             return
         if name == "trap":
             raise SystemExit("the kernel gives up")
-        if ".sync" in op:
+        if ".sync" in op or name == "activemask":
             self.waiting = op, args
             return
         self.at += 1
         if name == "ld" and parts[1] == "param":
             self.registers[args[0]] = self.params[args[1].strip("[]")]
+        elif name == "atom" or "relaxed" in parts:
+            place, old = self.address(args[1]), 0
+            old = self.registers[args[0]] = self.memory.peek(place, size)
+            change = {
+                "add": lambda value: old + value,
+                "or": lambda value: old | value,
+                "max": lambda value: max(old, value & MASKS[size]),
+                "exch": lambda value: value,
+            }
+            if name == "atom":
+                self.memory.poke(place, change[parts[2]](self.get(args[2])), size)
         elif name == "ld":
             for i, register in enumerate(args[0].strip("{}").split(", ")):
                 place = self.address(args[1]) + i * size // 8
@@ -128,6 +139,12 @@ class Thread:
         kind = parts[-1]
         if name in ("mov", "cvta"):
             return values[0]
+        if name == "bfe":
+            return values[0] >> values[1] & ((1 << values[2]) - 1)
+        if name == "clz":
+            return size - (values[0] & MASKS[size]).bit_length()
+        if name == "setp" and parts[1] == "nan":
+            return any(to_float(v, size) != to_float(v, size) for v in values)
         if name == "setp":
             return self.compare(parts[1], kind, size, *values)
         if name == "selp":
@@ -217,6 +234,9 @@ class Memory:
 
     def load(self, thread, address, size):
         self.touch(thread, address, size, False)
+        return self.peek(address, size)
+
+    def peek(self, address, size):
         at = address - self.base
         if at < 0 or at + size // 8 > len(self.data):
             raise SystemExit(f"a load from {at}")
@@ -224,10 +244,46 @@ class Memory:
 
     def store(self, thread, address, value, size):
         self.touch(thread, address, size, True)
+        self.poke(address, value, size)
+
+    def poke(self, address, value, size):
         at = address - self.base
         if at < 0 or at + size // 8 > len(self.data):
             raise SystemExit(f"a store to {at}")
         self.data[at : at + size // 8] = (value & MASKS[size]).to_bytes(size // 8, "little")
+
+
+def go_on(lane, values):
+    for register, value in zip(lane.waiting[1][0].split("|"), values, strict=True):
+        lane.registers[register] = value
+    lane.at += 1
+    lane.waiting = None
+
+
+def meet_some(lanes, order):
+    """Lets lanes go on that ask who is there, or that meet those of whom they know, if any do."""
+    waiting = {i: lane for i, lane in enumerate(lanes) if lane.waiting}
+    asking = [i for i, lane in waiting.items() if lane.waiting[0].startswith("activemask")]
+    if asking:
+        here = [i for i in asking if lanes[i].at == lanes[asking[0]].at]
+        told = order.choice([here, here, here[: len(here) // 2 + 1]])
+        for i in told:
+            go_on(lanes[i], [sum(1 << k for k in told)])
+        return True
+    for lane in waiting.values():
+        op, args = lane.waiting
+        if not op.startswith("match.all.sync"):
+            continue
+        mask = lane.get(args[2])
+        known = [i for i in range(LANES) if mask >> i & 1]
+        if any(i not in waiting or lanes[i].at != lane.at for i in known):
+            raise SystemExit(f"not all lanes of {mask:x} come to `{op}`")
+        values = [lanes[i].get(args[1]) for i in known]
+        same = len(set(values)) == 1
+        for i in known:
+            go_on(lanes[i], [mask if same else 0, same])
+        return True
+    return False
 
 
 def meet(lanes, memory):
@@ -282,7 +338,8 @@ def run(kernel, data, params, blocks, threads, seed):
             while not all(lane.done for lane in lanes):
                 ready = [lane for lane in lanes if not lane.done and not lane.waiting]
                 if not ready:
-                    meet(lanes, memory)
+                    if not meet_some(lanes, order):
+                        meet(lanes, memory)
                     continue
                 lane = order.choice(ready)
                 for _ in range(order.choice((1, 3, 1000))):

@@ -87,6 +87,24 @@ void tai_dev_ordered_append_f32(uint64_t turns, float *target, float value);
 void tai_dev_ordered_append_f64(uint64_t turns, double *target, double value);
 
 //===----------------------------------------------------------------------===//
+// Additions in fixed point, whose result does not depend on their order
+//===----------------------------------------------------------------------===//
+//
+// Three launches: the first finds the largest exponent of the values for each
+// element, the second adds them up as integers in units that follow from it,
+// the third adds the sums to the elements. An accumulator, zero before the
+// first, is a scale and a sum, of one integer for f32 and two for f64. See
+// docs/decisions/0044-fixed-point.md.
+
+void tai_dev_fixed_scale_f32(uint32_t *scale, float value);
+void tai_dev_fixed_scale_f64(uint32_t *scale, double value);
+void tai_dev_fixed_add_f32(const uint32_t *scale, uint64_t *sum, float value);
+void tai_dev_fixed_add_f64(const uint32_t *scale, uint64_t *sum, double value);
+/// Of several threads that call it with one accumulator, one adds the sum.
+void tai_dev_fixed_round_f32(uint32_t *scale, uint64_t *sum, float *element);
+void tai_dev_fixed_round_f64(uint32_t *scale, uint64_t *sum, double *element);
+
+//===----------------------------------------------------------------------===//
 // Memory of one thread, out of the heap of the device
 //===----------------------------------------------------------------------===//
 

@@ -201,7 +201,8 @@ LogicalResult KernelOffload::run() {
     }
   }
 
-  if (failed(prepareLoops()))
+  if (failed(splitFixedPointLoops(host, frame, lowering)) ||
+      failed(prepareLoops()))
     return failure();
   replaceTreeBases();
   replaceDrawKeys();

@@ -73,6 +73,12 @@ void readLengthsOnDevice(LLVM::LLVMFuncOp host);
 void fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
                      DeviceLowering &lowering);
 
+/// Replaces each loop with additions in fixed point, which have private
+/// buffers, by three loops that find their scales, add them up, and round the
+/// sums.
+LogicalResult splitFixedPointLoops(LLVM::LLVMFuncOp host, Value frame,
+                                   DeviceLowering &lowering);
+
 /// Finds the sums that the iterations of a loop can keep in registers, and
 /// computes their target addresses before the loop.
 LogicalResult prepareSums(ParallelForOp loop, Value frame,

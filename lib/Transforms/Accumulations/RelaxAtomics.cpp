@@ -46,6 +46,13 @@ constexpr int64_t kMaxWarpSums = 1024;
 /// of a machine with many cores.
 constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
 
+/// In deterministic mode on a GPU: an iteration of a loop that one warp runs,
+/// measured; three passes over the iterations instead, and a byte of their
+/// accumulators; and how many bytes a launch may take.
+constexpr double kWarpNanoseconds = 80, kPassesNanoseconds = 10000;
+constexpr double kNanosecondsPerByte = 1e-3;
+constexpr double kMaxAccumulatorBytes = int64_t(1) << 29;
+
 /// Local arrays up to this size are summed in registers: a matrix.
 constexpr int64_t kMaxLocalSums = 16;
 
@@ -76,6 +83,7 @@ private:
   bool isWarpSum(AtomicOp atomic);
   bool hasCompensatedSums();
   bool canRunInWarp();
+  bool useFixedPoint();
   LogicalResult checkCompensated();
 
   ParallelForOp loop;
@@ -355,6 +363,55 @@ bool LoopRelaxation::canRunInWarp() {
   return !hasLocalSums && canQueueAdditions(loop, fields);
 }
 
+/// Lets the additions of a loop be done in fixed point by all threads of a GPU:
+/// three passes over the iterations, and accumulators that are zeroed first.
+bool LoopRelaxation::useFixedPoint() {
+  // Host code that repeats the loop would zero as many accumulators.
+  for (Operation *at = loop->getParentOp(); !isa<FunctionOpInterface>(at);
+       at = at->getParentOp())
+    if (!isa<scf::IfOp>(at))
+      return false;
+  SmallVector<AtomicOp> additions;
+  if (oneOrder || compensated || !canAddInAnyOrder(loop, fields, additions))
+    return false;
+  FailureOr<SmallVector<AccumulationGroup>> found =
+      groupAccumulations(loop, additions, fields);
+  if (failed(found))
+    return false;
+  // One group for each place: two could not add to one element at a time.
+  SmallVector<AccumulationGroup> groups;
+  for (AccumulationGroup &group : *found) {
+    auto *known = llvm::find_if(groups, [&](const AccumulationGroup &other) {
+      return other.field->scope == group.field->scope;
+    });
+    if (known == groups.end())
+      groups.push_back(std::move(group));
+    else if (known->field == group.field)
+      mergeGroups(*known, group);
+    else
+      return false;
+  }
+  double bytes = 0;
+  for (const AccumulationGroup &group : groups) {
+    if (!group.field->sparse.empty())
+      return false;
+    bytes += double(getNumAccumulators(group)) *
+             getAccumulatorBytes(group.field->scalarType);
+  }
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  double inWarp = iterations ? double(*iterations) * kWarpNanoseconds
+                             : std::numeric_limits<double>::infinity();
+  if (bytes > kMaxAccumulatorBytes ||
+      inWarp < kPassesNanoseconds + bytes * kNanosecondsPerByte)
+    return false;
+  for (auto [number, group] : llvm::enumerate(groups))
+    for (AtomicOp atomic : group.atomics) {
+      atomic.setStrategy(AccumulationStrategy::Private);
+      atomic.setBuffer(number);
+    }
+  return true;
+}
+
 LogicalResult LoopRelaxation::run() {
   if (loop.getSerialize()) {
     serialize();
@@ -420,7 +477,9 @@ LogicalResult LoopRelaxation::run() {
       !onDevice && iterations && !hasCompensatedSums() &&
       !(oneOrder && hasFloatTotals(loop)) &&
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
-  if (deterministic && dependsOnTiming && onDevice && canRunInWarp()) {
+  if (deterministic && dependsOnTiming && onDevice && useFixedPoint()) {
+    // All threads run it.
+  } else if (deterministic && dependsOnTiming && onDevice && canRunInWarp()) {
     loop.setInWarp(true);
   } else if (isSmall || (deterministic && dependsOnTiming)) {
     loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });

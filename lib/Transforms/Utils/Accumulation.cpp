@@ -51,6 +51,18 @@ void tai::mergeGroups(AccumulationGroup &into, const AccumulationGroup &from) {
   llvm::append_range(into.atomics, from.atomics);
 }
 
+int64_t tai::getNumAccumulators(const AccumulationGroup &group) {
+  int64_t count = group.field->numComponents;
+  for (auto [extent, fixed] :
+       llvm::zip_equal(group.field->layout.shape, group.fixed))
+    count *= fixed ? 1 : extent;
+  return count;
+}
+
+int64_t tai::getAccumulatorBytes(Type scalar) {
+  return scalar.isF64() ? 20 : 12;
+}
+
 bool tai::updatesSameComponent(AtomicOp a, AtomicOp b) {
   auto same = [](ValueRange x, ValueRange y) {
     return llvm::all_of(llvm::zip_equal(x, y), [](auto pair) {

@@ -89,6 +89,7 @@ public:
   Checker(ParallelForOp loop, FieldTable &fields)
       : loop(loop), fields(fields) {}
   bool run();
+  bool runInAnyOrder(SmallVectorImpl<AtomicOp> &found);
   bool haveElementsOfTheirOwn();
 
 private:
@@ -97,9 +98,13 @@ private:
   bool visitArray(Operation *op);
   bool mayReach(ValueRange a, ValueRange b);
   bool isFree(const PlaceAccesses &place);
+  bool areFree();
+  bool readsComeFirst(const PlaceAccesses &place);
 
   ParallelForOp loop;
   FieldTable &fields;
+  /// Iterations may take memory of their own.
+  bool allowsStacks = false;
   llvm::MapVector<const void *, PlaceAccesses> places;
   llvm::DenseSet<Operation *> additions;
 };
@@ -193,6 +198,13 @@ bool Checker::visit(Operation *op) {
     return true;
   if (isa<scf::YieldOp, scf::ConditionOp, YieldOp>(op))
     return true;
+  if (isa<StackCreateOp>(op))
+    return allowsStacks;
+  if (isa<StackPushOp, StackPopOp, StackDestroyOp>(op))
+    return allowsStacks && llvm::none_of(op->getOperands(), [&](Value operand) {
+             return isa<StackType>(operand.getType()) &&
+                    loop.isDefinedOutsideOfLoop(operand);
+           });
   return op->getNumRegions() == 0 && isMemoryEffectFree(op);
 }
 
@@ -236,23 +248,89 @@ bool Checker::isFree(const PlaceAccesses &place) {
   });
 }
 
-bool Checker::run() {
+bool Checker::areFree() {
   if (loop->getParentOfType<ParallelForOp>() || loop.isStructFor())
     return false;
   WalkResult result = loop.getBody().walk([&](Operation *op) {
     return visit(op) ? WalkResult::advance() : WalkResult::interrupt();
   });
-  if (result.wasInterrupted())
-    return false;
-  for (const auto &[key, place] : places)
-    if (!isFree(place))
-      return false;
-  return !findDivergence(loop,
-                         [&](Operation *op) { return additions.contains(op); });
+  return !result.wasInterrupted() && llvm::all_of(places, [&](auto &entry) {
+    return isFree(entry.second);
+  });
+}
+
+bool Checker::run() {
+  return areFree() && !findDivergence(loop, [&](Operation *op) {
+           return additions.contains(op);
+         });
 }
 
 bool tai::canOrderAdditions(ParallelForOp loop, FieldTable &fields) {
   return Checker(loop, fields).run();
+}
+
+/// True if an iteration reads nothing of the place that it has written.
+bool Checker::readsComeFirst(const PlaceAccesses &place) {
+  return llvm::all_of(place.writes, [&](const auto &write) {
+    return llvm::all_of(place.reads, [&](const auto &read) {
+      // Both in the body of the loop or of branches: in no inner loop, whose
+      // next iteration could read.
+      for (Operation *at = write.op->getParentOp(); at != loop;
+           at = at->getParentOp())
+        if (!isa<scf::IfOp>(at) && at->isProperAncestor(read.op))
+          return false;
+      Operation *before = read.op, *after = write.op;
+      Block *common = before->getBlock();
+      while (common && !common->findAncestorOpInBlock(*after))
+        common = common->getParentOp()->getBlock();
+      if (!common)
+        return false;
+      before = common->findAncestorOpInBlock(*before);
+      after = common->findAncestorOpInBlock(*after);
+      // The two branches of a condition count as one another's.
+      return before != after && before->isBeforeInBlock(after);
+    });
+  });
+}
+
+bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
+  allowsStacks = true;
+  if (!areFree())
+    return false;
+  WalkResult result = loop.getBody().walk([&](Operation *op) {
+    // Variables that outlive the iteration would be written several times.
+    Value local;
+    if (auto store = dyn_cast<LocalStoreOp>(op))
+      local = store.getLocal();
+    auto update = dyn_cast<AtomicOp>(op);
+    bool usesOld = update && !update.getOld().use_empty();
+    // Those without an instruction of their own become loops.
+    bool isLoop = update && !update.getExclusive() && !isDoneByLoop(op) &&
+                  (update.getKind() == AtomicKind::Mul ||
+                   update.getValue().getType().isInteger(1));
+    return usesOld || isLoop || (local && loop.isDefinedOutsideOfLoop(local))
+               ? WalkResult::interrupt()
+               : WalkResult::advance();
+  });
+  if (result.wasInterrupted())
+    return false;
+  for (const auto &[key, place] : places) {
+    if (!readsComeFirst(place))
+      return false;
+    for (const PlaceAccesses::Access &update : place.updates)
+      if (additions.contains(update.op)) {
+        auto atomic = dyn_cast<AtomicOp>(update.op);
+        if (!atomic)
+          return false;
+        found.push_back(atomic);
+      }
+  }
+  return true;
+}
+
+bool tai::canAddInAnyOrder(ParallelForOp loop, FieldTable &fields,
+                           SmallVectorImpl<AtomicOp> &additions) {
+  return Checker(loop, fields).runInAnyOrder(additions);
 }
 
 /// The constant components of an element that an update names.

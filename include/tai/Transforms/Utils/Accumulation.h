@@ -39,6 +39,11 @@ groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
 /// Merges two groups of one field: an index that differs counts as varying.
 void mergeGroups(AccumulationGroup &into, const AccumulationGroup &from);
 
+/// On a device in deterministic mode: the number of elements of the part of the
+/// field, and the bytes of an accumulator in fixed point of each.
+int64_t getNumAccumulators(const AccumulationGroup &group);
+int64_t getAccumulatorBytes(Type scalar);
+
 /// True if both update the same component whenever their indices are equal.
 bool updatesSameComponent(AtomicOp a, AtomicOp b);
 

@@ -37,6 +37,12 @@ bool canOrderAdditions(ParallelForOp loop, FieldTable &fields);
 /// addition of 32 iterations after another.
 bool canQueueAdditions(ParallelForOp loop, FieldTable &fields);
 
+/// True if the values that the loop adds, in `additions`, can be computed
+/// several times, without its other effects, and always are the same. All are
+/// additions to fields whose old value nobody uses.
+bool canAddInAnyOrder(ParallelForOp loop, FieldTable &fields,
+                      SmallVectorImpl<AtomicOp> &additions);
+
 } // namespace mlir::tai
 
 #endif // TAI_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
