@@ -50,7 +50,7 @@ RUNTIME_ARROWS: dict[str, str] = {
     "Storage": "Sparse Text",
     "Device": "Text",
     "Profile": "Device",
-    "Queue": "Device",
+    "Queue": "Device Threads",
     "Mirror": "Device Profile Queue Sparse Storage Text Threads",
     "Host": "Mirror Storage Threads",
     "Launch": "Device Host Mirror Sparse Storage Text Threads",

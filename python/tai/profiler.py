@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ._impl.base import state
+from ._impl.base.locks import snapshot
 from ._impl.base.skips import Skips as Skips
 from ._impl.base.skips import clear_skips as clear_skips
 from ._impl.base.skips import print_skips as print_skips
@@ -264,7 +265,7 @@ def print_memory_profiler_info() -> None:
     Of a field below sparse levels, it is what all cells would take together.
     """
     rows = []
-    for field in state.program.fields.values() if state.program is not None else ():
+    for field in snapshot(state.program.fields.values()) if state.program is not None else ():
         count = math.prod(field.shape) * math.prod(field.element_shape)
         dt = field.dtype
         kind = f"{dt}" + "".join(f"×{n}" for n in field.element_shape)

@@ -138,3 +138,59 @@ tai.kernel @alone(%x: memref<?xf32>, %count: index) {
   }
   tai.return
 }
+
+// -----
+
+// The iterations of a thread, where there may be 2^63 of them.
+// CHECK-LABEL: llvm.func @countless_0(
+//       CHECK:   scf.for
+//       CHECK:     %[[EVERY:.+]] = arith.constant {{[0-9]+}} : i32
+//       CHECK:     llvm.call @tai_rt_go_on(%{{.+}}, %[[EVERY]])
+tai.kernel @countless(%x: memref<?xf32>, %count: i64) {
+  %c0 = arith.constant 0 : index
+  %n = arith.index_cast %count : i64 to index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = memref.load %x[%c0] : memref<?xf32>
+    %1 = arith.mulf %0, %0 : f32
+    memref.store %1, %x[%c0] : memref<?xf32>
+  }
+  tai.return
+}
+
+// -----
+
+// CHECK-LABEL: llvm.func @constant_0(
+//       CHECK:   llvm.call @tai_rt_go_on
+tai.kernel @constant(%x: memref<?xf32>) {
+  %c0 = arith.constant 0 : index
+  %many = arith.constant 1152921504606846976 : index
+  tai.parallel_for (%i) = (%c0) to (%many) {
+    %0 = memref.load %x[%c0] : memref<?xf32>
+    %1 = arith.mulf %0, %0 : f32
+    memref.store %1, %x[%c0] : memref<?xf32>
+  }
+  tai.return
+}
+
+// -----
+
+// No more than 2^31: the grid has run them within a second.
+// CHECK-LABEL: llvm.func @counted_0(
+//   CHECK-NOT:   tai_rt_go_on
+tai.kernel @counted(%x: memref<?xf32>, %count: i32, %long: i64) {
+  %c0 = arith.constant 0 : index
+  %n = arith.index_cast %count : i32 to index
+  %wide = arith.extsi %count : i32 to i64
+  %m = arith.index_cast %wide : i64 to index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = memref.load %x[%c0] : memref<?xf32>
+    %1 = arith.mulf %0, %0 : f32
+    memref.store %1, %x[%c0] : memref<?xf32>
+  }
+  tai.parallel_for (%i) = (%c0) to (%m) {
+    %0 = memref.load %x[%c0] : memref<?xf32>
+    %1 = arith.mulf %0, %0 : f32
+    memref.store %1, %x[%c0] : memref<?xf32>
+  }
+  tai.return
+}

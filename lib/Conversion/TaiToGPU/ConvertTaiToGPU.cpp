@@ -184,6 +184,12 @@ LogicalResult KernelOffload::run() {
     return runtime.tai_rt_device_array(
         b, loc, frame, address, math.toI64(bytes), runtime.i32(b, loc, 1));
   };
+  // Behind this, extents of arrays look like arguments.
+  lowering.countless.clear();
+  kernel.walk([&](ParallelForOp loop) {
+    if (mayBeCountless(loop))
+      lowering.countless.insert(loop);
+  });
   if (failed(replaceArguments(kernel, frame, builder, runtime, arrayAddress)))
     return failure();
   SmallVector<LLVM::CallOp> arrays(entry->getOps<LLVM::CallOp>());
@@ -255,7 +261,7 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
       kernels->setAttr(kIndexBitsAttrName, bits);
     ModuleLowering host(module, deterministic, debug);
     ModuleLowering device(module, deterministic, debug, kernels);
-    DeviceLowering lowering{host, device, kernels, deterministic};
+    DeviceLowering lowering{host, device, kernels, deterministic, {}};
     for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>())) {
       llvm::SaveAndRestore fixed(
           lowering.deterministic,

@@ -10,13 +10,16 @@
 // unknown end, and those with more than some ten million operations in total.
 // Loops known to be short do not poll, nor do loops with a data-dependent trip
 // count and a short body, such as those over a particle's neighbours, unless
-// they are run by a single thread.
+// they are run by a single thread. The loop over the iterations of a thread
+// polls where their number is one of 64 bits: others end while the grid has
+// some ten thousand threads.
 //
 // The poll uses the device state, which such a kernel gets as an argument.
 //
 //===----------------------------------------------------------------------===//
 
 #include "Offload.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
@@ -42,6 +45,8 @@ public:
 
   /// The operations that one run of the block takes, at most.
   uint64_t visit(Block &block);
+  /// Of the loop over the iterations of a thread.
+  void visitIterations(scf::ForOp loop, bool areCountless);
 
 private:
   uint64_t visitLoop(scf::ForOp loop);
@@ -105,8 +110,40 @@ uint64_t LoopPolls::visit(Block &block) {
   return sum;
 }
 
+void LoopPolls::visitIterations(scf::ForOp loop, bool areCountless) {
+  uint64_t perIteration = visit(*loop.getBody());
+  if (areCountless)
+    poll(*loop.getBody(), loop.getLoc(), perIteration);
+}
+
+/// Whether a bound comes from more than 32 bits.
+static bool isWide(Value bound) {
+  auto cast = bound.getDefiningOp<arith::IndexCastOp>();
+  if (!cast || !cast.getIn().getType().isInteger(64))
+    return false;
+  Operation *definition = cast.getIn().getDefiningOp();
+  return !isa_and_present<arith::ExtSIOp, arith::ExtUIOp>(definition);
+}
+
+bool tai::mayBeCountless(ParallelForOp loop) {
+  // Hours for a whole device.
+  constexpr uint64_t kCountless = uint64_t(1) << 40;
+  uint64_t known = 1;
+  for (auto [lower, upper] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    auto first = getConstantIntValue(lower), end = getConstantIntValue(upper);
+    if ((!first && isWide(lower)) || (!end && isWide(upper)))
+      return true;
+    if (first && end)
+      known = llvm::SaturatingMultiply(
+          known, uint64_t(*end) - uint64_t(std::min(*first, *end)));
+  }
+  return known > kCountless;
+}
+
 void tai::pollLongLoops(LLVM::LLVMFuncOp function, scf::ForOp iterations,
-                        bool runsAlone, RuntimeCalls &runtime) {
+                        bool runsAlone, bool areCountless,
+                        RuntimeCalls &runtime) {
   LoopPolls polls(function, runsAlone, runtime);
-  polls.visit(*iterations.getBody());
+  polls.visitIterations(iterations, areCountless);
 }

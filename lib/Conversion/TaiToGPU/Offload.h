@@ -26,6 +26,8 @@ struct DeviceLowering {
   bool deterministic;
   /// Of the kernel that is being lowered.
   bool compensated = false;
+  /// Loops of this kernel that mayBeCountless.
+  llvm::SmallPtrSet<Operation *, 4> countless;
 };
 
 /// On an unrealized_conversion_cast from an address to a value: the value is in
@@ -97,10 +99,14 @@ void noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function);
 /// Limits registers so that a block of the function's size fits, if it has one.
 void limitRegisters(LLVM::LLVMFuncOp function);
 
+/// Whether the number of iterations may be more than a device runs in hours.
+bool mayBeCountless(ParallelForOp loop);
+
 /// Inserts safepoints into loops that may run long inside the iterations of a
-/// device function, whose first argument is the device state.
+/// device function, whose first argument is the device state; and into the loop
+/// over the iterations of a thread, if there may be countless ones.
 void pollLongLoops(LLVM::LLVMFuncOp function, scf::ForOp iterations,
-                   bool runsAlone, RuntimeCalls &runtime);
+                   bool runsAlone, bool areCountless, RuntimeCalls &runtime);
 
 /// Makes a device function, whose first argument is the device state, report
 /// failed allocations.

@@ -519,7 +519,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
     return failure();
   // Where threads meet inside of loops, none of them may end alone.
   if (!loop.getInWarp())
-    pollLongLoops(function, iterations.loop, runsAlone(loop), runtime);
+    pollLongLoops(function, iterations.loop, runsAlone(loop),
+                  lowering.countless.contains(loop), runtime);
   guardAllocations(function, runtime);
 
   SmallVector<Value> operands(parameters.getOperands());

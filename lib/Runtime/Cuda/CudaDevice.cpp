@@ -302,13 +302,14 @@ Status CudaDevice::copyIn(DevicePtr to, const void *from, int64_t bytes) {
   if (!status || bytes <= 0)
     return status;
   auto size = static_cast<size_t>(bytes);
-  if (bytes > largestStaged) {
+  Section::Entry entry(stagingCopies);
+  // The pieces of copies that a handler has interrupted stay as they are.
+  if (bytes > largestStaged || entry.isAgain()) {
     status = check(cu.memcpyHtoDAsync(to, from, size, stream),
                    "a copy to the device fails");
     // Of memory that is pinned, nothing has been read yet.
     return status ? synchronize() : std::move(status);
   }
-  std::lock_guard<std::mutex> lock(stagingMutex);
   int64_t room = (bytes + 63) / 64 * 64;
   if (staged + room > stagingBytes) {
     status = synchronize();
@@ -329,11 +330,11 @@ Status CudaDevice::copyOut(void *to, DevicePtr from, int64_t bytes) {
     return status;
   auto size = static_cast<size_t>(bytes);
   const char *what = "a copy from the device fails";
-  if (bytes > largestStaged) {
+  Section::Entry entry(stagingCopies);
+  if (bytes > largestStaged || entry.isAgain()) {
     status = check(cu.memcpyDtoHAsync(to, from, size, stream), what);
     return status ? synchronize() : std::move(status);
   }
-  std::lock_guard<std::mutex> lock(stagingMutex);
   int64_t room = (bytes + 63) / 64 * 64;
   if (staged + room > stagingBytes) {
     status = synchronize();

@@ -18,6 +18,7 @@
 #include "Driver.h"
 #include "RepeatedLaunch.h"
 #include "tai/Runtime/Device/Device.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <chrono>
 #include <map>
 #include <mutex>
@@ -181,7 +182,7 @@ private:
   std::mutex orderMutex;
   Event orderEvent = nullptr;
 
-  std::mutex stagingMutex;
+  Section stagingCopies;
   char *staging = nullptr;
   int64_t staged = 0;
 };

@@ -49,29 +49,27 @@ void Gradients::owe(const FieldPtr &adjoint,
 }
 
 void Gradients::forgetSettled() {
-  owing.erase(std::remove_if(owing.begin(), owing.end(),
-                             [](const FieldPtr &field) {
-                               return !field->isDirtiedByOther() &&
-                                      !field->owesZeros();
-                             }),
-              owing.end());
+  std::lock_guard<std::mutex> lock(mutex);
+  owing.erase(
+      std::remove_if(owing.begin(), owing.end(),
+                     [](const FieldPtr &field) { return !field->owesZeros(); }),
+      owing.end());
   update();
 }
 
 void Gradients::settle(const Uses &uses) {
   if (!areOwed())
     return;
-  std::lock_guard<std::mutex> lock(mutex);
-  owing.erase(std::remove_if(owing.begin(), owing.end(),
-                             [&](const FieldPtr &field) {
-                               if (field->isDirtiedByOther() &&
-                                   !(uses && uses(field)))
-                                 return false;
-                               field->settleZeros();
-                               return true;
-                             }),
-              owing.end());
-  update();
+  std::vector<FieldPtr> settled;
+  {
+    std::lock_guard<std::mutex> lock(mutex);
+    for (const FieldPtr &field : owing)
+      if (!field->isDirtiedByOther() || (uses && uses(field)))
+        settled.push_back(field);
+  }
+  for (const FieldPtr &field : settled)
+    field->settleZeros();
+  forgetSettled();
 }
 
 void Gradients::forget(const Tree &tree) {
@@ -137,8 +135,6 @@ void Gradients::clear(const Recorder *tape) {
     counters.bump(SkipCount::FieldsCleared);
     counters.bump(SkipCount::BytesCleared, bytes);
   }
-  if (areOwed()) {
-    std::lock_guard<std::mutex> lock(mutex);
+  if (areOwed())
     forgetSettled();
-  }
 }

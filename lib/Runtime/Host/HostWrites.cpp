@@ -103,6 +103,8 @@ Status HostWrites::change(const HostWrite &write) {
     return Status::failure(StatusCode::Usage,
                            "field '" + field.name() + "' is gone: its tree '" +
                                field.tree().name() + "' has been destroyed");
+  if (Status status = devices.checkHandler(); !status)
+    return status;
   if (write.what == HostWrite::What::Element) {
     int64_t offset = 0;
     Status status = field.locate(write.index, write.component, offset);
@@ -127,8 +129,10 @@ Status HostWrites::change(const HostWrite &write) {
   }
   if (watcher && recordings.isForward() && write.replacesAll())
     watcher->overwrite(field);
-  if (tape)
-    return tape->write(write);
+  if (tape) {
+    Status status = tape->write(write);
+    return status ? devices.takeFailure() : std::move(status);
+  }
   // On a device it would take a copy, and a wait, to find out; only tapes that
   // need what the field held want to know.
   if ((devices.isThere() && !recordings.needsValues(field)) ||
@@ -197,6 +201,8 @@ Status HostWrites::setActive(const TreePtr &tree, int64_t level, int64_t cell,
       node.deactivate(cell);
     return Status::success();
   };
+  if (Status status = devices.checkHandler(); !status)
+    return status;
   if (Status free = recordings.checkActivity(*tree); !free)
     return free;
   if (Recorder *tape = recordings.current())

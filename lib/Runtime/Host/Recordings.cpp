@@ -63,11 +63,20 @@ void Recordings::end(Recorder &tape) {
   state.endSpecial();
 }
 
+void Recordings::add(Recorder &tape) {
+  std::lock_guard<std::mutex> lock(tapesMutex);
+  tapes.push_back(&tape);
+  numTapes.store(tapes.size(), std::memory_order_relaxed);
+}
+
 void Recordings::remove(Recorder &tape) {
+  std::lock_guard<std::mutex> lock(tapesMutex);
   tapes.erase(std::find(tapes.begin(), tapes.end(), &tape));
+  numTapes.store(tapes.size(), std::memory_order_relaxed);
 }
 
 bool Recordings::needsValues(const Field &field) const {
+  std::lock_guard<std::mutex> lock(tapesMutex);
   return std::any_of(tapes.begin(), tapes.end(), [&](const Recorder *tape) {
     return tape->needsValues(field);
   });

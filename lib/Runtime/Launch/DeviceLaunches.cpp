@@ -98,7 +98,9 @@ static Status loadOrMakeAgain(Device &device,
 }
 
 Status DeviceLaunches::load(Kernel &kernel, uint64_t epoch) {
-  Kernel::Lock lock(kernel.mutex);
+  Kernel::Lock lock(kernel.section);
+  if (lock.isAgain())
+    return lock.check();
   std::shared_ptr<DeviceCode> &code = kernel.deviceCode;
   // Another thread may have come first.
   if (code && code->epoch == epoch && code->image == kernel.info.image)

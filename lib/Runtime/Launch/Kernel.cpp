@@ -81,7 +81,9 @@ Status KernelProvider::makeTangent(KernelPtr &) { return Status::success(); }
 Status Kernel::resolve() {
   if (resolved())
     return Status::success();
-  Lock lock(mutex);
+  Lock lock(section);
+  if (lock.isAgain())
+    return lock.check();
   if (resolved())
     return Status::success();
   if (!info.provider)
@@ -105,7 +107,9 @@ static Status planFailed(const Status &why) {
 }
 
 Status Kernel::resolveAdjoint(Kernel *&adjoint, bool zeroes) {
-  Lock lock(mutex);
+  Lock lock(section);
+  if (lock.isAgain())
+    return lock.check();
   adjoint = nullptr;
   if (!info.differentiable)
     return Status::success();
@@ -126,7 +130,9 @@ Status Kernel::resolveAdjoint(Kernel *&adjoint, bool zeroes) {
 }
 
 Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool zeroes) {
-  Lock lock(mutex);
+  Lock lock(section);
+  if (lock.isAgain())
+    return lock.check();
   AdjointForm &form = storedForms[zeroes];
   if (!form.asked && info.provider) {
     Status status = info.provider->makeAdjoint(
@@ -141,9 +147,13 @@ Status Kernel::resolveStoredAdjoint(Kernel *&adjoint, bool zeroes) {
 }
 
 const AdjointPlan &Kernel::plan() {
-  Lock lock(mutex);
-  if (adjointPlan && !adjointPlan->provisional)
+  Lock lock(section);
+  if (adjointPlan && (!adjointPlan->provisional || lock.isAgain()))
     return *adjointPlan;
+  // A handler cannot launch it: see checkHandler.
+  static const AdjointPlan unknown;
+  if (lock.isAgain())
+    return unknown;
   auto made = std::make_unique<AdjointPlan>();
   if (info.differentiable && info.provider) {
     // Without an adjoint nothing is read. What is wrong is said when a reverse
@@ -168,7 +178,10 @@ const AdjointPlan &Kernel::plan() {
 }
 
 const KernelFlows &Kernel::flows() {
-  Lock lock(mutex);
+  Lock lock(section);
+  static const KernelFlows unknown;
+  if (!valueFlows && lock.isAgain())
+    return unknown;
   if (!valueFlows)
     valueFlows =
         info.provider ? info.provider->findFlows(*this) : KernelFlows();
@@ -176,7 +189,9 @@ const KernelFlows &Kernel::flows() {
 }
 
 Status Kernel::resolveTangent(Kernel *&result) {
-  Lock lock(mutex);
+  Lock lock(section);
+  if (lock.isAgain())
+    return lock.check();
   if (!tangentAsked && info.provider) {
     Status status = info.provider->makeTangent(tangent);
     if (!status)
@@ -188,7 +203,7 @@ Status Kernel::resolveTangent(Kernel *&result) {
 }
 
 void Kernel::setTrees(std::vector<TreePtr> trees) {
-  Lock lock(mutex);
+  Lock lock(section);
   for (TreePtr &tree : trees)
     for (const TreePtr &known : info.trees)
       if (tree && known && tree->name() == known->name())
@@ -198,13 +213,13 @@ void Kernel::setTrees(std::vector<TreePtr> trees) {
 }
 
 void Kernel::setSummary(std::vector<Access> summary) {
-  Lock lock(mutex);
+  Lock lock(section);
   info.summary = std::move(summary);
   forget();
 }
 
 void Kernel::setLoopLevels(std::vector<LoopLevel> levels) {
-  Lock lock(mutex);
+  Lock lock(section);
   info.loopLevels = std::move(levels);
   forget();
 }
@@ -241,7 +256,7 @@ bool Kernel::uses(const Tree &tree) const {
 }
 
 void Kernel::setDeviceImage(std::shared_ptr<const DeviceImage> image) {
-  Lock lock(mutex);
+  Lock lock(section);
   info.image = std::move(image);
   forget();
 }
@@ -258,7 +273,7 @@ static void replace(std::vector<T> &old, std::vector<T> &&made) {
 }
 
 Status Kernel::bind(uint64_t epoch) {
-  Lock lock(mutex);
+  Lock lock(section);
   if (boundEpoch.load(std::memory_order_acquire) == epoch)
     return Status::success();
   for (const TreePtr &tree : info.trees)
@@ -306,7 +321,9 @@ Status Kernel::bind(uint64_t epoch) {
 }
 
 Status Kernel::resolveChecked(CheckedKernel *&result) {
-  Lock lock(mutex);
+  Lock lock(section);
+  if (lock.isAgain())
+    return lock.check();
   if (!checked && info.provider) {
     auto made = std::make_shared<CheckedKernel>();
     Status status = info.provider->makeChecked(*made);

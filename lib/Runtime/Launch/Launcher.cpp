@@ -81,12 +81,11 @@ static Gradients::Uses fieldsOf(const Kernel &kernel) {
 }
 
 void Launcher::settleZeros(const Kernel &kernel, const uint64_t *args) {
-  parts.gradients.settleThose([&] {
-    for (const Access &access : kernel.summary())
-      if (const OwedZeros *zeros = access.field->owesZeros())
-        if (mayAlias(*zeros, access, args))
-          access.field->settleZeros();
-  });
+  for (const Access &access : kernel.summary())
+    if (std::shared_ptr<const OwedZeros> zeros = access.field->owedZeros())
+      if (mayAlias(*zeros, access, args))
+        access.field->settleZeros();
+  parts.gradients.forgetSettled();
 }
 
 Status Launcher::checkHolds(const Kernel &kernel) const {
@@ -303,6 +302,9 @@ Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
                            !interruptRequested(),
                        true))
     return launchPrepared(kernel, args, results);
+  if (safepoint::isInHandler())
+    if (Status status = kernel.checkHandler(); !status)
+      return status;
   // Only what is recorded needs to say where adjoints are.
   if (__builtin_expect(slots != kernel.tapeSlots(), false)) {
     Recorder *tape = parts.recordings.current();
@@ -331,7 +333,11 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
                                int64_t slots) {
   if (slots != kernel.tapeSlots())
     return wrongSlots(kernel, kernel.tapeSlots(), slots);
-  Status status = kernel.bind(parts.state.epoch());
+  Status status;
+  if (safepoint::isInHandler())
+    status = kernel.checkHandler();
+  if (status)
+    status = kernel.bind(parts.state.epoch());
   if (!status)
     return status;
   if (__builtin_expect(parts.recordings.areAnyHeld(), false))

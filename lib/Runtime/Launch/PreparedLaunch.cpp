@@ -118,7 +118,7 @@ void Launcher::prepare(Kernel &kernel) {
       !kernel.resolved() || !kernel.sparseNodes.empty() ||
       !kernel.loopLevels.empty())
     return;
-  Kernel::Lock lock(kernel.mutex);
+  Kernel::Lock lock(kernel.section);
   uint64_t before = prepared.state.load(std::memory_order_relaxed);
   if (before == epoch)
     return;

@@ -11,6 +11,7 @@
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <cstddef>
+#include <utility>
 
 using namespace mlir::tai::runtime;
 
@@ -45,7 +46,7 @@ DeviceContext::~DeviceContext() {
 
 Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
                                DevicePtr &memory) {
-  std::lock_guard<std::mutex> lock(mutex);
+  std::lock_guard<std::recursive_mutex> lock(mutex);
   // Others need the memory more than a recording that may not come.
   if (limit > 0 && bytes > limit - held)
     dropSpare();
@@ -88,7 +89,7 @@ Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
 
 Status DeviceContext::reserve(int64_t bytes, const std::string &owner,
                               DevicePtr &memory) {
-  std::lock_guard<std::mutex> lock(mutex);
+  std::lock_guard<std::recursive_mutex> lock(mutex);
   Status status = device->reserve(bytes, memory);
   if (status)
     holdings[memory] = {owner, 0};
@@ -101,7 +102,7 @@ int64_t DeviceContext::mostBytes() const {
 }
 
 int64_t DeviceContext::leftToReserved(int64_t taken) {
-  std::lock_guard<std::mutex> lock(mutex);
+  std::lock_guard<std::recursive_mutex> lock(mutex);
   // Where memory runs out, pages are moved to the host, which is worse than a
   // failure: lists, copies and kernels need some, too.
   int64_t kept = device->limits().memoryBytes / 32;
@@ -120,18 +121,19 @@ Status DeviceContext::allocateNow(int64_t bytes, DevicePtr &memory) {
 }
 
 void DeviceContext::dropSpare() {
-  for (auto [bytes, memory] : spare) {
+  // Freeing may run what is queued, and a handler then add to these.
+  auto dropped = std::exchange(spare, {});
+  for (auto [bytes, memory] : dropped) {
     held -= bytes;
     holdings.erase(memory);
     device->free(memory);
   }
-  spare.clear();
 }
 
 Status DeviceContext::take(int64_t bytes, const std::string &owner,
                            DevicePtr &memory) {
   {
-    std::lock_guard<std::mutex> lock(mutex);
+    std::lock_guard<std::recursive_mutex> lock(mutex);
     // The first of so many bytes, so that each has what it had before.
     if (auto found = spare.lower_bound(bytes);
         found != spare.end() && found->first == bytes) {
@@ -147,14 +149,14 @@ void DeviceContext::giveBack(int64_t bytes, DevicePtr memory) {
   // Work is in the order in which it was asked for, so whoever has the memory
   // next comes after those that use it now.
   constexpr int often = 2;
-  std::lock_guard<std::mutex> lock(mutex);
+  std::lock_guard<std::recursive_mutex> lock(mutex);
   spare.emplace(bytes, memory);
   if (numRecordings < often)
     dropSpare();
 }
 
 void DeviceContext::free(DevicePtr memory) {
-  std::lock_guard<std::mutex> lock(mutex);
+  std::lock_guard<std::recursive_mutex> lock(mutex);
   auto found = holdings.find(memory);
   if (found == holdings.end())
     return;
@@ -175,7 +177,7 @@ void DeviceContext::endRecording(bool isSwept) {
   if (device->expectsLaunches())
     collections.fetch_add(1, std::memory_order_relaxed);
   // What this recording did not want.
-  std::lock_guard<std::mutex> lock(mutex);
+  std::lock_guard<std::recursive_mutex> lock(mutex);
   dropSpare();
 }
 
@@ -184,8 +186,9 @@ void DeviceContext::endRecording(bool isSwept) {
 //===----------------------------------------------------------------------===//
 
 Status DeviceContext::state(DevicePtr &memory) {
-  static std::mutex making;
-  std::lock_guard<std::mutex> lock(making);
+  Section::Entry entry(makingState);
+  if (entry.isAgain())
+    return entry.check();
   if (!stateMemory) {
     DevicePtr made = 0;
     Status status =
@@ -245,7 +248,7 @@ Status DeviceContext::report() {
 void DeviceContext::note(Status status) {
   if (status)
     return;
-  std::lock_guard<std::mutex> lock(mutex);
+  std::lock_guard<std::recursive_mutex> lock(mutex);
   if (noted.load(std::memory_order_relaxed))
     return;
   failure = std::move(status);
@@ -253,7 +256,7 @@ void DeviceContext::note(Status status) {
 }
 
 Status DeviceContext::takeNoted() {
-  std::lock_guard<std::mutex> lock(mutex);
+  std::lock_guard<std::recursive_mutex> lock(mutex);
   noted.store(false, std::memory_order_relaxed);
   return std::move(failure);
 }

@@ -17,6 +17,7 @@
 #include "LibraryKernels.h"
 #include "tai/Runtime/Mirror/DeviceHost.h"
 #include "tai/Runtime/Queue/DeviceQueue.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <atomic>
 #include <map>
 #include <mutex>
@@ -110,7 +111,9 @@ private:
   WatchedDevice *watched;
   std::unique_ptr<LibraryKernels> libraryKernels;
   int64_t limit;
-  std::mutex mutex;
+  /// Recursive: allocating may run what is queued, and with it a handler.
+  std::recursive_mutex mutex;
+  Section makingState;
   struct Holding {
     std::string owner;
     int64_t bytes;

@@ -66,6 +66,10 @@ Status DeviceHost::addressOf(const Tree &tree, int64_t offset, void *&address) {
 // Failures
 //===----------------------------------------------------------------------===//
 
+Status DeviceHost::checkHandler() const {
+  return context ? context->queue().checkHandler() : Status::success();
+}
+
 Status DeviceHost::synchronize() {
   if (!context)
     return Status::success();

@@ -88,7 +88,9 @@ DeviceLists::~DeviceLists() {
 }
 
 Status DeviceLists::find(const ActiveListPtr &list, DevicePtr &address) {
-  std::lock_guard<std::mutex> lock(mutex);
+  Section::Entry entry(making);
+  if (entry.isAgain())
+    return entry.check();
   for (const Uploaded &known : uploaded)
     if (known.list == list) {
       address = known.memory + DeviceCells::cellsOffset;
@@ -174,8 +176,10 @@ Status DeviceLists::queueList(const SparseNode &node, DeviceCells &cells) {
 }
 
 Status DeviceLists::list(SparseNode &node, DeviceCellsPtr &cells) {
-  std::lock_guard<std::mutex> lock(mutex);
+  Section::Entry entry(making);
   cells = nullptr;
+  if (entry.isAgain())
+    return entry.check();
   const DeviceServices &host = context.host();
   Pool &pool = pools[numberOf(tree, node)];
   if (pool.current && activity.isShownBy(*pool.current) &&

@@ -15,6 +15,7 @@
 
 #include "DeviceCells.h"
 #include "tai/Runtime/Storage/Field.h"
+#include "tai/Runtime/Threads/Section.h"
 
 namespace mlir::tai::runtime {
 
@@ -71,7 +72,7 @@ private:
   DeviceContext &context;
   const Tree &tree;
   const DeviceActivity &activity;
-  std::mutex mutex;
+  Section making;
   DevicePtr base = 0, sums = 0;
   struct Pool {
     std::vector<std::shared_ptr<DeviceCells>> all;

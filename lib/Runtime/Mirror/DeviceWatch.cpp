@@ -73,7 +73,7 @@ Status WatchedDevice::find(DeviceModule &module, const std::string &name,
   Entry entry;
   entry.item = profiler->find(ProfileKind::Device, name, place);
   entry.label = labelOf(name, place);
-  std::lock_guard<std::mutex> lock(mutex);
+  Section::Entry section(timing);
   // Another function may have had the address.
   entries[function] = std::move(entry);
   return status;
@@ -146,7 +146,9 @@ Status WatchedDevice::read(size_t count) {
 }
 
 Status WatchedDevice::collect() {
-  std::lock_guard<std::mutex> lock(mutex);
+  Section::Entry section(timing);
+  if (section.isAgain())
+    return section.check();
   Status status = read(pending.size());
   // Clocks drift apart: the next work is placed by a new event.
   if (anchor)
@@ -161,7 +163,10 @@ Status WatchedDevice::collect() {
 template <typename Work>
 Status WatchedDevice::timed(Profiler::Item item, const LaunchShape &shape,
                             Work work) {
-  std::lock_guard<std::mutex> lock(mutex);
+  Section::Entry section(timing);
+  // What a handler does meanwhile is not timed.
+  if (section.isAgain())
+    return work();
   Status status;
   if (!anchor)
     status = align();
@@ -231,7 +236,7 @@ Status WatchedDevice::launch(DeviceFunction &function, const LaunchShape &shape,
     return work();
   Entry *entry = nullptr;
   {
-    std::lock_guard<std::mutex> lock(mutex);
+    Section::Entry section(timing);
     entry = &entries[&function];
     if (watching)
       examine(*entry, function, shape);

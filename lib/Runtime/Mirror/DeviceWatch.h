@@ -17,6 +17,7 @@
 
 #include "../Profile/Nvtx.h"
 #include "tai/Runtime/Profile/Profiler.h"
+#include "tai/Runtime/Threads/Section.h"
 
 namespace mlir::tai::runtime {
 
@@ -144,7 +145,7 @@ private:
   const Nvtx *nvtx;
   bool capturing = false;
 
-  std::mutex mutex;
+  Section timing;
   std::unordered_map<const DeviceFunction *, Entry> entries;
   std::deque<Pending> pending;
   std::vector<std::unique_ptr<DeviceEvent>> unused;

@@ -17,7 +17,9 @@ static constexpr const char *names[] = {
     "tai_dev_keep_activity"};
 
 Status LibraryKernels::load(bool &isThere) {
-  std::lock_guard<std::mutex> lock(mutex);
+  Section::Entry section(loading);
+  if (section.isAgain())
+    return section.check();
   isThere = !entries.empty();
   if (isThere || !queue.canMakePrograms())
     return Status::success();

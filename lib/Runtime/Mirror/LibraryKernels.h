@@ -15,8 +15,8 @@
 #define TAI_LIB_RUNTIME_MIRROR_LIBRARYKERNELS_H
 
 #include "tai/Runtime/Queue/DeviceQueue.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <initializer_list>
-#include <mutex>
 
 namespace mlir::tai::runtime {
 
@@ -49,7 +49,7 @@ private:
   };
 
   DeviceQueue &queue;
-  std::mutex mutex;
+  Section loading;
   std::unique_ptr<DeviceModule> module;
   std::vector<Entry> entries;
 };

@@ -25,8 +25,10 @@ Mirror::~Mirror() {
 }
 
 Status Mirror::allocate(DevicePtr &address) {
-  std::lock_guard<std::mutex> lock(mutex);
-  Status status;
+  Section::Entry entry(moving);
+  Status status = entry.check();
+  if (!status)
+    return status;
   if (!memory && sparseTree)
     status = sparseTree->allocate(memory);
   else if (!memory)
@@ -37,38 +39,41 @@ Status Mirror::allocate(DevicePtr &address) {
 }
 
 Status Mirror::upload() {
+  Section::Entry entry(moving);
   DevicePtr address = 0;
-  Status status = allocate(address);
-  if (!status)
-    return status;
-  std::lock_guard<std::mutex> lock(mutex);
-  if (onDevice())
-    return status;
-  const char zero = 0;
-  if (sparseTree)
-    status = pristine ? Status::success() : sparseTree->upload();
-  else
-    status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
-                      : device().copyIn(memory, tree.base(), tree.bytes());
-  if (status && isExported())
-    hostCurrent.store(false, std::memory_order_relaxed);
+  Status status = entry.check();
   if (status)
+    status = allocate(address);
+  const char zero = 0;
+  while (status && !onDevice()) {
+    uint64_t before = changes;
+    if (sparseTree)
+      status = pristine ? Status::success() : sparseTree->upload();
+    else
+      status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
+                        : device().copyIn(memory, tree.base(), tree.bytes());
+    if (!status || changes != before)
+      continue;
+    if (isExported())
+      hostCurrent.store(false, std::memory_order_relaxed);
     deviceCurrent.store(true, std::memory_order_release);
+  }
   return status;
 }
 
 Status Mirror::download() {
-  std::lock_guard<std::mutex> lock(mutex);
-  if (onHost())
-    return Status::success();
-  Status status = sparseTree
-                      ? sparseTree->download()
-                      : device().copyOut(tree.base(), memory, tree.bytes());
-  if (!status)
-    return status;
-  if (!isExported())
-    hostCurrent.store(true, std::memory_order_release);
-  return context().report();
+  Section::Entry entry(moving);
+  Status status = entry.check();
+  bool isCopied = false;
+  while (status && !onHost() && !isCopied) {
+    uint64_t before = changes;
+    status = sparseTree ? sparseTree->download()
+                        : device().copyOut(tree.base(), memory, tree.bytes());
+    isCopied = changes == before;
+    if (status && isCopied && !isExported())
+      hostCurrent.store(true, std::memory_order_release);
+  }
+  return status ? context().report() : std::move(status);
 }
 
 /// As many accesses to single elements cost about as much as one of the whole
@@ -93,6 +98,7 @@ Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
   if (onDevice() &&
       (isExported() || writes++ < few + accessesWorth(tree.bytes()))) {
     pristine = false;
+    ++changes;
     // Where both are current, both stay so.
     if (onHost())
       std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
@@ -130,13 +136,39 @@ Status Field::storeMirrored(int64_t offset, const void *from) const {
   return owner->mirror()->write(offset, from, byteSize(fieldLayout.scalar));
 }
 
+/// Of two threads that look, the second one waits until the zeros are there.
+static Section &storingZeros() {
+  static Section section;
+  return section;
+}
+
+std::shared_ptr<const OwedZeros> Field::owedZeros() const {
+  Section::Entry entry(storingZeros());
+  return owed;
+}
+
+void Field::oweZeros(std::shared_ptr<const OwedZeros> zeros) const {
+  if (!zeros && !owesZeros())
+    return;
+  Section::Entry entry(storingZeros());
+  if (entry.isAgain()) {
+    owner->mirror()->context().note(entry.check());
+    return;
+  }
+  owed = std::move(zeros);
+  owes.store(owed != nullptr, std::memory_order_release);
+}
+
 void Field::storeZeros() const {
-  // Of two threads that look, the second one waits until they are there.
-  static std::mutex storing;
-  std::lock_guard<std::mutex> lock(storing);
+  Section::Entry entry(storingZeros());
+  if (entry.isAgain()) {
+    owner->mirror()->context().note(entry.check());
+    return;
+  }
   if (owed && valid())
     owed->store(*this);
   owed = nullptr;
+  owes.store(false, std::memory_order_release);
 }
 
 //===----------------------------------------------------------------------===//

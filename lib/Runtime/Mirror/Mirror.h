@@ -18,6 +18,7 @@
 #include "DeviceContext.h"
 #include "SparseMirror.h"
 #include "tai/Runtime/Storage/Field.h"
+#include "tai/Runtime/Threads/Section.h"
 
 namespace mlir::tai::runtime {
 
@@ -52,6 +53,7 @@ public:
     hostCurrent.store(true, std::memory_order_relaxed);
     deviceCurrent.store(false, std::memory_order_relaxed);
     pristine = false;
+    ++changes;
   }
   /// The memory on the device, allocated if necessary; it need not be current.
   Status allocate(DevicePtr &address);
@@ -62,6 +64,7 @@ public:
     hostCurrent.store(false, std::memory_order_relaxed);
     reads = writes = 0;
     pristine.store(false, std::memory_order_relaxed);
+    ++changes;
   }
 
   /// Other libraries have its device address, and may write there at any time:
@@ -112,13 +115,15 @@ private:
   std::shared_ptr<DeviceContext> deviceContext;
   Tree &tree;
   std::unique_ptr<SparseMirror> sparseTree;
-  std::mutex mutex;
+  Section moving;
   std::atomic<bool> hostCurrent{true}, deviceCurrent{false};
   std::atomic<int> exports{0};
   /// The tree has never been written: it holds zeros.
   std::atomic<bool> pristine{true};
   /// Single elements read and written since the last launch.
   int64_t reads = 0, writes = 0;
+  /// Writes on either side, for copies during which a handler may write.
+  uint64_t changes = 0;
   DevicePtr memory = 0;
 };
 

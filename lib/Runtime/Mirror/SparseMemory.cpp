@@ -307,9 +307,10 @@ bool SparseMirror::canKeepActivity() const {
 }
 
 bool SparseMirror::keepActivity(std::function<void()> seen) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Section::Entry entry(moving);
   constexpr size_t mostStates = 1 << 10;
-  if (!base || isFetching || kept.size() == mostStates || !canKeepActivity())
+  if (entry.isAgain() || !base || isFetching || kept.size() == mostStates ||
+      !canKeepActivity())
     return false;
   // Nothing was launched that could have done anything.
   if (!kept.empty() && keptGeneration == state.generation)

@@ -308,7 +308,9 @@ Status SparseMirror::forEachRun(
 //===----------------------------------------------------------------------===//
 
 Status SparseMirror::upload() {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Section::Entry entry(moving);
+  if (entry.isAgain())
+    return entry.check();
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
     node->forEachKnown([&](int64_t cell) { touchCell(*node, cell); });
   Status status = countPieces();
@@ -324,8 +326,10 @@ Status SparseMirror::upload() {
 }
 
 Status SparseMirror::download() {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
-  Status status = fetchActivity();
+  Section::Entry entry(moving);
+  Status status = entry.check();
+  if (status)
+    status = fetchActivity();
   if (!status)
     return status;
   return forEachRun([&](int64_t offset, int64_t bytes) {
@@ -335,7 +339,9 @@ Status SparseMirror::download() {
 }
 
 Status SparseMirror::fetch() {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Section::Entry entry(moving);
+  if (entry.isAgain())
+    return entry.check();
   // Whoever is told of a state that was kept asks for it.
   if (!isBehind() || isFetching)
     return Status::success();
@@ -399,7 +405,11 @@ static std::vector<SparseNode *> findHolders(SparseNode &node,
 }
 
 bool SparseMirror::deactivateAll(SparseNode &node) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Section::Entry entry(moving);
+  if (entry.isAgain()) {
+    context.note(entry.check());
+    return true;
+  }
   if (!isCurrent())
     return false;
   // Where cells hold nothing else than cells below, those are zeroed, and by
@@ -432,7 +442,11 @@ bool SparseMirror::deactivateAll(SparseNode &node) {
 
 bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
                               const void *scalarBytes) {
-  std::lock_guard<std::recursive_mutex> lock(mutex);
+  Section::Entry entry(moving);
+  if (entry.isAgain()) {
+    context.note(entry.check());
+    return true;
+  }
   std::shared_ptr<CellMover> mover;
   DeviceCellsPtr cells;
   if (!isCurrent())

@@ -18,6 +18,7 @@
 #include "DeviceLists.h"
 #include "tai/ABI/DeviceSparse.h"
 #include "tai/Runtime/Storage/Field.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <array>
 #include <functional>
 #include <map>
@@ -105,7 +106,7 @@ private:
 
   DeviceContext &context;
   Tree &tree;
-  std::recursive_mutex mutex;
+  Section moving;
   DeviceActivity state;
   DeviceLists cellLists;
   DevicePtr block = 0, base = 0;

@@ -9,8 +9,10 @@
 #include "RecordedLaunches.h"
 #include "SequencePrefixes.h"
 #include "tai/ABI/DeviceAbi.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <cstring>
+#include <utility>
 
 using namespace mlir::tai::runtime;
 
@@ -101,6 +103,9 @@ Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
                            const uint64_t *slots, int count) {
   auto &wrapped = static_cast<Function &>(function);
   if (__builtin_expect(collecting == 0, true)) {
+    if (__builtin_expect(isRunning, false))
+      if (Status status = checkHandler(); !status)
+        return status;
     if (__builtin_expect(records, false))
       return launchRecorded(wrapped, shape, slots, count);
     if (__builtin_expect(watches, false) && keep(wrapped, shape, slots, count))
@@ -202,7 +207,7 @@ void DeviceQueue::free(DevicePtr memory) {
   // tape has kept need not wait.
   if (!records)
     (void)settle();
-  if (collected->empty() && prefix->empty())
+  if (collected->empty() && prefix->empty() && !isRunning)
     device->free(memory);
   else
     released.push_back(memory);
@@ -235,9 +240,32 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
   return program;
 }
 
+Status DeviceQueue::checkHandler() const {
+  return isRunning && safepoint::handlerDepth() > runDepth
+             ? failAsInterruptedWork()
+             : Status::success();
+}
+
 Status DeviceQueue::flush(bool isWhole) {
+  Status status = checkHandler();
+  if (!status || (collected->empty() && prefix->empty()))
+    return status;
+  bool wasRunning = std::exchange(isRunning, true);
+  unsigned outerDepth = std::exchange(runDepth, safepoint::handlerDepth());
+  status = runCollected(isWhole);
+  isRunning = wasRunning;
+  runDepth = outerDepth;
+  if (isRunning)
+    return status;
+  // What handlers have given up.
   if (collected->empty() && prefix->empty())
-    return Status::success();
+    for (DevicePtr memory : std::exchange(released, {}))
+      device->free(memory);
+  std::exchange(retired, {}).clear();
+  return status;
+}
+
+Status DeviceQueue::runCollected(bool isWhole) {
   isKeeping = false;
   // Nothing of this may be collected in its turn.
   Sequence sequence = std::move(*collected), before = std::move(*prefix);

@@ -25,7 +25,7 @@ using namespace mlir::tai::runtime;
 //===----------------------------------------------------------------------===//
 
 void DeviceQueue::beginCollecting(bool replay) {
-  if (collecting++ > 0)
+  if (collecting++ > 0 || !checkHandler())
     return;
   hasProgram = false;
   failure = Status::success();
@@ -58,7 +58,13 @@ void DeviceQueue::beginCollecting(bool replay) {
 Status DeviceQueue::endCollecting() {
   if (--collecting > 0)
     return Status::success();
-  Status status = flush(/*isWhole=*/true);
+  Status status = checkHandler();
+  if (!status) {
+    // Its work is the handler's alone.
+    *collected = Sequence();
+    return status;
+  }
+  status = flush(/*isWhole=*/true);
   watches = isReplay && hasProgram && !records;
   prefixes->end(watches);
   Status before = std::move(failure);
@@ -211,7 +217,15 @@ Status DeviceQueue::allocate(int64_t bytes, DevicePtr &memory) {
   return status ? device->allocate(bytes, memory) : std::move(status);
 }
 
-void DeviceQueue::forget(const Module &module) {
+void DeviceQueue::forget(Module &module) {
+  if (!checkHandler()) {
+    auto kept = std::make_unique<Module>();
+    kept->queue = this;
+    kept->module = std::move(module.module);
+    kept->functions = std::move(module.functions);
+    retired.push_back(std::move(kept));
+    return;
+  }
   (void)settle();
   // Another function may have its address later on.
   for (auto program = programs.begin(); program != programs.end();)

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Runtime/Threads/Safepoint.h"
+#include "tai/Runtime/Threads/Section.h"
 #include "tai/Support/Thread.h"
 #include <ctime>
 #include <pthread.h>
@@ -13,6 +14,7 @@
 using namespace mlir::tai::runtime;
 
 std::atomic<uint64_t> tai_rt_tick{1};
+std::atomic<unsigned> safepoint::runningHandlers{0};
 
 namespace {
 /// Counts while somebody looks: its thread ends when nobody does, and whoever
@@ -86,6 +88,7 @@ private:
 
 thread_local bool runsPartsOfOthers = false;
 thread_local const std::atomic<bool> *followed = nullptr;
+thread_local unsigned handlersHere = 0;
 } // namespace
 
 void safepoint::setHandler(Handler handler) {
@@ -98,8 +101,17 @@ bool safepoint::look() {
   Clock &clock = Clock::get();
   clock.noteLook();
   Handler handler = clock.handler.load(std::memory_order_relaxed);
-  return !handler || runsPartsOfOthers || handler();
+  if (!handler || runsPartsOfOthers)
+    return true;
+  ++handlersHere;
+  runningHandlers.fetch_add(1, std::memory_order_relaxed);
+  bool goesOn = handler() != 0;
+  runningHandlers.fetch_sub(1, std::memory_order_relaxed);
+  --handlersHere;
+  return goesOn;
 }
+
+unsigned safepoint::handlerDepth() { return handlersHere; }
 
 void safepoint::stopClock() { Clock::get().stop(); }
 
@@ -110,6 +122,14 @@ void safepoint::follow(const std::atomic<bool> *isCancelled) {
 }
 
 bool safepoint::isWorker() { return runsPartsOfOthers; }
+
+Status mlir::tai::runtime::failAsInterruptedWork() {
+  return Status::failure(
+      StatusCode::Usage,
+      "a signal handler needs what the call that it has interrupted is in the "
+      "middle of: let it note that the signal has come, and do this when that "
+      "call has returned");
+}
 
 uint32_t safepoint::threadNumber() {
   static std::atomic<uint32_t> last{0};

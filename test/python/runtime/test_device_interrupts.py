@@ -76,7 +76,32 @@ def endless_in_short(s, x):
     return run, 1 << 60, 1 << 13
 
 
-@pytest.mark.parametrize("make", [endless_while, endless_for, endless_iterations, endless_in_short])
+def endless_count(s, x):
+    """Short iterations, of which there is no end."""
+
+    @ti.kernel
+    def run(n: ti.i64):
+        for i in range(n):
+            x[i % 100] = ti.cast(i, ti.f64)
+
+    return run, 1 << 60
+
+
+def endless_sum(s, x):
+    @ti.kernel
+    def run():
+        for i in range(ti.i64(1) << 60):
+            s[None] += ti.cast(i, ti.f64) * 1e-30
+
+    return run
+
+
+ENDLESS = [
+    endless_while, endless_for, endless_iterations, endless_in_short, endless_count, endless_sum,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("make", ENDLESS)
 def test_a_kernel_is_interrupted(make, ctrl_c):
     s, x = ti.field(ti.f64, shape=()), ti.field(ti.f64, shape=100)
     made = make(s, x)
@@ -176,6 +201,18 @@ def test_short_loops_do_not_ask():
             while x[i] < 0:
                 x[i] += 1.0
 
+    @ti.kernel
+    def counted(m: ti.i32):
+        for i in range(m):
+            x[i] += 1.0
+
+    @ti.kernel
+    def countless(m: ti.i64):
+        for i in range(m):
+            x[i] += 1.0
+
+    assert asks(counted, 3) == 0
+    assert asks(countless, 3) == 1
     assert asks(short) == 0
     assert asks(neighbours, 3) == 0
     assert asks(alone, 3) == 1

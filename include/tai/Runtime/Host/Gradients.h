@@ -46,16 +46,11 @@ public:
   /// about to use (`uses`) are stored.
   using Uses = std::function<bool(const FieldPtr &)>;
   void settle(const Uses &uses = nullptr);
-  /// The same for the fields that `settleSome` settles, under the lock.
-  template <typename Body> void settleThose(const Body &settleSome) {
-    std::lock_guard<std::mutex> lock(mutex);
-    settleSome();
-    forgetSettled();
-  }
+  /// Call when fields have been settled one by one.
+  void forgetSettled();
   void forget(const Tree &tree);
 
 private:
-  void forgetSettled();
   /// Call whenever `owing` has changed.
   void update();
 
@@ -65,6 +60,7 @@ private:
   LaunchState &state;
   const SkipSet &skips;
   SkipCounters &counters;
+  /// Never held while zeros are stored, which may wait for a device.
   std::mutex mutex;
   /// Adjoint fields that may owe zeros, guarded by `mutex`; and whether there
   /// are any.

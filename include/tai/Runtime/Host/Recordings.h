@@ -49,13 +49,17 @@ public:
   void end(Recorder &tape);
 
   /// Registers a tape, whether it records or not.
-  void add(Recorder &tape) { tapes.push_back(&tape); }
+  void add(Recorder &tape);
   void remove(Recorder &tape);
-  bool areThereTapes() const { return !tapes.empty(); }
+  bool areThereTapes() const {
+    return numTapes.load(std::memory_order_relaxed) != 0;
+  }
   /// Whether the gradient of any registered tape needs the values of the field.
   bool needsValues(const Field &field) const;
   /// A unique number for tapes and their plans.
-  uint64_t nextStamp() { return ++stamps; }
+  uint64_t nextStamp() {
+    return 1 + stamps.fetch_add(1, std::memory_order_relaxed);
+  }
 
   /// The tape whose sweep is calling a function of the host on this thread, or
   /// null.
@@ -144,8 +148,12 @@ private:
   std::atomic<bool> together{false};
   std::atomic<int> numHolding{0};
   std::atomic<int> numForward{0};
+  /// Tapes that record or have recorded, guarded by a mutex of their own: they
+  /// are asked about values under it.
   std::vector<Recorder *> tapes;
-  uint64_t stamps = 0;
+  mutable std::mutex tapesMutex;
+  std::atomic<size_t> numTapes{0};
+  std::atomic<uint64_t> stamps{0};
   Recorder *sweeper = nullptr;
   std::atomic<const void *> sweepThread{nullptr};
 };

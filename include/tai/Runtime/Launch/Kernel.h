@@ -19,7 +19,7 @@
 #include "tai/Runtime/Launch/LoopTimes.h"
 #include "tai/Runtime/Sparse/LoopLists.h"
 #include "tai/Runtime/Storage/Field.h"
-#include "tai/Runtime/Threads/Safepoint.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <array>
 #include <functional>
 #include <mutex>
@@ -298,6 +298,8 @@ private:
   /// changed since in a way that the adjoint cannot handle.
   Status checkActivity(LoopLists &loops, bool &wasLaunched);
 
+  /// Fails for a handler that has interrupted the compilation of this kernel.
+  Status checkHandler() const { return Section::Entry(section).check(); }
   /// Fills the tables below; fails if a tree has been destroyed.
   Status bind(uint64_t epoch);
   /// Invalidates the results of `bind` and the prepared launch.
@@ -309,10 +311,10 @@ private:
   PreparedLaunch prepared;
   KernelInfo info;
   std::atomic<TaiKernelFn> function{nullptr};
-  /// Recursive: the resolver of an adjoint may resolve its primal. Held during
+  /// The resolver of an adjoint may resolve its primal. Entered during
   /// compilation, which has safepoints.
-  std::recursive_timed_mutex mutex;
-  using Lock = safepoint::Guard<std::recursive_timed_mutex>;
+  mutable Section section;
+  using Lock = Section::Entry;
   /// The variants of the adjoint: plain and zeroing; and these two with stored
   /// outputs.
   struct AdjointForm {

@@ -50,6 +50,9 @@ public:
                const std::vector<SparseInfo> &levels) const override;
   std::shared_ptr<Mirror> make(Tree &tree, SparseOnDevice *&levels) override;
 
+  /// Fails for a signal handler that has interrupted what is to be complete
+  /// before anything else is done; see DeviceQueue::checkHandler.
+  Status checkHandler() const;
   /// Waits for queued work; returns failures, and prints the output of kernels.
   Status synchronize();
   /// Keeps the first failure of calls that could not return it; and returns it.

@@ -172,11 +172,18 @@ public:
   /// deferred until other work comes: adjacent ones are merged, and those
   /// before a sequence become part of it.
   Status settle() {
+    if (isRunning)
+      if (Status status = checkHandler(); !status)
+        return status;
     if (__builtin_expect((!isKeeping && !watches && !records) || collecting > 0,
                          true))
       return Status::success();
     return flush();
   }
+  /// Fails for a handler that has interrupted work which runs what has been
+  /// collected: of that only a part has been queued, and on a device that does
+  /// not run by itself only a part is done.
+  Status checkHandler() const;
   /// Whether launches are deferred; whether they may be; whether the next ones
   /// probably will.
   bool keepsLaunches() const;
@@ -186,6 +193,9 @@ public:
   /// For a timed launch, which cannot wait for the end of the sequence: queues
   /// what has been collected; launchNow then queues the launch.
   Status interrupt() {
+    if (isRunning)
+      if (Status status = checkHandler(); !status)
+        return status;
     (void)noteOther();
     return flush(/*isWhole=*/false);
   }
@@ -260,6 +270,9 @@ private:
   /// Queues what has been collected; a complete sequence may become a program.
   Status flush(bool isWhole);
   Status flush() {
+    if (isRunning)
+      if (Status status = checkHandler(); !status)
+        return status;
     bool isWhole = noteOther();
     return flush(isWhole || collecting > 0);
   }
@@ -268,7 +281,8 @@ private:
   bool noteOther();
   Status launchRecorded(Function &function, const LaunchShape &shape,
                         const uint64_t *slots, int count);
-  void forget(const Module &module);
+  void forget(Module &module);
+  Status runCollected(bool isWhole);
   bool keep(Function &function, const LaunchShape &shape, const uint64_t *slots,
             int count);
   Status runPrefix();
@@ -301,6 +315,11 @@ private:
   /// The failure of a call that could not return it.
   Status failure;
   std::vector<DevicePtr> released;
+  /// Whether it runs, and in how many handlers.
+  bool isRunning = false;
+  unsigned runDepth = 0;
+  /// Code that was given up meanwhile.
+  std::vector<std::unique_ptr<Module>> retired;
   std::unordered_multimap<uint64_t, std::unique_ptr<Program>> programs;
 };
 

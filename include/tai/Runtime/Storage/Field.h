@@ -220,13 +220,15 @@ public:
 
   /// For adjoint fields: elements that are zero but not stored yet, or null.
   /// See OwedZeros.h.
-  const OwedZeros *owesZeros() const { return owed.get(); }
-  void oweZeros(std::shared_ptr<const OwedZeros> zeros) const {
-    owed = std::move(zeros);
+  bool owesZeros() const {
+    return __builtin_expect(owes.load(std::memory_order_acquire), false);
   }
-  /// Stores them now. Call before any access to the elements.
+  std::shared_ptr<const OwedZeros> owedZeros() const;
+  void oweZeros(std::shared_ptr<const OwedZeros> zeros) const;
+  /// Stores them now. Call before any access to the elements; returns when they
+  /// are there, whichever thread stores them.
   void settleZeros() const {
-    if (__builtin_expect(owed != nullptr, false))
+    if (owesZeros())
       storeZeros();
   }
 
@@ -333,7 +335,9 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<uint64_t> lastWriter{0};
+  /// Guarded by one mutex for all fields; and whether there are any.
   mutable std::shared_ptr<const OwedZeros> owed;
+  mutable std::atomic<bool> owes{false};
   uint64_t hostVersion = 0;
 };
 using FieldPtr = std::shared_ptr<Field>;

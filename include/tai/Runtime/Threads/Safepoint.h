@@ -50,6 +50,17 @@ inline void request() { tai_rt_tick.fetch_add(1, std::memory_order_relaxed); }
 /// Calls the handler. Returns false if the work of this thread must stop.
 bool look();
 
+/// The number of handlers that run on this thread, one inside the other.
+unsigned handlerDepth();
+/// The number of handlers that run on any thread.
+extern std::atomic<unsigned> runningHandlers;
+/// Whether this thread runs one; one load where none runs.
+inline bool isInHandler() {
+  return __builtin_expect(runningHandlers.load(std::memory_order_relaxed) != 0,
+                          false) &&
+         handlerDepth() != 0;
+}
+
 /// The same for frequent safepoints: calls the handler once in a tick.
 class Watch {
 public:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import native, state
+from ..base.locks import snapshot
 from ..base.program import get_program
 from ..fields.field import Field
 from ..fields.root import materialize
@@ -83,7 +84,7 @@ def follow(inputs: Sequence[Any], all_others: bool) -> None:
     """Follows the tangents of fields, to say where they get lost."""
     program = get_program()
     if all_others:
-        duals = (f for f in program.fields.values() if f.role == "dual")
+        duals = (f for f in snapshot(program.fields.values()) if f.role == "dual")
         inputs = [*inputs, *(d.primal for d in duals if d.snode is not None)]
     program.context.follow_tangents(_cores_of(inputs))
 

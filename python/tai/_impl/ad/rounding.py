@@ -19,6 +19,7 @@ import numpy as np
 
 from ...errors import TaiAutodiffError
 from ..base import dtypes, state
+from ..base.locks import snapshot
 from ..base.program import Program
 from ..fields.scalar import ScalarField
 from ..fields.snode import FieldsBuilder, axes
@@ -278,5 +279,5 @@ def end(program: Program) -> None:
 
 def _forget_launches(program: Program) -> None:
     """Lets Python look again which code a launch needs."""
-    for kernel in list(program.kernels):
+    for kernel in snapshot(program.kernels):
         kernel.forget_launches()

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import native, state
-from ..base.program import get_program
+from ..base.program import Program, get_program
 from ..fields.arrays import Ndarray
 from ..fields.root import materialize
 from ..history import gradients
@@ -91,6 +91,7 @@ class Tape:
         self._checkpoint = parse_checkpoint(checkpoint, memory_budget)
         self.loss, self.clear_gradients = loss, clear_gradients
         self._core: Any = None
+        self._values: Any = None
         self._is_recording = False
         self._was_seeded = False
         self._check = GradCheck(grad_check) if grad_check else None
@@ -120,44 +121,63 @@ class Tape:
             gradients.clear_gradients(all_threads=False)
         if self._looks_at_rounding:
             self._probes = rounding.begin(program, find_not_finite())
-        self._core = program.context.tape(None, self.clear_gradients)
-        self._values = tracked.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
+        # Ctrl-C may come at any call: `__exit__` is not reached if it does before the end.
         try:
+            self._core = program.context.tape(None, self.clear_gradients)
+            if self._checkpoint[0] != 0:
+                self._core.set_checkpoint(*self._checkpoint)
+            self._values = tracked.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
             for field in self._losses:
                 for part, _ in parts_of(field):
                     self._core.add_loss(part.core)
             if seeds is not None:
                 set_seeds(self._core, self._losses, seeds)
-            self._core.set_checkpoint(*self._checkpoint)
+            was_seeded = (seeds is not None or self._outer_loss is not None) or (
+                bool(self._losses) and all(map(is_number, self._losses))
+            )
+            self._core.watch_health(self._watches)
+            self._checks = self._validates or program.options.debug
+            if self._checks:
+                self._core.check_accesses(LIMIT, not self._validates)
+            state.tape = self._core
+            native.set_tape(self._core)
+            self._was_seeded = was_seeded
+            self._is_recording = True
         except BaseException:
-            self._core.end()
-            tracked.end()
-            self._values.end_work()
-            if self._probes is not None:
-                rounding.end(program)
+            # It has no gradient that anybody could miss.
+            self._was_seeded = True
+            self._end(program)
             raise
-        self._was_seeded = (seeds is not None or self._outer_loss is not None) or (
-            bool(self._losses) and all(map(is_number, self._losses))
-        )
-        self._core.watch_health(self._watches)
-        self._checks = self._validates or program.options.debug
-        if self._checks:
-            self._core.check_accesses(LIMIT, not self._validates)
-        state.tape = self._core
-        native.set_tape(self._core)
-        self._is_recording = True
         return self
 
     def _stop(self, is_swept: bool = False) -> None:
+        # The other half comes even where Ctrl-C does in the first.
+        try:
+            self._forget()
+        finally:
+            if self._core is not None:
+                self._core.end(is_swept)
+
+    def _forget(self) -> None:
         state.tape = None
-        native.set_tape(None)
-        tracked.end()
         self._is_recording = False
-        self._core.end(is_swept)
+        try:
+            native.set_tape(None)
+        finally:
+            tracked.end()
+
+    def _end(self, program: Program) -> None:
+        try:
+            self._stop()
+        finally:
+            if self._values is not None:
+                self._values.end_work()
+            if self._probes is not None:
+                rounding.end(program)
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        self._stop(is_swept=kind is None and self._was_seeded and not self._checks)
         try:
+            self._stop(is_swept=kind is None and self._was_seeded and not self._checks)
             if kind is None and self._checks:
                 raise_violations(self._core)
             if kind is None and self._was_seeded:
@@ -165,11 +185,11 @@ class Tape:
                     self._core.backward()
         finally:
             # Where there was no sweep, other threads may go on as after one.
-            self._core.end()
-            self._values.end_work()
-            if self._probes is not None:
-                self._rounding = self._probes.take()
-                rounding.end(get_program())
+            try:
+                if self._probes is not None:
+                    self._rounding = self._probes.take()
+            finally:
+                self._end(get_program())
         if kind is None and self._was_seeded:
             warn(self._core, 2)
             program = get_program()

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from . import state
+from .locks import Lock
 
 PATIENCE = 1.0  # seconds without a line
 GAP = 0.3  # a pause that is longer ends a series of compilations
@@ -23,7 +24,7 @@ class Watcher:
     """Writes the line from a thread of its own, while other threads compile."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = Lock()
         self._names: list[str] = []  # being compiled; threads may compile side by side
         self._begin = self._end = 0.0
         self._done = 0

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import atexit
 import sys
-import threading
 import weakref
 from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiError, TaiRuntimeError
 from . import native, state
+from .locks import Lock, snapshot
 from .options import Options, texts_of
 from .symbols import Symbols
 from .targets import cpu
@@ -29,7 +29,7 @@ class Program:
         self.root: Any = None
         # Held while fields are placed under `ti.root`, so that no other thread allocates half of
         # them.
-        self.layout = threading.RLock()
+        self.layout = Lock()
         # Functions of kernels by symbol, for reports that name a line.
         functions: dict[str, Any] = {}
         self.kernel_functions = functions
@@ -55,9 +55,9 @@ class Program:
 
     def close(self) -> None:
         """Lets go of all memory, although the program's fields and kernels may live on."""
-        for field in self.fields.values():
+        for field in snapshot(self.fields.values()):
             field.release()
-        for kernel in self.kernels:
+        for kernel in snapshot(self.kernels):
             kernel.release()
         self.fields.clear()
         self.trees.clear()
@@ -72,7 +72,7 @@ class Program:
 
     def kernels_defined(self) -> int:
         """How many kernels were defined since, and those before that are in use."""
-        earlier = sum(kernel.number < self.first_kernel for kernel in self.kernels)
+        earlier = sum(kernel.number < self.first_kernel for kernel in snapshot(self.kernels))
         return state.kernels_made - self.first_kernel + earlier
 
     def unique_symbol(self, wanted: str) -> str:

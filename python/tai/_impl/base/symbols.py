@@ -6,12 +6,12 @@ that allocates and frees trees for hours needs only as many names as objects ali
 
 from __future__ import annotations
 
-import threading
 import unicodedata
 from collections import deque
 from collections.abc import Callable
 
 from ... import errors
+from .locks import Lock
 
 # How many names that were given back are looked at for each one that is taken: more than one, so
 # that none are left behind.
@@ -28,8 +28,10 @@ class Symbols:
 
     def __init__(self, is_used: Callable[[str], bool], forget: Callable[[str], None]):
         self._is_used, self._forget = is_used, forget
-        self._lock = threading.Lock()
-        self._taken: dict[str, str] = {}  # with what was wanted
+        # A signal handler, or what the garbage collector calls, may come here in the middle: each
+        # step below leaves the tables as somebody else may find them.
+        self._lock = Lock()
+        self._taken: dict[str, tuple[str]] = {}  # with what was wanted
         self._next: dict[str, int] = {}
         self._free: dict[str, list[str]] = {}
         # Given back, by whichever thread, and not looked at yet.
@@ -47,23 +49,29 @@ class Symbols:
             if symbol is None:
                 count = self._next.get(base, 0)
                 symbol = f"{base}_{count}" if count else base
-                while symbol in self._taken:
+                while not self._claim(symbol, base):
                     count += 1
                     symbol = f"{base}_{count}"
                 self._next[base] = count + 1
-            self._taken[symbol] = base
             if not wanted.isascii():
                 errors.SPELLINGS[symbol] = wanted
             return symbol
 
     def _reuse(self, base: str) -> str | None:
-        free = self._free.get(base, [])
-        # Another base may have come to the same name meanwhile.
-        symbol = next((s for s in iter(lambda: free.pop() if free else None, None)
-                       if s not in self._taken), None)  # fmt: skip
-        if not free:
-            self._free.pop(base, None)
-        return symbol
+        free = self._free.get(base)
+        while free:
+            try:
+                symbol = free.pop()
+            except IndexError:
+                break
+            # Another base may have come to the same name meanwhile.
+            if self._claim(symbol, base):
+                return symbol
+        return None
+
+    def _claim(self, symbol: str, base: str) -> bool:
+        wanted = (base,)
+        return self._taken.setdefault(symbol, wanted) is wanted
 
     def give_back(self, symbol: str) -> None:
         """Says that what had the name is gone. May be called at any time, by any thread."""
@@ -76,12 +84,15 @@ class Symbols:
 
     def _settle(self, most: int) -> None:
         for _ in range(min(most, len(self._returned))):
-            symbol = self._returned.popleft()
+            try:
+                symbol = self._returned.popleft()
+            except IndexError:
+                return
             if self._is_used(symbol):
                 self._returned.append(symbol)
                 continue
             self._forget(symbol)
-            base = self._taken.pop(symbol)
+            (base,) = self._taken.pop(symbol)
             errors.SPELLINGS.pop(symbol, None)
             self._free.setdefault(base, []).append(symbol)
 

@@ -6,12 +6,12 @@ import ast
 import contextlib
 import functools
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from ...errors import TaiError, TaiSyntaxError
 from ..base import state
+from ..base.locks import Lock
 from ..base.modes import attribute_of
 from ..base.options import Options
 from ..base.program import Program
@@ -47,7 +47,7 @@ from .while_loops import WhileLoops
 # Calls of Python that the compiler may need: some thirty for each statement inside of another.
 _RECURSION = 20000
 # The limit is one for all threads: how many of them need it, and what it was before.
-_deep_lock = threading.Lock()
+_deep_lock = Lock()
 _deep_threads = 0
 _limit_before = 0
 
@@ -56,10 +56,10 @@ _limit_before = 0
 def _deep_recursion() -> Iterator[None]:
     global _deep_threads, _limit_before
     with _deep_lock:
-        if _deep_threads == 0:
+        _deep_threads += 1
+        if _deep_threads == 1:
             _limit_before = sys.getrecursionlimit()
             sys.setrecursionlimit(max(_limit_before, _RECURSION))
-        _deep_threads += 1
     try:
         yield
     finally:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..base import state
 from ..base.dtypes import DataType
+from ..base.locks import Lock, snapshot
 
 
 class Gradient:
@@ -79,7 +80,7 @@ class Gradient:
 _variables: weakref.WeakSet = weakref.WeakSet()
 _arrays: weakref.WeakSet = weakref.WeakSet()
 # Sets do not like to grow while somebody goes through them.
-_lock = threading.Lock()
+_lock = Lock()
 
 
 class ArrayGradient:
@@ -100,7 +101,7 @@ def clear_gradients(all_threads: bool = True) -> None:
         all_threads: or only of those that no other thread has computed.
     """
     with _lock:
-        things = [*_variables, *_arrays]
+        things = [*snapshot(_variables), *snapshot(_arrays)]
     for thing in things:
         if all_threads or thing.owner is state.thread:
             thing.clear()

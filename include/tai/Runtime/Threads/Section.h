@@ -1,0 +1,70 @@
+//===- Section.h - Work that handlers must not enter again ------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A mutex for work that passes safepoints, such as a copy that waits for a
+// device. The host's handler may call the library at a safepoint, on the thread
+// that holds the mutex: that would wait for itself with a plain mutex, and find
+// half of the work done with a recursive one.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_RUNTIME_THREADS_SECTION_H
+#define TAI_RUNTIME_THREADS_SECTION_H
+
+#include "tai/Runtime/Threads/Safepoint.h"
+#include "tai/Support/Status.h"
+#include <mutex>
+
+namespace mlir::tai::runtime {
+
+/// The failure of a call from a handler that has interrupted work which it
+/// needs to be complete.
+Status failAsInterruptedWork();
+
+class Section {
+public:
+  /// Locks the section. Calls that belong to the work itself may nest.
+  class Entry {
+  public:
+    explicit Entry(Section &section)
+        : section(section), guard(section.mutex), outerDepth(section.depth),
+          again(section.entries > 0 &&
+                section.depth < safepoint::handlerDepth()) {
+      ++section.entries;
+      section.depth = safepoint::handlerDepth();
+    }
+    ~Entry() {
+      --section.entries;
+      section.depth = outerDepth;
+    }
+    Entry(const Entry &) = delete;
+    Entry &operator=(const Entry &) = delete;
+
+    /// Whether a handler has interrupted work of this section on this thread.
+    bool isAgain() const { return again; }
+    /// Fails then.
+    Status check() const {
+      return again ? failAsInterruptedWork() : Status::success();
+    }
+
+  private:
+    Section &section;
+    safepoint::Guard<std::recursive_timed_mutex> guard;
+    unsigned outerDepth;
+    bool again;
+  };
+
+private:
+  std::recursive_timed_mutex mutex;
+  /// Guarded by the mutex: the entries that have not ended, and in how many
+  /// handlers the last of them began.
+  unsigned entries = 0, depth = 0;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_RUNTIME_THREADS_SECTION_H

@@ -1,0 +1,149 @@
+"""Signal handlers, other threads and forked children that come in the middle of the library."""
+
+import os
+import signal
+import threading
+
+import pytest
+import tai as ti
+from tai._impl.base.locks import Lock, snapshot
+from tai._impl.base.symbols import Symbols
+
+
+def ends(work):
+    """Whether it does, on a thread of its own."""
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(60)
+    return not thread.is_alive()
+
+
+def test_names_are_taken_while_a_name_is_taken():
+    """A handler defines a field while one is defined."""
+    names = []
+
+    def is_used(_):
+        names.append(symbols.take("x"))
+        return False
+
+    symbols = Symbols(is_used, lambda _: None)
+
+    def work():
+        names.append(symbols.take("x"))
+        symbols.give_back(names[0])
+        names.append(symbols.take("x"))
+
+    assert ends(work)
+    assert len(names) == 3
+    # The first is free when the last one is taken.
+    assert names[1] != names[0] and names[2] == names[0]
+
+
+def test_sets_that_grow_while_they_are_read():
+    class Growing:
+        reads = 0
+
+        def __iter__(self):
+            self.reads += 1
+            yield 1
+            if self.reads == 1:
+                raise RuntimeError("Set changed size during iteration")
+            yield 2
+
+    assert snapshot(Growing()) == [1, 2]
+
+
+@pytest.mark.parametrize("holder", ["this thread", "another thread"])
+def test_a_lock_in_a_forked_child(holder):
+    lock, taken, over = Lock(), threading.Event(), threading.Event()
+
+    def hold():
+        with lock:
+            taken.set()
+            over.wait()
+
+    def fork():
+        child = os.fork()
+        if child == 0:
+            # Not the test's own handlers: what waits for ever is ended.
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(60)
+            with lock:
+                os._exit(0)
+        return os.waitpid(child, 0)[1]
+
+    if holder == "this thread":
+        with lock:
+            status = fork()
+    else:
+        thread = threading.Thread(target=hold)
+        thread.start()
+        taken.wait()
+        status = fork()
+        over.set()
+        thread.join()
+    assert status == 0
+    assert ends(lambda: lock.__enter__())
+
+
+@pytest.mark.parametrize("at", ["tracked.begin", "native.set_tape"])
+def test_a_tape_that_is_interrupted_while_it_begins(at, monkeypatch):
+    """Its `__exit__` is never called, and the next tape records."""
+    ti.init(arch=ti.cpu, default_fp=ti.f64)
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def total():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    def interrupt(given, *_):
+        if given is not None:
+            raise KeyboardInterrupt
+
+    x.fill(2.0)
+    tape = ti.ad.Tape(loss)
+    with monkeypatch.context() as patch:
+        patch.setattr(f"tai._impl.ad.tape.{at}", interrupt)
+        with pytest.raises(KeyboardInterrupt), tape:
+            total()
+    assert loss[None] == 0.0
+    with ti.ad.Tape(loss):
+        total()
+    assert x.grad.to_numpy().tolist() == [4.0, 4.0, 4.0]
+
+
+def test_a_handler_launches_what_is_being_compiled():
+    """It is refused, and the compilation goes on."""
+    ti.init(arch=ti.cpu, default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=8)
+
+    @ti.kernel
+    def large():
+        for k in x:
+            s = 0.0
+            for i in ti.static(range(400)):
+                s += ti.sin(x[k] * i) * ti.exp(x[k] - i)
+            x[k] = s
+
+    # Only the compiler proper is left.
+    large._specialize(large._get_signature().bind((), {}))
+    refused = []
+
+    def handle(*_):
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        try:
+            large()
+        except ti.TaiRuntimeError as error:
+            refused.append(str(error))
+
+    before = signal.signal(signal.SIGALRM, handle)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        large()
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    large()
+    assert len(refused) == 1 and "a signal handler needs what the call" in refused[0]
