@@ -18,6 +18,7 @@
 
 #include "../TaiToHost/RuntimeCalls.h"
 #include "ShadowOps.h"
+#include "ShadowReports.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/IR/Matchers.h"
@@ -41,8 +42,7 @@ static constexpr StringLiteral kTable = "tai_rt_shadows";
 static constexpr size_t kMostSites = 2;
 
 /// How often no branch is taken for each time that one is. Adjoints that have
-/// lost digits pass them on, so that many results are off and few calls are
-/// made: registers are to be saved at the calls, and not before the tests.
+/// lost digits pass them on, so that many results are off.
 static constexpr uint32_t kRightToOff = 4, kSilentToTold = 1000;
 
 static bool isFloat(Type type) {
@@ -65,10 +65,9 @@ namespace {
 class Shadows {
 public:
   Shadows(LLVM::LLVMFuncOp function, RuntimeCalls &runtime,
-          llvm::StringMap<LLVM::GlobalOp> &texts, Type wide,
-          unsigned mostPrecision)
+          ShadowReports::Texts &texts, Type wide, unsigned mostPrecision)
       : b(function.getLoc(), function.getContext()), function(function),
-        runtime(runtime), texts(texts), wide(wide),
+        runtime(runtime), reports(b, function, runtime, texts), wide(wide),
         mostPrecision(mostPrecision) {}
 
   void run();
@@ -135,13 +134,11 @@ private:
   Value entryOf(Value address);
   void flush(Operation *before);
   void report(const Site &site);
-  Value describe(Operation *op);
 
   ImplicitLocOpBuilder b;
   LLVM::LLVMFuncOp function;
   RuntimeCalls &runtime;
-  /// What describes sites.
-  llvm::StringMap<LLVM::GlobalOp> &texts;
+  ShadowReports reports;
   /// The type of shadows of f64.
   Type wide;
   unsigned mostPrecision;
@@ -539,82 +536,46 @@ void Shadows::visit(Operation *op) {
     addSite(op, operands[0], operands.size() > 1 ? operands[1] : Value());
 }
 
-/// "operation\nkernel\nplace"
-Value Shadows::describe(Operation *op) {
-  // Loops are functions of their own: k.loop0.
-  StringRef kernel = function.getName();
-  if (size_t end = kernel.rfind(".loop"); end != StringRef::npos)
-    kernel = kernel.take_front(end);
-  std::string text = nameOperation(op) + "\n" + kernel.str() + "\n" +
-                     describePlace(op->getLoc());
-  text.push_back('\0');
-  // Room for what the runtime knows of it: see TaiShadowSite.
-  text.insert(0, sizeof(TaiShadowSite), '\0');
-  LLVM::GlobalOp &global = texts[text];
-  if (!global) {
-    auto module = function->getParentOfType<ModuleOp>();
-    auto top = OpBuilder::atBlockBegin(module.getBody());
-    global = LLVM::GlobalOp::create(
-        top, module.getLoc(),
-        LLVM::LLVMArrayType::get(b.getI8Type(), text.size()),
-        /*isConstant=*/false, LLVM::Linkage::Internal,
-        "tai.site." + std::to_string(texts.size()), b.getStringAttr(text),
-        alignof(TaiShadowSite));
-  }
-  return LLVM::AddressOfOp::create(b, global);
-}
-
 void Shadows::report(const Site &site) {
-  Location loc = site.op->getLoc();
-  b.setLoc(loc);
+  b.setLoc(site.op->getLoc());
   Type f64 = b.getF64Type();
-  Value frame = function.getArgument(0), text = describe(site.op);
   Value typed = site.result ? site.result : site.a;
-  Value precision = integer(32, getMeasure(typed.getType()));
-  for (int64_t lane = 0, lanes = countLanes(typed.getType()); lane < lanes;
-       ++lane) {
+  unsigned precision = getMeasure(typed.getType());
+  Type type = withElement(typed.getType(), f64);
+  ShadowReports::Numbers numbers;
+  auto set = [&](Value value, Value &number, Value &error) {
+    number = value ? convert(value, type) : constant(type, 0);
+    error = value ? convert(getError(value), type) : constant(type, 0);
+  };
+  set(site.a, numbers.a, numbers.errorOfA);
+  set(site.b, numbers.b, numbers.errorOfB);
+  numbers.isUnary = !site.b;
+  if (site.result) {
+    set(site.result, numbers.result, numbers.error);
+    numbers.exact = convert(getShadow(site.result), type);
+    return reports.emitResult(site.op, precision, site.fires, numbers);
+  }
+  if (!isa<VectorType>(type))
+    return reports.emitFlip(site.op, precision, numbers);
+  for (int64_t lane = 0, lanes = countLanes(type); lane < lanes; ++lane) {
     auto pick = [&](Value value) -> Value {
-      if (!isa<VectorType>(value.getType()))
-        return value;
       return LLVM::ExtractElementOp::create(b, value, integer(32, lane));
     };
-    SmallVector<Value> numbers;
-    auto add = [&](Value value) {
-      if (!value) {
-        Value zero = constant(f64, 0);
-        llvm::append_values(numbers, zero, zero);
-        return;
-      }
-      numbers.push_back(convert(pick(value), f64));
-      numbers.push_back(convert(pick(getError(value)), f64));
-    };
-    add(site.a);
-    add(site.b);
-    if (!site.result) {
-      // Of a vector, those lanes that do not differ say nothing.
-      Block *rest = nullptr;
-      if (lanes > 1) {
-        Block *here = b.getInsertionBlock();
-        rest = here->splitBlock(b.getInsertionPoint());
-        Block *told = b.createBlock(rest);
-        b.setInsertionPointToEnd(here);
-        LLVM::CondBrOp::create(b, pick(site.fires), told, rest);
-        b.setInsertionPointToEnd(told);
-      }
-      runtime.tai_rt_shadow_flip(b, loc, frame, text, precision, numbers[0],
-                                 numbers[1], numbers[2], numbers[3]);
-      if (rest) {
-        LLVM::BrOp::create(b, rest);
-        b.setInsertionPointToStart(rest);
-      }
-      continue;
-    }
-    add(site.result);
-    Value fires = LLVM::ZExtOp::create(b, b.getI32Type(), pick(site.fires));
-    runtime.tai_rt_shadow_site(b, loc, frame, text, precision, fires,
-                               numbers[0], numbers[1], numbers[2], numbers[3],
-                               numbers[4], numbers[5],
-                               convert(pick(getShadow(site.result)), f64));
+    // Those lanes that do not differ say nothing.
+    Block *here = b.getInsertionBlock();
+    Block *rest = here->splitBlock(b.getInsertionPoint());
+    Block *told = b.createBlock(rest);
+    b.setInsertionPointToEnd(here);
+    LLVM::CondBrOp::create(b, pick(site.fires), told, rest);
+    b.setInsertionPointToEnd(told);
+    ShadowReports::Numbers own;
+    own.a = pick(numbers.a);
+    own.errorOfA = pick(numbers.errorOfA);
+    own.b = pick(numbers.b);
+    own.errorOfB = pick(numbers.errorOfB);
+    reports.emitFlip(site.op, precision, own);
+    LLVM::BrOp::create(b, rest);
+    b.setInsertionPointToStart(rest);
   }
 }
 
@@ -725,6 +686,7 @@ void Shadows::run() {
       operands.append(more);
     }
   }
+  reports.finish();
 }
 
 namespace {
@@ -760,7 +722,7 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
         b, module.getLoc(), LLVM::LLVMPointerType::get(context),
         /*isConstant=*/false, LLVM::Linkage::External, kTable, Attribute());
     RuntimeCalls runtime(module);
-    llvm::StringMap<LLVM::GlobalOp> texts;
+    ShadowReports::Texts texts;
     unsigned mostPrecision = ~0u;
     module.walk([&](LLVM::FPExtOp op) {
       Type type = getElementTypeOrSelf(op.getArg().getType());
@@ -770,6 +732,7 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
     });
     for (LLVM::LLVMFuncOp function : functions)
       Shadows(function, runtime, texts, wide, mostPrecision).run();
+    ShadowReports::restrictEffects(module);
   }
 };
 } // namespace
