@@ -252,6 +252,40 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
                            "::mlir::func::FuncDialect"];
 }
 
+def VectorizeIterations : Pass<"tai-vectorize-iterations"> {
+  let summary = "make vectors of the iterations of independent loops";
+  let description = [{
+    An innermost loop that says of its accesses that they do not depend on those
+    of other iterations becomes one over vectors of eight f32, and one over the
+    iterations that are left. It may have loads and stores of consecutive f32,
+    loads of what all iterations read, arithmetic, and branches that all
+    iterations take alike. Other loops are not changed.
+
+    For shadow execution, which leaves branches behind that LLVM does not
+    vectorise. Each operation is done once for each iteration as before.
+
+    ```mlir
+    #group = #llvm.access_group<id = distinct[0]<>>
+    #parallel = #llvm.loop_annotation<parallelAccesses = #group>
+    llvm.func @k(%x: !llvm.ptr, %n: index) {
+      %c0 = arith.constant 0 : index
+      %c1 = arith.constant 1 : index
+      scf.for %i = %c0 to %n step %c1 {
+        %at = arith.index_cast %i : index to i64
+        %p = llvm.getelementptr %x[%at] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+        // becomes a load of vector<8xf32>
+        %v = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+        %w = arith.mulf %v, %v : f32
+        llvm.store %w, %p {access_groups = [#group]} : f32, !llvm.ptr
+      } {llvm.loop_annotation = #parallel}
+      llvm.return
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::LLVM::LLVMDialect",
+                           "::mlir::arith::ArithDialect"];
+}
+
 def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
   let summary = "compute each float again in higher precision, and compare";
   let description = [{

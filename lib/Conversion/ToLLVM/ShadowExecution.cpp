@@ -10,9 +10,9 @@
 // Shadows are values too; each float block argument gets a block argument for
 // its shadow.
 //
-// The check must be cheap if nothing is reported. The tests of several
-// operations of a block are combined into one branch, in which each of them is
-// reported to the runtime.
+// Adjoints that have lost digits pass them on: many results are off because
+// their operands are. So a branch is for what is reported alone, and the tests
+// of operands, most of which are those of other results, stand before it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -36,14 +36,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 static constexpr StringLiteral kTable = "tai_rt_shadows";
-/// So many operations share a branch at the most. Their operands live until
-/// then, and what must be spilled for them costs more than a branch: of 1, 2,
-/// 4, 8 and 16, two are the fastest.
-static constexpr size_t kMostSites = 2;
-
-/// How often no branch is taken for each time that one is. Adjoints that have
-/// lost digits pass them on, so that many results are off.
-static constexpr uint32_t kRightToOff = 4, kSilentToTold = 1000;
+/// How often no result is to be reported for each time that one is.
+static constexpr uint32_t kRightToWrong = 100;
 
 static bool isFloat(Type type) {
   return isa<FloatType>(getElementTypeOrSelf(type)) &&
@@ -144,6 +138,8 @@ private:
   unsigned mostPrecision;
   Value table;
   DenseMap<Value, Value> shadows, off, tainted;
+  /// How far the shadows of what is loaded lie above it.
+  DenseMap<Value, Value> parts;
   SmallVector<Site> sites;
 };
 } // namespace
@@ -189,13 +185,28 @@ Value Shadows::emitIsOff(Value value) {
   Value shadow = getShadow(value);
   Type type = shadow.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(value.getType()));
-  Value error = LLVM::FAbsOp::create(b, getError(value));
+  // What was loaded has its error beside it.
+  Value error = parts.lookup(value);
+  error = LLVM::FAbsOp::create(b, error ? error : getError(value));
   Value most = LLVM::FMulAddOp::create(
       b, LLVM::FAbsOp::create(b, shadow),
       constant(type, std::ldexp(1, -int(getMeasure(value.getType()) / 2))),
       constant(type,
                APFloat::getSmallestNormalized(element.getFloatSemantics())));
   return LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::ugt, error, most);
+}
+
+/// The number that all lanes of a value are, if it is known.
+static Value getSplat(Value value) {
+  auto lanes = value.getDefiningOp<LLVM::ShuffleVectorOp>();
+  auto first =
+      lanes ? lanes.getV1().getDefiningOp<LLVM::InsertElementOp>() : nullptr;
+  llvm::APInt position;
+  if (!first || !matchPattern(first.getPosition(), m_ConstantInt(&position)) ||
+      !position.isZero() ||
+      llvm::any_of(lanes.getMask(), [](int32_t lane) { return lane != 0; }))
+    return {};
+  return first.getValue();
 }
 
 /// Whether the operands that a value is rounded from are off, where a report is
@@ -207,8 +218,13 @@ Value Shadows::emitIsTainted(Value value) {
   Value any;
   if (isa_and_nonnull<LLVM::ConstantOp, LLVM::SIToFPOp, LLVM::UIToFPOp>(op)) {
     any = {};
+  } else if (Value scalar = getSplat(value)) {
+    any = emitIsTainted(scalar);
+    if (any)
+      any = emitSplat(b, any, value.getType());
   } else if (!op || !onlyRounds(op) || !shadows.contains(value) ||
-             isa<VectorType>(value.getType())) {
+             isa<LLVM::ExtractElementOp, LLVM::InsertElementOp,
+                 LLVM::ShuffleVectorOp>(op)) {
     any = off.lookup(value);
     if (!any)
       any = emitIsOff(value);
@@ -266,8 +282,9 @@ Value Shadows::load(LLVM::LoadOp op) {
   Value same =
       LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::oeq, copy, op.getResult());
   part = LLVM::SelectOp::create(b, same, part, constant(type, 0));
-  return LLVM::FAddOp::create(b, extend(op.getResult()),
-                              convert(part, shadowType(type)));
+  part = convert(part, shadowType(type));
+  parts[op.getResult()] = part;
+  return LLVM::FAddOp::create(b, extend(op.getResult()), part);
 }
 
 void Shadows::store(LLVM::StoreOp op) {
@@ -579,52 +596,27 @@ void Shadows::report(const Site &site) {
   }
 }
 
-/// One branch for the sites that are waiting.
+/// A branch for each site that is waiting.
 void Shadows::flush(Operation *before) {
-  if (sites.empty())
-    return;
-  SmallVector<Site> all = std::move(sites);
-  sites.clear();
   b.setInsertionPoint(before);
-  b.setLoc(before->getLoc());
-  Value any;
-  for (const Site &site : all) {
-    Value fires = site.fires;
-    if (isa<VectorType>(fires.getType()))
-      fires = LLVM::vector_reduce_or::create(b, b.getI1Type(), fires);
-    any = either(any, fires);
-  }
-  Block *here = before->getBlock();
-  Block *rest = here->splitBlock(before);
-  Block *told = b.createBlock(rest);
-  b.setInsertionPointToEnd(here);
-  LLVM::CondBrOp::create(b, any, told, ValueRange(), rest, ValueRange(),
-                         std::make_pair(uint32_t(1), kRightToOff));
-  b.setInsertionPointToEnd(told);
-  // What is asked here alone costs nothing where all is well.
-  tainted.clear();
-  for (Site &site : all)
-    site.fires = emitFires(site);
-  for (const Site &site : all) {
-    if (isa<VectorType>(site.fires.getType())) {
-      report(site);
-      continue;
-    }
-    Block *from = b.getInsertionBlock();
-    Block *told = b.createBlock(rest);
-    Block *next = b.createBlock(rest);
-    b.setInsertionPointToEnd(from);
+  for (Site &site : sites) {
     b.setLoc(site.op->getLoc());
-    LLVM::CondBrOp::create(b, site.fires, told, ValueRange(), next,
-                           ValueRange(),
-                           std::make_pair(uint32_t(1), kSilentToTold));
+    site.fires = emitFires(site);
+    Value any = site.fires;
+    if (isa<VectorType>(any.getType()))
+      any = LLVM::vector_reduce_or::create(b, b.getI1Type(), any);
+    Block *here = before->getBlock();
+    Block *rest = here->splitBlock(before);
+    Block *told = b.createBlock(rest);
+    b.setInsertionPointToEnd(here);
+    LLVM::CondBrOp::create(b, any, told, ValueRange(), rest, ValueRange(),
+                           std::make_pair(uint32_t(1), kRightToWrong));
     b.setInsertionPointToEnd(told);
     report(site);
-    LLVM::BrOp::create(b, next);
-    b.setInsertionPointToEnd(next);
+    LLVM::BrOp::create(b, rest);
+    b.setInsertionPoint(before);
   }
-  b.setLoc(before->getLoc());
-  LLVM::BrOp::create(b, rest);
+  sites.clear();
 }
 
 void Shadows::run() {
@@ -661,15 +653,14 @@ void Shadows::run() {
     }
   }
   for (SmallVector<Operation *> &ops : operations) {
+    // What is tested in one block is not known in all others.
+    tainted.clear();
     for (Operation *op : ops) {
-      if (op->hasTrait<OpTrait::IsTerminator>()) {
-        flush(op);
+      if (op->hasTrait<OpTrait::IsTerminator>())
         continue;
-      }
       Operation *next = op->getNextNode();
       visit(op);
-      if (sites.size() >= kMostSites)
-        flush(next);
+      flush(next);
     }
   }
   // All shadows are there now.

@@ -93,26 +93,12 @@ void ShadowReports::emitIf(Value condition, bool isRare,
   b.setInsertionPointToStart(rest);
 }
 
-/// A vector of the shape of `like` whose lanes are `value`, or that.
-static Value splat(ImplicitLocOpBuilder &b, Value value, Type like) {
-  auto vector = dyn_cast<VectorType>(like);
-  if (!vector)
-    return value;
-  Type type = vector.clone(value.getType());
-  Value none = LLVM::PoisonOp::create(b, type);
-  Value zero = LLVM::ConstantOp::create(b, b.getI32Type(), 0);
-  Value first = LLVM::InsertElementOp::create(b, none, value, zero);
-  SmallVector<int32_t> lanes(vector.getNumElements(), 0);
-  return LLVM::ShuffleVectorOp::create(b, first, none, lanes);
-}
-
 /// Whether the result is finite, and not the worst of its site. Not so of NaN
 /// and infinities, whose errors are such, too.
 Value ShadowReports::emitIsCommon(int32_t count, const Numbers &numbers) {
-  Value reach =
-      LLVM::LoadOp::create(b, b.getF64Type(),
-                           emitMember(count, offsetof(TaiShadowCount, reach)));
-  reach = splat(b, reach, numbers.exact.getType());
+  Value reach = LLVM::LoadOp::create(
+      b, b.getF64Type(), emitMember(count, offsetof(TaiShadowCount, reach)));
+  reach = emitSplat(b, reach, numbers.exact.getType());
   Value most =
       LLVM::FMulOp::create(b, reach, LLVM::FAbsOp::create(b, numbers.exact));
   return LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::olt,
@@ -121,10 +107,10 @@ Value ShadowReports::emitIsCommon(int32_t count, const Numbers &numbers) {
 
 /// Whether both operands are at least eight times as large as the result.
 Value ShadowReports::emitCancels(const Numbers &numbers) {
-  Value eight = splat(b, LLVM::ConstantOp::create(b, b.getF64FloatAttr(8)),
-                      numbers.result.getType());
-  Value most = LLVM::FMulOp::create(
-      b, LLVM::FAbsOp::create(b, numbers.result), eight);
+  Value eight = emitSplat(b, LLVM::ConstantOp::create(b, b.getF64FloatAttr(8)),
+                          numbers.result.getType());
+  Value most =
+      LLVM::FMulOp::create(b, LLVM::FAbsOp::create(b, numbers.result), eight);
   auto isLarge = [&](Value operand) -> Value {
     return LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::ogt,
                                 LLVM::FAbsOp::create(b, operand), most);
@@ -179,8 +165,8 @@ void ShadowReports::emitLanes(Value site, std::optional<int32_t> count,
   Value own = count ? Value(counts) : runtime.null(b, b.getLoc());
   Value frame = function.getArgument(0);
   Value index = integer(32, count.value_or(0));
-  Value all[] = {numbers.a,      numbers.errorOfA, numbers.b,
-                 numbers.errorOfB, numbers.result, numbers.error,
+  Value all[] = {numbers.a,        numbers.errorOfA, numbers.b,
+                 numbers.errorOfB, numbers.result,   numbers.error,
                  numbers.exact};
   if (width > kMostLanes) {
     for (int32_t lane = 0; lane < width; ++lane) {
@@ -188,10 +174,10 @@ void ShadowReports::emitLanes(Value site, std::optional<int32_t> count,
         return LLVM::ExtractElementOp::create(b, vector, integer(32, lane));
       };
       Value told = LLVM::ZExtOp::create(b, b.getI32Type(), pick(fires));
-      runtime.tai_rt_shadow_site(
-          b, b.getLoc(), frame, site, own, index, precision, told, pick(all[0]),
-          pick(all[1]), pick(all[2]), pick(all[3]), pick(all[4]), pick(all[5]),
-          pick(all[6]));
+      runtime.tai_rt_shadow_site(b, b.getLoc(), frame, site, own, index,
+                                 precision, told, pick(all[0]), pick(all[1]),
+                                 pick(all[2]), pick(all[3]), pick(all[4]),
+                                 pick(all[5]), pick(all[6]));
     }
     return;
   }
@@ -215,8 +201,8 @@ void ShadowReports::emitLanes(Value site, std::optional<int32_t> count,
     lanes = LLVM::AllocaOp::create(b, runtime.getPointerType(), b.getF64Type(),
                                    integer(64, 0), /*alignment=*/64);
   }
-  Value some = LLVM::ICmpOp::create(b, LLVM::ICmpPredicate::ne, told,
-                                    integer(64, 0));
+  Value some =
+      LLVM::ICmpOp::create(b, LLVM::ICmpPredicate::ne, told, integer(64, 0));
   emitIf(some, /*isRare=*/true, [&] {
     for (auto [i, vector] : llvm::enumerate(all)) {
       Value address = LLVM::GEPOp::create(
@@ -274,9 +260,8 @@ void ShadowReports::restrictEffects(ModuleOp module) {
   MLIRContext *context = module.getContext();
   auto none = LLVM::ModRefInfo::NoModRef, both = LLVM::ModRefInfo::ModRef;
   // What lies behind the frame is the runtime's own.
-  auto effects =
-      LLVM::MemoryEffectsAttr::get(context, {none, both, both, none, none,
-                                             none});
+  auto effects = LLVM::MemoryEffectsAttr::get(
+      context, {none, both, both, none, none, none});
   for (StringRef name : {"tai_rt_shadow_site", "tai_rt_shadow_lanes",
                          "tai_rt_shadow_flip", "tai_rt_shadow_counted"}) {
     auto callee = module.lookupSymbol<LLVM::LLVMFuncOp>(name);

@@ -45,7 +45,8 @@ public:
   /// Reports a comparison or a conversion, of scalars.
   void emitFlip(Operation *op, unsigned precision, const Numbers &numbers);
 
-  /// When all reports have been emitted: the counts at the entry and at returns.
+  /// When all reports have been emitted: the counts at the entry and at
+  /// returns.
   void finish();
 
   /// Declares what the runtime's functions for reports access.
