@@ -57,7 +57,8 @@ private:
   Value getVector(Value value);
   Value getScalar(Value value) { return scalars.lookupOrDefault(value); }
 
-  scf::ForOp loop;
+  /// The loop, and the one over vectors that is put before it.
+  scf::ForOp loop, wide;
   OpBuilder builder;
   VectorType type;
   ArrayRef<LLVM::AccessGroupAttr> groups;
@@ -214,7 +215,7 @@ Value Lanes::getVector(Value value) {
   Value scalar = getScalar(value);
   Location loc = value.getLoc();
   if (loop.isDefinedOutsideOfLoop(value))
-    builder.setInsertionPoint(loop);
+    builder.setInsertionPoint(wide);
   else
     builder.setInsertionPointAfterValue(scalar);
   FloatAttr number;
@@ -314,11 +315,10 @@ void Lanes::vectorize() {
   count = arith::MaxSIOp::create(builder, loc, count, constant(0));
   count = arith::AndIOp::create(builder, loc, count, constant(-kLanes));
   Value end = arith::AddIOp::create(builder, loc, lower, count);
-  auto wide = scf::ForOp::create(builder, loc, lower, end, constant(kLanes));
+  wide = scf::ForOp::create(builder, loc, lower, end, constant(kLanes));
   loop.getLowerBoundMutable().assign(end);
   scalars.map(loop.getInductionVar(), wide.getInductionVar());
   builder.setInsertionPointToStart(wide.getBody());
-  // Splats of what is defined before go there, too.
   emit(*loop.getBody());
 }
 
