@@ -267,7 +267,7 @@ def VectorizeIterations : Pass<"tai-vectorize-iterations"> {
     ```mlir
     #group = #llvm.access_group<id = distinct[0]<>>
     #parallel = #llvm.loop_annotation<parallelAccesses = #group>
-    llvm.func @k(%x: !llvm.ptr, %n: index) {
+    func.func @k(%x: !llvm.ptr, %n: index) {
       %c0 = arith.constant 0 : index
       %c1 = arith.constant 1 : index
       scf.for %i = %c0 to %n step %c1 {
@@ -278,7 +278,7 @@ def VectorizeIterations : Pass<"tai-vectorize-iterations"> {
         %w = arith.mulf %v, %v : f32
         llvm.store %w, %p {access_groups = [#group]} : f32, !llvm.ptr
       } {llvm.loop_annotation = #parallel}
-      llvm.return
+      return
     }
     ```
   }];
@@ -324,7 +324,8 @@ def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
       %fires = llvm.fcmp "une" %back, %s0 : f64
       llvm.cond_br %fires, ^report, ^rest
     ^report:
-      // With the operands, the result and how far their shadows lie above them.
+      // Counts it in the frame of the function. If it may be the worst, with
+      // the operands, the result and how far their shadows lie above them:
       llvm.call @tai_rt_shadow_site(%frame) : (!llvm.ptr) -> ()
       llvm.br ^rest
     ^rest:
