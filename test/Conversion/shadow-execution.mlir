@@ -105,13 +105,6 @@ llvm.func @loop(%frame: !llvm.ptr, %n: i64) -> f32 {
 //       CHECK:   llvm.call @tai_rt_shadow_flip
 //       CHECK:   llvm.select %[[C]], %{{[^,]+}}, %{{[^,]+}} : i1, f32
 //       CHECK:   llvm.select %[[C]], %{{[^,]+}}, %{{[^,]+}} : i1, f64
-llvm.func @decide(
-//       CHECK:   %[[C:.+]] = llvm.fcmp "olt" %{{.+}}, %{{.+}} : f32
-//       CHECK:   %[[SC:.+]] = llvm.fcmp "olt" %{{.+}}, %{{.+}} : f64
-//       CHECK:   llvm.icmp "ne" %[[C]], %[[SC]] : i1
-//       CHECK:   llvm.select %[[C]], %{{[^,]+}}, %{{[^,]+}} : i1, f32
-//       CHECK:   llvm.select %[[C]], %{{[^,]+}}, %{{[^,]+}} : i1, f64
-//       CHECK:   llvm.call @tai_rt_shadow_flip
 llvm.func @decide(%frame: !llvm.ptr, %a: f32, %b: f32, %p: !llvm.ptr) {
   %0 = llvm.fcmp "olt" %a, %b : f32
   %1 = llvm.select %0, %a, %b : i1, f32
