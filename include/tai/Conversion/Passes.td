@@ -265,8 +265,6 @@ def VectorizeIterations : Pass<"tai-vectorize-iterations"> {
     vectorise. Each operation is done once for each iteration as before.
 
     ```mlir
-    #group = #llvm.access_group<id = distinct[0]<>>
-    #parallel = #llvm.loop_annotation<parallelAccesses = #group>
     func.func @k(%x: !llvm.ptr, %n: index) {
       %c0 = arith.constant 0 : index
       %c1 = arith.constant 1 : index
@@ -274,10 +272,17 @@ def VectorizeIterations : Pass<"tai-vectorize-iterations"> {
         %at = arith.index_cast %i : index to i64
         %p = llvm.getelementptr %x[%at] : (!llvm.ptr, i64) -> !llvm.ptr, f32
         // becomes a load of vector<8xf32>
-        %v = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+        %v = llvm.load %p {
+          access_groups = [#llvm.access_group<id = distinct[0]<>>]
+        } : !llvm.ptr -> f32
         %w = arith.mulf %v, %v : f32
-        llvm.store %w, %p {access_groups = [#group]} : f32, !llvm.ptr
-      } {llvm.loop_annotation = #parallel}
+        llvm.store %w, %p {
+          access_groups = [#llvm.access_group<id = distinct[0]<>>]
+        } : f32, !llvm.ptr
+      } {
+        llvm.loop_annotation = #llvm.loop_annotation<
+          parallelAccesses = #llvm.access_group<id = distinct[0]<>>>
+      }
       return
     }
     ```
