@@ -73,7 +73,9 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     function.addPass(createHoistAllocations());
     function.addPass(createSplitIndexSets());
     // The shadows of the copies' values would be as many.
-    if (!options.shadow) {
+    if (options.shadow) {
+      function.addPass(createVectorizeIterations());
+    } else {
       UnrollAndJamOptions jam;
       jam.reassociate = options.fastMath;
       function.addPass(createUnrollAndJam(jam));

@@ -3,21 +3,28 @@
 
 // CHECK: llvm.mlir.global external @tai_rt_shadows() {{.*}}: !llvm.ptr
 
-// Operands, results and places are handed over where the result alone is off;
-// the difference itself is what it was.
+// A result that alone is off is counted in the frame. Operands, results and
+// places are handed over where it may be the worst; the difference itself is
+// what it was.
 // CHECK-LABEL: llvm.func @difference(
 //  CHECK-SAME:     %[[FRAME:[^:]+]]: !llvm.ptr, %[[A:[^:]+]]: f32, %[[B:[^:]+]]: f32)
+//       CHECK:   %[[COUNTS:.+]] = llvm.alloca %{{.+}} x i8
+//       CHECK:   "llvm.intr.memset"(%[[COUNTS]],
 //   CHECK-DAG:   %[[SA:.+]] = llvm.fpext %[[A]] : f32 to f64
 //   CHECK-DAG:   %[[SB:.+]] = llvm.fpext %[[B]] : f32 to f64
 //   CHECK-DAG:   %[[R:.+]] = llvm.fsub %[[A]], %[[B]] : f32
 //   CHECK-DAG:   %[[SR:.+]] = llvm.fsub %[[SA]], %[[SB]] : f64
-//       CHECK:   llvm.cond_br %{{.+}} weights([1, 4]), ^[[ASK:bb[0-9]+]], ^[[REST:bb[0-9]+]]
-//       CHECK: ^[[ASK]]:
-//       CHECK:   llvm.cond_br %{{.+}} weights([1, 1000]), ^[[TELL:bb[0-9]+]], ^{{.+}}
+//       CHECK:   llvm.cond_br %{{.+}} weights([1, 100]), ^[[COUNT:bb[0-9]+]], ^[[REST:bb[0-9]+]]
+//       CHECK: ^[[COUNT]]:
+//       CHECK:   %[[LOST:.+]] = llvm.getelementptr %[[COUNTS]][8]
+//       CHECK:   llvm.store %{{.+}}, %[[LOST]] : i64
+//       CHECK:   llvm.cond_br %{{.+}} weights([1, 1000]), ^[[TELL:bb[0-9]+]], ^[[TOLD:bb[0-9]+]]
 //       CHECK: ^[[TELL]]:
 //       CHECK:   llvm.call @tai_rt_shadow_site(%[[FRAME]], {{.*}}%[[SR]])
+//       CHECK: ^[[TOLD]]:
 //       CHECK:   llvm.br ^[[REST]]
 //       CHECK: ^[[REST]]:
+//       CHECK:   llvm.call @tai_rt_shadow_counted(%[[FRAME]], %[[COUNTS]], %{{.+}})
 //       CHECK:   llvm.return %[[R]] : f32
 llvm.func @difference(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
   %0 = llvm.fsub %a, %b : f32
@@ -28,7 +35,7 @@ llvm.func @difference(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
 // CHECK-LABEL: llvm.func @product(
 //   CHECK-NOT:   llvm.call
 //       CHECK:   llvm.call @tai_rt_shadow_site
-//   CHECK-NOT:   llvm.call
+//   CHECK-NOT:   llvm.call @tai_rt_shadow_site
 //       CHECK:   llvm.return
 llvm.func @product(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
   %0 = llvm.fmul %a, %b : f32
@@ -95,9 +102,9 @@ llvm.func @loop(%frame: !llvm.ptr, %n: i64) -> f32 {
 //       CHECK:   %[[C:.+]] = llvm.fcmp "olt" %{{.+}}, %{{.+}} : f32
 //       CHECK:   %[[SC:.+]] = llvm.fcmp "olt" %{{.+}}, %{{.+}} : f64
 //       CHECK:   llvm.icmp "ne" %[[C]], %[[SC]] : i1
+//       CHECK:   llvm.call @tai_rt_shadow_flip
 //       CHECK:   llvm.select %[[C]], %{{[^,]+}}, %{{[^,]+}} : i1, f32
 //       CHECK:   llvm.select %[[C]], %{{[^,]+}}, %{{[^,]+}} : i1, f64
-//       CHECK:   llvm.call @tai_rt_shadow_flip
 llvm.func @decide(%frame: !llvm.ptr, %a: f32, %b: f32, %p: !llvm.ptr) {
   %0 = llvm.fcmp "olt" %a, %b : f32
   %1 = llvm.select %0, %a, %b : i1, f32
@@ -134,13 +141,13 @@ llvm.func @functions(%frame: !llvm.ptr, %a: f32, %d: f64, %p: !llvm.ptr) {
   llvm.return
 }
 
-// Lanes are told of one by one.
+// Lanes are counted together.
 // CHECK-LABEL: llvm.func @vectors(
 //       CHECK:   llvm.fadd %{{.+}}, %{{.+}} : vector<2xf64>
-//       CHECK:   llvm.shufflevector {{.*}} [0, 2, 1, 3] : vector<2xf32>
 //       CHECK:   llvm.intr.vector.reduce.or
-//       CHECK:   llvm.call @tai_rt_shadow_site
-//       CHECK:   llvm.call @tai_rt_shadow_site
+//       CHECK:   llvm.intr.ctpop
+//       CHECK:   llvm.call @tai_rt_shadow_lanes
+//       CHECK:   llvm.shufflevector {{.*}} [0, 2, 1, 3] : vector<2xf32>
 llvm.func @vectors(%frame: !llvm.ptr, %p: !llvm.ptr) {
   %0 = llvm.load %p : !llvm.ptr -> vector<2xf32>
   %1 = llvm.fadd %0, %0 : vector<2xf32>

@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 8
+#define TAI_ABI_VERSION 9
 
 #ifdef __cplusplus
 extern "C" {
@@ -94,6 +94,21 @@ typedef struct TaiShadowSite {
   uint64_t log; // the log that knows it, or 0
   void *site;   // how the log knows it
 } TaiShadowSite;
+
+/// What one run of a function has counted for a site by itself.
+typedef struct TaiShadowCount {
+  int64_t lost;
+  int64_t cancellations;
+  /// A result whose error is below this part of its shadow is not the worst of
+  /// the site. 0 until the run has reported a result.
+  double reach;
+  void *site; // set by the first report
+} TaiShadowCount;
+
+/// Followed in memory by a TaiShadowCount for each site of the function.
+typedef struct TaiShadowCounts {
+  int64_t any; // not 0 if the run has reported a result
+} TaiShadowCounts;
 
 /// Atomic updates; see tai_rt_shadow_atomic.
 enum TaiShadowUpdate {

@@ -252,6 +252,45 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
                            "::mlir::func::FuncDialect"];
 }
 
+def VectorizeIterations : Pass<"tai-vectorize-iterations"> {
+  let summary = "make vectors of the iterations of independent loops";
+  let description = [{
+    An innermost loop that says of its accesses that they do not depend on those
+    of other iterations becomes one over vectors of eight f32, and one over the
+    iterations that are left. It may have loads and stores of consecutive f32,
+    loads of what all iterations read, arithmetic, and branches that all
+    iterations take alike. Other loops are not changed.
+
+    For shadow execution, which leaves branches behind that LLVM does not
+    vectorise. Each operation is done once for each iteration as before.
+
+    ```mlir
+    func.func @k(%x: !llvm.ptr, %n: index) {
+      %c0 = arith.constant 0 : index
+      %c1 = arith.constant 1 : index
+      scf.for %i = %c0 to %n step %c1 {
+        %at = arith.index_cast %i : index to i64
+        %p = llvm.getelementptr %x[%at] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+        // becomes a load of vector<8xf32>
+        %v = llvm.load %p {
+          access_groups = [#llvm.access_group<id = distinct[0]<>>]
+        } : !llvm.ptr -> f32
+        %w = arith.mulf %v, %v : f32
+        llvm.store %w, %p {
+          access_groups = [#llvm.access_group<id = distinct[0]<>>]
+        } : f32, !llvm.ptr
+      } {
+        llvm.loop_annotation = #llvm.loop_annotation<
+          parallelAccesses = #llvm.access_group<id = distinct[0]<>>>
+      }
+      return
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::LLVM::LLVMDialect",
+                           "::mlir::arith::ArithDialect"];
+}
+
 def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
   let summary = "compute each float again in higher precision, and compare";
   let description = [{
@@ -290,7 +329,8 @@ def ShadowExecution : Pass<"tai-shadow-execution", "::mlir::ModuleOp"> {
       %fires = llvm.fcmp "une" %back, %s0 : f64
       llvm.cond_br %fires, ^report, ^rest
     ^report:
-      // With the operands, the result and how far their shadows lie above them.
+      // Counts it in the frame of the function. If it may be the worst, with
+      // the operands, the result and how far their shadows lie above them:
       llvm.call @tai_rt_shadow_site(%frame) : (!llvm.ptr) -> ()
       llvm.br ^rest
     ^rest:

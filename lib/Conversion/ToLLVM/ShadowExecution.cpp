@@ -10,14 +10,15 @@
 // Shadows are values too; each float block argument gets a block argument for
 // its shadow.
 //
-// The check must be cheap if nothing is reported. The tests of several
-// operations of a block are combined into one branch, in which each of them is
-// reported to the runtime.
+// Adjoints that have lost digits pass them on: many results are off because
+// their operands are. So a branch is for what is reported alone, and the tests
+// of operands, most of which are those of other results, stand before it.
 //
 //===----------------------------------------------------------------------===//
 
 #include "../TaiToHost/RuntimeCalls.h"
 #include "ShadowOps.h"
+#include "ShadowReports.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/IR/Matchers.h"
@@ -35,15 +36,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 static constexpr StringLiteral kTable = "tai_rt_shadows";
-/// So many operations share a branch at the most. Their operands live until
-/// then, and what must be spilled for them costs more than a branch: of 1, 2,
-/// 4, 8 and 16, two are the fastest.
-static constexpr size_t kMostSites = 2;
-
-/// How often no branch is taken for each time that one is. Adjoints that have
-/// lost digits pass them on, so that many results are off and few calls are
-/// made: registers are to be saved at the calls, and not before the tests.
-static constexpr uint32_t kRightToOff = 4, kSilentToTold = 1000;
+/// How often no result is to be reported for each time that one is.
+static constexpr uint32_t kRightToWrong = 100;
 
 static bool isFloat(Type type) {
   return isa<FloatType>(getElementTypeOrSelf(type)) &&
@@ -65,10 +59,9 @@ namespace {
 class Shadows {
 public:
   Shadows(LLVM::LLVMFuncOp function, RuntimeCalls &runtime,
-          llvm::StringMap<LLVM::GlobalOp> &texts, Type wide,
-          unsigned mostPrecision)
+          ShadowReports::Texts &texts, Type wide, unsigned mostPrecision)
       : b(function.getLoc(), function.getContext()), function(function),
-        runtime(runtime), texts(texts), wide(wide),
+        runtime(runtime), reports(b, function, runtime, texts), wide(wide),
         mostPrecision(mostPrecision) {}
 
   void run();
@@ -135,18 +128,18 @@ private:
   Value entryOf(Value address);
   void flush(Operation *before);
   void report(const Site &site);
-  Value describe(Operation *op);
 
   ImplicitLocOpBuilder b;
   LLVM::LLVMFuncOp function;
   RuntimeCalls &runtime;
-  /// What describes sites.
-  llvm::StringMap<LLVM::GlobalOp> &texts;
+  ShadowReports reports;
   /// The type of shadows of f64.
   Type wide;
   unsigned mostPrecision;
   Value table;
   DenseMap<Value, Value> shadows, off, tainted;
+  /// How far the shadows of what is loaded lie above it.
+  DenseMap<Value, Value> parts;
   SmallVector<Site> sites;
 };
 } // namespace
@@ -192,13 +185,28 @@ Value Shadows::emitIsOff(Value value) {
   Value shadow = getShadow(value);
   Type type = shadow.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(value.getType()));
-  Value error = LLVM::FAbsOp::create(b, getError(value));
+  // What was loaded has its error beside it.
+  Value error = parts.lookup(value);
+  error = LLVM::FAbsOp::create(b, error ? error : getError(value));
   Value most = LLVM::FMulAddOp::create(
       b, LLVM::FAbsOp::create(b, shadow),
       constant(type, std::ldexp(1, -int(getMeasure(value.getType()) / 2))),
       constant(type,
                APFloat::getSmallestNormalized(element.getFloatSemantics())));
   return LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::ugt, error, most);
+}
+
+/// The number that all lanes of a value are, if it is known.
+static Value getSplat(Value value) {
+  auto lanes = value.getDefiningOp<LLVM::ShuffleVectorOp>();
+  auto first =
+      lanes ? lanes.getV1().getDefiningOp<LLVM::InsertElementOp>() : nullptr;
+  llvm::APInt position;
+  if (!first || !matchPattern(first.getPosition(), m_ConstantInt(&position)) ||
+      !position.isZero() ||
+      llvm::any_of(lanes.getMask(), [](int32_t lane) { return lane != 0; }))
+    return {};
+  return first.getValue();
 }
 
 /// Whether the operands that a value is rounded from are off, where a report is
@@ -210,8 +218,13 @@ Value Shadows::emitIsTainted(Value value) {
   Value any;
   if (isa_and_nonnull<LLVM::ConstantOp, LLVM::SIToFPOp, LLVM::UIToFPOp>(op)) {
     any = {};
+  } else if (Value scalar = getSplat(value)) {
+    any = emitIsTainted(scalar);
+    if (any)
+      any = emitSplat(b, any, value.getType());
   } else if (!op || !onlyRounds(op) || !shadows.contains(value) ||
-             isa<VectorType>(value.getType())) {
+             isa<LLVM::ExtractElementOp, LLVM::InsertElementOp,
+                 LLVM::ShuffleVectorOp>(op)) {
     any = off.lookup(value);
     if (!any)
       any = emitIsOff(value);
@@ -269,8 +282,9 @@ Value Shadows::load(LLVM::LoadOp op) {
   Value same =
       LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::oeq, copy, op.getResult());
   part = LLVM::SelectOp::create(b, same, part, constant(type, 0));
-  return LLVM::FAddOp::create(b, extend(op.getResult()),
-                              convert(part, shadowType(type)));
+  part = convert(part, shadowType(type));
+  parts[op.getResult()] = part;
+  return LLVM::FAddOp::create(b, extend(op.getResult()), part);
 }
 
 void Shadows::store(LLVM::StoreOp op) {
@@ -539,131 +553,70 @@ void Shadows::visit(Operation *op) {
     addSite(op, operands[0], operands.size() > 1 ? operands[1] : Value());
 }
 
-/// "operation\nkernel\nplace"
-Value Shadows::describe(Operation *op) {
-  // Loops are functions of their own: k.loop0.
-  StringRef kernel = function.getName();
-  if (size_t end = kernel.rfind(".loop"); end != StringRef::npos)
-    kernel = kernel.take_front(end);
-  std::string text = nameOperation(op) + "\n" + kernel.str() + "\n" +
-                     describePlace(op->getLoc());
-  text.push_back('\0');
-  // Room for what the runtime knows of it: see TaiShadowSite.
-  text.insert(0, sizeof(TaiShadowSite), '\0');
-  LLVM::GlobalOp &global = texts[text];
-  if (!global) {
-    auto module = function->getParentOfType<ModuleOp>();
-    auto top = OpBuilder::atBlockBegin(module.getBody());
-    global = LLVM::GlobalOp::create(
-        top, module.getLoc(),
-        LLVM::LLVMArrayType::get(b.getI8Type(), text.size()),
-        /*isConstant=*/false, LLVM::Linkage::Internal,
-        "tai.site." + std::to_string(texts.size()), b.getStringAttr(text),
-        alignof(TaiShadowSite));
-  }
-  return LLVM::AddressOfOp::create(b, global);
-}
-
 void Shadows::report(const Site &site) {
-  Location loc = site.op->getLoc();
-  b.setLoc(loc);
+  b.setLoc(site.op->getLoc());
   Type f64 = b.getF64Type();
-  Value frame = function.getArgument(0), text = describe(site.op);
   Value typed = site.result ? site.result : site.a;
-  Value precision = integer(32, getMeasure(typed.getType()));
-  for (int64_t lane = 0, lanes = countLanes(typed.getType()); lane < lanes;
-       ++lane) {
+  unsigned precision = getMeasure(typed.getType());
+  Type type = withElement(typed.getType(), f64);
+  ShadowReports::Numbers numbers;
+  auto set = [&](Value value, Value &number, Value &error) {
+    number = value ? convert(value, type) : constant(type, 0);
+    error = value ? convert(getError(value), type) : constant(type, 0);
+  };
+  set(site.a, numbers.a, numbers.errorOfA);
+  set(site.b, numbers.b, numbers.errorOfB);
+  numbers.isUnary = !site.b;
+  if (site.result) {
+    set(site.result, numbers.result, numbers.error);
+    numbers.exact = convert(getShadow(site.result), type);
+    return reports.emitResult(site.op, precision, site.fires, numbers);
+  }
+  if (!isa<VectorType>(type))
+    return reports.emitFlip(site.op, precision, numbers);
+  for (int64_t lane = 0, lanes = countLanes(type); lane < lanes; ++lane) {
     auto pick = [&](Value value) -> Value {
-      if (!isa<VectorType>(value.getType()))
-        return value;
       return LLVM::ExtractElementOp::create(b, value, integer(32, lane));
     };
-    SmallVector<Value> numbers;
-    auto add = [&](Value value) {
-      if (!value) {
-        Value zero = constant(f64, 0);
-        llvm::append_values(numbers, zero, zero);
-        return;
-      }
-      numbers.push_back(convert(pick(value), f64));
-      numbers.push_back(convert(pick(getError(value)), f64));
-    };
-    add(site.a);
-    add(site.b);
-    if (!site.result) {
-      // Of a vector, those lanes that do not differ say nothing.
-      Block *rest = nullptr;
-      if (lanes > 1) {
-        Block *here = b.getInsertionBlock();
-        rest = here->splitBlock(b.getInsertionPoint());
-        Block *told = b.createBlock(rest);
-        b.setInsertionPointToEnd(here);
-        LLVM::CondBrOp::create(b, pick(site.fires), told, rest);
-        b.setInsertionPointToEnd(told);
-      }
-      runtime.tai_rt_shadow_flip(b, loc, frame, text, precision, numbers[0],
-                                 numbers[1], numbers[2], numbers[3]);
-      if (rest) {
-        LLVM::BrOp::create(b, rest);
-        b.setInsertionPointToStart(rest);
-      }
-      continue;
-    }
-    add(site.result);
-    Value fires = LLVM::ZExtOp::create(b, b.getI32Type(), pick(site.fires));
-    runtime.tai_rt_shadow_site(b, loc, frame, text, precision, fires,
-                               numbers[0], numbers[1], numbers[2], numbers[3],
-                               numbers[4], numbers[5],
-                               convert(pick(getShadow(site.result)), f64));
+    // Those lanes that do not differ say nothing.
+    Block *here = b.getInsertionBlock();
+    Block *rest = here->splitBlock(b.getInsertionPoint());
+    Block *told = b.createBlock(rest);
+    b.setInsertionPointToEnd(here);
+    LLVM::CondBrOp::create(b, pick(site.fires), told, rest);
+    b.setInsertionPointToEnd(told);
+    ShadowReports::Numbers own;
+    own.a = pick(numbers.a);
+    own.errorOfA = pick(numbers.errorOfA);
+    own.b = pick(numbers.b);
+    own.errorOfB = pick(numbers.errorOfB);
+    reports.emitFlip(site.op, precision, own);
+    LLVM::BrOp::create(b, rest);
+    b.setInsertionPointToStart(rest);
   }
 }
 
-/// One branch for the sites that are waiting.
+/// A branch for each site that is waiting.
 void Shadows::flush(Operation *before) {
-  if (sites.empty())
-    return;
-  SmallVector<Site> all = std::move(sites);
-  sites.clear();
   b.setInsertionPoint(before);
-  b.setLoc(before->getLoc());
-  Value any;
-  for (const Site &site : all) {
-    Value fires = site.fires;
-    if (isa<VectorType>(fires.getType()))
-      fires = LLVM::vector_reduce_or::create(b, b.getI1Type(), fires);
-    any = either(any, fires);
-  }
-  Block *here = before->getBlock();
-  Block *rest = here->splitBlock(before);
-  Block *told = b.createBlock(rest);
-  b.setInsertionPointToEnd(here);
-  LLVM::CondBrOp::create(b, any, told, ValueRange(), rest, ValueRange(),
-                         std::make_pair(uint32_t(1), kRightToOff));
-  b.setInsertionPointToEnd(told);
-  // What is asked here alone costs nothing where all is well.
-  tainted.clear();
-  for (Site &site : all)
-    site.fires = emitFires(site);
-  for (const Site &site : all) {
-    if (isa<VectorType>(site.fires.getType())) {
-      report(site);
-      continue;
-    }
-    Block *from = b.getInsertionBlock();
-    Block *told = b.createBlock(rest);
-    Block *next = b.createBlock(rest);
-    b.setInsertionPointToEnd(from);
+  for (Site &site : sites) {
     b.setLoc(site.op->getLoc());
-    LLVM::CondBrOp::create(b, site.fires, told, ValueRange(), next,
-                           ValueRange(),
-                           std::make_pair(uint32_t(1), kSilentToTold));
+    site.fires = emitFires(site);
+    Value any = site.fires;
+    if (isa<VectorType>(any.getType()))
+      any = LLVM::vector_reduce_or::create(b, b.getI1Type(), any);
+    Block *here = before->getBlock();
+    Block *rest = here->splitBlock(before);
+    Block *told = b.createBlock(rest);
+    b.setInsertionPointToEnd(here);
+    LLVM::CondBrOp::create(b, any, told, ValueRange(), rest, ValueRange(),
+                           std::make_pair(uint32_t(1), kRightToWrong));
     b.setInsertionPointToEnd(told);
     report(site);
-    LLVM::BrOp::create(b, next);
-    b.setInsertionPointToEnd(next);
+    LLVM::BrOp::create(b, rest);
+    b.setInsertionPoint(before);
   }
-  b.setLoc(before->getLoc());
-  LLVM::BrOp::create(b, rest);
+  sites.clear();
 }
 
 void Shadows::run() {
@@ -700,15 +653,14 @@ void Shadows::run() {
     }
   }
   for (SmallVector<Operation *> &ops : operations) {
+    // What is tested in one block is not known in all others.
+    tainted.clear();
     for (Operation *op : ops) {
-      if (op->hasTrait<OpTrait::IsTerminator>()) {
-        flush(op);
+      if (op->hasTrait<OpTrait::IsTerminator>())
         continue;
-      }
       Operation *next = op->getNextNode();
       visit(op);
-      if (sites.size() >= kMostSites)
-        flush(next);
+      flush(next);
     }
   }
   // All shadows are there now.
@@ -725,6 +677,7 @@ void Shadows::run() {
       operands.append(more);
     }
   }
+  reports.finish();
 }
 
 namespace {
@@ -760,7 +713,7 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
         b, module.getLoc(), LLVM::LLVMPointerType::get(context),
         /*isConstant=*/false, LLVM::Linkage::External, kTable, Attribute());
     RuntimeCalls runtime(module);
-    llvm::StringMap<LLVM::GlobalOp> texts;
+    ShadowReports::Texts texts;
     unsigned mostPrecision = ~0u;
     module.walk([&](LLVM::FPExtOp op) {
       Type type = getElementTypeOrSelf(op.getArg().getType());
@@ -770,6 +723,7 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
     });
     for (LLVM::LLVMFuncOp function : functions)
       Shadows(function, runtime, texts, wide, mostPrecision).run();
+    ShadowReports::restrictEffects(module);
   }
 };
 } // namespace

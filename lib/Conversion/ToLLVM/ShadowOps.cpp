@@ -57,3 +57,15 @@ bool tai::onlyMoves(Operation *op) {
              LLVM::InsertElementOp, LLVM::ShuffleVectorOp, LLVM::MaxNumOp,
              LLVM::MinNumOp, LLVM::MaximumOp, LLVM::MinimumOp>(op);
 }
+
+Value tai::emitSplat(ImplicitLocOpBuilder &b, Value value, Type like) {
+  auto vector = dyn_cast<VectorType>(like);
+  if (!vector)
+    return value;
+  Type type = vector.clone(value.getType());
+  Value none = LLVM::PoisonOp::create(b, type);
+  Value zero = LLVM::ConstantOp::create(b, b.getI32Type(), 0);
+  Value first = LLVM::InsertElementOp::create(b, none, value, zero);
+  SmallVector<int32_t> lanes(vector.getNumElements(), 0);
+  return LLVM::ShuffleVectorOp::create(b, first, none, lanes);
+}

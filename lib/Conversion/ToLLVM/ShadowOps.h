@@ -12,7 +12,7 @@
 #ifndef TAI_LIB_CONVERSION_TOLLVM_SHADOWOPS_H
 #define TAI_LIB_CONVERSION_TOLLVM_SHADOWOPS_H
 
-#include "mlir/IR/Operation.h"
+#include "mlir/IR/ImplicitLocOpBuilder.h"
 
 namespace mlir::tai {
 
@@ -27,6 +27,10 @@ bool onlyRounds(Operation *op);
 
 /// True for an operation that copies values without computing.
 bool onlyMoves(Operation *op);
+
+/// A vector of the shape of `like` whose lanes are `value`; if `like` is no
+/// vector, that.
+Value emitSplat(ImplicitLocOpBuilder &b, Value value, Type like);
 
 } // namespace mlir::tai
 

@@ -25,15 +25,27 @@ static double relativeError(double value, double error) {
 }
 
 /// Counts; without a locked operation where one thread runs.
-static void count(std::atomic<int64_t> &counter, bool alone) {
+static void count(std::atomic<int64_t> &counter, bool alone,
+                  int64_t times = 1) {
   if (alone)
-    counter.store(counter.load(std::memory_order_relaxed) + 1,
+    counter.store(counter.load(std::memory_order_relaxed) + times,
                   std::memory_order_relaxed);
   else
-    counter.fetch_add(1, std::memory_order_relaxed);
+    counter.fetch_add(times, std::memory_order_relaxed);
+}
+
+/// The error relative to the shadow that rounding alone makes.
+static double roundingOf(int32_t precision) {
+  return precision == 24 ? 0x1p-24 : std::ldexp(1, -precision);
+}
+
+/// Most results are not the worst by far, which takes no division to see.
+static double reachOf(const ShadowLog::Site &site, double least) {
+  return 0.99 * least * site.growth.load(std::memory_order_relaxed);
 }
 
 extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
+                                   TaiShadowCounts *counts, int32_t index,
                                    int32_t precision, int32_t fires, double a,
                                    double errorOfA, double b, double errorOfB,
                                    double result, double error, double exact) {
@@ -49,24 +61,56 @@ extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
   // Of a difference: both operands are at least eight times as large.
   if (std::min(std::abs(a), std::abs(b)) > 8 * std::abs(result))
     count(site.cancellations, alone);
-  // Rounding alone makes so much.
-  double least = precision == 24 ? 0x1p-24 : std::ldexp(1, -precision);
-  // Most are not the worst by far, which takes no division to see.
-  double worst = site.growth.load(std::memory_order_relaxed);
-  if (std::abs(error) < 0.99 * least * worst * std::abs(exact))
-    return;
+  double least = roundingOf(precision);
+  auto answer = [&] {
+    if (!counts)
+      return;
+    auto *own = reinterpret_cast<TaiShadowCount *>(counts + 1) + index;
+    own->reach = reachOf(site, least);
+    own->site = &site;
+    counts->any = 1;
+  };
+  if (std::abs(error) < reachOf(site, least) * std::abs(exact))
+    return answer();
   double made = relativeError(result, error);
   double in = std::max(relativeError(a, errorOfA), relativeError(b, errorOfB));
   double growth = made / std::max(in, least);
-  if (growth <= worst)
-    return;
-  std::lock_guard<std::mutex> lock(site.worst);
-  if (growth <= site.growth.load(std::memory_order_relaxed))
-    return;
-  site.growth = growth;
-  site.precision = precision;
-  site.errorMade = made;
-  site.errorIn = in;
+  if (growth > site.growth.load(std::memory_order_relaxed)) {
+    std::lock_guard<std::mutex> lock(site.worst);
+    if (growth > site.growth.load(std::memory_order_relaxed)) {
+      site.growth = growth;
+      site.precision = precision;
+      site.errorMade = made;
+      site.errorIn = in;
+    }
+  }
+  answer();
+}
+
+extern "C" void tai_rt_shadow_lanes(TaiFrame *frame, TaiShadowSite *named,
+                                    TaiShadowCounts *counts, int32_t index,
+                                    int32_t precision, int32_t lanes,
+                                    int64_t fires, const double *numbers) {
+  for (int32_t lane = 0; lane < lanes; ++lane) {
+    auto number = [&](int32_t i) { return numbers[i * lanes + lane]; };
+    if (fires >> lane & 1)
+      tai_rt_shadow_site(frame, named, counts, index, precision, 1, number(0),
+                         number(1), number(2), number(3), number(4), number(5),
+                         number(6));
+  }
+}
+
+extern "C" void tai_rt_shadow_counted(TaiFrame *frame, TaiShadowCounts *counts,
+                                      int32_t sites) {
+  bool alone = launchOf(frame).owner().threads() == 1;
+  auto *own = reinterpret_cast<TaiShadowCount *>(counts + 1);
+  for (int32_t i = 0; i < sites; ++i) {
+    if (!own[i].lost)
+      continue;
+    auto &site = *static_cast<ShadowLog::Site *>(own[i].site);
+    count(site.lost, alone, own[i].lost);
+    count(site.cancellations, alone, own[i].cancellations);
+  }
 }
 
 extern "C" void tai_rt_shadow_flip(TaiFrame *frame, TaiShadowSite *named,

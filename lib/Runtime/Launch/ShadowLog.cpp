@@ -22,8 +22,10 @@ Status shadow::reserve() {
   std::lock_guard<std::mutex> lock(mutex);
   if (tai_rt_shadows)
     return Status::success();
-  void *table = mmap(nullptr, 2 * (TAI_SHADOW_MASK + 1), PROT_READ | PROT_WRITE,
-                     MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  // A vector that begins in the last entries ends in the page behind them.
+  void *table =
+      mmap(nullptr, 2 * (TAI_SHADOW_MASK + 1) + 4096, PROT_READ | PROT_WRITE,
+           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (table == MAP_FAILED)
     return Status::failure(
         StatusCode::Memory,

@@ -371,3 +371,39 @@ def test_options_that_do_not_go_together():
     ti.init(arch=ti.cpu)
     with pytest.raises(TaiRuntimeError, match=r"ti\.init\(shadow=True\)"):
         ti.tools.shadow_report()
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+@pytest.mark.parametrize("n", [3, 8, 37, 300])
+def test_reports_of_vectors_are_those_of_single_iterations(n, threads):
+    """Loops over consecutive f32 run on vectors; with an index from memory they do not."""
+    init(cpu_max_num_threads=threads)
+    x, y, z = (ti.field(ti.f32, (n, n)) for _ in range(3))
+    place = ti.field(ti.i32, n)
+
+    @ti.kernel
+    def together():
+        for i, j in ti.ndrange((1, n - 1), (1, n - 1)):
+            y[i, j] = x[i, j + 1] * 3 - x[i, j - 1] * 3 + x[i + 1, j] / 7 - x[i - 1, j] / 7
+
+    @ti.kernel
+    def one_by_one():
+        for i, j in ti.ndrange((1, n - 1), (1, n - 1)):
+            k = place[j]
+            z[i, k] = x[i, k + 1] * 3 - x[i, k - 1] * 3 + x[i + 1, k] / 7 - x[i - 1, k] / 7
+
+    rng = np.random.default_rng(3)
+    place.from_numpy(np.arange(n, dtype=np.int32))
+    smooth = 1 + 1e-6 * rng.integers(0, 9, (n, n))
+    smooth[n // 2, n // 3] = 3e38
+    x.from_numpy(smooth.astype(np.float32))
+    together()
+    one_by_one()
+    rows = {"together": [], "one_by_one": []}
+    for row in ti.tools.shadow_report():
+        numbers = (row.lost, row.cancellations, row.non_finite, row.digits_lost, row.error)
+        rows[row.kernel].append((row.operation, row.column, *numbers))
+    assert len(rows["together"]) == len(rows["one_by_one"]) > 0
+    for one, other in zip(*(sorted(r, key=lambda row: row[1]) for r in rows.values()), strict=True):
+        assert (one[0], *one[2:]) == (other[0], *other[2:])
+    np.testing.assert_array_equal(y.to_numpy(), z.to_numpy())

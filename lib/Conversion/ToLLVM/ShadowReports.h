@@ -1,0 +1,85 @@
+//===- ShadowReports.h - What shadow execution finds ------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Reports from code that `tai-shadow-execution` instruments. A function counts
+// its results with errors in its stack frame, and the runtime adds the counts
+// when it returns. The runtime is called for a result that may be the worst of
+// its site so far, and for the first one of each site in a run of the function.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_TOLLVM_SHADOWREPORTS_H
+#define TAI_LIB_CONVERSION_TOLLVM_SHADOWREPORTS_H
+
+#include "../TaiToHost/RuntimeCalls.h"
+#include "mlir/IR/ImplicitLocOpBuilder.h"
+
+namespace mlir::tai {
+
+class ShadowReports {
+public:
+  /// The descriptions of sites in a module, by their text.
+  using Texts = llvm::StringMap<LLVM::GlobalOp>;
+
+  ShadowReports(ImplicitLocOpBuilder &b, LLVM::LLVMFuncOp function,
+                RuntimeCalls &runtime, Texts &texts)
+      : b(b), function(function), runtime(runtime), texts(texts) {}
+
+  /// The operands and the result of an operation in f64, each with the
+  /// difference of its shadow to it, and the shadow of the result. Scalars or
+  /// vectors.
+  struct Numbers {
+    Value a, errorOfA, b, errorOfB, result, error, exact;
+    bool isUnary;
+  };
+
+  /// Counts the result where `fires` holds, which it is known to do if it is
+  /// not a vector. Splits the block at the insertion point, and continues
+  /// behind.
+  void emitResult(Operation *op, unsigned precision, Value fires,
+                  const Numbers &numbers);
+  /// Reports a comparison or a conversion, of scalars.
+  void emitFlip(Operation *op, unsigned precision, const Numbers &numbers);
+
+  /// When all reports have been emitted: the counts at the entry and at
+  /// returns.
+  void finish();
+
+  /// Declares what the runtime's functions for reports access.
+  static void restrictEffects(ModuleOp module);
+
+private:
+  Value integer(unsigned bits, int64_t value) {
+    return LLVM::ConstantOp::create(b, b.getIntegerType(bits), value);
+  }
+  Value describe(Operation *op);
+  /// The number of the count for a site, or nothing if there are too many.
+  std::optional<int32_t> getCount(Value site);
+  Value emitMember(int32_t count, size_t offset);
+  void emitAdd(int32_t count, size_t offset, Value more);
+  void emitLanes(Value site, std::optional<int32_t> count, Value precision,
+                 Value fires, const Numbers &numbers);
+  /// Continues behind a block that runs if the condition holds, which `emit`
+  /// fills.
+  void emitIf(Value condition, bool isRare, llvm::function_ref<void()> emit);
+  Value emitIsCommon(int32_t count, const Numbers &numbers);
+  Value emitCancels(const Numbers &numbers);
+
+  ImplicitLocOpBuilder &b;
+  LLVM::LLVMFuncOp function;
+  RuntimeCalls &runtime;
+  Texts &texts;
+  /// The counts in the stack frame, and room for numbers of lanes; null until
+  /// used.
+  LLVM::AllocaOp counts, lanes;
+  int64_t mostLanes = 0;
+  llvm::DenseMap<StringAttr, int32_t> numbersOfSites;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_TOLLVM_SHADOWREPORTS_H
