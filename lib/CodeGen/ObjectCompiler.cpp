@@ -174,6 +174,11 @@ void ObjectCompiler::runPasses(Module &module) {
   CGSCCAnalysisManager sccs;
   ModuleAnalysisManager modules;
   TargetLibraryInfoImpl libraryInfo(machine->getTargetTriple());
+  // A power of 2^n would become exp2 of n times the exponent: that product is
+  // rounded, and the error grows with it.
+  if (!options.fastMath)
+    for (LibFunc function : {LibFunc_exp2, LibFunc_exp2f, LibFunc_exp2l})
+      libraryInfo.setUnavailable(function);
   // Its results are within 4 ulp, which only fast_math may accept.
   if (options.fastMath && machine->getTargetTriple().isX86() &&
       hasVectorMathLibrary())
