@@ -14,6 +14,7 @@
 #include "Passes/InsertSafepoints.h"
 #include "Passes/ManyLoops.h"
 #include "Passes/TransposeColumns.h"
+#include "Passes/VectorizeLoops.h"
 #include "Passes/WidenSums.h"
 #include "VerifyEach.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
@@ -185,13 +186,14 @@ void ObjectCompiler::runPasses(Module &module) {
     libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,
                                                    machine->getTargetTriple());
   functions.registerPass([&] { return TargetLibraryAnalysis(libraryInfo); });
-  // The pipeline's own value numbering makes way for ours, which is all that an
-  // option of the pipeline could do, if it had one.
+  // The pipeline's own value numbering and vectoriser make way for ours, which
+  // is all that an option of the pipeline could do, if it had one.
   PassInstrumentationCallbacks callbacks;
   bool isDivided = divideManyLoops(module);
   callbacks.registerShouldRunOptionalPassCallback(
       [isDivided](StringRef name, const Any &ir) {
-        return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir) &&
+        return name != "GVNPass" && name != "LoopVectorizePass" &&
+               KeepHugeLoopsScalar::canRun(name, ir) &&
                !(isDivided && looksThroughCalls(name));
       });
   verifyOwnPasses(callbacks);
@@ -201,8 +203,10 @@ void ObjectCompiler::runPasses(Module &module) {
         late.addPass(StencilGVN());
       });
   builder.registerVectorizerStartEPCallback(
-      [](FunctionPassManager &early, OptimizationLevel) {
+      [&](FunctionPassManager &early, OptimizationLevel) {
         early.addPass(KeepHugeLoopsScalar());
+        early.addPass(VectorizeLoops(LoopVectorizeOptions(
+            !tuning.LoopInterleaving, !tuning.LoopVectorization)));
       });
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
