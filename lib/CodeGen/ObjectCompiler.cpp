@@ -14,6 +14,7 @@
 #include "Passes/InsertSafepoints.h"
 #include "Passes/ManyLoops.h"
 #include "Passes/TransposeColumns.h"
+#include "Passes/VectorizeLoops.h"
 #include "Passes/WidenSums.h"
 #include "VerifyEach.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
@@ -174,19 +175,25 @@ void ObjectCompiler::runPasses(Module &module) {
   CGSCCAnalysisManager sccs;
   ModuleAnalysisManager modules;
   TargetLibraryInfoImpl libraryInfo(machine->getTargetTriple());
+  // A power of 2^n would become exp2 of n times the exponent: that product is
+  // rounded, and the error grows with it.
+  if (!options.fastMath)
+    for (LibFunc function : {LibFunc_exp2, LibFunc_exp2f, LibFunc_exp2l})
+      libraryInfo.setUnavailable(function);
   // Its results are within 4 ulp, which only fast_math may accept.
   if (options.fastMath && machine->getTargetTriple().isX86() &&
       hasVectorMathLibrary())
     libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,
                                                    machine->getTargetTriple());
   functions.registerPass([&] { return TargetLibraryAnalysis(libraryInfo); });
-  // The pipeline's own value numbering makes way for ours, which is all that an
-  // option of the pipeline could do, if it had one.
+  // The pipeline's own value numbering and vectoriser make way for ours, which
+  // is all that an option of the pipeline could do, if it had one.
   PassInstrumentationCallbacks callbacks;
   bool isDivided = divideManyLoops(module);
   callbacks.registerShouldRunOptionalPassCallback(
       [isDivided](StringRef name, const Any &ir) {
-        return name != "GVNPass" && KeepHugeLoopsScalar::canRun(name, ir) &&
+        return name != "GVNPass" && name != "LoopVectorizePass" &&
+               KeepHugeLoopsScalar::canRun(name, ir) &&
                !(isDivided && looksThroughCalls(name));
       });
   verifyOwnPasses(callbacks);
@@ -196,8 +203,10 @@ void ObjectCompiler::runPasses(Module &module) {
         late.addPass(StencilGVN());
       });
   builder.registerVectorizerStartEPCallback(
-      [](FunctionPassManager &early, OptimizationLevel) {
+      [&](FunctionPassManager &early, OptimizationLevel) {
         early.addPass(KeepHugeLoopsScalar());
+        early.addPass(VectorizeLoops(LoopVectorizeOptions(
+            !tuning.LoopInterleaving, !tuning.LoopVectorization)));
       });
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {

@@ -33,6 +33,7 @@ class Field:
     sparse: int = 0  # how many sparse levels lie above it
     levels: int = 1
     is_list: bool = False
+    added: int = 0  # how much narrow floats may grow by
 
 
 @dataclass

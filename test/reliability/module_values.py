@@ -39,6 +39,8 @@ class Values:
         self.atomics: list[Field] = []
         self.serial = False
         self.budget = 0
+        # How often, at most, an iteration of the loop at hand comes to this place.
+        self.inner_times = 1
 
     # Text.
 

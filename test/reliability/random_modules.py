@@ -2,8 +2,9 @@
 
 An iteration of a parallel loop writes to elements of its own, reads what the loop does not write,
 and meets others in atomics alone, of one kind for each field, whose old values it does not use.
-Sums of floats are of small whole numbers, which every order gets right. What an operation leaves
-undefined is kept out: shifts are masked, casts clamped, indices taken modulo their extent.
+Sums of floats are of small whole numbers, which every order gets right, and of so few that none
+leaves the whole numbers its type holds: a sum may be kept in a wider float. What an operation
+leaves undefined is kept out: shifts are masked, casts clamped, indices taken modulo their extent.
 
 Results of operations that are not exact (functions of libm, decompositions) go straight into
 fields of their own, whose names say how near they must come: `near_…` to some units in the last
@@ -11,6 +12,8 @@ place, `loose_…` to a relative error.
 """
 
 from __future__ import annotations
+
+import math
 
 from module_text import (
     FLOATS,
@@ -23,6 +26,10 @@ from module_text import (
     split,
 )
 from module_values import Values
+
+# Up to here a float holds every whole number, less the one that a field holds before. Those of
+# f32 and f64 are beyond what a module adds up.
+EXACT = {"bf16": 255, "f16": 2047}
 
 
 class Generator(Values):
@@ -238,8 +245,11 @@ class Generator(Values):
             args = f" iter_args({pairs}) -> ({', '.join(types)})"
         suffix = "" if counter == "index" else f" : {counter}"
         self.line(f"{head}scf.for {iv} = {low} to {high} step {step}{args}{suffix} {{")
+        # From -2 to 6.
+        self.inner_times *= 8
         self.block(inner, nesting - 1)
         self.yielded(types, inner)
+        self.inner_times //= 8
         self.line("}")
         for name, type_ in zip(names, types, strict=True):
             scope.add(name, type_)
@@ -255,6 +265,8 @@ class Generator(Values):
         pairs = ", ".join(f"{c} = {i}" for c, i in zip(before, initial, strict=True))
         listed = ", ".join(types)
         self.line(f"{head}scf.while ({pairs}) : ({listed}) -> ({listed}) {{")
+        # The condition holds five times at most.
+        self.inner_times *= 6
         self.block(outer, 0, 2)
         self.depth += 1
         most = self.constant("i32", Scope(), str(self.rng.randint(0, 5)))
@@ -270,6 +282,7 @@ class Generator(Values):
         args = ", ".join(f"{a}: {t}" for a, t in zip(after, types, strict=True))
         self.line(f"^bb0({args}):")
         self.block(inner, nesting - 1, 2)
+        self.inner_times //= 6
         self.depth += 1
         one = self.constant("i32", Scope(), "1")
         more = self.op(f"arith.addi {after[0]}, {one} : i32", "i32", Scope())
@@ -317,7 +330,7 @@ class Generator(Values):
             component = f" component [{', '.join(self.in_range(n, 0, scope, 1) for n in shape)}]"
             type_ = scalar
         if scalar in FLOATS and f.kind in ("add", "sub"):
-            value = self.small(type_, scope)
+            value = self.small(type_, scope, among=f)
         else:
             value = self.value(type_, scope)
         name = self.fresh()
@@ -326,13 +339,29 @@ class Generator(Values):
         if self.serial:
             scope.add(name, type_)
 
-    def small(self, type_: str, scope: Scope) -> str:
-        """A whole number from -1 to 1, as a float."""
+    def among_first(self, value: str, scalar: str, f: Field) -> str:
+        """The number in as many iterations as keep the sums of the field exact; zero in others."""
+        times = max(self.inner_times * math.prod(self.shape[1:]), 1)
+        room = max(EXACT[scalar] - f.added, 0)
+        first = min(room // times, self.shape[0])
+        f.added += first * times
+        none = Scope()
+        zero = self.constant(scalar, none, "0.0")
+        if first == 0:
+            return zero
+        end = self.constant("index", none, str(first))
+        holds = self.op(f"arith.cmpi ult, {self.ivs[0]}, {end} : index", "i1", none)
+        return self.op(f"arith.select {holds}, {value}, {zero} : {scalar}", scalar, none)
+
+    def small(self, type_: str, scope: Scope, among: Field | None = None) -> str:
+        """A whole number from -1 to 1, as a float; `among` is the field it is added to."""
         shape, scalar = split(type_)
         value = self.value("i32", scope, 1)
         two = self.constant("i32", Scope(), "2")
         value = self.op(f"arith.remsi {value}, {two} : i32", "i32", Scope())
         value = self.op(f"arith.sitofp {value} : i32 to {scalar}", scalar, Scope())
+        if among is not None and scalar in EXACT:
+            value = self.among_first(value, scalar, among)
         if shape:
             value = self.op(f"vector.broadcast {value} : {scalar} to {type_}", type_, Scope())
         return value

@@ -76,17 +76,17 @@ def SimplifyHugeBodies : Pass<"tai-simplify-huge-bodies"> {
 }
 
 def FoldAngles : Pass<"tai-fold-angles"> {
-  let summary = "fold atan2 of zeros";
+  let summary = "guard what upstream folds wrongly";
   let description = [{
     Replaces `math.atan2` of two zero constants by its value, 0 or π with the
     signs of the operands, as at run time. Runs before constant folding, because
     the folder of the op yields NaN. Operands that are computed from constants
-    count as constants.
+    count as constants. A cast of an index to fewer than 64 bits, which may lose
+    some, becomes one to i64 and a truncation: upstream drops a cast and the one
+    back to index.
 
     ```mlir
-    %zero = arith.constant 0.0 : f64
-    %minus = arith.subf %zero, %zero : f64
-    %a = math.atan2 %zero, %minus : f64
+    %a = math.atan2 %zero, %zero : f64
     ```
 
     becomes

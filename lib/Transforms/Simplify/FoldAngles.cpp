@@ -1,4 +1,4 @@
-//===- FoldAngles.cpp - Folds atan2 of zeros ------------------------------===//
+//===- FoldAngles.cpp - Guards what upstream folds wrongly ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
@@ -6,15 +6,19 @@
 //===----------------------------------------------------------------------===//
 //
 // Upstream folds atan2(0, 0) to NaN, which afterwards cannot be distinguished
-// from a NaN in the program.
+// from a NaN in the program. And it drops a pair of casts from index to a
+// narrow integer and back, whether or not the index fits.
 //
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
+#include "llvm/ADT/TypeSwitch.h"
 #include <cmath>
 
 namespace mlir::tai {
@@ -109,6 +113,46 @@ static TypedAttr foldAngle(math::Atan2Op op, Constants &constants) {
   return FloatAttr::get(op.getType(), angles.front());
 }
 
+/// True if the index is one of a loop, a size, or near one: those of index
+/// spaces fit 32 bits. So do constants and what comes from such an integer.
+static bool isOfIndexSpace(Value value) {
+  if (auto argument = dyn_cast<BlockArgument>(value)) {
+    Operation *parent = argument.getOwner()->getParentOp();
+    if (auto loop = dyn_cast<scf::ForOp>(parent))
+      return argument == loop.getInductionVar();
+    return isa<tai::ParallelForOp>(parent);
+  }
+  APInt constant;
+  if (matchPattern(value, m_ConstantInt(&constant)))
+    return constant.isSignedIntN(32);
+  Operation *op = value.getDefiningOp();
+  if (isa<arith::AddIOp, arith::SubIOp>(op))
+    return llvm::all_of(op->getOperands(), isOfIndexSpace);
+  if (isa<arith::RemUIOp, arith::RemSIOp>(op))
+    return isOfIndexSpace(op->getOperand(1));
+  if (auto cast = dyn_cast<arith::IndexCastOp>(op))
+    return cast.getIn().getType().getIntOrFloatBitWidth() <= 32;
+  if (auto cast = dyn_cast<arith::IndexCastUIOp>(op))
+    return cast.getIn().getType().getIntOrFloatBitWidth() < 32;
+  // What arith, a branch or a loop computes may be any number.
+  return !isa<arith::ArithDialect, scf::SCFDialect>(op->getDialect()) &&
+         !isa<tai::LocalLoadOp>(op);
+}
+
+/// index_cast %x : index to i8  ->  trunci (index_cast %x : index to i64) to i8
+template <typename Op> static bool keepTruncation(Op op) {
+  auto narrow = dyn_cast<IntegerType>(op.getType());
+  if (!narrow || !op.getIn().getType().isIndex() || narrow.getWidth() >= 64 ||
+      (narrow.getWidth() >= 32 && isOfIndexSpace(op.getIn())))
+    return false;
+  OpBuilder builder(op);
+  Value wide =
+      Op::create(builder, op.getLoc(), builder.getI64Type(), op.getIn());
+  op.replaceAllUsesWith(
+      arith::TruncIOp::create(builder, op.getLoc(), narrow, wide).getResult());
+  return true;
+}
+
 namespace {
 struct FoldAngles : tai::impl::FoldAnglesBase<FoldAngles> {
   using Base::Base;
@@ -125,6 +169,14 @@ struct FoldAngles : tai::impl::FoldAnglesBase<FoldAngles> {
       op.replaceAllUsesWith(
           arith::ConstantOp::create(builder, op.getLoc(), angle).getResult());
       replaced.push_back(op);
+    });
+    getOperation()->walk([&](Operation *op) {
+      bool isReplaced = llvm::TypeSwitch<Operation *, bool>(op)
+                            .Case<arith::IndexCastOp, arith::IndexCastUIOp>(
+                                [](auto cast) { return keepTruncation(cast); })
+                            .Default(false);
+      if (isReplaced)
+        replaced.push_back(op);
     });
     for (Operation *op : replaced)
       op->erase();

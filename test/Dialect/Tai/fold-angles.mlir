@@ -51,3 +51,38 @@ func.func @other(%x: f64) -> (f64, f64) {
   %1 = math.atan2 %nan, %zero : f64
   return %0, %1 : f64, f64
 }
+
+// A cast to a narrow integer and back keeps the low bits alone.
+// CHECK-LABEL: func.func @narrow_cast(
+//  CHECK-SAME:      %[[I:.+]]: index)
+//       CHECK:   %[[WIDE:.+]] = arith.index_cast %[[I]] : index to i64
+//       CHECK:   %[[LOW:.+]] = arith.trunci %[[WIDE]] : i64 to i8
+//       CHECK:   %[[BACK:.+]] = arith.index_cast %[[LOW]] : i8 to index
+//       CHECK:   %[[UWIDE:.+]] = arith.index_castui %[[I]] : index to i64
+//       CHECK:   %[[ULOW:.+]] = arith.trunci %[[UWIDE]] : i64 to i32
+//       CHECK:   %[[UBACK:.+]] = arith.index_castui %[[ULOW]] : i32 to index
+//       CHECK:   return %[[BACK]], %[[UBACK]]
+func.func @narrow_cast(%i: index) -> (index, index) {
+  %0 = arith.index_cast %i : index to i8
+  %1 = arith.index_cast %0 : i8 to index
+  %2 = arith.index_castui %i : index to i32
+  %3 = arith.index_castui %2 : i32 to index
+  return %1, %3 : index, index
+}
+
+// The index of a loop fits 32 bits: the casts go.
+// CHECK-LABEL: func.func @loop_index(
+//       CHECK:   scf.for %[[I:[a-z0-9]+]] =
+//   CHECK-NOT:     index_cast
+//       CHECK:     arith.addi %{{.+}}, %[[I]] : index
+func.func @loop_index(%n: index) -> index {
+  %zero = arith.constant 0 : index
+  %one = arith.constant 1 : index
+  %sum = scf.for %i = %zero to %n step %one iter_args(%s = %zero) -> index {
+    %0 = arith.index_cast %i : index to i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = arith.addi %s, %1 : index
+    scf.yield %2 : index
+  }
+  return %sum : index
+}

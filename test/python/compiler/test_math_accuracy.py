@@ -1,5 +1,8 @@
 """The exponential, the logarithm and the hyperbolic tangent of f32, in units in the last place."""
 
+import math
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import tai as ti
@@ -120,3 +123,25 @@ def test_other_modes(options):
         bounds = (2.0, 1.0, 2.5)
     for found, exact, bound in zip(y.to_numpy(), expected, bounds, strict=True):
         assert in_ulps(found, exact).max() <= bound
+
+
+def test_power_of_a_constant_power_of_two():
+    """As exp2 of a rounded product it would be off by 40 units."""
+    n = 200
+    x = ti.field(ti.f64, shape=n)
+    y = ti.field(ti.f64, shape=n)
+
+    @ti.kernel
+    def raise_constant():
+        for i in range(n):
+            y[i] = ti.pow(2147483648.0, x[i])
+
+    exponents = np.linspace(-1, 3.9, n)
+    x.from_numpy(exponents)
+    raise_constant()
+    # 31 e, as the sum of a whole number and a rest that is exact.
+    rests = [Fraction(e) * 31 - round(31 * e) for e in exponents]
+    exact = np.array([math.ldexp(2.0 ** float(r), round(31 * e))
+                      for r, e in zip(rests, exponents, strict=True)])  # fmt: skip
+    errors = np.abs(y.to_numpy() - exact) / np.spacing(exact)
+    assert errors.max() <= 2

@@ -85,6 +85,17 @@ def test_generic_forms_stand_where_their_texts_stood():
         assert '"func.func"' in form and f'"{name}"' in form
 
 
+@pytest.mark.parametrize("seed", [12493, 15820])
+def test_sums_of_narrow_floats_in_modules_are_exact(monkeypatch, seed):
+    """300 times one is 300 in f32, and 256 in bf16 where each sum is rounded."""
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import r3_modules as r3
+
+    monkeypatch.setenv("TAI_CUDA_EMULATION", "")
+    row = r3.Judge(["interpreter", "O0", "emulated"]).judge(seed)
+    assert row["kind"] == "same", row["detail"]
+
+
 def test_a_module_that_differs_and_one_that_ends_its_process_are_found(monkeypatch):
     sys.path.insert(0, str(ROOT / "test/reliability"))
     import r3_modules as r3
