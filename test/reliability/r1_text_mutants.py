@@ -103,7 +103,9 @@ def frames_of(trace: str) -> list[str]:
     for match in FRAME.finditer(trace):
         name = (match["symbol"] or match["name"] or "").replace("(anonymous namespace)::", "")
         frames.append(re.sub(r"\(.*", "", name) or match["library"])
-    skipped = re.compile(r"^llvm::sys::|^SignalHandler$|^libc|^libLLVM|^abort$|^raise$")
+    skipped = re.compile(
+        r"^llvm::(sys::|report_)|^libc|^libLLVM|^(SignalHandler|__pthread_kill.*|abort|raise)$"
+    )
     while frames and skipped.search(frames[0]):
         del frames[0]
     return frames
