@@ -21,6 +21,7 @@
 #include "tai/Support/Places.h"
 #include "tai/Transforms/AccessShadow.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/Canonicalization.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -47,7 +48,8 @@ runtime::Status KernelCode::makeChecked(runtime::CheckedKernel &checked) {
   Failure failure;
   auto populate = [](OpPassManager &manager) {
     manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
-    manager.addPass(createCanonicalizerPass());
+    manager.addPass(
+        createCanonicalizerPass(GreedyRewriteConfig(), getBrokenPatterns()));
     manager.addPass(createInstrumentAccesses());
     injectFailingPass(manager, "checks");
   };

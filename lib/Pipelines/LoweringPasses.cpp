@@ -11,6 +11,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/Canonicalization.h"
 
 using namespace mlir;
 
@@ -48,7 +49,8 @@ void tai::addCanonicalization(OpPassManager &pm) {
   // Large bodies by themselves: the rest would look at all of one again after
   // each rewrite in it.
   pm.addPass(createSimplifyHugeBodies());
-  pm.addPass(createCanonicalizerPass());
+  pm.addPass(
+      createCanonicalizerPass(GreedyRewriteConfig(), tai::getBrokenPatterns()));
 }
 
 void tai::addPerFunction(OpPassManager &pm,

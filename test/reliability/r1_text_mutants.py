@@ -18,7 +18,7 @@ import subprocess
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,16 +37,40 @@ PIPELINES = [
     "--tai-forward-diff --tai-to-llvm",
     "--tai-autodiff",
 ]
-# Crashes of MLIR 22 before any code of ours sees the module: what their report says, and why.
-KNOWN_UPSTREAM = {
-    r"Parser::parseDenseArrayAttr": "array<index: ...>: an index type is asked for its bits",
-    r"LLVM::AtomicRMWOp::parse": "llvm.atomicrmw of a tensor",
-    r"LLVM ERROR: out of memory(.|\n)*parseAsmSourceFile": "%r#2147483647: room for as many",
-}
+
+
+@dataclass(frozen=True)
+class Upstream:
+    """A crash of MLIR 22 before any code of ours sees the module.
+
+    It is known by what a text needs for it, because a stripped or static build names no function:
+    the text crashes without any pass, and the same text with something harmless in place of the
+    construct gets through all passes.
+    """
+
+    reason: str
+    construct: re.Pattern
+    harmless: Callable[[re.Match], str]
+    report: str = ""  # a part of what the process writes
+
+
+COMPOSITE = r"\b(?:(?:tensor|memref|tuple|complex)<[^<>\n]*>|none\b|index\b)"
+KNOWN_UPSTREAM = [
+    Upstream("array<index: ...>: an index type is asked for its bits",
+             re.compile(r"(array<\s*)index"), lambda match: f"{match[1]}i64"),
+    Upstream("llvm.atomicrmw of a type that is neither a scalar nor a vector",
+             re.compile(rf".*\batomicrmw\b.*{COMPOSITE}.*"),
+             lambda match: re.sub(COMPOSITE, "f32", match[0])),
+    Upstream("%r#2147483647: room for as many", re.compile(r"#\d{8,}"), lambda _: "#0",
+             "LLVM ERROR: out of memory"),
+]  # fmt: skip
 # What may be such a crash goes through a process of its own, and takes no others with it.
-RISKY = re.compile(r"array<\s*index|#\d{8}|atomicrmw")
+RISKY = re.compile("|".join(f"(?:{crash.construct.pattern})" for crash in KNOWN_UPSTREAM))
+# A frame as the loader names it, which knows the exported functions, and by a symbolizer.
 FRAME = re.compile(
-    r"^\d+\s+(?P<library>\S+)\s+0x[0-9a-f]+(?: (?P<name>.*?)(?: \+ \d+)?)?$", re.MULTILINE
+    r"^(?:\d+\s+(?P<library>\S+)\s+0x[0-9a-f]+(?: (?P<name>.*?)(?: \+ \d+)?)?"
+    r"| *#\d+ 0x[0-9a-f]+ (?P<symbol>\S.*) \S+)$",
+    re.MULTILINE,
 )
 
 
@@ -57,14 +81,8 @@ class Outcome:
     kind: str
     frames: list[str] = field(default_factory=list)
     report: str = ""
-
-    @property
-    def known(self) -> str:
-        """Why MLIR itself dies of this, or nothing."""
-        for pattern, reason in KNOWN_UPSTREAM.items():
-            if re.search(pattern, self.report):
-                return reason
-        return ""
+    # Why MLIR itself dies of this, or nothing.
+    known: str = ""
 
     @property
     def place(self) -> str:
@@ -81,11 +99,13 @@ def limit(seconds: int) -> None:
 
 def frames_of(trace: str) -> list[str]:
     """The functions of a stack trace below the signal handler, or their libraries."""
-    frames = [
-        re.sub(r"\(.*", "", match["name"]) if match["name"] else match["library"]
-        for match in FRAME.finditer(trace)
-    ]
-    skipped = re.compile(r"^llvm::sys::|^libc|^libLLVM|^abort$|^raise$")
+    frames = []
+    for match in FRAME.finditer(trace):
+        name = (match["symbol"] or match["name"] or "").replace("(anonymous namespace)::", "")
+        frames.append(re.sub(r"\(.*", "", name) or match["library"])
+    skipped = re.compile(
+        r"^llvm::(sys::|report_)|^libc|^libLLVM|^(SignalHandler|__pthread_kill.*|abort|raise)$"
+    )
     while frames and skipped.search(frames[0]):
         del frames[0]
     return frames
@@ -120,14 +140,20 @@ def run_limited(
     return "ok", process.returncode, out or b"", error
 
 
-def call(tool: Path, options: str, texts: list[str], folder: Path, left: float) -> Outcome:
-    """Runs tai-opt on the texts as one file, for at most the time that is left."""
+def call(
+    tool: Path, options: str, texts: list[str], folder: Path, left: float, *, names: bool = False
+) -> Outcome:
+    """Runs tai-opt on the texts as one file, for at most the time that is left.
+
+    Args:
+        names: whether a symbolizer may name the functions of a crash, which takes seconds.
+    """
     path = folder / "batch.mlir"
     path.write_text("\n// -----\n".join(texts), encoding="utf-8", errors="surrogateescape")
     command = [tool, "--split-input-file", "--mlir-disable-threading", *options.split(), path]
     kind, status, _, error = run_limited(
         [*command, "-o", "/dev/null"], SECONDS, left, stdout=subprocess.DEVNULL,
-        env={**os.environ, "LLVM_DISABLE_SYMBOLIZATION": "1"},
+        env=os.environ | ({} if names else {"LLVM_DISABLE_SYMBOLIZATION": "1"}),
     )  # fmt: skip
     if kind != "ok":
         return Outcome(kind)
@@ -139,6 +165,25 @@ def call(tool: Path, options: str, texts: list[str], folder: Path, left: float) 
     hangs = -status in (signal.SIGXCPU, signal.SIGKILL)
     kind = "hang" if hangs else f"signal {-status}"
     return Outcome(kind, frames_of(report), report)
+
+
+def explain(
+    tool: Path, options: str, text: str, outcome: Outcome, folder: Path, left: Callable[[], float]
+) -> Outcome:
+    """The outcome of a text that crashes, with the reason why it is known or better names."""
+    reasons, harmless = [], text
+    for crash in KNOWN_UPSTREAM:
+        if crash.report in outcome.report and crash.construct.search(text):
+            reasons.append(crash.reason)
+            harmless = crash.construct.sub(crash.harmless, harmless)
+    if (
+        reasons
+        and call(tool, "", [text], folder, left()).kind == outcome.kind
+        and call(tool, options, [harmless], folder, left()).kind == "ok"
+    ):
+        return replace(outcome, known=", ".join(reasons))
+    named = call(tool, options, [text], folder, left(), names=True)
+    return named if named.kind == outcome.kind and named.frames else outcome
 
 
 def find_failures(
@@ -154,6 +199,8 @@ def find_failures(
     if outcome.kind == "ok":
         return
     if len(texts) == 1 or outcome.kind == "late":
+        if outcome.kind.startswith("signal"):
+            outcome = explain(tool, options, texts[0], outcome, folder, left)
         yield "\n// -----\n".join(texts), outcome
         return
     middle = len(texts) // 2

@@ -17,6 +17,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
+#include "llvm/Support/CheckedArithmetic.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -251,10 +252,44 @@ LogicalResult SerialOffload::emit() {
   return success();
 }
 
+/// True if the size of a value is known: a data layout ends the process when it
+/// is asked for another's.
+static bool hasFixedSize(Type type) {
+  if (auto vector = dyn_cast<VectorType>(type))
+    return !vector.isScalable() && hasFixedSize(vector.getElementType());
+  if (auto array = dyn_cast<LLVM::LLVMArrayType>(type))
+    return hasFixedSize(array.getElementType());
+  if (auto structure = dyn_cast<LLVM::LLVMStructType>(type))
+    return !structure.isOpaque() &&
+           llvm::all_of(structure.getBody(), hasFixedSize);
+  return type.isIntOrIndexOrFloat() || isa<LLVM::LLVMPointerType>(type);
+}
+
+/// The bytes of an array that parts of a kernel share.
+static FailureOr<int64_t> getSharedBytes(LLVM::AllocaOp array,
+                                         const DataLayout &layout) {
+  if (!hasFixedSize(array.getElemType()))
+    return array.emitOpError("allocates ")
+           << array.getElemType()
+           << ", whose size is unknown; parts of a kernel on a GPU cannot "
+              "share it";
+  std::optional<int64_t> count = getConstantIntValue(array.getArraySize());
+  std::optional<int64_t> bytes;
+  if (count && *count >= 0)
+    bytes = llvm::checkedMul<int64_t>(
+        *count, layout.getTypeSize(array.getElemType()).getFixedValue());
+  if (!bytes)
+    return array.emitOpError(
+        "allocates a number of elements that is computed, negative or too "
+        "large; parts of a kernel on a GPU share arrays of constant size "
+        "alone");
+  return *bytes;
+}
+
 /// Memory that several parts of a kernel use cannot be on the stack of one of
 /// them.
-static void shareLocals(LLVM::LLVMFuncOp host, Value frame,
-                        DeviceLowering &lowering) {
+static LogicalResult shareLocals(LLVM::LLVMFuncOp host, Value frame,
+                                 DeviceLowering &lowering) {
   RuntimeCalls &runtime = lowering.host.runtime;
   DataLayout layout(lowering.host.module);
   SmallVector<LLVM::AllocaOp> arrays;
@@ -269,11 +304,12 @@ static void shareLocals(LLVM::LLVMFuncOp host, Value frame,
     return WalkResult::advance();
   });
   for (LLVM::AllocaOp array : arrays) {
-    std::optional<int64_t> count = getConstantIntValue(array.getArraySize());
+    FailureOr<int64_t> bytes = getSharedBytes(array, layout);
+    if (failed(bytes))
+      return failure();
     OpBuilder builder(array);
-    int64_t bytes = count.value_or(1) * layout.getTypeSize(array.getElemType());
     array.getResult().replaceAllUsesWith(
-        createScratch(builder, array.getLoc(), frame, runtime, bytes));
+        createScratch(builder, array.getLoc(), frame, runtime, *bytes));
     array.erase();
   }
   for (AllocaOp local : locals) {
@@ -301,13 +337,13 @@ static void shareLocals(LLVM::LLVMFuncOp host, Value frame,
     }
     local.erase();
   }
+  return success();
 }
 
 LogicalResult tai::offloadSerialCode(LLVM::LLVMFuncOp host, Operation *start,
                                      Value frame, DeviceLowering &lowering) {
-  if (failed(hoistLists(host)))
+  if (failed(hoistLists(host)) || failed(shareLocals(host, frame, lowering)))
     return failure();
-  shareLocals(host, frame, lowering);
   SmallVector<Operation *> ops;
   for (Operation *op = start->getNextNode(); op; op = op->getNextNode())
     ops.push_back(op);

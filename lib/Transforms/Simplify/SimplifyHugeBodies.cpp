@@ -20,6 +20,7 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "mlir/Transforms/GreedyPatternRewriteDriver.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/Canonicalization.h"
 #include "llvm/ADT/STLExtras.h"
 
 namespace mlir::tai {
@@ -36,7 +37,7 @@ static FrozenRewritePatternSet getCanonicalization(MLIRContext *context) {
     dialect->getCanonicalizationPatterns(patterns);
   for (RegisteredOperationName op : context->getRegisteredOperations())
     op.getCanonicalizationPatterns(patterns, context);
-  return FrozenRewritePatternSet(std::move(patterns));
+  return FrozenRewritePatternSet(std::move(patterns), tai::getBrokenPatterns());
 }
 
 /// The ops of a block and of what is nested in it, the last one first: they are

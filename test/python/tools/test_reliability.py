@@ -71,6 +71,35 @@ def test_the_mutants_that_crash_and_hang_are_found_in_a_batch(tmp_path, monkeypa
     }
 
 
+DIES_OF_AN_INDEX = """#!/bin/sh
+# A tool that cannot read one text, dies of another afterwards, and of a third by a pass.
+for last; do case $last in *.mlir) file=$last;; esac; done
+grep -q 'array<index' "$file" && kill -SEGV $$
+grep -q AFTERWARDS "$file" && kill -SEGV $$
+case "$*" in *--pass*) grep -q PASS "$file" && kill -SEGV $$;; esac
+exit 1
+"""
+
+
+def test_a_crash_of_the_parser_is_known_without_names_of_functions(tmp_path):
+    """It is there without passes, and goes with what the parser cannot read."""
+    sys.path.insert(0, str(ROOT / "test/reliability"))
+    import r1_text_mutants as r1
+
+    tool = tmp_path / "tool"
+    tool.write_text(DIES_OF_AN_INDEX)
+    tool.chmod(0o755)
+    texts = ["array< index: 1>", "array<index: 1>", "array<index: 1> AFTERWARDS", "PASS array<i64>",
+             "PASS array<index: 1>"]  # fmt: skip
+    found = r1.judge_batch(tool, "--pass", texts, tmp_path, lambda: 1000.0)
+    assert {text: bool(outcome.known) for text, outcome in found} == {
+        "array<index: 1>": True,
+        "array<index: 1> AFTERWARDS": False,
+        "PASS array<i64>": False,
+        "PASS array<index: 1>": False,
+    }
+
+
 def test_generic_forms_stand_where_their_texts_stood():
     """A text that no parser takes stays as it is."""
     sys.path.insert(0, str(ROOT / "test/reliability"))
