@@ -271,7 +271,7 @@ def VectorizeIterations : Pass<"tai-vectorize-iterations"> {
       scf.for %i = %c0 to %n step %c1 {
         %at = arith.index_cast %i : index to i64
         %p = llvm.getelementptr %x[%at] : (!llvm.ptr, i64) -> !llvm.ptr, f32
-        // becomes a load of vector<8xf32>
+        // A load of vector<8xf32> afterwards.
         %v = llvm.load %p {
           access_groups = [#llvm.access_group<id = distinct[0]<>>]
         } : !llvm.ptr -> f32
