@@ -261,7 +261,7 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
       kernels->setAttr(kIndexBitsAttrName, bits);
     ModuleLowering host(module, deterministic, debug);
     ModuleLowering device(module, deterministic, debug, kernels);
-    DeviceLowering lowering{host, device, kernels, deterministic, {}};
+    DeviceLowering lowering(host, device, kernels, deterministic);
     for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>())) {
       llvm::SaveAndRestore fixed(
           lowering.deterministic,

@@ -20,6 +20,11 @@ namespace mlir::tai {
 
 /// Shared state while one module is lowered.
 struct DeviceLowering {
+  DeviceLowering(ModuleLowering &host, ModuleLowering &device,
+                 gpu::GPUModuleOp kernels, bool deterministic)
+      : host(host), device(device), kernels(kernels),
+        deterministic(deterministic) {}
+
   /// The lowerings of host code, and of the functions in `kernels`.
   ModuleLowering &host, &device;
   gpu::GPUModuleOp kernels;
