@@ -203,10 +203,11 @@ void ObjectCompiler::runPasses(Module &module) {
         late.addPass(StencilGVN());
       });
   builder.registerVectorizerStartEPCallback(
-      [&](FunctionPassManager &early, OptimizationLevel) {
+      [&](FunctionPassManager &early, OptimizationLevel level) {
         early.addPass(KeepHugeLoopsScalar());
-        early.addPass(VectorizeLoops(LoopVectorizeOptions(
-            !tuning.LoopInterleaving, !tuning.LoopVectorization)));
+        if (level != OptimizationLevel::O0)
+          early.addPass(VectorizeLoops(LoopVectorizeOptions(
+              !tuning.LoopInterleaving, !tuning.LoopVectorization)));
       });
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
