@@ -9,9 +9,9 @@ neither this process nor the device holds more than in the first cycles.
 from __future__ import annotations
 
 import gc
-import os
 import random
 import re
+import sys
 import tempfile
 
 import numpy as np
@@ -20,7 +20,7 @@ from bars import Bar, resident
 
 MOST_GROWTH = 1.0  # % of the resident memory
 # A GPU gives its memory in pieces of 2 MiB, of which cells would leave none to others.
-SCALE = 1 if os.environ.get("TAI_CUDA_EMULATION") == "1" else 16
+SCALE = 16 if any(word.endswith("cuda") for word in sys.argv) else 1
 LIMIT = SCALE * 4 << 20
 HOLDS = re.compile(r"this program holds ([\d.]+ \w+): (.+)")
 

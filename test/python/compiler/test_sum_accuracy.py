@@ -118,7 +118,7 @@ def test_many_into_cells_beside_others():
     counts = [sum(1 for i in range(n) if i % 3 == c) for c in range(3)]
     for c in range(3):
         exact = one * (counts[c] - 0.5 * counts[(c + 2) % 3])
-        assert mass[c] == pytest.approx(exact, rel=2 * BOUND)
+        assert mass[c] == pytest.approx(exact, rel=2e-7)
         assert other[c] == 7.0
 
 

@@ -28,7 +28,7 @@ SPRINGS = programs.PROGRAMS[0]
 
 
 def arguments(out, **more):
-    given = {"cache": out, "iterations": 3, "processor": True, "limit": 200}
+    given = {"arch": "cpu", "cache": out, "iterations": 3, "processor": True, "limit": 200}
     given |= {"seconds": 60, "fill": False, "peers_venv": out / "none"}
     return argparse.Namespace(**given | more)
 

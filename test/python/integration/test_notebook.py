@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-import nbclient
-import nbformat
 import numpy as np
 import pytest
+
+nbclient = pytest.importorskip("nbclient")
+nbformat = pytest.importorskip("nbformat")
 
 NOTEBOOKS = Path(__file__).resolve().parents[3] / "examples/notebooks"
 
