@@ -11,9 +11,14 @@
 //===----------------------------------------------------------------------===//
 
 #include "VectorizeLoops.h"
+#include "llvm/Analysis/LoopInfo.h"
+#include "llvm/Analysis/LoopIterator.h"
+#include "llvm/Analysis/ScalarEvolution.h"
+#include "llvm/IR/Dominators.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/Instructions.h"
 #include "llvm/IR/IntrinsicInst.h"
+#include "llvm/Transforms/Utils/LoopUtils.h"
 
 using namespace llvm;
 
@@ -28,12 +33,16 @@ static bool isBehindWrite(const Instruction &load, const Instruction &user) {
   return false;
 }
 
+static bool isMaskedLoad(const IntrinsicInst &intrinsic) {
+  return intrinsic.getIntrinsicID() == Intrinsic::masked_load ||
+         intrinsic.getIntrinsicID() == Intrinsic::masked_gather;
+}
+
 bool mlir::tai::pinMaskedLoads(Function &function) {
   SmallVector<IntrinsicInst *> pinned;
   for (Instruction &instruction : instructions(function)) {
     auto *load = dyn_cast<IntrinsicInst>(&instruction);
-    if (load && load->getIntrinsicID() == Intrinsic::masked_load &&
-        any_of(load->users(), [&](User *user) {
+    if (load && isMaskedLoad(*load) && any_of(load->users(), [&](User *user) {
           return isa<SelectInst>(user) &&
                  isBehindWrite(*load, *cast<Instruction>(user));
         }))
@@ -47,9 +56,59 @@ bool mlir::tai::pinMaskedLoads(Function &function) {
   return !pinned.empty();
 }
 
+/// True if an element may be written and then be accessed once more in the
+/// same iteration, one of the two under a condition. The vectoriser joins
+/// neighbouring accesses of one kind, which moves stores behind later ones and
+/// loads in front of earlier ones. Where fields are known to be distinct, it
+/// does not look for accesses to the same element in between.
+static bool mayReorder(const Loop &loop, const LoopInfo &loops,
+                       const DominatorTree &dominators, ScalarEvolution &scev) {
+  const BasicBlock *latch = loop.getLoopLatch();
+  if (!latch)
+    return false;
+  struct Writes {
+    bool always = false, sometimes = false;
+  };
+  DenseMap<const SCEV *, Writes> writes;
+  LoopBlocksRPO blocks(const_cast<Loop *>(&loop));
+  blocks.perform(&loops);
+  for (BasicBlock *block : blocks) {
+    bool isAlways = dominators.dominates(block, latch);
+    for (Instruction &access : *block) {
+      Value *pointer = getLoadStorePointerOperand(&access);
+      if (!pointer)
+        continue;
+      bool isStore = isa<StoreInst>(access);
+      Writes &before = writes[scev.getSCEV(pointer)];
+      if (isAlways ? before.sometimes && !isStore : before.always)
+        return true;
+      if (isStore)
+        (isAlways ? before.always : before.sometimes) = true;
+    }
+  }
+  return false;
+}
+
+bool mlir::tai::keepReorderedLoopsScalar(Function &function,
+                                         FunctionAnalysisManager &analyses) {
+  auto &loops = analyses.getResult<LoopAnalysis>(function);
+  if (loops.empty())
+    return false;
+  auto &dominators = analyses.getResult<DominatorTreeAnalysis>(function);
+  auto &scev = analyses.getResult<ScalarEvolutionAnalysis>(function);
+  bool changed = false;
+  for (Loop *loop : loops.getLoopsInPreorder())
+    if (loop->isInnermost() && mayReorder(*loop, loops, dominators, scev)) {
+      addStringMetadataToLoop(loop, "llvm.loop.vectorize.enable", 0);
+      changed = true;
+    }
+  return changed;
+}
+
 PreservedAnalyses
 mlir::tai::VectorizeLoops::run(Function &function,
                                FunctionAnalysisManager &analyses) {
+  keepReorderedLoopsScalar(function, analyses);
   PreservedAnalyses preserved =
       LoopVectorizePass(options).run(function, analyses);
   pinMaskedLoads(function);

@@ -26,6 +26,11 @@ private:
   llvm::LoopVectorizeOptions options;
 };
 
+/// Marks loops that the vectoriser would give another order of accesses to one
+/// element.
+bool keepReorderedLoopsScalar(llvm::Function &function,
+                              llvm::FunctionAnalysisManager &analyses);
+
 /// Freezes masked loads that are selected behind a write.
 bool pinMaskedLoads(llvm::Function &function);
 
