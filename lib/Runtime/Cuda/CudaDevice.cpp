@@ -11,12 +11,20 @@
 #include "tai/Runtime/Device/DeviceHeap.h"
 #include "tai/Runtime/Device/DeviceReport.h"
 #include <algorithm>
+#include <atomic>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::cuda;
+
+thread_local uint64_t CudaDevice::enteredLast = 0;
+
+uint64_t CudaDevice::getNextIdentity() {
+  static std::atomic<uint64_t> last{0};
+  return ++last;
+}
 
 /// With code that was made by a compiler this is memory that a kernel used and
 /// should not have.

@@ -118,10 +118,23 @@ private:
     return cu.ctxGetCurrent(&current) == kSuccess && current == context;
   }
   Status enter() const {
-    if (__builtin_expect(isCurrent(), true))
-      return Status::success();
-    return check(cu.ctxSetCurrent(context), "a thread cannot use the device");
+    Status status = isCurrent() ? Status::success()
+                                : check(cu.ctxSetCurrent(context),
+                                        "a thread cannot use the device");
+    if (status)
+      enteredLast = identity;
+    return status;
   }
+  /// For launches, which make no call of the driver besides their own.
+  Status enterOnce() const {
+    return __builtin_expect(enteredLast == identity, true) ? Status::success()
+                                                           : enter();
+  }
+  /// The device that this thread entered last. Addresses come again, so that
+  /// they do not tell devices apart.
+  static thread_local uint64_t enteredLast;
+  const uint64_t identity = getNextIdentity();
+  static uint64_t getNextIdentity();
   Status allocateOnce(int64_t bytes, Address &address);
   Status setHeap(size_t memoryBytes);
   /// Makes later work in `second` wait for the work now in `first`.

@@ -111,6 +111,10 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                              : launchOverlapped(handle, shape, parameters);
   }
   isAfterKernel = true;
+  // The driver refuses a kernel from a thread without a context, but dies of a
+  // graph.
+  if (Status status = enterOnce(); !status)
+    return status;
   if (!isCapturing && !shape.cooperative &&
       called.repeated->queue(handle, stream, shape, slots, count, parameters))
     return Status::success();

@@ -354,6 +354,14 @@ TEST_F(RuntimePreparedCuda, ChangesParametersOfARepeatedLaunch) {
   EXPECT_EQ(countGraphs(), 0);
 }
 
+// A graph that one thread has made, in a thread that was not on the device yet.
+TEST_F(RuntimePreparedCuda, RepeatsALaunchInAnotherThread) {
+  for (int i = 0; i < 60; ++i)
+    EXPECT_OK(scale(1.0));
+  std::thread([&] { EXPECT_OK(scale(3.0)); }).join();
+  EXPECT_EQ(get(*x, {0}), 24.0);
+}
+
 TEST_F(RuntimePreparedCuda, LaunchesByItselfWhereThereAreNoGraphs) {
   for (const char *missing : {"no-graphs", "fixed-graphs"}) {
     TearDown();
