@@ -38,7 +38,8 @@ static bool isMaskedLoad(const IntrinsicInst &intrinsic) {
          intrinsic.getIntrinsicID() == Intrinsic::masked_gather;
 }
 
-bool mlir::tai::pinMaskedLoads(Function &function) {
+/// Freezes masked loads that are selected behind a write.
+static void pinMaskedLoads(Function &function) {
   SmallVector<IntrinsicInst *> pinned;
   for (Instruction &instruction : instructions(function)) {
     auto *load = dyn_cast<IntrinsicInst>(&instruction);
@@ -53,7 +54,6 @@ bool mlir::tai::pinMaskedLoads(Function &function) {
     load->replaceUsesWithIf(
         frozen, [](Use &use) { return isa<SelectInst>(use.getUser()); });
   }
-  return !pinned.empty();
 }
 
 /// True if an element may be written and then be accessed once more in the
@@ -89,20 +89,18 @@ static bool mayReorder(const Loop &loop, const LoopInfo &loops,
   return false;
 }
 
-bool mlir::tai::keepReorderedLoopsScalar(Function &function,
-                                         FunctionAnalysisManager &analyses) {
+/// Marks loops that the vectoriser would give another order of accesses to one
+/// element.
+static void keepReorderedLoopsScalar(Function &function,
+                                     FunctionAnalysisManager &analyses) {
   auto &loops = analyses.getResult<LoopAnalysis>(function);
   if (loops.empty())
-    return false;
+    return;
   auto &dominators = analyses.getResult<DominatorTreeAnalysis>(function);
   auto &scev = analyses.getResult<ScalarEvolutionAnalysis>(function);
-  bool changed = false;
   for (Loop *loop : loops.getLoopsInPreorder())
-    if (loop->isInnermost() && mayReorder(*loop, loops, dominators, scev)) {
+    if (loop->isInnermost() && mayReorder(*loop, loops, dominators, scev))
       addStringMetadataToLoop(loop, "llvm.loop.vectorize.enable", 0);
-      changed = true;
-    }
-  return changed;
 }
 
 PreservedAnalyses

@@ -13,9 +13,10 @@
 
 namespace mlir::tai {
 
-/// The loop vectoriser of LLVM, whose masked loads stay where they are.
-/// Upstream folds a selection among a masked load into a load in the place of
-/// the selection, past stores to the same memory.
+/// The loop vectoriser of LLVM, without two of its errors: loops whose accesses
+/// to one element it would give another order stay scalar, and masked loads
+/// stay where they are. Upstream folds a selection among a masked load into a
+/// load in the place of the selection, past stores to the same memory.
 struct VectorizeLoops : llvm::PassInfoMixin<VectorizeLoops> {
   explicit VectorizeLoops(llvm::LoopVectorizeOptions options)
       : options(options) {}
@@ -25,14 +26,6 @@ struct VectorizeLoops : llvm::PassInfoMixin<VectorizeLoops> {
 private:
   llvm::LoopVectorizeOptions options;
 };
-
-/// Marks loops that the vectoriser would give another order of accesses to one
-/// element.
-bool keepReorderedLoopsScalar(llvm::Function &function,
-                              llvm::FunctionAnalysisManager &analyses);
-
-/// Freezes masked loads that are selected behind a write.
-bool pinMaskedLoads(llvm::Function &function);
 
 } // namespace mlir::tai
 

@@ -127,8 +127,8 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                                  1, shape.sharedBytes, stream, parameters,
                                  nullptr);
   };
-  // The stream says which context is meant. The driver refuses a launch from a
-  // thread with another one or none, so that no launch has to ask.
+  // Another library may have set another context since, which the driver
+  // refuses, so that no launch has to ask.
   Result result = launchOnce();
   if (__builtin_expect(result != kSuccess, false) && !isCurrent()) {
     Status status = enter();
