@@ -51,5 +51,6 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
   // Loops are cut differently for other numbers of threads, and what is fused
   // may depend on where a vectorised loop ends.
   result.codegen.contract = !isStrict && !result.deterministic;
+  result.codegen.combineScatters &= !isStrict && !result.deterministic;
   return result;
 }

@@ -50,6 +50,10 @@ static cl::opt<unsigned> deviceOptLevel("device-opt-level",
                                         cl::desc("Effort, 0 to 3"), cl::init(3),
                                         cl::cat(category));
 
+static cl::opt<bool> combineScatters(
+    "device-combine-scatters",
+    cl::desc("Compare the elements that data choose for additions in a warp"),
+    cl::init(true), cl::cat(category));
 static cl::opt<bool> overlapped(
     "device-overlapped",
     cl::desc("Make kernels that may start while the one before still runs"),
@@ -80,6 +84,7 @@ static LogicalResult translate(Operation *op, raw_ostream &output,
   options.optLevel = deviceOptLevel;
   options.fastMath = floats == Floats::Fast;
   options.contract = floats != Floats::Strict;
+  options.combineScatters = combineScatters && floats != Floats::Strict;
   auto compiler = DeviceCompiler::create(target, options);
   if (!compiler)
     return fail(compiler.takeError());

@@ -40,6 +40,7 @@
 #include "llvm/Linker/Linker.h"
 #include "llvm/MC/TargetRegistry.h"
 #include "llvm/Passes/PassBuilder.h"
+#include "llvm/Support/SaveAndRestore.h"
 #include "llvm/Support/TargetSelect.h"
 #include "llvm/Target/TargetMachine.h"
 #include "llvm/TargetParser/Triple.h"
@@ -398,6 +399,8 @@ Expected<runtime::DeviceImage> DeviceCompiler::finish(
     module.print(stream, nullptr);
     return createStringError("printed");
   }
+  // Kernels have been combined when they were made, if they may be.
+  llvm::SaveAndRestore combine(options.combineScatters, false);
   if (Error error = optimize(code))
     return error;
   return emit(code);
@@ -542,14 +545,15 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
           manager.addPass(UnrollGridLoops());
         });
   if (options.optLevel > 1)
-    builder.registerOptimizerLastEPCallback([](llvm::ModulePassManager &manager,
-                                               llvm::OptimizationLevel,
-                                               llvm::ThinOrFullLTOPhase) {
-      llvm::FunctionPassManager last;
-      last.addPass(AggregateAtomics());
-      last.addPass(GroupLoads());
-      manager.addPass(llvm::createModuleToFunctionPassAdaptor(std::move(last)));
-    });
+    builder.registerOptimizerLastEPCallback(
+        [this](llvm::ModulePassManager &manager, llvm::OptimizationLevel,
+               llvm::ThinOrFullLTOPhase) {
+          llvm::FunctionPassManager last;
+          last.addPass(AggregateAtomics(options.combineScatters));
+          last.addPass(GroupLoads());
+          manager.addPass(
+              llvm::createModuleToFunctionPassAdaptor(std::move(last)));
+        });
   builder.registerModuleAnalyses(modules);
   builder.registerCGSCCAnalyses(sccs);
   builder.registerFunctionAnalyses(functions);

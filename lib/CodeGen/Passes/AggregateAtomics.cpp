@@ -16,6 +16,12 @@
 // are compared at run time, because threads may be in different iterations of a
 // loop.
 //
+// Addresses that data choose, as in `grid[at[i]] += x[i]`, are compared too: a
+// comparison costs little next to 32 additions, which wait for each other if
+// all threads mean one element. A thread that adds to many elements is one of a
+// stencil, and its neighbours rarely stand in the same cell: there the copies
+// of the code would cost more than they save.
+//
 //===----------------------------------------------------------------------===//
 
 #include "AggregateAtomics.h"
@@ -27,6 +33,7 @@
 #include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/InstIterator.h"
 #include "llvm/IR/Instructions.h"
+#include "llvm/IR/IntrinsicInst.h"
 #include "llvm/IR/IntrinsicsNVPTX.h"
 #include "llvm/Transforms/Utils/BasicBlockUtils.h"
 #include <vector>
@@ -36,6 +43,10 @@ using namespace llvm;
 static constexpr unsigned warpSize = 32;
 /// Addresses are sums of few parts.
 static constexpr unsigned maxDepth = 12;
+/// Of groups with addresses that data choose: the additions (the components of
+/// a vector), the addresses that are compared, and the groups of a function.
+static constexpr unsigned maxChosen = 4, maxChosenBases = 2,
+                          maxChosenGroups = 4;
 
 namespace {
 /// Additions that move to the last of them.
@@ -45,17 +56,23 @@ class GroupFinder {
 public:
   GroupFinder(const UniformityInfo &uniformity, AAResults &aliases)
       : uniformity(uniformity), aliases(aliases) {}
-  std::vector<Group> find(BasicBlock &block);
+  /// Fills `known` and `chosen`.
+  void find(BasicBlock &block);
+
+  /// Groups with addresses that are the same in a warp, for all that is known,
+  /// and with such that data choose.
+  std::vector<Group> known, chosen;
 
 private:
-  bool mayPass(Instruction &instruction);
+  bool mayPass(Instruction &instruction, const Group &open);
   bool isSameInWarp(const Value *value, unsigned depth);
-  void close();
+  bool isChosen(const Value *value, unsigned depth, bool &isLoaded);
+  void closeKnown();
+  void closeChosen();
 
   const UniformityInfo &uniformity;
   BatchAAResults aliases;
-  std::vector<Group> groups;
-  Group open;
+  Group openKnown, openChosen;
 };
 
 /// Writes the code for one group.
@@ -196,7 +213,36 @@ bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
   });
 }
 
-bool GroupFinder::mayPass(Instruction &instruction) {
+/// True for what follows from loaded values, and from what is the same for all
+/// threads: whether threads have the same value is up to the data. Where the
+/// number of the thread takes part, most have elements of their own.
+bool GroupFinder::isChosen(const Value *value, unsigned depth, bool &isLoaded) {
+  if (uniformity.isUniform(value))
+    return true;
+  auto *op = dyn_cast<Instruction>(value);
+  if (!op || depth == 0)
+    return false;
+  if (isa<LoadInst>(op)) {
+    isLoaded = true;
+    return !op->isVolatile() && !op->isAtomic();
+  }
+  if (auto *call = dyn_cast<CallInst>(op)) {
+    if (!isa<IntrinsicInst>(call) || call->isConvergent() ||
+        call->mayReadOrWriteMemory() || call->arg_empty())
+      return false;
+    return all_of(call->args(), [&](const Use &operand) {
+      return isChosen(operand, depth - 1, isLoaded);
+    });
+  }
+  if (!isa<BinaryOperator, UnaryOperator, CastInst, GetElementPtrInst,
+           SelectInst, CmpInst>(op))
+    return false;
+  return all_of(op->operands(), [&](const Use &operand) {
+    return isChosen(operand, depth - 1, isLoaded);
+  });
+}
+
+bool GroupFinder::mayPass(Instruction &instruction, const Group &open) {
   // Additions to the same place come in any order.
   if (isAddition(instruction))
     return true;
@@ -215,25 +261,49 @@ bool GroupFinder::mayPass(Instruction &instruction) {
   });
 }
 
-void GroupFinder::close() {
-  // The device library adds by one thread; it does not know of fields.
-  if (open.size() > 1 ||
-      (open.size() == 1 && open.front()->hasMetadata(LLVMContext::MD_noalias)))
-    groups.push_back(open);
-  open.clear();
+/// The device library adds by one thread; it does not know of fields.
+static bool isOfField(const AtomicRMWInst &op) {
+  return op.hasMetadata(LLVMContext::MD_noalias);
 }
 
-std::vector<Group> GroupFinder::find(BasicBlock &block) {
+void GroupFinder::closeKnown() {
+  if (openKnown.size() > 1 ||
+      (openKnown.size() == 1 && isOfField(*openKnown.front())))
+    known.push_back(openKnown);
+  openKnown.clear();
+}
+
+void GroupFinder::closeChosen() {
+  SmallPtrSet<Value *, 8> bases;
+  for (AtomicRMWInst *op : openChosen)
+    bases.insert(
+        mlir::tai::splitAddress(op->getPointerOperand(), op->getDataLayout())
+            .first);
+  if (!openChosen.empty() && openChosen.size() <= maxChosen &&
+      bases.size() <= maxChosenBases)
+    chosen.push_back(openChosen);
+  openChosen.clear();
+}
+
+void GroupFinder::find(BasicBlock &block) {
   for (Instruction &instruction : block) {
-    if (open.size() == warpSize || (!open.empty() && !mayPass(instruction)))
-      close();
-    if (isAddition(instruction) &&
-        isSameInWarp(cast<AtomicRMWInst>(instruction).getPointerOperand(),
-                     maxDepth))
-      open.push_back(cast<AtomicRMWInst>(&instruction));
+    if (openKnown.size() == warpSize ||
+        (!openKnown.empty() && !mayPass(instruction, openKnown)))
+      closeKnown();
+    if (!openChosen.empty() && !mayPass(instruction, openChosen))
+      closeChosen();
+    if (!isAddition(instruction))
+      continue;
+    auto *op = cast<AtomicRMWInst>(&instruction);
+    bool isLoaded = false;
+    if (isSameInWarp(op->getPointerOperand(), maxDepth))
+      openKnown.push_back(op);
+    else if (isOfField(*op) &&
+             isChosen(op->getPointerOperand(), maxDepth, isLoaded) && isLoaded)
+      openChosen.push_back(op);
   }
-  close();
-  return std::exchange(groups, {});
+  closeKnown();
+  closeChosen();
 }
 
 void GroupEmitter::emitAdditions(ArrayRef<Value *> values) {
@@ -411,14 +481,16 @@ mlir::tai::AggregateAtomics::run(Function &function,
     return PreservedAnalyses::all();
   GroupFinder finder(analyses.getResult<UniformityInfoAnalysis>(function),
                      analyses.getResult<AAManager>(function));
-  std::vector<Group> groups;
   for (BasicBlock &block : function)
-    for (Group &group : finder.find(block))
-      groups.push_back(std::move(group));
+    finder.find(block);
+  if (!combinesScatters || finder.chosen.size() > maxChosenGroups)
+    finder.chosen.clear();
   // From the end, so that blocks stay whole in front of what is split.
-  for (Group &group : reverse(groups))
+  for (Group &group : reverse(finder.known))
     GroupEmitter(group).emit();
-  if (groups.empty())
+  for (Group &group : reverse(finder.chosen))
+    GroupEmitter(group).emit();
+  if (finder.known.empty() && finder.chosen.empty())
     return PreservedAnalyses::all();
   function.setConvergent();
   return PreservedAnalyses::none();

@@ -13,10 +13,16 @@
 namespace mlir::tai {
 
 /// Where all threads of a warp add to the same f32 elements, reduces their
-/// values first, so that one thread adds to each element. For NVPTX.
+/// values first, so that one thread adds to each element. For NVPTX. With
+/// `combinesScatters`, also where data choose the elements, after a comparison
+/// at run time.
 struct AggregateAtomics : llvm::PassInfoMixin<AggregateAtomics> {
+  explicit AggregateAtomics(bool combinesScatters = true)
+      : combinesScatters(combinesScatters) {}
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);
+
+  bool combinesScatters;
 };
 
 } // namespace mlir::tai

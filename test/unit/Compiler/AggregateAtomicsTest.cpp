@@ -66,6 +66,13 @@ struct Warp {
         return other < warp && (active >> other & 1) ? given[other] : 12345.0;
       };
       switch (call->getIntrinsicID()) {
+      case Intrinsic::nvvm_match_all_sync_i64p:
+        EXPECT_EQ(bits(get(call->getArgOperand(0))[lane]), active);
+        // The second part of the result, which alone is used.
+        for (unsigned other = 0; other < warp; ++other)
+          if ((active >> other & 1) && given[other] != given[lane])
+            return 0;
+        return 1;
       case Intrinsic::nvvm_activemask:
         return active;
       case Intrinsic::nvvm_read_ptx_sreg_laneid:
@@ -100,6 +107,11 @@ struct Warp {
       return operand(0);
     }
     switch (at.getOpcode()) {
+    // A pointer in memory has the number of its place.
+    case Instruction::Load:
+    case Instruction::PtrToInt:
+    case Instruction::ExtractValue:
+      return operand(0);
     case Instruction::FAdd:
       return operand(0) + operand(1);
     case Instruction::Add:
@@ -152,8 +164,13 @@ struct Warp {
   }
 };
 
+/// What is known of the elements, and which they are.
+enum class Elements { Uniform, Own, Loaded, LoadedAndMixed };
+
 /// Lets a warp of which these threads are there add to so many elements.
-Warp add(unsigned elements, uint32_t active, bool isUniform = true) {
+Warp add(unsigned elements, uint32_t active, Elements kind = Elements::Uniform,
+         bool combines = true) {
+  bool isLoaded = kind != Elements::Uniform && kind != Elements::Own;
   InitializeAllTargetInfos();
   InitializeAllTargets();
   InitializeAllTargetMCs();
@@ -161,14 +178,19 @@ Warp add(unsigned elements, uint32_t active, bool isUniform = true) {
   SMDiagnostic error;
   std::string text = "define void @f(";
   for (unsigned i = 0; i < elements; ++i)
-    text += (i ? ", ptr %p" : "ptr %p") + std::to_string(i) + ", float %v" +
-            std::to_string(i);
+    text += (i ? ", ptr %" : "ptr %") + std::string(isLoaded ? "q" : "p") +
+            std::to_string(i) + ", float %v" + std::to_string(i);
   text += ") {\n";
+  for (unsigned i = 0; isLoaded && i < elements; ++i)
+    text += "  %p" + std::to_string(i) + " = load ptr, ptr %q" +
+            std::to_string(i) + "\n";
   for (unsigned i = 0; i < elements; ++i)
     text += "  %o" + std::to_string(i) + " = atomicrmw fadd ptr %p" +
             std::to_string(i) + ", float %v" + std::to_string(i) +
-            " syncscope(\"device\") monotonic\n";
-  text += "  ret void\n}\n";
+            " syncscope(\"device\") monotonic" +
+            (isLoaded ? ", !noalias !0\n" : "\n");
+  text += "  ret void\n}\n"
+          "!0 = !{!1}\n!1 = distinct !{!1, !2}\n!2 = distinct !{!2}\n";
   std::unique_ptr<Module> module = parseAssemblyString(text, error, context);
   Warp result;
   EXPECT_TRUE(module) << error.getMessage().str();
@@ -178,14 +200,14 @@ Warp add(unsigned elements, uint32_t active, bool isUniform = true) {
   module->setTargetTriple(triple);
   Function &function = *module->getFunction("f");
   // The parameters of a kernel are the same for all threads.
-  if (isUniform)
+  if (kind == Elements::Uniform)
     function.setCallingConv(CallingConv::PTX_Kernel);
   std::string message;
   const Target *target = TargetRegistry::lookupTarget(triple, message);
   EXPECT_TRUE(target) << message;
   std::unique_ptr<TargetMachine> machine(target->createTargetMachine(
       triple, "sm_90", "+ptx80", TargetOptions(), std::nullopt));
-  runPass(function, AggregateAtomics(), machine.get());
+  runPass(function, AggregateAtomics(combines), machine.get());
   EXPECT_FALSE(verifyFunction(function, &errs()));
 
   std::vector<std::string> names;
@@ -194,10 +216,15 @@ Warp add(unsigned elements, uint32_t active, bool isUniform = true) {
     names.push_back("element " + std::to_string(i));
     Values numbers, own;
     numbers.fill(i);
+    // One thread means another element than all others.
+    if (kind == Elements::LoadedAndMixed)
+      numbers[7] = elements - 1 - i;
     for (unsigned lane = 0; lane < warp; ++lane) {
       own[lane] = double((lane * 37 + i * 101) % 64);
       if (active >> lane & 1)
-        expected[names[i]] += own[lane];
+        expected["element " +
+                 std::to_string(static_cast<unsigned>(numbers[lane]))] +=
+            own[lane];
     }
     result.values[function.getArg(2 * i)] = numbers;
     result.values[function.getArg(2 * i + 1)] = own;
@@ -233,5 +260,22 @@ TEST(AggregateAtomics, OtherThreadsAddForThemselves) {
 
 TEST(AggregateAtomics, ASingleElementOrOthersInEachThreadStay) {
   EXPECT_EQ(add(1, ~0u).additions, warp);
-  EXPECT_EQ(add(4, ~0u, /*isUniform=*/false).additions, 4 * warp);
+  EXPECT_EQ(add(4, ~0u, Elements::Own).additions, 4 * warp);
+}
+
+TEST(AggregateAtomics, ElementsThatDataChooseAreCompared) {
+  for (unsigned elements : {1u, 2u}) {
+    EXPECT_EQ(add(elements, ~0u, Elements::Loaded).additions, elements);
+    EXPECT_EQ(add(elements, 0x1fffu, Elements::Loaded).additions, elements);
+    EXPECT_EQ(add(elements, 0x80000001u, Elements::Loaded).additions,
+              2 * elements);
+  }
+  EXPECT_EQ(add(2, ~0u, Elements::LoadedAndMixed).additions, 2 * warp);
+  // The one that differs is not here.
+  EXPECT_EQ(add(2, 0x7fu, Elements::LoadedAndMixed).additions, 2u);
+}
+
+TEST(AggregateAtomics, ManyElementsThatDataChooseStay) {
+  EXPECT_EQ(add(3, ~0u, Elements::Loaded).additions, 3 * warp);
+  EXPECT_EQ(add(1, ~0u, Elements::Loaded, /*combines=*/false).additions, warp);
 }

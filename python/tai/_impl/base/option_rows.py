@@ -36,5 +36,6 @@ ROWS: tuple[Row, ...] = (
     ("block_dim", "BlockThreads", "0", "a multiple of 32, or 0", "threads in a block on a GPU; 0 to choose for each kernel. A loop's own block_dim takes precedence"),
     ("max_block_dim", "BlockThreads", "0", "a multiple of 32, or 0", "the maximum of threads in a block; 0 for the limit of the GPU"),
     ("fuse_launches", "Switch", "true", "true or false", "consecutive launches may be fused into one piece of work"),
+    ("combine_scatters", "Switch", "true", "true or false", "on a GPU, float additions to elements that data choose are added up in a warp first where all of its threads mean one element; never in deterministic and strict kernels"),
     ("order_seed", "Seed", "0", "a number from 0 to 2^64 - 1", "with the interpreter, the iterations of parallel loops run in an order drawn from it; 0 for ascending"),
 )
