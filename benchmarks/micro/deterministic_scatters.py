@@ -27,6 +27,7 @@ MODES = {
     "default": {},
     "deterministic": {"deterministic": True},
     "strict": {"deterministic": True, "math": "strict"},
+    "apart": {"combine_scatters": False},
 }
 PROGRAMS = ["one", "4096", "sparse", "million", "particles", "gather"]
 GRID = 256

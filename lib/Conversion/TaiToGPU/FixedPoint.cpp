@@ -99,8 +99,10 @@ static void removeEffects(ParallelForOp loop) {
 /// Removes what only removed ops used.
 static void removeDeadOps(ParallelForOp loop) {
   SmallVector<Operation *> ops;
-  loop.getBody().walk([&](Operation *op) { ops.push_back(op); });
-  // Users come after what they use, and around what is in them.
+  // Backwards, users come before what they use, and what is in an op before
+  // the op itself, with which it would be freed.
+  loop.getBody().walk<WalkOrder::PreOrder>(
+      [&](Operation *op) { ops.push_back(op); });
   for (Operation *op : llvm::reverse(ops))
     if (isOpTriviallyDead(op))
       op->erase();
