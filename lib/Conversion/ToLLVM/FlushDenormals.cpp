@@ -16,6 +16,7 @@
 #include "FloatOptions.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "llvm/ADT/StringExtras.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -87,6 +88,24 @@ private:
 };
 } // namespace
 
+/// Keeps LLVM from changing the arguments of a function that only one place
+/// calls: polls, which are inserted late, know functions by their type, and the
+/// frame by its place.
+static void keepArguments(LLVM::LLVMFuncOp function) {
+  SmallVector<Value> kept;
+  for (Value argument : function.getBody().getArguments())
+    if (isa<LLVM::LLVMPointerType, IntegerType>(argument.getType()))
+      kept.push_back(argument);
+  std::string constraints =
+      llvm::join(SmallVector<StringRef>(kept.size(), "r"), ",");
+  OpBuilder builder = OpBuilder::atBlockBegin(&function.getBody().front());
+  LLVM::InlineAsmOp::create(
+      builder, function.getLoc(), /*resultTypes=*/TypeRange(), kept,
+      /*asm_string=*/"", constraints, /*has_side_effects=*/true,
+      /*is_align_stack=*/false, LLVM::TailCallKind::None,
+      /*asm_dialect=*/LLVM::AsmDialectAttr(), /*operand_attrs=*/ArrayAttr());
+}
+
 /// Moves the body of the function into another, and calls that.
 static void wrap(LLVM::LLVMFuncOp function) {
   Location loc = function.getLoc();
@@ -97,6 +116,7 @@ static void wrap(LLVM::LLVMFuncOp function) {
       function.getFunctionType(), LLVM::Linkage::Internal);
   body.getBody().takeBody(function.getBody());
   body.setNoInline(true);
+  keepArguments(body);
   builder.setInsertionPointToStart(function.addEntryBlock(builder));
   ControlWord word(builder, loc);
   Value old = word.setFlushing();
