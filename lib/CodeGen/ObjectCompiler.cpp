@@ -29,18 +29,19 @@
 #include "llvm/TargetParser/Host.h"
 #include "llvm/TargetParser/SubtargetFeature.h"
 #include "llvm/TargetParser/Triple.h"
+#include "llvm/TargetParser/X86TargetParser.h"
 #include "llvm/Transforms/Instrumentation/AddressSanitizer.h"
 #include "llvm/Transforms/Scalar/GVN.h"
 
 using namespace llvm;
 using namespace mlir::tai;
 
-const HostCpu &HostCpu::get() {
-  static const HostCpu host = [] {
+const TargetCpu &TargetCpu::getHost() {
+  static const TargetCpu host = [] {
     InitializeNativeTarget();
     InitializeNativeTargetAsmPrinter();
     InitializeNativeTargetAsmParser();
-    HostCpu cpu;
+    TargetCpu cpu;
     cpu.triple = sys::getProcessTriple();
     cpu.name = sys::getHostCPUName().str();
     // Sorted, because the string is part of the key of cached code.
@@ -56,6 +57,28 @@ const HostCpu &HostCpu::get() {
   return host;
 }
 
+Expected<TargetCpu> TargetCpu::find(StringRef name) {
+  const TargetCpu &host = getHost();
+  if (name.empty())
+    return host;
+  SmallVector<StringRef> known;
+  if (Triple(host.triple).isX86_64())
+    X86::fillValidCPUArchList(known, /*Only64Bit=*/true);
+  if (!is_contained(known, name))
+    return createStringError("LLVM knows no '%s' here, but for example %s",
+                             name.str().c_str(),
+                             known.empty() ? "native" : "x86-64-v3");
+  SmallVector<StringRef> needed;
+  X86::getFeaturesForCPU(name, needed);
+  StringMap<bool> has = sys::getHostCPUFeatures();
+  for (StringRef feature : needed)
+    if (auto found = has.find(feature); found != has.end() && !found->second)
+      return createStringError("its code needs '%s', which this processor, "
+                               "%s, does not have",
+                               feature.str().c_str(), host.name.c_str());
+  return TargetCpu{host.triple, name.str(), /*features=*/""};
+}
+
 ObjectCompiler::ObjectCompiler(const CodegenOptions &options)
     : options(options) {}
 
@@ -63,8 +86,10 @@ ObjectCompiler::~ObjectCompiler() = default;
 
 Expected<std::unique_ptr<ObjectCompiler>>
 ObjectCompiler::create(const CodegenOptions &options) {
-  const HostCpu &host = HostCpu::get();
-  Triple triple(host.triple);
+  Expected<TargetCpu> cpu = TargetCpu::find(options.targetCpu);
+  if (!cpu)
+    return cpu.takeError();
+  Triple triple(cpu->triple);
   std::string message;
   const Target *target = TargetRegistry::lookupTarget(triple, message);
   if (!target)
@@ -82,10 +107,10 @@ ObjectCompiler::create(const CodegenOptions &options) {
   // Position-independent code in the small model: the linker may place it
   // anywhere, and reaches the runtime through its own table.
   compiler->machine.reset(target->createTargetMachine(
-      triple, host.name, host.features, targetOptions, Reloc::PIC_,
+      triple, cpu->name, cpu->features, targetOptions, Reloc::PIC_,
       CodeModel::Small, levels[std::min(options.optLevel, 3u)], /*JIT=*/true));
   if (!compiler->machine)
-    return createStringError("no target machine for %s", host.triple.c_str());
+    return createStringError("no target machine for %s", cpu->triple.c_str());
   return compiler;
 }
 

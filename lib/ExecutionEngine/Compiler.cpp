@@ -31,6 +31,7 @@ static std::string describe(BoundsMode mode) {
   return stringifyBoundsMode(mode).str();
 }
 static std::string describe(const SkipSet &skips) { return skips.str(); }
+static std::string describe(const std::string &text) { return text; }
 template <typename Number> static std::string describe(Number value) {
   return std::to_string(value);
 }
@@ -350,9 +351,11 @@ std::string Compiler::getKey(CompileRequest request,
   // Locations are in the code only where checks or a profiler report them.
   std::string text;
   llvm::raw_string_ostream stream(text);
-  const HostCpu &host = HostCpu::get();
+  // Sessions accept no other processor than those that are found.
+  TargetCpu cpu =
+      llvm::cantFail(TargetCpu::find(options.codegen.targetCpu));
   stream << getBuildId(context) << '\n'
-         << host.triple << ' ' << host.name << ' ' << host.features << '\n'
+         << cpu.triple << ' ' << cpu.name << ' ' << cpu.features << '\n'
          << options.str() << '\n'
          << getLibdeviceKey(options) << request.name << ' '
          << static_cast<int>(request.goal)

@@ -172,6 +172,17 @@ LogicalResult Session::setSanitize(bool address) {
   return success();
 }
 
+LogicalResult Session::setTargetCpu(StringRef name) {
+  StringRef cpu = name == "native" ? "" : name;
+  if (auto found = TargetCpu::find(cpu); !found)
+    return fail(FailureKind::Usage,
+                "option 'target_cpu' expects native, or the name that LLVM has "
+                "for a processor, but got '" +
+                    name.str() + "': " + llvm::toString(found.takeError()));
+  compileOptions.codegen.targetCpu = cpu.str();
+  return success();
+}
+
 LogicalResult Session::setCacheDir(StringRef folder) {
   useCache(folder);
   return success();

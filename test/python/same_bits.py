@@ -2,8 +2,11 @@
 device, with blocks of any size, where `math="strict"` and `deterministic=True` are chosen.
 """
 
+import contextlib
+
 import numpy as np
 import tai as ti
+from tai._impl.base import native
 
 TYPES = {"f32": ti.f32, "f64": ti.f64, "f16": ti.f16, "bf16": ti.bf16}
 
@@ -17,11 +20,23 @@ def numbers(n, dtype, seed=0):
     return np.random.default_rng(seed).standard_normal(n).astype(kind)
 
 
+def processors():
+    """Older processors than this one, whose code it can run: without and with fused operations."""
+    found = []
+    for name in ("x86-64", "x86-64-v3"):
+        with contextlib.suppress(ti.TaiRuntimeError):
+            native.Context().set_option("target_cpu", name)
+            found.append(name)
+    return found
+
+
 def runs(monkeypatch):
     """Contexts of each target: their names, when they have begun."""
     for threads in (1, 2, 3, 4):
         monkeypatch.setenv("TI_ARCH", "cpu")
         yield f"cpu {threads}", {"arch": ti.cpu, "cpu_max_num_threads": threads}
+    for processor in processors():
+        yield f"cpu {processor}", {"arch": ti.cpu, "target_cpu": processor}
     for threads in (1, 32, 96):
         monkeypatch.setenv("TI_ARCH", "cuda")
         monkeypatch.setenv("TAI_CUDA_EMULATION", "1")

@@ -44,13 +44,18 @@ struct CodegenOptions {
 /// Sets the fast-math flags of all operations of the module.
 void allowFastMath(llvm::Module &module);
 
-/// The CPU that this process runs on.
-struct HostCpu {
+/// A CPU that code is made for, as LLVM describes it.
+struct TargetCpu {
   std::string triple;
   std::string name;
   std::string features;
 
-  static const HostCpu &get();
+  /// The one that this process runs on.
+  static const TargetCpu &getHost();
+
+  /// The one that LLVM knows by this name, or the host's if it is empty. Fails
+  /// if there is none, or if the host cannot run its code.
+  static llvm::Expected<TargetCpu> find(llvm::StringRef name);
 };
 
 class ObjectCompiler {

@@ -173,6 +173,7 @@ private:
   LogicalResult setModes(const ContextModes &wanted);
   LogicalResult setShadow(bool on);
   LogicalResult setSanitize(bool address);
+  LogicalResult setTargetCpu(StringRef name);
   LogicalResult setCacheDir(StringRef folder);
   LogicalResult setPrintIR(StringRef names);
   LogicalResult setProfiler(bool on);

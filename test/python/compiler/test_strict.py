@@ -1,8 +1,11 @@
 """ti.init(strict=True): each operation is rounded by itself, on every target alike."""
 
+import re
+
 import numpy as np
 import pytest
 import tai as ti
+from same_bits import processors
 
 DTYPES = {ti.f32: np.float32, ti.f64: np.float64}
 
@@ -76,6 +79,36 @@ def test_without_it_operations_are_fused():
     assert not np.array_equal(sums, a * b + c)
     exact = a.astype(np.float64) * b + c
     assert np.abs(sums - exact).max() <= np.abs(a * b + c - exact).max()
+
+
+def test_a_processor_without_fused_operations():
+    """Code for an older processor rounds as that one does, also where it is not strict."""
+    if "x86-64" not in processors():
+        pytest.skip("code for other processors is made on x86-64 alone")
+    n = 65537
+    rng = np.random.default_rng(2)
+    a, b, c = (rng.standard_normal(n).astype(np.float32) for _ in range(3))
+    ti.init(target_cpu="x86-64")
+    sums, _ = run_kernel(ti.f32, a, b, c)
+    assert np.array_equal(sums, a * b + c)
+
+
+def test_processors_that_cannot_be_had():
+    # No processor has what is AMD's own and what is Intel's own.
+    reasons = []
+    for name in ("abacus", "znver4", "sapphirerapids"):
+        try:
+            ti.init(target_cpu=name)
+            ti.field(ti.f32, shape=1).fill(1)
+        except ti.TaiRuntimeError as error:
+            head, reason = str(error).split(f"got '{name}': ")
+            assert "'target_cpu' expects native, or the name" in head
+            reasons.append(reason)
+    ti.init()
+    assert re.match("LLVM knows no 'abacus' here, but for example", reasons[0])
+    if processors():
+        assert len(reasons) > 1
+        assert re.match(r"its code needs '\S+', which this processor, \S+, does not", reasons[1])
 
 
 @pytest.mark.parametrize("first", ["strict", "fast_math"])

@@ -170,7 +170,7 @@ TEST(HugeBodies, OtherBlocksStay) {
 
 namespace {
 std::unique_ptr<TargetMachine> makeMachine() {
-  const HostCpu &host = HostCpu::get();
+  const TargetCpu &host = TargetCpu::getHost();
   Triple triple(host.triple);
   std::string message;
   const Target *target = TargetRegistry::lookupTarget(triple, message);

@@ -21,6 +21,7 @@ ROWS: tuple[Row, ...] = (
     ("shadow", "Switch", "false", "true or false", "kernels compute each float again in higher precision, and lines where digits are lost are reported; implies strict, excludes fast_math, CPU only"),
     ("sanitize", "Sanitizer", "", "\"address\" or nothing", "accesses of kernels are checked by AddressSanitizer, whose runtime the process must have loaded"),
     ("opt_level", "Level", "3", "a number from 0 to 3", "effort of optimisation, as in compiler drivers"),
+    ("target_cpu", "Text", "native", "native, or the name that LLVM has for a processor", "the processor that code is made for: this one, or an older one such as x86-64-v3, with the vectors and so the rounding that it has"),
     ("seed", "Seed", "0", "a number from 0 to 2^64 - 1", "the seed of random numbers"),
     ("cache_dir", "Text", "", "a folder, or nothing", "where compiled code is kept; empty for no cache. Where it is not set: $TAI_CACHE_DIR, else the folder `tai` in the user's cache folder"),
     ("print_ir", "Text", "", "stages of the IR", "stages that are printed as kernels are compiled: \"all\" or a list with commas"),

@@ -70,6 +70,9 @@ _NOTES = {
     "memory that is no field: docs/bounds.md. Elements of other fields are no such memory; "
     "`bounds` finds these. The environment variable TI_SANITIZE says it where the program does not "
     "and runs on the CPU",
+    "target_cpu": "An error where this one cannot run its code. Results of one processor can be "
+    "had on another, and with `strict` and `deterministic` all have the same bits. The "
+    "environment variable TI_TARGET_CPU says it where the program does not",
     "print_ir": "True for all",
     "kernel_profiler": "See `ti.profiler`",
     "ad_history_bytes": "For each thread. `ad_stack_size` is accepted and not needed: loops may be "

@@ -60,8 +60,9 @@ def init(
             what = "a float type" if kind == "f" else "an integer type"
             raise TaiRuntimeTypeError(f"{name} must be {what}, but got {given!r}")
         chosen[name] = dtype
-    if os.environ.get("TI_BOUNDS"):
-        chosen.setdefault("bounds", os.environ["TI_BOUNDS"])
+    for name in ("bounds", "target_cpu"):
+        if os.environ.get(f"TI_{name.upper()}"):
+            chosen.setdefault(name, os.environ[f"TI_{name.upper()}"])
     for name, known in CHOICES.items():
         if chosen.get(name, known[0]) not in known:
             words = " or ".join(repr(word) for word in known)
