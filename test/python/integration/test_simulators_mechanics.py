@@ -9,11 +9,22 @@ import re
 import numpy as np
 import pytest
 
+from same_bits import processors
 from simulators import ROUNDING, descent, printed, start, table
 
 
 def close(found, expected, rtol, **more):
     np.testing.assert_allclose(found[: len(expected)], expected, rtol=rtol, **more)
+
+
+def close_walks(found, losses):
+    """Losses of the first iterations of a walk with impacts, in f32.
+
+    Where one weight moves by an ulp, the second gradient moves by some per cent, and an impact of
+    the third walk by a time step. Processors round differently; in f64 all agree.
+    """
+    close(found["loss"], losses[:2], 1e-4)
+    close(found["loss"], losses, 5e-3)
 
 
 # Points and springs
@@ -28,15 +39,22 @@ def close(found, expected, rtol, **more):
     ],
 )
 def test_robots_of_springs(tmp_path, robot, losses, squares):
-    found = descent("mass_spring", tmp_path, "--robot", robot, "--iterations", 3)
-    close(found["loss"], losses, 1e-4)
+    options = ("mass_spring", tmp_path, "--robot", robot, "--iterations", 3)
+    close(descent(*options, "--double")["loss"], losses, 1e-4)
+    found = descent(*options)
+    close_walks(found, losses)
     lengths = [found[f"|d{name}|"] ** 2 for name in ("w1", "b1", "w2", "b2")]
     close(np.sum(lengths, axis=0), squares, 5e-3)
 
 
-def test_a_short_walk_of_springs(tmp_path):
-    found = descent("mass_spring", tmp_path, "--robot", 0, "--steps", 150, "--iterations", 3)
-    close(found["loss"], [-0.232538, -0.242773, -0.256238], 1e-4)
+@pytest.mark.parametrize("processor", ["native", *processors()])
+def test_a_short_walk_of_springs(tmp_path, monkeypatch, processor):
+    monkeypatch.setenv("TI_TARGET_CPU", processor)
+    losses = [-0.232538, -0.242773, -0.256238]
+    options = ("mass_spring", tmp_path, "--robot", 0, "--steps", 150, "--iterations", 3)
+    close(descent(*options, "--double")["loss"], losses, 1e-4)
+    found = descent(*options)
+    close_walks(found, losses)
     for name, length in (("w1", 0.290718), ("b1", 0.102484), ("w2", 0.203013), ("b2", 0.0501982)):
         close(found[f"|d{name}|"], [length], 1e-3)
 
@@ -88,8 +106,10 @@ def test_flat_land(tmp_path):
     ],
 )
 def test_robots_of_boxes(tmp_path, robot, losses, squares):
-    found = descent("rigid_body", tmp_path, "--robot", robot, "--iterations", 3)
-    close(found["loss"], losses, 1e-4)
+    options = ("rigid_body", tmp_path, "--robot", robot, "--iterations", 3)
+    close(descent(*options, "--double")["loss"], losses, 1e-4)
+    found = descent(*options)
+    close_walks(found, losses)
     lengths = [found[f"|d{name}|"] ** 2 for name in ("w1", "b1", "w2", "b2")]
     close(np.sum(lengths, axis=0), squares, 5e-3)
 
