@@ -99,6 +99,7 @@ from ._impl.fields.snode import (
     kl,
     l,
 )
+from ._impl.values.eigen import eig
 from ._impl.values.matrix import Matrix, Vector
 from ._impl.values.ops import (
     abs,
@@ -124,7 +125,6 @@ from ._impl.values.ops import (
     ceil,
     cos,
     deactivate,
-    eig,
     exp,
     floor,
     get_addr,

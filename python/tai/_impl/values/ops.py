@@ -304,11 +304,6 @@ def solve(a: Any, b: Any, dt: Any = None) -> Any:
     return emitter.solve(a, b)
 
 
-def eig(a: Any, dt: Any = None) -> Any:
-    """Eigenvalues of a general matrix: not available."""
-    raise TaiSyntaxError("ti.eig is not built in", "use ti.sym_eig for symmetric matrices")
-
-
 def _square(name: str, a: Any) -> Any:
     matrix = _in_kernel(name).as_value(a)
     if matrix.shape not in ((2, 2), (3, 3)):

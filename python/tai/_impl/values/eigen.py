@@ -1,0 +1,85 @@
+"""`ti.eig`: eigenvalues and eigenvectors of 2×2 matrices that need not be symmetric."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...errors import TaiTypeError
+from ..base import dtypes
+from . import ops
+
+
+def eig(a: Any, dt: Any = None) -> Any:
+    """Eigenvalues and eigenvectors of a 2×2 matrix, which may be complex.
+
+    Of equal eigenvalues with one eigenvector, as of [[1, 1], [0, 1]], that one comes twice; there
+    the derivatives are infinite.
+
+    Args:
+        a: a 2×2 matrix of floats.
+        dt: the type to compute in; that of `a` if None.
+
+    Returns:
+        The eigenvalues as a 2×2 matrix, of which each row holds the real and the imaginary part of
+        one, real ones with the greater one first; and the eigenvectors, of norm 1, as the columns
+        of a 4×2 matrix: real and imaginary part of the first component, then of the second.
+    """
+    emitter = ops._in_kernel("eig")
+    matrix = emitter.as_value(a)
+    if matrix.shape != (2, 2):
+        raise TaiTypeError(
+            "ti.eig takes a 2×2 matrix, but got "
+            + (f"a {matrix.kind_name}" if matrix.shape else f"a number of type {matrix.dt}"),
+            "use ti.sym_eig for symmetric 3×3 matrices",
+        )
+    if dt is not None or not matrix.dt.is_float:
+        matrix = emitter.cast(matrix, dtypes.to_dtype(dt) if dt is not None else dtypes.default_fp())
+    a00, a01, a10, a11 = matrix.scalars()
+    zero = 0.0 * a00
+    one = zero + 1.0
+    middle, half = 0.5 * (a00 + a11), 0.5 * (a00 - a11)
+    square = half * half + a01 * a10
+    is_real = square >= 0
+    root = ops.sqrt(abs(square))
+    real_root, imaginary_root = ops.select(is_real, root, zero), ops.select(is_real, zero, root)
+
+    # Of the two multiples of a real eigenvector in the rows of A - λ, the one without cancellation.
+    far = root + abs(half)
+    leans = half >= 0
+    first = [ops.select(leans, far, a01), ops.select(leans, a10, far)]
+    second = [ops.select(leans, a01, -far), ops.select(leans, -far, a10)]
+    # Both rows are zero, or one entry is left.
+    apart = far > 0
+    first = [
+        ops.select(apart, x, y) for x, y in zip(first, _unit(a10 == 0, one, zero), strict=True)
+    ]
+    second = [
+        ops.select(apart, x, y) for x, y in zip(second, _unit(a01 != 0, one, zero), strict=True)
+    ]
+    first, second = (_normalized(emitter, parts) for parts in (first, second))
+
+    # A pair of complex ones: (half ± i root, a10).
+    pair = _normalized(emitter, [half, root, a10])
+    columns = []
+    for vector, sign in ((first, 1.0), (second, -1.0)):
+        complex_parts = [pair[0], sign * pair[1], pair[2], zero]
+        real_parts = [vector[0], zero, vector[1], zero]
+        columns.append(
+            [ops.select(is_real, x, y) for x, y in zip(real_parts, complex_parts, strict=True)]
+        )
+    values = [middle + real_root, imaginary_root, middle - real_root, -imaginary_root]
+    vectors = [part for row in zip(*columns, strict=True) for part in row]
+    return (
+        emitter.matrix(values, matrix.dt, (2, 2)),
+        emitter.matrix(vectors, matrix.dt, (4, 2)),
+    )
+
+
+def _unit(is_first: Any, one: Any, zero: Any) -> list[Any]:
+    """The first unit vector or the second."""
+    return [ops.select(is_first, one, zero), ops.select(is_first, zero, one)]
+
+
+def _normalized(emitter: Any, parts: list[Any]) -> list[Any]:
+    vector = emitter.vector(parts, parts[0].dt).normalized()
+    return vector.scalars()
