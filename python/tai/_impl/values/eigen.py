@@ -35,8 +35,7 @@ def eig(a: Any, dt: Any = None) -> Any:
     if dt is not None or not matrix.dt.is_float:
         matrix = emitter.cast(matrix, dtypes.to_dtype(dt) if dt is not None else dtypes.default_fp())
     a00, a01, a10, a11 = matrix.scalars()
-    zero = 0.0 * a00
-    one = zero + 1.0
+    zero, one = emitter.constant(0.0, matrix.dt), emitter.constant(1.0, matrix.dt)
     middle, half = 0.5 * (a00 + a11), 0.5 * (a00 - a11)
     square = half * half + a01 * a10
     is_real = square >= 0
@@ -67,7 +66,7 @@ def eig(a: Any, dt: Any = None) -> Any:
         columns.append(
             [ops.select(is_real, x, y) for x, y in zip(real_parts, complex_parts, strict=True)]
         )
-    values = [middle + real_root, imaginary_root, middle - real_root, -imaginary_root]
+    values = [middle + real_root, imaginary_root, middle - real_root, zero - imaginary_root]
     vectors = [part for row in zip(*columns, strict=True) for part in row]
     return (
         emitter.matrix(values, matrix.dt, (2, 2)),
