@@ -33,7 +33,9 @@ def eig(a: Any, dt: Any = None) -> Any:
             "use ti.sym_eig for symmetric 3×3 matrices",
         )
     if dt is not None or not matrix.dt.is_float:
-        matrix = emitter.cast(matrix, dtypes.to_dtype(dt) if dt is not None else dtypes.default_fp())
+        matrix = emitter.cast(
+            matrix, dtypes.to_dtype(dt) if dt is not None else dtypes.default_fp()
+        )
     a00, a01, a10, a11 = matrix.scalars()
     zero, one = emitter.constant(0.0, matrix.dt), emitter.constant(1.0, matrix.dt)
     middle, half = 0.5 * (a00 + a11), 0.5 * (a00 - a11)
