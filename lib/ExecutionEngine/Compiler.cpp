@@ -352,8 +352,7 @@ std::string Compiler::getKey(CompileRequest request,
   std::string text;
   llvm::raw_string_ostream stream(text);
   // Sessions accept no other processor than those that are found.
-  TargetCpu cpu =
-      llvm::cantFail(TargetCpu::find(options.codegen.targetCpu));
+  TargetCpu cpu = llvm::cantFail(TargetCpu::find(options.codegen.targetCpu));
   stream << getBuildId(context) << '\n'
          << cpu.triple << ' ' << cpu.name << ' ' << cpu.features << '\n'
          << options.str() << '\n'

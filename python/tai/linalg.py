@@ -1,10 +1,22 @@
-"""`ti.linalg`: solvers of systems of equations over fields that kernels define, with gradients."""
+"""`ti.linalg`: solvers of systems of equations over fields that kernels define, with gradients;
+sparse matrices and direct solvers, without."""
 
 from __future__ import annotations
 
 from ._impl.solvers.implicit import newton
 from ._impl.solvers.linear import bicgstab, cg, jacobi
 from ._impl.solvers.report import SolveInfo
+from ._impl.solvers.sparse_matrix import SparseMatrix, SparseMatrixBuilder, SparseSolver
+from ._impl.solvers.taichi_names import (
+    LinearOperator,
+    MatrixFreeBICGSTAB,
+    MatrixFreeCG,
+    SparseCG,
+)
 from .errors import TaiConvergenceWarning
 
-__all__ = ["SolveInfo", "TaiConvergenceWarning", "bicgstab", "cg", "jacobi", "newton"]
+__all__ = [
+    "LinearOperator", "MatrixFreeBICGSTAB", "MatrixFreeCG", "SolveInfo", "SparseCG",
+    "SparseMatrix", "SparseMatrixBuilder", "SparseSolver", "TaiConvergenceWarning", "bicgstab",
+    "cg", "jacobi", "newton",
+]  # fmt: skip

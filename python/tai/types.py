@@ -22,6 +22,7 @@ from ._impl.base.dtypes import (
     u64,
 )
 from ._impl.fields.structs import StructType
+from ._impl.fields.triplets import TripletsType as sparse_matrix_builder  # noqa: N813
 from ._impl.values.types import (
     BitpackedFields,
     MatrixType,
@@ -46,6 +47,6 @@ def struct(**members: Any) -> StructType:
 __all__ = [
     "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType", "StructType", "bf16",
     "f16", "f32", "f64", "i16", "i32", "i64", "i8", "is_integral", "is_real", "is_signed", "matrix",
-    "ndarray", "primitive_types", "quant", "struct", "template", "u1", "u16", "u32", "u64", "u8",
-    "vector",
+    "ndarray", "primitive_types", "quant", "sparse_matrix_builder", "struct", "template", "u1",
+    "u16", "u32", "u64", "u8", "vector",
 ]  # fmt: skip

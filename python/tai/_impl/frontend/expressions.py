@@ -23,6 +23,7 @@ from .refs import Part as SomeComponents
 from .sparse import Levels, list_element, list_method
 from .structs import StructPlace, StructValue, struct_element
 from .templates import ARRAY_FORM
+from .triplets import TripletsValue
 
 
 class Expressions(Part):
@@ -125,6 +126,8 @@ class Expressions(Part):
             return field_element(self.emitter, base, key)
         if isinstance(base, ArrayArgument):
             return base.element(key)
+        if isinstance(base, TripletsValue):
+            return base.entry(key)
         if isinstance(base, Value):
             return base[key]
         if base is None and isinstance(node.value, ast.Attribute) and node.value.attr in (

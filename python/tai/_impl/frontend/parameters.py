@@ -8,10 +8,12 @@ from typing import Any
 from ...errors import TaiSyntaxError
 from ..base import dtypes
 from ..fields.structs import StructType
+from ..fields.triplets import TripletsType
 from .context import Context, Part
 from .refs import ArrayArgument, FieldElement, Variable
 from .scope import Bound
 from .structs import StructValue
+from .triplets import TripletsValue
 
 
 class Parameters(Part):
@@ -53,11 +55,20 @@ class Parameters(Part):
             assert isinstance(variable, Variable)
             self._load_cells(variable, field, block.argument(position + number))
         for name, type_ in kernel.structs.items():
-            frame.define(name, Bound(self._struct(name, type_)))
+            made = self._triplets if isinstance(type_, TripletsType) else self._struct
+            frame.define(name, Bound(made(name, type_)))
         if kernel.result_field is not None:
             self._result_cell = block.argument(position + len(kernel.followed))
         if kernel.result is not None and kernel.result.has_gradient:
             self.gradients.append(len(self.types))
+
+    def _triplets(self, name: str, type_: StructType) -> TripletsValue:
+        arrays: dict[str, Any] = {}
+        for key in type_.members:
+            array = self.frame.scopes[-1][f"{name}.{key}"]
+            assert isinstance(array, Bound)
+            arrays[key] = array.thing
+        return TripletsValue(self.emitter, name, arrays)
 
     def _struct(self, name: str, type_: StructType) -> StructValue:
         """A struct of the parameters that are its members."""

@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError, TaiTypeError
 from ..base import dtypes, state
 from ..fields.structs import Struct, StructType
+from ..fields.triplets import TripletsType
 from ..frontend.source import closure_of, function_ast
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
 from .struct_results import ResultType, StructResult
@@ -86,8 +87,8 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
     annotation = resolve(annotation, function)
     if _is_template(annotation):
         return template()
-    if annotation is NdarrayType:
-        return NdarrayType()
+    if annotation in (NdarrayType, TripletsType):
+        return annotation()
     if isinstance(annotation, (NdarrayType, MatrixType, StructType)):
         return annotation
     found = dtypes.to_dtype(annotation)
@@ -153,6 +154,8 @@ def _member_values(kernel: str, name: str, type_: Any, value: Any) -> list[Any]:
     """An argument in the order of `_members`."""
     if not isinstance(type_, StructType):
         return [value]
+    if isinstance(type_, TripletsType):
+        return list(type_.take(kernel, name, value).values())
     if not isinstance(value, (dict, Struct)) or {k for k, _ in value.items()} != set(type_.members):
         raise TaiRuntimeTypeError(
             f"argument '{name}' of kernel '{kernel}' expects {type_!r}, but got {value!r}",

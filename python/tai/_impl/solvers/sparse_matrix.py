@@ -1,0 +1,380 @@
+"""Sparse matrices that kernels fill, their arithmetic, and direct solvers.
+
+The arithmetic and the factorisations are SciPy's. Nothing here is differentiated: `ti.linalg.cg`
+and others, which take a kernel in the place of a matrix, are.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiRuntimeError, TaiRuntimeTypeError
+from ..base import dtypes
+from ..base.program import sync
+from ..fields.arrays import Ndarray
+from ..fields.field import Field
+from ..fields.triplets import Triplets
+
+_FORMATS = ("col_major", "row_major")
+_SOLVERS = ("LLT", "LDLT", "LU")
+# Orders of SciPy by those of Eigen, which Taichi names.
+_ORDERINGS = {"AMD": "MMD_AT_PLUS_A", "COLAMD": "COLAMD"}
+
+
+def get_scipy() -> tuple[Any, Any]:
+    """The modules of sparse matrices and of their solvers."""
+    try:
+        import scipy.sparse
+        import scipy.sparse.linalg
+    except ImportError:
+        raise TaiRuntimeError(
+            "sparse matrices need SciPy, which is not installed",
+            "pip install scipy, or solve with a kernel in the place of a matrix: ti.linalg.cg",
+        ) from None
+    return scipy.sparse, scipy.sparse.linalg
+
+
+def _float_type(dtype: Any, what: str) -> dtypes.DataType:
+    found = dtypes.to_dtype(dtype)
+    if found not in (dtypes.f32, dtypes.f64):
+        raise TaiRuntimeTypeError(f"{what} holds ti.f32 or ti.f64, but got {dtype!r}")
+    return found
+
+
+def _count(value: Any, what: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise TaiRuntimeTypeError(f"{what} is a whole number above 0, but got {value!r}")
+    return int(value)
+
+
+class SparseMatrixBuilder(Triplets):
+    """Collects the entries of a sparse matrix; those at the same place are added up.
+
+    ```python
+    builder = ti.linalg.SparseMatrixBuilder(n, n, max_num_triplets=3 * n)
+
+
+    @ti.kernel
+    def fill(A: ti.types.sparse_matrix_builder()):
+        for i in range(n):
+            A[i, i] += 2.0
+
+
+    fill(builder)
+    A = builder.build()
+    ```
+
+    Args:
+        num_rows, num_cols: the size of the matrix; square if the second is left out.
+        max_num_triplets: how many entries there may be before they are added up.
+        dtype: ti.f32 or ti.f64.
+        storage_format: "col_major" or "row_major".
+    """
+
+    def __init__(
+        self, num_rows: Any = None, num_cols: Any = None, max_num_triplets: Any = 0,
+        dtype: Any = dtypes.f32, storage_format: str = "col_major",
+    ):  # fmt: skip
+        self.num_rows = _count(num_rows, "num_rows")
+        self.num_cols = _count(num_rows if num_cols is None else num_cols, "num_cols")
+        self.dtype = _float_type(dtype, "a sparse matrix")
+        if storage_format not in _FORMATS:
+            raise TaiRuntimeTypeError(
+                f"storage_format is {' or '.join(map(repr, _FORMATS))}, but got {storage_format!r}"
+            )
+        self.storage_format = storage_format
+        super().__init__(_count(max_num_triplets, "max_num_triplets"), self.dtype.numpy)
+
+    def _entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        sync()
+        number = int(self.count[0])
+        if number > self.capacity:
+            raise TaiRuntimeError(
+                f"kernels added {number} entries to a builder of {self.capacity}",
+                f"make it with max_num_triplets={number}",
+            )
+        rows, columns = self.rows[:number], self.columns[:number]
+        outside = (rows < 0) | (rows >= self.num_rows) | (columns < 0) | (columns >= self.num_cols)
+        if outside.any():
+            at = int(np.flatnonzero(outside)[0])
+            raise TaiRuntimeError(
+                f"a kernel added to [{rows[at]}, {columns[at]}] of a matrix of "
+                f"{self.num_rows}×{self.num_cols}"
+            )
+        # Threads append in any order; entries at one place are added up in this one.
+        order = np.lexsort((self.values[:number], rows, columns))
+        return rows[order], columns[order], self.values[:number][order]
+
+    def print_triplets(self) -> None:
+        """Prints the entries, column by column."""
+        rows, columns, values = self._entries()
+        size = f"n={self.num_rows}, m={self.num_cols}"
+        print(f"{size}, num_triplets={len(values)} (max={self.capacity})")
+        for entry in zip(rows, columns, values, strict=True):
+            print("[{}, {}] = {:g}".format(*entry))
+
+    def build(self, dtype: Any = None, _format: Any = None) -> SparseMatrix:
+        """The matrix of the entries so far, after which the builder is empty."""
+        sparse, _ = get_scipy()
+        kind = self.dtype if dtype is None else _float_type(dtype, "a sparse matrix")
+        rows, columns, values = self._entries()
+        self.count[0] = 0
+        made = sparse.coo_array(
+            (values.astype(kind.numpy), (rows, columns)), (self.num_rows, self.num_cols)
+        )
+        is_rows = self.storage_format == "row_major"
+        return SparseMatrix._of(made.tocsr() if is_rows else made.tocsc())
+
+
+def as_numpy(x: Any) -> np.ndarray:
+    if isinstance(x, (Field, Ndarray)):
+        return x.to_numpy()
+    return np.asarray(x)
+
+
+class SparseMatrix:
+    """A sparse matrix.
+
+    `+`, `-` and `*` go element by element, `*` also with a number; `A @ x` is the product with
+    another one, or with a vector: a field, a `ti.ndarray` or an array of NumPy.
+
+    Args:
+        n, m: rows and columns; square if the second is left out.
+        dtype: ti.f32 or ti.f64.
+        storage_format: "col_major" or "row_major".
+    """
+
+    def __init__(
+        self, n: Any = None, m: Any = None, dtype: Any = dtypes.f32,
+        storage_format: str = "col_major",
+    ):  # fmt: skip
+        sparse, _ = get_scipy()
+        shape = (_count(n, "n"), _count(n if m is None else m, "m"))
+        make = sparse.csr_array if storage_format == "row_major" else sparse.csc_array
+        self._matrix = make(shape, dtype=_float_type(dtype, "a sparse matrix").numpy)
+
+    @classmethod
+    def _of(cls, matrix: Any) -> SparseMatrix:
+        made = cls.__new__(cls)
+        made._matrix = matrix
+        return made
+
+    @property
+    def n(self) -> int:
+        """The number of rows."""
+        return self._matrix.shape[0]
+
+    @property
+    def m(self) -> int:
+        """The number of columns."""
+        return self._matrix.shape[1]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self._matrix.shape
+
+    @property
+    def dtype(self) -> dtypes.DataType:
+        return dtypes.f32 if self._matrix.dtype == np.float32 else dtypes.f64
+
+    def to_scipy(self) -> Any:
+        """The same matrix as an array of `scipy.sparse`, which shares its memory."""
+        return self._matrix
+
+    def to_numpy(self) -> np.ndarray:
+        """All elements, zeros included."""
+        return self._matrix.toarray()
+
+    def __getitem__(self, indices: tuple[int, int]) -> float:
+        return float(self._matrix[indices])
+
+    def __setitem__(self, indices: tuple[int, int], value: float) -> None:
+        with warnings.catch_warnings():
+            # That it is slow.
+            warnings.simplefilter("ignore")
+            self._matrix[indices] = value
+
+    def _alike(self, other: Any, op: str) -> Any:
+        if not isinstance(other, SparseMatrix):
+            return None
+        if other.shape != self.shape:
+            sizes = " and ".join(f"{a}×{b}" for a, b in (self.shape, other.shape))
+            raise TaiRuntimeTypeError(f"'{op}' takes sparse matrices of one size, but got {sizes}")
+        return other._matrix
+
+    def _combined(self, other: Any, op: str, apply: Any) -> Any:
+        matrix = self._alike(other, op)
+        if matrix is None:
+            return NotImplemented
+        made = apply(self._matrix, matrix)
+        return SparseMatrix._of(made.asformat(self._matrix.format))
+
+    def __add__(self, other: Any) -> Any:
+        return self._combined(other, "+", lambda a, b: a + b)
+
+    def __sub__(self, other: Any) -> Any:
+        return self._combined(other, "-", lambda a, b: a - b)
+
+    def __iadd__(self, other: Any) -> Any:
+        return self.__add__(other)
+
+    def __isub__(self, other: Any) -> Any:
+        return self.__sub__(other)
+
+    def __neg__(self) -> SparseMatrix:
+        return SparseMatrix._of(-self._matrix)
+
+    def __mul__(self, other: Any) -> Any:
+        if isinstance(other, (int, float, np.number)):
+            return SparseMatrix._of(self._matrix * self._matrix.dtype.type(other))
+        return self._combined(other, "*", lambda a, b: a * b)
+
+    __rmul__ = __mul__
+
+    def __matmul__(self, other: Any) -> Any:
+        inner = other.shape[0] if getattr(other, "shape", ()) else None
+        if inner != self.m:
+            raise TaiRuntimeTypeError(
+                f"'@' of a sparse matrix of {self.n}×{self.m} takes {self.m} rows, but got "
+                + (f"{inner}" if inner is not None else f"{other!r}")
+            )
+        if isinstance(other, SparseMatrix):
+            return SparseMatrix._of((self._matrix @ other._matrix).asformat(self._matrix.format))
+        result = self._matrix @ as_numpy(other)
+        return like(other, result)
+
+    def spmv(self, x: Any, y: Any) -> None:
+        """y = A x for fields or arrays."""
+        y.from_numpy(np.asarray(self._matrix @ as_numpy(x), dtype=y.dtype.numpy))
+
+    def transpose(self) -> SparseMatrix:
+        return SparseMatrix._of(self._matrix.T.asformat(self._matrix.format))
+
+    def build_from_ndarray(self, triplets: Any) -> None:
+        """Takes the entries of an array of (row, column, value), one after another."""
+        flat = as_numpy(triplets).reshape(-1, 3)
+        sparse, _ = get_scipy()
+        made = sparse.coo_array(
+            (flat[:, 2], (flat[:, 0].astype(np.int64), flat[:, 1].astype(np.int64))), self.shape
+        )
+        self._matrix = made.astype(self._matrix.dtype).asformat(self._matrix.format)
+
+    def mmwrite(self, filename: str) -> None:
+        """Writes the matrix as a Matrix Market file."""
+        import scipy.io
+
+        scipy.io.mmwrite(filename, self._matrix)
+
+    def __str__(self) -> str:
+        words = [[f"{x:g}" for x in row] for row in self.to_numpy()]
+        width = max(len(word) for row in words for word in row)
+        return "\n".join("[" + ", ".join(w.rjust(width) for w in row) + "]" for row in words)
+
+    def __repr__(self) -> str:
+        return f"<sparse matrix of {self.n}×{self.m} {self.dtype}, {self._matrix.nnz} entries>"
+
+
+def like(given: Any, result: np.ndarray) -> Any:
+    """A result as a `ti.ndarray` where the argument was one."""
+    if not isinstance(given, Ndarray):
+        return result
+    made = Ndarray(given.dtype, result.shape)
+    made.from_numpy(result.astype(given.dtype.numpy))
+    return made
+
+
+class SparseSolver:
+    """Solves A x = b by a factorisation of A.
+
+    ```python
+    solver = ti.linalg.SparseSolver(solver_type="LLT")
+    solver.analyze_pattern(A)
+    solver.factorize(A)
+    x = solver.solve(b)
+    ```
+
+    Args:
+        dtype: ti.f32 or ti.f64; the factorisation is in f64.
+        solver_type: "LLT" and "LDLT" for symmetric matrices, of which the first must be positive
+            definite; "LU" for all.
+        ordering: "AMD" or "COLAMD".
+    """
+
+    def __init__(self, dtype: Any = dtypes.f32, solver_type: str = "LLT", ordering: str = "AMD"):
+        if solver_type not in _SOLVERS or ordering not in _ORDERINGS:
+            raise TaiRuntimeTypeError(
+                f"there is no solver of type {solver_type!r} and ordering {ordering!r}",
+                f"types are {', '.join(_SOLVERS)}, orderings {', '.join(_ORDERINGS)}",
+            )
+        self.dtype = _float_type(dtype, "a solver")
+        self.solver_type, self.ordering = solver_type, ordering
+        self._factors: Any = None
+        self._problem = "nothing is factorised yet"
+
+    def analyze_pattern(self, sparse_matrix: SparseMatrix) -> None:
+        """Checks that there is a factorisation of matrices of this form; `factorize` makes it."""
+        self._check(sparse_matrix)
+
+    def _check(self, matrix: Any) -> Any:
+        if not isinstance(matrix, SparseMatrix):
+            raise TaiRuntimeTypeError(
+                f"a solver takes a sparse matrix, but got a {type(matrix).__name__}",
+                "make one by ti.linalg.SparseMatrixBuilder",
+            )
+        if matrix.n != matrix.m:
+            raise TaiRuntimeTypeError(
+                f"a solver takes a square matrix, but got one of {matrix.n}×{matrix.m}"
+            )
+        return matrix.to_scipy().astype(np.float64).tocsc()
+
+    def factorize(self, sparse_matrix: SparseMatrix) -> None:
+        """Factorises the matrix; `info` says whether there is a factorisation."""
+        _, solvers = get_scipy()
+        a = self._check(sparse_matrix)
+        self._factors, self._problem = None, ""
+        is_symmetric = self.solver_type != "LU"
+        if is_symmetric and abs(a - a.T).max() > 1e-5 * max(abs(a).max(), 1e-300):
+            self._problem = f"the matrix is not symmetric, as {self.solver_type} needs it"
+            return
+        options = {"SymmetricMode": True} if is_symmetric else {}
+        try:
+            factors = solvers.splu(
+                a, permc_spec=_ORDERINGS[self.ordering], options=options,
+                diag_pivot_thresh=0.0 if is_symmetric else None,
+            )  # fmt: skip
+        except RuntimeError as error:
+            self._problem = f"the matrix cannot be factorised: {error}"
+            return
+        # Without pivoting, U = D Lᵀ.
+        pivots = factors.U.diagonal()
+        if self.solver_type == "LLT" and (pivots <= 0).any():
+            self._problem = "the matrix is not positive definite, as LLT needs it"
+            return
+        self._factors = factors
+
+    def compute(self, sparse_matrix: SparseMatrix) -> None:
+        """`analyze_pattern` and `factorize`."""
+        self.analyze_pattern(sparse_matrix)
+        self.factorize(sparse_matrix)
+
+    def solve(self, b: Any) -> Any:
+        """x as an array of NumPy, or as a `ti.ndarray` where b is one."""
+        if self._factors is None:
+            raise TaiRuntimeError(
+                f"there is nothing to solve with: {self._problem}",
+                "call factorize(A) first, and ask info()",
+            )
+        right = as_numpy(b)
+        if right.shape[:1] != (self._factors.shape[0],):
+            raise TaiRuntimeTypeError(
+                f"the right-hand side has {self._factors.shape[0]} elements, but got {right.shape}"
+            )
+        found = self._factors.solve(right.astype(np.float64))
+        return like(b, found.astype(self.dtype.numpy))
+
+    def info(self) -> bool:
+        """Whether the last matrix could be factorised."""
+        return self._factors is not None
