@@ -500,6 +500,8 @@ class Emitter:
         x = self.as_value(x)
         if name in _MATH:
             x = self.to_float(x)
+            if self.fast_norms and name in ("exp2", "log2"):
+                return self._by_base_e(name, x)
             check_domain(self, name, x)
             return self.elementwise(_MATH[name], [x], x.dt)
         if name in ("neg", "abs"):
@@ -529,6 +531,12 @@ class Emitter:
                 )
             return self.binary("^", self.to_bool(x), self.constant(True, u1))
         raise TaiCompilationError(f"there is no operation '{name}'")
+
+    def _by_base_e(self, name: str, x: Any) -> Any:
+        """Functions to the base of 2 where some units are no matter: there are vectors of these."""
+        if name == "exp2":
+            return self.unary("exp", self.binary("*", x, math.log(2.0)))
+        return self.binary("*", self.unary("log", x), 1.0 / math.log(2.0))
 
     def binary(self, op: str, a: Any, b: Any) -> Any:
         """`a op b` in the type that Taichi gives it."""
