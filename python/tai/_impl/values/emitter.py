@@ -655,7 +655,9 @@ class Emitter:
                     "a whole number has no negative powers among whole numbers",
                     "use a float base: float(x) ** -1",
                 )
-            return self.binary("/", 1.0, self._whole_power(base, -exponent))
+            # Not 1 / base ** -exponent: the adjoint of that power leaves the range of floats where
+            # the derivative does not, for x ** -2 at 1e-100.
+            return self._whole_power(self.binary("/", 1.0, base), -exponent)
         result = None
         while exponent:
             if exponent & 1:
