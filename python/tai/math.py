@@ -16,10 +16,12 @@ from ._impl.values.ops import (
     ceil,
     cos,
     exp,
+    exp2,
     expm1,
     floor,
     log,
     log1p,
+    log2,
     max,
     min,
     pow,
@@ -124,14 +126,6 @@ def degrees(x: Any) -> Any:
 
 def radians(x: Any) -> Any:
     return x * (pi / 180.0)
-
-
-def log2(x: Any) -> Any:
-    return log(x) * (1.0 / _math.log(2.0))
-
-
-def exp2(x: Any) -> Any:
-    return exp(x * _math.log(2.0))
 
 
 def isnan(x: Any) -> Any:

@@ -22,15 +22,20 @@ llvm.func @floats(%a: f32, %b: f32) -> f32 {
 
 // Intrinsics where LLVM has them, libm where not.
 // CHECK-LABEL: llvm.func @functions
-//       CHECK:   llvm.intr.exp2
+//       CHECK:   llvm.intr.sin
 //       CHECK:   llvm.intr.sqrt
 //       CHECK:   llvm.call @erff
 //       CHECK:   llvm.call @cbrtf
 //       CHECK:   llvm.call @log1pf
+// PLAIN-LABEL: llvm.func @functions
+//       PLAIN:   llvm.intr.exp2
+//       PLAIN:   llvm.intr.sin
+//       PLAIN:   llvm.intr.sqrt
 //  FAST-LABEL: llvm.func @functions
 //        FAST:   llvm.intr.sqrt
 llvm.func @functions(%x: f32) -> f32 {
-  %0 = math.exp2 %x : f32
+  %power = math.exp2 %x : f32
+  %0 = math.sin %power : f32
   %1 = math.sqrt %0 : f32
   %2 = math.erf %1 : f32
   %3 = math.cbrt %2 : f32

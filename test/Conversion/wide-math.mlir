@@ -32,3 +32,22 @@ llvm.func @wide(%x: f32, %v: vector<4xf32>, %d: f64, %p: !llvm.ptr) -> f64 {
   %4 = math.exp %d : f64
   llvm.return %4 : f64
 }
+
+// So are those to the base of 2: a power is 2^k e^(r ln 2), and the logarithm
+// of a power of 2 is its exponent.
+// CHECK-LABEL: llvm.func @base_of_two
+//   CHECK-NOT:   llvm.intr
+//       CHECK:   llvm.fptrunc %{{.+}} : f64 to f32
+//   CHECK-NOT:   llvm.intr
+//       CHECK:   llvm.fptrunc %{{.+}} : f64 to f32
+//       CHECK:   llvm.intr.log2(%{{.+}}) {{.*}}: (f64) -> f64
+// PLAIN-LABEL: llvm.func @base_of_two
+//       PLAIN:   llvm.intr.exp2(%{{.+}}) : (f32) -> f32
+//       PLAIN:   llvm.intr.log2(%{{.+}}) : (f32) -> f32
+llvm.func @base_of_two(%x: f32, %d: f64, %p: !llvm.ptr) -> f64 {
+  %0 = math.exp2 %x : f32
+  %1 = math.log2 %0 : f32
+  llvm.store %1, %p : f32, !llvm.ptr
+  %2 = math.log2 %d : f64
+  llvm.return %2 : f64
+}

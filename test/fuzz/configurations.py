@@ -37,6 +37,7 @@ class Configuration:
         level: of optimisation.
         elements: of the fields.
         deterministic: whether sums do not depend on timing.
+        compensated: whether sums have twice the digits, to tell rounding of sums from errors.
     """
 
     arch: str = "cpu"
@@ -44,10 +45,12 @@ class Configuration:
     level: int = 1
     elements: int = 5
     deterministic: bool = False
+    compensated: bool = False
 
     def __str__(self) -> str:
         word = f"{self.arch}-{self.threads}t-O{self.level}-{self.elements}n"
-        return word + ("-deterministic" if self.deterministic else "")
+        word += "-deterministic" if self.deterministic else ""
+        return word + ("-compensated" if self.compensated else "")
 
     @contextlib.contextmanager
     def chosen(self) -> Iterator[None]:
@@ -73,6 +76,7 @@ class Configuration:
         return {
             "cpu_max_num_threads": self.threads if self.arch == "cpu" else 1,
             "opt_level": self.level, "deterministic": self.deterministic,
+            "sums": "compensated" if self.compensated else "default",
         }  # fmt: skip
 
     def init(self, **options) -> None:
@@ -86,11 +90,13 @@ class Configuration:
 
 
 def parse(word: str) -> Configuration:
-    found = re.fullmatch(r"(cpu|emulated|cuda|python)-(\d+)t-O(\d)-(\d+)n(-deterministic)?", word)
+    found = re.fullmatch(
+        r"(cpu|emulated|cuda|python)-(\d+)t-O(\d)-(\d+)n(-deterministic)?(-compensated)?", word
+    )
     if not found:
         raise ValueError(f"no configuration: {word!r}; one is {Configuration()}")
-    arch, threads, level, elements, deterministic = found.groups()
-    return Configuration(arch, int(threads), int(level), int(elements), bool(deterministic))
+    arch, threads, level, elements, *sums = found.groups()
+    return Configuration(arch, int(threads), int(level), int(elements), *map(bool, sums))
 
 
 def default_targets() -> tuple[str, ...]:

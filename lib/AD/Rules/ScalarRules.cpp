@@ -79,7 +79,7 @@ static Num cosh(Num a) { return make<math::CoshOp>(a); }
 static Num exp(Num a) { return make<math::ExpOp>(a); }
 static Num log(Num a) { return make<math::LogOp>(a); }
 static Num sqrt(Num a) { return make<math::SqrtOp>(a); }
-static Num trunc(Num a) { return make<math::TruncOp>(a); }
+static Num round(Num a) { return make<math::RoundEvenOp>(a); }
 static Num pow(Num a, Num b) { return make<math::PowFOp>(a, b); }
 static Num copysign(Num a, Num b) { return make<math::CopySignOp>(a, b); }
 
@@ -185,7 +185,7 @@ ArrayRef<ScalarRule> mlir::tai::getScalarRules() {
     {"arith.divf", {{0, "g / y", unlessYNonZero, [](A a) { return a.g() / a.y(); }},
                     {1, "-(g / y) r", unlessYNonZero, [](A a) { return -(a.g() / a.y() * a.r()); }}}},
     {"arith.remf", {{0, "g", never, [](A a) { return a.g(); }},
-                    {1, "-g trunc(x / y)", unlessYNonZero, [](A a) { return -(a.g() * trunc(a.x() / a.y())); }}},
+                    {1, "-g round((x - r) / y)", unlessYNonZero, [](A a) { return -(a.g() * round((a.x() - a.r()) / a.y())); }}},
      "at a multiple of y: as just above it"},
     {"math.fma", {{0, "g y", never, [](A a) { return a.g() * a.y(); }},
                   {1, "g x", never, [](A a) { return a.g() * a.x(); }},

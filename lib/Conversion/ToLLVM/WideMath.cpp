@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // A call into libm keeps a loop from being vectorised, and its function works
-// on one number at a time. In f64 an exponential and a logarithm that are
+// on one number at a time. In f64 exponentials and logarithms that are
 // accurate for f32 need no table and no branch: the error of a short polynomial
 // is 2^-35, so that the error after rounding to f32 is hardly more than half a
 // unit in the last place (libm: up to 1, and 2 for tanh). Results are the same
@@ -102,22 +102,39 @@ public:
 
   /// 2^k and e^r - 1, where x = k ln 2 + r, for |x| < 1000.
   std::pair<Value, Value> splitExp(Value x) {
-    // Added to a number below 2^51, this rounds it to an integer, which is then
-    // in the low bits.
-    Value shifter = constant(0x1.8p52);
-    Value shifted = add(mul(x, constant(0x1.71547652b82fep0)), shifter);
-    Value k = sub(shifted, shifter);
-    Value scale = fromBits(
-        addBits(shiftLeft(toBits(shifted), 52), bits(int64_t(1023) << 52)));
-    Value r = sub(x, mul(k, constant(0x1.62e42fefa39efp-1)));
-    // (e^r - 1 - r) / r^2; |r| < 0.35, so the next term is below 2^-37.
-    Value rest =
-        polynomial(r, {1.0 / 2, 1.0 / 6, 1.0 / 24, 1.0 / 120, 1.0 / 720,
-                       1.0 / 5040, 1.0 / 40320, 1.0 / 362880});
-    return {scale, add(r, mul(mul(r, r), rest))};
+    auto [k, scale] = roundToPower(mul(x, constant(0x1.71547652b82fep0)));
+    return {scale, expm1OfSmall(sub(x, mul(k, constant(kLn2))))};
+  }
+
+  /// 2^k and 2^r - 1, where x = k + r, for |x| < 1000.
+  std::pair<Value, Value> splitExp2(Value x) {
+    auto [k, scale] = roundToPower(x);
+    return {scale, expm1OfSmall(mul(sub(x, k), constant(kLn2)))};
   }
 
 private:
+  static constexpr double kLn2 = 0x1.62e42fefa39efp-1;
+
+  /// The integer k nearest to x, and 2^k.
+  std::pair<Value, Value> roundToPower(Value x) {
+    // Added to a number below 2^51, this rounds it to an integer, which is then
+    // in the low bits.
+    Value shifter = constant(0x1.8p52);
+    Value shifted = add(x, shifter);
+    Value scale = fromBits(
+        addBits(shiftLeft(toBits(shifted), 52), bits(int64_t(1023) << 52)));
+    return {sub(shifted, shifter), scale};
+  }
+
+  /// e^r - 1 for |r| < 0.35.
+  Value expm1OfSmall(Value r) {
+    // (e^r - 1 - r) / r^2; the next term is below 2^-37.
+    Value rest =
+        polynomial(r, {1.0 / 2, 1.0 / 6, 1.0 / 24, 1.0 / 120, 1.0 / 720,
+                       1.0 / 5040, 1.0 / 40320, 1.0 / 362880});
+    return add(r, mul(mul(r, r), rest));
+  }
+
   Type withElement(Type element) {
     auto vector = dyn_cast<VectorType>(narrowType);
     return vector ? Type(vector.clone(element)) : element;
@@ -146,6 +163,15 @@ Value expandExp(Wide &wide, Value x) {
   return wide.truncate(wide.add(scale, wide.mul(scale, minusOne)));
 }
 
+Value expandExp2(Wide &wide, Value x) {
+  Value most = wide.constant(130), least = wide.constant(-160);
+  x = wide.extend(x);
+  x = wide.choose(Predicate::OGT, x, most, most, x);
+  x = wide.choose(Predicate::OLT, x, least, least, x);
+  auto [scale, minusOne] = wide.splitExp2(x);
+  return wide.truncate(wide.add(scale, wide.mul(scale, minusOne)));
+}
+
 /// t / (t + 2) with t = e^2x - 1, of which nothing cancels.
 Value expandTanh(Wide &wide, Value x) {
   // From 9.1 on the result is 1.
@@ -160,7 +186,8 @@ Value expandTanh(Wide &wide, Value x) {
 }
 
 /// e ln 2 + ln m, where x = 2^e m, by the series of artanh((m - 1) / (m + 1)).
-Value expandLog(Wide &wide, Value narrow) {
+/// To another base, ln 2 is `ofTwo`, and ln m is multiplied by `scale`.
+Value expandLog(Wide &wide, Value narrow, double ofTwo, double scale) {
   Value x = wide.extend(narrow);
   // Every f32 but 0 is a normal f64. Counted from sqrt(1/2), the bits of the
   // exponent are those of e.
@@ -175,8 +202,10 @@ Value expandLog(Wide &wide, Value narrow) {
   Value series =
       wide.polynomial(wide.mul(s, s), {2.0, 2.0 / 3, 2.0 / 5, 2.0 / 7, 2.0 / 9,
                                        2.0 / 11, 2.0 / 13, 2.0 / 15});
-  Value result = wide.add(wide.mul(e, wide.constant(0x1.62e42fefa39efp-1)),
-                          wide.mul(s, series));
+  if (scale != 1)
+    s = wide.mul(s, wide.constant(scale));
+  Value result =
+      wide.add(wide.mul(e, wide.constant(ofTwo)), wide.mul(s, series));
   Value zero = wide.constant(0);
   Value infinity = wide.constant(std::numeric_limits<double>::infinity());
   Value nan = wide.constant(std::numeric_limits<double>::quiet_NaN());
@@ -186,6 +215,13 @@ Value expandLog(Wide &wide, Value narrow) {
                        wide.constant(-std::numeric_limits<double>::infinity()),
                        result);
   return wide.truncate(result);
+}
+
+Value expandLogE(Wide &wide, Value x) {
+  return expandLog(wide, x, /*ofTwo=*/0x1.62e42fefa39efp-1, /*scale=*/1);
+}
+Value expandLog2(Wide &wide, Value x) {
+  return expandLog(wide, x, /*ofTwo=*/1, /*scale=*/0x1.71547652b82fep0);
 }
 
 template <typename Op, Value (*expand)(Wide &, Value), bool isOdd = false>
@@ -214,8 +250,9 @@ struct ExpandWide : OpRewritePattern<Op> {
 
 void tai::populateWideMath(RewritePatternSet &patterns,
                            PatternBenefit benefit) {
-  patterns.add<ExpandWide<math::ExpOp, expandExp>,
-               ExpandWide<math::LogOp, expandLog>,
-               ExpandWide<math::TanhOp, expandTanh, /*isOdd=*/true>>(
+  patterns.add<
+      ExpandWide<math::ExpOp, expandExp>, ExpandWide<math::Exp2Op, expandExp2>,
+      ExpandWide<math::LogOp, expandLogE>, ExpandWide<math::Log2Op, expandLog2>,
+      ExpandWide<math::TanhOp, expandTanh, /*isOdd=*/true>>(
       patterns.getContext(), benefit);
 }

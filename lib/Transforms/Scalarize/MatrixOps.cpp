@@ -45,25 +45,83 @@ static Value emitDeterminant(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   return sum;
 }
 
-/// Adjugate over determinant.
-static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
-  Value one = math.constant(a[0].getType(), 1);
-  if (n == 1)
-    return {math.div(one, a[0])};
+/// The cofactors of a matrix, row by row.
+static Components emitCofactors(ScalarMath &math, ArrayRef<Value> a,
+                                unsigned n) {
   Components cofactors;
   for (unsigned i = 0; i != n; ++i)
     for (unsigned j = 0; j != n; ++j) {
       Value minor = emitDeterminant(math, getMinor(a, n, i, j), n - 1);
       cofactors.push_back((i + j) % 2 ? math.neg(minor) : minor);
     }
-  Value determinant =
-      math.dot(a.take_front(n), ArrayRef(cofactors).take_front(n));
+  return cofactors;
+}
+
+/// The adjugate times one by the determinant.
+static Components emitAdjugateOver(ScalarMath &math, ArrayRef<Value> cofactors,
+                                   Value determinant, unsigned n) {
+  Value one = math.constant(determinant.getType(), 1);
   Value scale = math.div(one, determinant);
   Components result;
   for (unsigned i = 0; i != n; ++i)
     for (unsigned j = 0; j != n; ++j)
       result.push_back(math.mul(cofactors[j * n + i], scale));
   return result;
+}
+
+/// Adjugate over determinant. The determinant is a product of n entries, and
+/// leaves the range of floats where those of the inverse do not: of 3×3
+/// matrices in f32 already at entries of 1e-13. Only then the matrix is divided
+/// by its largest entry before. As for norms, the branch is the same for almost
+/// all matrices.
+static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
+  Type type = a[0].getType();
+  if (n == 1)
+    return {math.div(math.constant(type, 1), a[0])};
+  Components cofactors = emitCofactors(math, a, n);
+  auto getDeterminant = [n](ScalarMath &at, ArrayRef<Value> matrix,
+                            ArrayRef<Value> minors) {
+    return at.dot(matrix.take_front(n), minors.take_front(n));
+  };
+  Value determinant = getDeterminant(math, a, cofactors);
+  if (!type.isF32() && !type.isF64())
+    return emitAdjugateOver(math, cofactors, determinant, n);
+
+  OpBuilder &builder = math.getBuilder();
+  bool isDouble = type.isF64();
+  Value size = math.abs(determinant);
+  Value inRange = arith::AndIOp::create(
+      builder, math.getLoc(),
+      math.lessOrEqual(math.constant(type, isDouble ? 0x1p-900 : 0x1p-90),
+                       size),
+      math.lessOrEqual(size,
+                       math.constant(type, isDouble ? 0x1p+900 : 0x1p+90)));
+  auto branch = scf::IfOp::create(
+      builder, math.getLoc(), inRange,
+      [&](OpBuilder &inside, Location loc) {
+        ScalarMath usual(inside, loc);
+        scf::YieldOp::create(
+            inside, loc, emitAdjugateOver(usual, cofactors, determinant, n));
+      },
+      [&](OpBuilder &inside, Location loc) {
+        ScalarMath rare(inside, loc);
+        Value largest = rare.abs(a[0]);
+        for (Value value : a.drop_front())
+          largest = rare.max(largest, rare.abs(value));
+        // Of a matrix of zeros there is no inverse, however it is scaled.
+        Value divisor = rare.select(rare.equal(largest, rare.constant(type, 0)),
+                                    rare.constant(type, 1), largest);
+        Components scaled;
+        for (Value value : a)
+          scaled.push_back(rare.div(value, divisor));
+        Components minors = emitCofactors(rare, scaled, n);
+        Components result = emitAdjugateOver(
+            rare, minors, getDeterminant(rare, scaled, minors), n);
+        for (Value &value : result)
+          value = rare.div(value, divisor);
+        scf::YieldOp::create(inside, loc, result);
+      });
+  return Components(branch.getResults());
 }
 
 /// Gaussian elimination with the largest pivot of each column, which keeps the

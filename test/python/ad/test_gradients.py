@@ -1,6 +1,7 @@
 """Gradients against central differences: f64, a ladder of steps, accepted at 1e-7."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -61,6 +62,53 @@ def test_functions_of_numbers(name):
         kernel()
 
     check_gradient(loss, [x, y], run)
+
+
+@pytest.mark.parametrize("mode", ["reverse", "forward"])
+def test_remainder_just_below_a_multiple(mode):
+    """The quotient rounds to the next whole number; the remainder, which is exact, does not."""
+    generator = np.random.default_rng(0)
+    divisors = generator.uniform(1.0, 2.0, 500)
+    numbers = divisors * generator.integers(2, 60, 500)
+    wholes = [int(Fraction(a) // Fraction(b)) for a, b in zip(numbers, divisors, strict=True)]
+    assert sum(np.trunc(numbers / divisors) != wholes) > 50
+    x = ti.field(ti.f64, shape=500)
+    y = ti.field(ti.f64, shape=500, needs_grad=True, needs_dual=True)
+    rest = ti.field(ti.f64, shape=500, needs_grad=True, needs_dual=True)
+    x.from_numpy(numbers)
+    y.from_numpy(divisors)
+
+    @ti.kernel
+    def remainder():
+        for i in x:
+            rest[i] = ti.raw_mod(x[i], y[i])
+
+    if mode == "reverse":
+        rest.grad.fill(1.0)
+        remainder.grad()
+        found = y.grad
+    else:
+        with ti.ad.FwdMode(loss=rest, param=y, seed=[1.0] * 500):
+            remainder()
+        found = rest.dual
+    np.testing.assert_array_equal(found.to_numpy(), -np.array(wholes))
+
+
+@pytest.mark.parametrize(("dtype", "at"), [(ti.f64, 1e-100), (ti.f32, 1e-12)])
+def test_negative_powers_of_small_numbers(dtype, at):
+    """Where the value and the derivative are numbers, what is in between is, too."""
+    x = ti.field(dtype, shape=(), needs_grad=True)
+    loss = ti.field(dtype, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def power():
+        loss[None] += x[None] ** -2
+
+    x[None] = at
+    with ti.ad.Tape(loss):
+        power()
+    assert loss[None] == pytest.approx(x[None] ** -2.0, rel=1e-6)
+    assert x.grad[None] == pytest.approx(-2 * x[None] ** -3.0, rel=1e-6)
 
 
 MATRIX = {

@@ -1,4 +1,4 @@
-"""The exponential, the logarithm and the hyperbolic tangent of f32, in units in the last place."""
+"""Exponentials, logarithms and the hyperbolic tangent of f32, in units in the last place."""
 
 import math
 from fractions import Fraction
@@ -39,7 +39,9 @@ def on_a_gpu() -> bool:
 
 FUNCTIONS = {
     "exp": (ti.exp, np.exp),
+    "exp2": (ti.math.exp2, np.exp2),
     "log": (ti.log, np.log),
+    "log2": (ti.math.log2, np.log2),
     "tanh": (ti.tanh, np.tanh),
 }
 
@@ -69,7 +71,8 @@ def test_half_a_unit(name):
     signs = ~np.isnan(rounded)
     np.testing.assert_array_equal(np.signbit(found[signs]), np.signbit(rounded[signs]))
     # On a GPU they are those of its library.
-    bound = {"exp": 2.0, "log": 1.0, "tanh": 2.0}[name] if on_a_gpu() else 0.501
+    bounds = {"exp": 2.0, "exp2": 2.0, "log": 1.0, "log2": 1.0, "tanh": 2.0}
+    bound = bounds[name] if on_a_gpu() else 0.501
     assert in_ulps(found[~special], expected[~special]).max() < bound
 
 
@@ -123,6 +126,32 @@ def test_other_modes(options):
         bounds = (2.0, 1.0, 2.5)
     for found, exact, bound in zip(y.to_numpy(), expected, bounds, strict=True):
         assert in_ulps(found, exact).max() <= bound
+
+
+@pytest.mark.parametrize("options", [{}, {"math": "strict"}, {"math": "accurate"}])
+@pytest.mark.parametrize("dtype", [ti.f64, ti.f32])
+def test_base_of_two(dtype, options):
+    """Powers and their exponents are exact: by e and ln 2 they would be off by 600 units."""
+    ti.init(default_fp=dtype, **options)
+    exponents = np.arange(-1022, 1024) if dtype is ti.f64 else np.arange(-126, 128)
+    x = ti.field(dtype, shape=len(exponents))
+    y = ti.field(dtype, shape=(2, len(exponents)))
+    x.from_numpy(exponents.astype(dtype.numpy))
+
+    @ti.kernel
+    def apply():
+        for i in x:
+            y[0, i] = ti.math.exp2(x[i])
+            y[1, i] = ti.math.log2(y[0, i])
+
+    apply()
+    found = y.to_numpy()
+    if on_a_gpu():  # its library is within a unit
+        np.testing.assert_allclose(found[0], np.ldexp(1.0, exponents), rtol=2.0**-22)
+        return
+    np.testing.assert_array_equal(found[0], np.ldexp(1.0, exponents))
+    np.testing.assert_array_equal(found[1], exponents)
+    assert [ti.math.exp2(10), ti.math.log2(8), ti.math.log2(0)] == [1024, 3, -math.inf]
 
 
 def test_power_of_a_constant_power_of_two():

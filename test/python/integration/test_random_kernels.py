@@ -92,6 +92,40 @@ def run():
     assert outcome.judge(programs.HEADER + text, 0, False, tmp_path, where).kind == "agree"
 
 
+def test_rounding_of_equal_terms_is_measured(tmp_path):
+    """All of them are rounded to one side: the sum is off by more than one of other terms."""
+    text = """
+
+@ti.kernel
+def inner(a: ti.f64):
+    for i in x:
+        for j in range(41):
+            ti.atomic_add(s[None], ti.tanh(a) + ti.sin(0.1))
+
+
+@ti.kernel
+def outer():
+    for i in x:
+        loss[None] += 0.3 * ti.cos(ti.sin(s[None]))
+
+
+def run():
+    inner(-1.85)
+    outer()
+    total()
+"""
+    where = configurations.parse("emulated-1t-O0-20011n")
+    found = outcome.judge(programs.HEADER + text, 0, False, tmp_path, where)
+    assert found.kind == "agree", found
+
+
+def test_rounding_of_parts_that_cancel_is_measured(tmp_path):
+    """Of this program's derivative by `s`, 819 and 825 leave 8.3."""
+    where = configurations.parse("cpu-3t-O1-67n")
+    found = outcome.judge(programs.program(3204), 3204, False, tmp_path, where)
+    assert found.kind in ("agree", "undecided"), found
+
+
 def test_the_oracle_can_fail(tmp_path):
     """A custom gradient that is wrong, in the place of a compiler that is."""
     wrong = """
@@ -119,6 +153,9 @@ def run():
 """
     found = outcome.judge(programs.HEADER + wrong, 0, False, tmp_path)
     assert found.kind == "FAIL"
+    # No sum rounds that much here: with exact ones the modes differ as before.
+    last = outcome.judge(programs.HEADER + wrong.replace("1e-4", "1e-10"), 0, False, tmp_path)
+    assert (last.kind, "last digits" in last.reason) == ("FAIL", True)
     right = wrong.replace("1e-4", "0.0")
     assert outcome.judge(programs.HEADER + right, 0, False, tmp_path).kind == "agree"
     nan = wrong.replace("x.grad[2] * (1 + 1e-4)", "float('nan')")

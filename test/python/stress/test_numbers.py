@@ -124,6 +124,47 @@ def test_s4_s5_scales(size, dtype, bound, mode, measure):
     measure("angle", np.abs(values - exact).max(), bound)
 
 
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(("dtype", "bound"), [("f64", 1e-13), ("f32", 4e-5)])
+@pytest.mark.parametrize("size", ["small", "large"])
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_inverses_at_scales(n, size, dtype, bound, mode):
+    """So does an inverse, whose determinant has n times the exponent of the matrix."""
+    ti.init(offline_cache=False)
+    s = SCALES[dtype][size == "large"]
+    matrices = np.random.default_rng(6).uniform(-1, 1, (65, n, n)) + 3 * np.eye(n)
+    inverses = np.linalg.inv(matrices)
+
+    def corner(x):
+        matrix = ti.Matrix([[s * x[n * i + j] for j in range(n)] for i in range(n)])
+        return s * matrix.inverse()[0, 1]
+
+    values, gradients = Points(corner, n * n, 65, dtype, mode)(matrices.reshape(65, -1))
+    assert np.abs(values - inverses[:, 0, 1]).max() < bound
+    slopes = -inverses[:, 0, :, None] * inverses[:, None, :, 1]
+    assert np.abs(gradients - slopes.reshape(65, -1)).max() < bound
+
+
+def test_inverse_of_singular_matrices():
+    """Nothing that is finite, however small they are."""
+    matrices = np.zeros((4, 3, 3))
+    matrices[1, 0, 0] = matrices[2, 0, 0] = 1e-200
+    matrices[2, 1, 1] = 1e-200
+    a = ti.Matrix.field(3, 3, ti.f64, shape=4)
+    b = ti.Matrix.field(3, 3, ti.f64, shape=4)
+    matrices[3] = 1e-200 * np.diag([1, 2, 4])
+    a.from_numpy(matrices)
+
+    @ti.kernel
+    def invert():
+        for i in a:
+            b[i] = a[i].inverse()
+
+    invert()
+    assert not np.isfinite(b.to_numpy()[:3].reshape(3, -1)).all(axis=1).any()
+    np.testing.assert_allclose(b.to_numpy()[3], 1e200 * np.diag([1, 0.5, 0.25]), rtol=1e-14)
+
+
 # The bounds of CUDA's fast intrinsics: ulps of the result, or an absolute error.
 FAST = {
     "exp(80)": (lambda x: ti.exp(x), [80.0, 10.0, -80.0, 1.0], np.exp, "ulp", 95),

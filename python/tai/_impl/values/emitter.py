@@ -500,6 +500,8 @@ class Emitter:
         x = self.as_value(x)
         if name in _MATH:
             x = self.to_float(x)
+            if self.fast_norms and name in ("exp2", "log2"):
+                return self._by_base_e(name, x)
             check_domain(self, name, x)
             return self.elementwise(_MATH[name], [x], x.dt)
         if name in ("neg", "abs"):
@@ -529,6 +531,12 @@ class Emitter:
                 )
             return self.binary("^", self.to_bool(x), self.constant(True, u1))
         raise TaiCompilationError(f"there is no operation '{name}'")
+
+    def _by_base_e(self, name: str, x: Any) -> Any:
+        """Functions to the base of 2 where some units are no matter: there are vectors of these."""
+        if name == "exp2":
+            return self.unary("exp", self.binary("*", x, math.log(2.0)))
+        return self.binary("*", self.unary("log", x), 1.0 / math.log(2.0))
 
     def binary(self, op: str, a: Any, b: Any) -> Any:
         """`a op b` in the type that Taichi gives it."""
@@ -647,7 +655,9 @@ class Emitter:
                     "a whole number has no negative powers among whole numbers",
                     "use a float base: float(x) ** -1",
                 )
-            return self.binary("/", 1.0, self._whole_power(base, -exponent))
+            # Not 1 / base ** -exponent: the adjoint of that power leaves the range of floats where
+            # the derivative does not, for x ** -2 at 1e-100.
+            return self._whole_power(self.binary("/", 1.0, base), -exponent)
         result = None
         while exponent:
             if exponent & 1:

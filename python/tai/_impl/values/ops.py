@@ -53,7 +53,8 @@ def _or_nan(function: Callable[[float], float]) -> Callable[[float], float]:
         try:
             return function(x)
         except ValueError:
-            return -math.inf if function is math.log and x == 0 else math.nan
+            is_log = function is math.log or function is math.log2
+            return -math.inf if is_log and x == 0 else math.nan
         except OverflowError:
             return math.inf
 
@@ -73,6 +74,8 @@ exp = _unary("exp", _or_nan(math.exp), "e to the power of x.")
 log = _unary("log", _or_nan(math.log), "Natural logarithm.")
 log1p = _unary("log1p", _or_nan(math.log1p), "log(1 + x), also for small x.")
 expm1 = _unary("expm1", _or_nan(math.expm1), "exp(x) - 1, also for small x.")
+exp2 = _unary("exp2", _or_nan(lambda x: 2.0**x), "2 to the power of x.")
+log2 = _unary("log2", _or_nan(math.log2), "Logarithm to the base of 2.")
 sqrt = _unary("sqrt", _or_nan(math.sqrt), "Square root.")
 rsqrt = _unary("rsqrt", lambda x: 1 / math.sqrt(x) if x > 0 else math.inf, "1 / √x.")
 trunc = _unary("trunc", lambda x: float(math.trunc(x)), "The integer part, as a float.")
