@@ -108,3 +108,38 @@ def test_fills_without_a_tape_keep_their_order(fuse):
             f.a.fill(1)
             held[0][...] = 1
     assert os.environ["TI_ARCH"] == "cuda"
+
+
+def test_fills_in_kernels():
+    pair = ti.types.struct(a=ti.f32, v=ti.math.vec2)
+    x, v = ti.field(ti.i32, shape=(3, 4)), ti.Vector.field(2, ti.f32, shape=3)
+    one, pairs = ti.field(ti.f32, shape=()), pair.field(shape=2)
+    sparse = ti.field(ti.i32)
+    ti.root.pointer(ti.i, 4).dense(ti.i, 4).place(sparse)
+
+    @ti.func
+    def clear(field: ti.template(), value):
+        field.fill(value)
+
+    @ti.kernel
+    def activate():
+        sparse[5] = 1
+
+    @ti.kernel
+    def kernel(a: ti.f32):
+        x.fill(7)
+        for i, j in x:
+            x[i, j] += i
+        clear(v, ti.Vector([a, 2 * a]))
+        one.fill(a)
+        pairs.fill(val=3)
+        sparse.fill(9)
+
+    activate()
+    kernel(1.5)
+    assert x.to_numpy().tolist() == [[7 + i] * 4 for i in range(3)]
+    assert v.to_numpy().tolist() == [[1.5, 3.0]] * 3
+    assert one[None] == 1.5
+    assert pairs.a.to_numpy().tolist() == [3] * 2
+    assert pairs.v.to_numpy().tolist() == [[3, 3]] * 2
+    assert sparse.to_numpy().tolist() == [0] * 4 + [9] * 4 + [0] * 8  # what is active

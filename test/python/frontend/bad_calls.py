@@ -224,7 +224,7 @@ def function_of_a_vector_for_numbers():
 
 @bad(
     ti.TaiSyntaxError,
-    "fill(…) would run once, while the kernel is compiled, and not when it runs",
+    "copy_from(…) would run once, while the kernel is compiled, and not when it runs",
     "assign to the elements in a loop",
 )
 def host_call_of_a_field():
@@ -232,7 +232,7 @@ def host_call_of_a_field():
 
     @ti.kernel
     def kernel():
-        x.fill(0.0)  # BAD
+        x.copy_from(x)  # BAD
 
     kernel()
 

@@ -19,7 +19,7 @@ WRONG = [
     "x[0] = int('5a')", "x[0] = [1, 2][x[0]]", "x[0] = [1, 2][5]", "x[0] = {'a': 1}['b']",
     "x[0] = 1 // 0", "x[0] = v[0].norm(1, 2, 3)", "x[0] = ti.foo(1)", "x[0] = one(1, 2)",
     "x[0] = none(1)", "x[0] = v[0] > v[1]", "assert x[0] > 0, x[0]", "y = ti.field(ti.f32, 3)",
-    "x.fill(0)", "a = x.to_numpy()", "x[0] = x.shape", "ti.sync()", "ti.init()",
+    "x.copy_from(x)", "a = x.to_numpy()", "x[0] = x.shape", "ti.sync()", "ti.init()",
     "x[0] = math.gamma(x[1])", "raise ValueError", "import math", "a = {1, 2}", "a: int",
     "x[0] = 1j", "a = (b := 1)", "global x", "x[0] = x", "x[0] = math.sin", "for i in 5: pass",
     "for i, j in x: pass", "for i in range(1.5): pass", "return 1",

@@ -1,6 +1,7 @@
 """Ways to call things in kernels that programs for Taichi use."""
 
 import numpy as np
+import pytest
 import tai as ti
 
 
@@ -32,3 +33,115 @@ def test_targets_that_are_not_here_fall_back(capsys, monkeypatch):
         x.fill(3)
         assert x[1] == 3
         assert "falling back to arch=cpu: no CUDA driver" in capsys.readouterr().err
+
+
+@ti.func
+def increase(place: ti.template(), by):
+    place += by
+
+
+@ti.func
+def exchange(a: ti.template(), b: ti.template()):
+    kept = a
+    a = b
+    b = kept
+
+
+@ti.func
+def increase_twice(place: ti.template()):
+    increase(place, 2)
+    increase(by=3, place=place)
+
+
+def test_templates_stand_for_elements_and_components():
+    particle = ti.types.struct(mass=ti.f32, velocity=ti.math.vec2)
+    x, ones = ti.field(ti.f32, shape=4), ti.Matrix.field(2, 2, ti.f32, shape=3)
+    particles = particle.field(shape=3)
+
+    @ti.func
+    def push(velocity: ti.template()):
+        velocity.x = 7
+        velocity[1] += 2
+
+    @ti.kernel
+    def kernel() -> ti.types.vector(6, ti.f32):
+        v = ti.Vector([1.0, 2.0, 3.0])
+        p = particle(1.0, [2.0, 3.0])
+        for i in range(3):
+            increase(x[i], i)
+            increase(x[0], 1)  # a sum of all iterations
+            increase_twice(ones[i][0, 1])
+            push(particles[i].velocity)
+            increase(particles[i].mass, 2)
+        for i in range(3):
+            increase(v[1], 1)
+            if i > 0:
+                exchange(v[0], v[2])
+            increase(by=1, place=p.mass)
+            push(p.velocity)
+        return ti.Vector([v[0], v[1], v[2], p.mass, p.velocity[0], p.velocity[1]])
+
+    assert list(kernel()) == [1, 5, 3, 4, 7, 9]
+    assert x.to_numpy().tolist() == [3, 1, 2, 0]
+    assert ones.to_numpy().tolist() == [[[0, 5], [0, 0]]] * 3
+    assert particles.mass.to_numpy().tolist() == [2] * 3
+    assert particles.velocity.to_numpy().tolist() == [[7, 2]] * 3
+
+
+def test_a_template_keeps_the_element_whose_index_changes():
+    x = ti.field(ti.i32, shape=3)
+
+    @ti.func
+    def store(place: ti.template(), index: ti.template()):
+        index += 1
+        place += 5
+
+    @ti.kernel
+    def kernel() -> ti.i32:
+        i = 1
+        store(x[i], i)
+        return i
+
+    assert kernel() == 2
+    assert x.to_numpy().tolist() == [0, 5, 0]
+
+
+def test_gradients_through_templates():
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    y = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.func
+    def add_square(target: ti.template(), source: ti.template()):
+        target += source**2
+
+    @ti.kernel
+    def kernel():
+        for i in x:
+            add_square(y[i], x[i])
+            add_square(loss[None], y[i])
+
+    x.from_numpy(np.array([1.0, 2.0, 3.0]))
+    with ti.ad.Tape(loss):
+        kernel()
+    assert x.grad.to_numpy() == pytest.approx(4 * np.array([1.0, 8.0, 27.0]))
+
+
+def test_methods_may_call_their_object_otherwise():
+    @ti.data_oriented
+    class Grid:
+        def __init__(this, n):
+            this.n, this.x = n, ti.field(ti.f32, shape=n)
+
+        @ti.func
+        def scale(this, factor):
+            return this.n * factor
+
+        @ti.kernel
+        def run(this, factor: ti.f32):
+            for i in this.x:
+                this.x[i] = this.scale(factor) + i
+
+    grid = Grid(2)
+    grid.run(3.0)
+    assert grid.x.to_numpy().tolist() == [6.0, 7.0]

@@ -127,24 +127,8 @@ def test_a_vector_whose_gradient_would_be_lost():
 
 
 def test_results_that_are_refused():
-    wide = ti.types.struct(x=ti.f32, n=ti.i64)
-    signs = ti.types.struct(a=ti.i8, b=ti.u64)
     long = ti.types.struct(m=ti.types.matrix(4, 4, ti.f32), n=ti.f32)
     pair, other = ti.types.struct(a=ti.f32, b=ti.f32), ti.types.struct(a=ti.f32, c=ti.f32)
-
-    @ti.kernel
-    def both() -> wide:
-        return wide(1.0, 2)
-
-    with pytest.raises(ti.TaiTypeError, match="none holds both floats and integers of 64 bits"):
-        both()
-
-    @ti.kernel
-    def signed() -> signs:
-        return signs(1, 2)
-
-    with pytest.raises(ti.TaiTypeError, match="none holds both u64 and signed integers"):
-        signed()
 
     @ti.kernel
     def many() -> long:
@@ -167,3 +151,74 @@ def test_results_that_are_refused():
 
     with pytest.raises(ti.TaiTypeError, match="but got something else"):
         number()
+
+
+def test_wide_integers_beside_other_numbers_keep_their_bits():
+    mixed = ti.types.struct(x=ti.f32, n=ti.i64, m=ti.u64, v=ti.types.vector(2, ti.i64))
+    signs = ti.types.struct(a=ti.i8, b=ti.u64)
+
+    @ti.kernel
+    def floats(n: ti.i64) -> mixed:
+        return mixed(1.5, n, ti.cast(n, ti.u64), [n, -1])
+
+    @ti.kernel
+    def integers(n: ti.u64) -> signs:
+        return signs(-5, n)
+
+    for n in (0, 1, -1, (1 << 53) + 1, -(1 << 63), (1 << 63) - 1):
+        answer = floats(n)
+        assert (answer.x, answer.n, answer.m) == (1.5, n, n % (1 << 64))
+        assert answer.v.to_numpy().tolist() == [n, -1]
+    for n in (0, (1 << 64) - 1, 1 << 63):
+        answer = integers(n)
+        assert (answer.a, answer.b) == (-5, n)
+
+
+def test_tuples():
+    vec2 = ti.types.vector(2, ti.f32)
+
+    @ti.kernel
+    def pair(n: ti.i32) -> (ti.i32, ti.f32):
+        return n, n * 0.5
+
+    @ti.kernel
+    def early(n: ti.i32) -> tuple[ti.i32, vec2, ti.i64]:
+        if n > 3:
+            return 1, vec2(2.0), 1 << 40
+        return n, vec2(n, 7.0), n
+
+    assert pair(3) == (3, 1.5)
+    assert type(pair(3)) is tuple
+    first, vector, last = early(2)
+    assert (first, list(vector), last) == (2, [2.0, 7.0], 2)
+    first, vector, last = early(4)
+    assert (first, list(vector), last) == (1, [2.0, 2.0], 1 << 40)
+
+    @ti.kernel
+    def three(n: ti.i32) -> (ti.i32, ti.f32):
+        return n, n, n
+
+    with pytest.raises(ti.TaiTypeError, match="returns 2 values, but got 3 values"):
+        three(1)
+
+    @ti.kernel
+    def one(n: ti.i32) -> (ti.i32, ti.f32):
+        return n
+
+    with pytest.raises(ti.TaiTypeError, match="returns 2 values, but got one value"):
+        one(1)
+
+
+def test_tuples_have_gradients():
+    x = ti.field(ti.f32, shape=(), needs_grad=True)
+    x[None] = 3.0
+
+    @ti.kernel
+    def powers() -> (ti.f32, ti.f32, ti.i32):
+        return x[None] ** 2, x[None] ** 3, 5
+
+    with ti.ad.Tape() as tape:
+        square, cube, number = powers()
+        loss = square * 2 + cube * number
+    tape.backward(loss)
+    assert x.grad[None] == 4 * 3 + 15 * 9

@@ -142,3 +142,65 @@ def test_a_gradient_that_is_not_there_is_named():
         f.grad[0]
     with pytest.raises(ti.TaiAutodiffError, match="field 'f' has no dual"):
         f.dual[0]
+
+
+def test_structs_without_a_type_of_their_own():
+    particle = ti.types.struct(a=ti.f32, v=ti.math.vec2)
+    outer, x = particle(2.0, [3, 4]), particle.field(shape=2)
+
+    @ti.func
+    def make(x):
+        return ti.Struct(a=x, b=x * 2, v=ti.Vector([x, x]), inner=ti.Struct(q=1))
+
+    @ti.func
+    def use(s):
+        s.a += 1
+        return s.a + s.v.x
+
+    @ti.kernel
+    def kernel() -> ti.types.vector(6, ti.f32):
+        s = make(3.0)
+        s.a = 10.0
+        s.v[1] += 1
+        s.inner.q = 4
+        for i in range(3):
+            s.a += 1
+            if i == 1:
+                s = make(1.0)
+        h = outer
+        h.a = 7.0
+        x[0], x[1] = h, outer
+        return ti.Vector([s.a, s.b, s.v[1], s.inner.q, use(outer), outer.a])
+
+    assert list(kernel()) == [2, 2, 1, 1, 6, 2]
+    assert x.a.to_numpy().tolist() == [7, 2]
+    assert x.v.to_numpy().tolist() == [[3, 4]] * 2
+    assert outer.a == 2.0
+
+
+def test_methods_for_python():
+    @ti.dataclass
+    class Ball:
+        x: ti.f32
+
+        @ti.func
+        def square(self):
+            return self.x**2
+
+        def times(self, factor=2):
+            return self.x * factor
+
+    balls = Ball.field(shape=2)
+    balls[1].x = 7
+    assert Ball(3.0).times() == 6.0 and balls[1].times(3) == 21.0
+    with pytest.raises(ti.TaiSyntaxError, match="in kernels only"):
+        Ball(3.0).square()
+    with pytest.raises(AttributeError, match="no member 'other'"):
+        Ball(3.0).other()
+
+    @ti.kernel
+    def kernel() -> ti.f32:
+        return Ball(3.0).times()
+
+    with pytest.raises(ti.TaiTypeError, match="'times' of the struct is one for Python"):
+        kernel()

@@ -37,7 +37,7 @@ class StructType:
         for name, kind in members.items():
             if isinstance(kind, dict):
                 kind = StructType(kind)
-            elif not isinstance(kind, (MatrixType, StructType)):
+            elif not isinstance(kind, (MatrixType, ScalarType, StructType)):
                 if dtypes.to_dtype(kind) is None:
                     raise TaiRuntimeTypeError(
                         f"member '{name}' of a struct has a type {kind!r}, which is none of numbers"
@@ -92,6 +92,17 @@ class StructType:
         return f"struct({', '.join(members)})"
 
 
+def _method(struct: Struct, name: str, problem: str) -> Any:
+    """A method of the class that a struct type was made of.
+
+    Raises:
+        AttributeError: it has none of that name, as `problem` says.
+    """
+    if name not in struct.methods:
+        raise AttributeError(problem)
+    return struct.methods[name].__get__(struct)
+
+
 class Struct:
     """A struct in Python: `ti.Struct(a=1, b=ti.Vector([1.0, 2.0]))`, with members as attributes."""
 
@@ -108,7 +119,7 @@ class Struct:
         try:
             return self.entries[name]
         except KeyError:
-            raise AttributeError(f"the struct has no member '{name}'") from None
+            return _method(self, name, f"the struct has no member '{name}'")
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in self.entries:
@@ -295,7 +306,7 @@ class ElementOfStruct(Struct):
 
     def __getattr__(self, name: str) -> Any:
         if name not in self._field.members:
-            raise AttributeError(f"field '{self._field.name}' has no member '{name}'")
+            return _method(self, name, f"field '{self._field.name}' has no member '{name}'")
         return self._field.members[name][self._key]
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -355,8 +366,11 @@ def make_struct_field(
 
 
 def dataclass(cls: type) -> StructType:
-    """A struct type with the annotations of a class as members, and its `@ti.func` methods."""
-    methods = {name: f for name, f in vars(cls).items() if hasattr(f, "_tai_func")}
+    """A struct type with the annotations of a class as members, and its methods.
+
+    Those that are `@ti.func` are for kernels, the others for Python.
+    """
+    methods = {name: f for name, f in vars(cls).items() if inspect.isfunction(f)}
     members = dict(getattr(cls, "__annotations__", {}))
     if any(isinstance(kind, str) for kind in members.values()):
         members = inspect.get_annotations(cls, eval_str=True)

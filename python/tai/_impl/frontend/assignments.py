@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..fields.field import Field
+from ..fields.structs import Struct
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
 from .checks import Checks, refuse_non_number
@@ -19,7 +20,7 @@ from .expressions import Expressions
 from .operators import BINARY
 from .refs import Place, Variable, VariablePlace, refuse_truth_arithmetic
 from .scope import Bound
-from .structs import StructPlace, StructValue, StructVariable
+from .structs import Reference, StructPlace, StructValue, StructVariable, as_struct_value
 
 _ATOMIC_ASSIGN = {"+", "-", "&", "|", "^"}
 
@@ -60,10 +61,7 @@ class Assignments(Part):
                 "give it a name: b = …, and change that of b",
             )
         if not isinstance(place, Place):
-            raise TaiTypeError(
-                f"a kernel cannot change the Python object '{ast.unparse(target)}'",
-                "use a field for what a kernel writes",
-            )
+            raise self.no_place(target)
         place.store(place.convert(self.expressions.number(value)))
 
     def unpack(self, target: ast.Tuple | ast.List, value: Any, node: Any, is_static: bool) -> None:
@@ -77,11 +75,13 @@ class Assignments(Part):
 
     def assign_name(self, name: str, value: Any, is_static: bool) -> None:
         meaning = self.frame.find(name)
+        if isinstance(value, Struct) and not is_static:
+            value = as_struct_value(self.emitter, value)
         if isinstance(meaning, Variable):
             place = VariablePlace(self.emitter, meaning)
             place.store(place.convert(self.expressions.number(value)))
             return
-        if isinstance(meaning, StructVariable):
+        if isinstance(meaning, Reference):
             meaning.store(value)
             return
         if isinstance(value, StructValue) and meaning is None and not is_static:
@@ -158,7 +158,16 @@ class Assignments(Part):
             return
         if isinstance(old, Field):
             raise TaiTypeError(describe_misuse(old), misuse_hint(old))
-        raise TaiTypeError(
-            f"a kernel cannot change the Python object '{ast.unparse(node.target)}'",
-            "use a field for what a kernel writes",
+        raise self.no_place(node.target)
+
+    def no_place(self, target: ast.expr) -> TaiTypeError:
+        """The error for a target that is an object of Python."""
+        base = target.value if isinstance(target, ast.Subscript) else None
+        local = self.frame.find(base.id) if isinstance(base, ast.Name) else None
+        is_list = isinstance(local, Bound) and isinstance(local.thing, list)
+        return TaiTypeError(
+            f"a kernel cannot change the Python object '{ast.unparse(target)}'",
+            "make it a vector: ti.Vector([…])"
+            if is_list
+            else "use a field for what a kernel writes",
         )

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..fields.field import Field
+from ..fields.structs import Struct, StructField
 from ..values import ops
 from ..values.matrix import Matrix
 from ..values.misuse import describe_misuse, misuse_hint
@@ -25,7 +26,9 @@ from .inlining import Inlining
 from .loop_config import LoopConfig
 from .printing import Printing, formatted, formatted_by
 from .refs import Place, refuse_truth_arithmetic
+from .scope import Bound
 from .sparse import Levels
+from .structs import as_struct_value
 
 # Python's own functions, by what they do to values of a kernel.
 _TRANSLATED: dict[Any, Callable[..., Any]] = {
@@ -102,9 +105,32 @@ class Calls(Part):
         if function is ops.select and len(node.args) == 3 and not node.keywords:
             args = self._arms_of_select(node.args)
         else:
-            args, kwargs = self._arguments(node)
+            args, kwargs = self._arguments(node, self._references(function))
         self.at(node)
         return self.call(function, args, kwargs, node)
+
+    def _references(self, function: Any) -> Callable[[int | str], bool]:
+        """Tells which arguments a function may change, by number or name: its templates."""
+        info = getattr(function, "_tai_func", None)
+        if info is None or not info.has_templates:
+            return lambda which: False
+        first = 1 if getattr(function, "__self__", None) is not None else 0
+        names = info.names[first:]
+
+        def is_reference(which: int | str) -> bool:
+            if isinstance(which, int):
+                which = names[which] if which < len(names) else ""
+            return info.kinds.get(which) == "template"
+
+        return is_reference
+
+    def _argument(self, node: ast.expr, is_reference: bool) -> Any:
+        """An argument; the place itself where the function may change it."""
+        if is_reference and isinstance(node, (ast.Attribute, ast.Subscript)):
+            found = self.expressions.sublocate(node)
+            if isinstance(found, Place):
+                return found
+        return self.visit(node)
 
     def _arms_of_select(self, nodes: list[ast.expr]) -> list:
         """The arguments of a select. What an arm checks counts only where it is taken."""
@@ -123,11 +149,19 @@ class Calls(Part):
             return found.load() if isinstance(found, Place) else found
         return self.visit(node)
 
-    def _arguments(self, node: ast.Call) -> tuple[list, dict]:
-        args = self.expressions.items(node.args)
+    def _arguments(
+        self, node: ast.Call, is_reference: Callable[[int | str], bool]
+    ) -> tuple[list, dict]:
+        args: list[Any] = []
+        for argument in node.args:
+            if isinstance(argument, ast.Starred):
+                args += self.expressions.items([argument])
+            else:
+                args.append(self._argument(argument, is_reference(len(args))))
         kwargs: dict[str, Any] = {}
         for keyword in node.keywords:
-            value = self.visit(keyword.value)
+            named = keyword.arg is not None and is_reference(keyword.arg)
+            value = self._argument(keyword.value, named)
             if keyword.arg is None:
                 kwargs.update(value)
             else:
@@ -181,6 +215,9 @@ class Calls(Part):
                 f"np.{function.__name__} cannot take values of a kernel",
                 f"use ti.{function.__name__}",
             )
+        receiver = getattr(function, "__self__", None)
+        if isinstance(receiver, Field) and function.__name__ == "fill":
+            return self._fill(receiver, node, *args, **kwargs)
         takes_numbers = _is_hashable(function) and function in _MATH_FUNCTIONS
         for argument in args:
             if isinstance(argument, Field) and takes_numbers:
@@ -188,6 +225,8 @@ class Calls(Part):
         self.checks.check_python_call(function)
         self.context.reads.note_all(getattr(function, "__self__", None), *args, *kwargs.values())
         made = function(*args, **kwargs)
+        if function is Struct:
+            return as_struct_value(self.emitter, made)
         return self.checks.remember(made) if isinstance(function, type) else made
 
     def call_from_python(self, function: Any, args: tuple, kwargs: dict) -> Any:
@@ -195,6 +234,19 @@ class Calls(Part):
         node = ast.Call(ast.Name(function.__name__, ast.Load()), [], [])
         ast.copy_location(node, self.context.diagnostics.last_node)
         return self.call(function, list(args), kwargs, node)
+
+    def _fill(self, field: Field, node: ast.Call, val: Any) -> None:
+        """`x.fill(v)`: a loop over the elements, as it could be written in its place."""
+        for leaf in field.leaves if isinstance(field, StructField) else [field]:
+            loop = ast.parse("for _at in _grouped(_field):\n    _field[_at] = _value").body[0]
+            for part in ast.walk(loop):
+                ast.copy_location(part, node)
+            self.frame.push()
+            self.frame.define("_grouped", Bound(ops.grouped))
+            self.frame.define("_field", Bound(leaf))
+            self.frame.define("_value", Bound(val))
+            self.visit(loop)
+            self.frame.pop(node.lineno)
 
     def _text_method(self, function: Any, args: list, kwargs: dict) -> Any:
         """A method of a string that is given values of the kernel."""

@@ -164,7 +164,11 @@ class Checks(Part):
         is_data = isinstance(receiver, (Field, Ndarray, SNode)) and name in _MOVES
         module = getattr(function, "__module__", None) or ""
         if is_data or (module.startswith("tai.") and name in _ACTS):
-            hints = {"fill": "assign to the elements in a loop", "field": "make fields outside"}
+            hints = {
+                "fill": "assign to the elements in a loop",
+                "copy_from": "assign to the elements in a loop",
+                "field": "make fields outside",
+            }
             raise TaiSyntaxError(
                 f"{name}(…) would run once, while the kernel is compiled, and not when it runs",
                 hints.get(name, "call it in Python, before or after the launch"),

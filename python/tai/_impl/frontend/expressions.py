@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiNameError, TaiSyntaxError, TaiTypeError, did_you_mean
 from ..fields.field import Field
-from ..fields.structs import StructField
+from ..fields.structs import Struct, StructField
 from ..tracking.tracked import Number, TrackedMatrix, TrackedVector
 from ..values.matrix import swizzle
 from ..values.misuse import KINDS, describe_misuse, misuse_hint
@@ -21,7 +21,7 @@ from .context import Context, Part
 from .refs import ArrayArgument, Place, Variable, VariablePlace, field_element
 from .refs import Part as SomeComponents
 from .sparse import Levels, list_element, list_method
-from .structs import StructPlace, StructValue, struct_element
+from .structs import StructPlace, StructValue, as_struct_value, struct_element
 from .templates import ARRAY_FORM
 from .triplets import TripletsValue
 
@@ -189,6 +189,8 @@ class Expressions(Part):
             return value
         if isinstance(value, (bool, int, float, np.generic)):
             return value.item() if isinstance(value, np.generic) else value
+        if isinstance(value, Struct):
+            return as_struct_value(self.emitter, value)
         return self.emitter.as_value(value)
 
     def visit_Slice(self, node: ast.Slice) -> slice:

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiSyntaxError
+from ..fields.structs import Struct
 from ..values.value import Value
 from .context import Context, Part
 from .loop_config import LoopConfig
-from .refs import Variable
+from .refs import Place, Variable
 from .returns import Returns
 from .scope import Bound, Frame
 from .source import function_ast
-from .structs import StructValue, StructVariable
+from .structs import Reference, StructValue, StructVariable, as_struct_value
 
 # How deep functions may call one another, and one of them itself.
 _MAX_INLINE_DEPTH = 400
@@ -75,9 +76,13 @@ class Inlining(Part):
         if kind == "template":
             if isinstance(node, ast.Name):
                 meaning = self.frame.find(node.id)
-                if isinstance(meaning, (Variable, StructVariable)):
+                if isinstance(meaning, (Variable, Reference)):
                     return meaning
+            if isinstance(value, Place):
+                return Reference(value)
             return Variable(name, value) if isinstance(value, Value) else Bound(value)
+        if isinstance(value, Struct):
+            value = as_struct_value(self.emitter, value)
         if isinstance(value, StructValue):
             return StructVariable(self.emitter, name, value)
         if kind is not None:

@@ -211,7 +211,8 @@ class Returns(Part):
         emitter, results = self.emitter, self.frame.results
         if self.frame.kind == "kernel":
             self.parameters.check_kernel_result(value)
-            if hasattr(value, "members") and self.context.kernel.result is not None:
+            is_whole = hasattr(value, "members") or isinstance(value, (tuple, list))
+            if is_whole and self.context.kernel.result is not None:
                 value = self.context.kernel.result.convert(emitter, value)
         parts, is_tuple = self._parts_of(value)
         if len(parts) != len(results.parts) or is_tuple != results.is_tuple:

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from ...errors import TaiNameError, TaiTypeError, did_you_mean
-from ..fields.structs import StructField, StructType
+from ..fields.structs import Struct, StructField, StructType
+from ..values.types import MatrixType
 from ..values.value import Value
 from .refs import Place, Variable, VariablePlace, field_element
 from .scope import Bound
@@ -33,6 +34,10 @@ class _Members:
         if name in self.members:
             return self.members[name]
         if name in self.type.methods:
+            if not hasattr(self.type.methods[name], "_tai_func"):
+                raise TaiTypeError(
+                    f"method '{name}' of the struct is one for Python", "decorate it with @ti.func"
+                )
             return StructMethod(self.type.methods[name], self)
         raise TaiNameError(
             f"the struct has no member '{name}'", did_you_mean(name, list(self.members))
@@ -91,14 +96,18 @@ class StructPlace(_Members, Place):
                 yield place.variable
 
 
-class StructVariable(Bound):
+class Reference(Bound):
+    """A name for a place: a template parameter that was given an element or a component."""
+
+    def store(self, value: Any) -> None:
+        self.thing.store(self.thing.convert(value))
+
+
+class StructVariable(Reference):
     """A local variable that holds a struct: a variable for each member."""
 
     def __init__(self, emitter: Any, name: str, value: StructValue):
         super().__init__(_variable_place(emitter, name, value))
-
-    def store(self, value: Any) -> None:
-        self.thing.store(self.thing.convert(value))
 
 
 def _variable_place(emitter: Any, name: str, value: StructValue) -> StructPlace:
@@ -126,6 +135,30 @@ def make_value(emitter: Any, type_: StructType, given: dict[str, Any]) -> Struct
             value = kind(value)
         members[name] = kind.convert(emitter, value)
     return StructValue(type_, members)
+
+
+def as_struct_value(emitter: Any, thing: Struct | dict[str, Any]) -> StructValue:
+    """A struct of Python, or one that a kernel makes by `ti.Struct(…)`, as a value of the kernel.
+
+    Its members have the types of what they hold.
+    """
+    members: dict[str, Any] = {}
+    kinds: dict[str, Any] = {}
+    for name, value in thing.items():
+        if isinstance(value, (dict, Struct)):
+            value = as_struct_value(emitter, value)
+        elif not isinstance(value, StructValue):
+            value = emitter.as_value(value)
+        members[name] = value
+        kinds[name] = value.type if isinstance(value, StructValue) else _type_of(value)
+    return StructValue(StructType(kinds, getattr(thing, "methods", None)), members)
+
+
+def _type_of(value: Value) -> Any:
+    if not value.shape:
+        return value.dt
+    rows, *columns = value.shape
+    return MatrixType(rows, columns[0] if columns else None, value.dt)
 
 
 def struct_element(emitter: Any, field: StructField, key: Any) -> StructPlace:

@@ -230,7 +230,9 @@ def kernel(function: Callable[..., Any] | None = None, **modes: Any) -> Any:
         check_kernel(function.__name__, modes)
     except TaiSyntaxError as error:
         raise located(error, function) from None
-    return Kernel(function, _is_in_class(function) and "self" in names_of(function)[:1], modes)
+    receiver = names_of(function)[:1]
+    is_method = "self" in receiver or not set(receiver) <= set(function.__annotations__)
+    return Kernel(function, _is_in_class(function) and is_method, modes)
 
 
 def data_oriented(cls: type) -> type:

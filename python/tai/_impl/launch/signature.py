@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..fields.structs import Struct, StructType
 from ..fields.triplets import TripletsType
 from ..frontend.source import closure_of, function_ast
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
-from .struct_results import ResultType, StructResult
+from .struct_results import ResultType, StructResult, TupleResult
 
 
 class Parameter:
@@ -106,6 +106,13 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
     )
 
 
+def _tuple_types(annotation: Any) -> tuple:
+    """The types in `(ti.i32, ti.f32)` or `tuple[ti.i32, ti.f32]`; none of another annotation."""
+    if isinstance(annotation, tuple):
+        return annotation
+    return get_args(annotation) if get_origin(annotation) is tuple else ()
+
+
 def _parse(
     function: Callable[..., Any], is_method: bool
 ) -> tuple[list[Parameter], ResultType | None]:
@@ -122,12 +129,19 @@ def _parse(
     annotation = function.__annotations__.get("return")
     if annotation is None or resolve(annotation, function) is None:
         return parameters, None
-    result: Any = parse_type(annotation, function, "the result")
-    if isinstance(result, StructType):
+    several = _tuple_types(resolve(annotation, function))
+    result: Any
+    if several:
+        result = [parse_type(kind, function, "the result") for kind in several]
+    else:
+        result = parse_type(annotation, function, "the result")
+    if isinstance(result, list):
         try:
-            result = StructResult(result)
-        except TaiTypeError as error:
-            raise located(error, function) from None
+            result = TupleResult(result)
+        except TaiRuntimeTypeError as error:  # arrays, templates
+            raise located(TaiTypeError(error.message), function) from None
+    elif isinstance(result, StructType):
+        result = StructResult(result)
     elif not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name in ("f16", "bf16"):
         raise located(
             TaiSyntaxError(

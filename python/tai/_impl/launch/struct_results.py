@@ -1,8 +1,9 @@
-"""Structs returned by kernels: flattened to a vector of one common type."""
+"""Structs and tuples returned by kernels: flattened to a vector of one common type."""
 
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,33 +25,19 @@ def _leaves(type_: StructType) -> list[Any]:
 
 
 def _common(kinds: list[DataType]) -> DataType:
-    """The type that holds the numbers of all these without a loss."""
+    """The type that holds the numbers of all these without a loss, or the bits of those of 64."""
     whole = [dt for dt in kinds if not dt.is_float]
     bits = max((dt.bits for dt in whole), default=0)
     if len(whole) < len(kinds):
-        if bits > 32:
-            raise TaiTypeError(
-                "a kernel returns a struct in one type, and none holds both floats and integers "
-                "of 64 bits",
-                "make them narrower, or return two structs by two kernels",
-            )
         is_wide = whole or any(dt.bits > 32 for dt in kinds)
         return dtypes.f64 if is_wide else dtypes.f32
     if not any(dt.is_signed for dt in whole):
         return dtypes.u64 if bits > 32 else dtypes.u32
-    if dtypes.u64 in whole:
-        raise TaiTypeError(
-            "a kernel returns a struct in one type, and none holds both u64 and signed integers"
-        )
     return dtypes.i64 if bits > 32 or dtypes.u32 in whole else dtypes.i32
 
 
 class StructResult:
-    """The type of the result, as those of vectors: `dtype` and `shape`.
-
-    Raises:
-        TaiTypeError: no type holds all of its numbers.
-    """
+    """The type of the result, as those of vectors: `dtype` and `shape`."""
 
     def __init__(self, type_: StructType):
         self.type, self.leaves = type_, _leaves(type_)
@@ -60,8 +47,25 @@ class StructResult:
     def convert(self, emitter: Any, value: Any) -> Any:
         """A struct of a kernel as a vector."""
         found = self._parts(emitter, self.type, value)
-        parts = [emitter.cast(part, self.dtype) for part in found]
+        parts = [
+            emitter.bit_cast(part, self.dtype)
+            if self._is_by_bits(part.dt)
+            else emitter.cast(part, self.dtype)
+            for part in found
+        ]
         return emitter.matrix(parts, self.dtype, self.shape)
+
+    def _is_by_bits(self, kind: DataType) -> bool:
+        """Whether numbers of this type keep their bits and not their value."""
+        return not kind.is_float and kind.bits == 64 and self.dtype is not kind
+
+    def _number(self, kind: DataType, number: Any) -> Any:
+        """A number of the vector in the type of its member."""
+        if kind.is_float:
+            return number
+        if self._is_by_bits(kind):
+            return np.array(number, self.dtype.numpy).view(kind.numpy).item()
+        return kind.numpy.type(number).item()
 
     def _parts(self, emitter: Any, type_: StructType, value: Any) -> list[Any]:
         if hasattr(type(value), "load"):
@@ -101,14 +105,31 @@ class StructResult:
                         "return numbers, or store it in a field",
                     )
                 count = int(np.prod(kind.shape, dtype=int))
-                flat = [next(numbers) for _ in range(count)]
+                flat = [self._number(kind.dtype, next(numbers)) for _ in range(count)]
                 array = np.array(flat).astype(kind.dtype.numpy).reshape(kind.shape)
                 entries[name] = Matrix._wrap(array)
-            elif kind.dtype.is_float:
-                entries[name] = next(numbers)
             else:
-                entries[name] = kind.dtype.numpy.type(next(numbers)).item()
+                entries[name] = self._number(kind.dtype, next(numbers))
         return Struct(entries, type_.methods)
+
+
+class TupleResult(StructResult):
+    """Several results, as of a struct whose members have numbers for names."""
+
+    def __init__(self, types: list[Any]):
+        super().__init__(StructType({str(number): kind for number, kind in enumerate(types)}))
+
+    def convert(self, emitter: Any, value: Any) -> Any:
+        if not isinstance(value, (tuple, list)) or len(value) != len(self.type.members):
+            got = f"{len(value)} values" if isinstance(value, (tuple, list)) else "one value"
+            raise TaiTypeError(f"the kernel returns {len(self.type.members)} values, but got {got}")
+        return super().convert(
+            emitter, SimpleNamespace(members=dict(zip(self.type.members, value)))
+        )
+
+    def unpack(self, vector: Any, is_followed: bool) -> Any:
+        """The tuple in Python."""
+        return tuple(value for _, value in super().unpack(vector, is_followed).items())
 
 
 # What a kernel may return.
