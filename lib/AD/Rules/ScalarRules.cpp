@@ -24,14 +24,8 @@ using namespace mlir::tai;
 Num RuleArgs::cast(Num a, unsigned i) {
   Value target =
       mode == Mode::Backward ? op->getOperand(i) : Value(op->getResult(0));
-  // A derivative does not lose what numbers of 16 bits do not hold.
-  if (Value wide = getWidened(a.value); wide.getType() == target.getType())
-    return {a.builder, wide};
-  Type from = a.value.getType(), to = target.getType();
-  if (getElementTypeOrSelf(from).getIntOrFloatBitWidth() <
-      getElementTypeOrSelf(to).getIntOrFloatBitWidth())
-    return {a.builder, arith::ExtFOp::create(builder, to, a.value)};
-  return {a.builder, arith::TruncFOp::create(builder, to, a.value)};
+  return {a.builder, createCastOfAdjoint(builder, builder.getLoc(), a.value,
+                                         target.getType())};
 }
 
 //===----------------------------------------------------------------------===//
