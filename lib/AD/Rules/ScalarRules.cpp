@@ -109,6 +109,13 @@ static Num arcSlope(RuleArgs &a) {
   return sqrt(select(square < constant(x, least), constant(x, least), square));
 }
 
+/// The root of `square`, which is x^2 + 1 or x^2 - 1: |x| to the last bit where
+/// x is large, also where the square overflows.
+static Num rootBeside(Num x, Num square) {
+  Num size = make<math::AbsFOp>(x);
+  return select(size > 0x1p+30, size, sqrt(square));
+}
+
 /// n x^(n - 1) for an integer n; 0 where n = 0.
 static Num powerByInteger(RuleArgs &a) {
   DerivativeBuilder &b = *a.g().builder;
@@ -271,8 +278,8 @@ ArrayRef<ScalarRule> mlir::tai::getScalarRules() {
     {"math.sinh", {{0, "g cosh x", always, [](A a) { return a.g() * cosh(a.x()); }}}},
     {"math.cosh", {{0, "g sinh x", always, [](A a) { return a.g() * sinh(a.x()); }}}},
     {"math.tanh", {{0, "g (1 - r)(1 + r)", never, [](A a) { return a.g() * ((1 - a.r()) * (1 + a.r())); }}}},
-    {"math.asinh", {{0, "g / sqrt(1 + x^2)", never, [](A a) { return a.g() / sqrt(1 + a.x() * a.x()); }}}},
-    {"math.acosh", {{0, "g / sqrt((x - 1)(x + 1))", always, [](A a) { return a.g() / sqrt((a.x() - 1) * (1 + a.x())); }}},
+    {"math.asinh", {{0, "g / sqrt(1 + x^2)", never, [](A a) { return a.g() / rootBeside(a.x(), 1 + a.x() * a.x()); }}}},
+    {"math.acosh", {{0, "g / sqrt((x - 1)(x + 1))", always, [](A a) { return a.g() / rootBeside(a.x(), (a.x() - 1) * (1 + a.x())); }}},
      "x = 1: infinite, or 0 where g = 0"},
     {"math.atanh", {{0, "g / ((1 - x)(1 + x))", always, [](A a) { return a.g() / ((1 - a.x()) * (1 + a.x())); }}},
      "x = ±1: infinite, or 0 where g = 0"},
