@@ -1,12 +1,13 @@
-//===- NarrowAdjoints.h - Adjoints of 16-bit floats -------------*- C++ -*-===//
+//===- NarrowAdjoints.h - Adjoints of narrow floats -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 //
-// The adjoint of a 16-bit float has the same type, but is not rounded at each
-// step: rules that can use it look through the cast to the wider value.
+// The adjoint of a narrow float has the same type, but is not rounded at each
+// step where it is computed in a wider one: rules that can use it look through
+// the cast to the wider value.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,13 +18,26 @@
 
 namespace mlir::tai {
 
-/// The wider value that a 16-bit adjoint was truncated from, or the adjoint
-/// itself.
+/// The wider value that an adjoint was truncated from, or the adjoint itself.
 inline Value getWidened(Value adjoint) {
   auto narrowed = adjoint.getDefiningOp<arith::TruncFOp>();
-  Type type = getElementTypeOrSelf(adjoint.getType());
-  return narrowed && type.getIntOrFloatBitWidth() == 16 ? narrowed.getIn()
-                                                        : adjoint;
+  return narrowed ? narrowed.getIn() : adjoint;
+}
+
+/// An adjoint in another type, rounded at most once.
+inline Value createCastOfAdjoint(OpBuilder &builder, Location loc,
+                                 Value adjoint, Type type) {
+  if (adjoint.getType() == type)
+    return adjoint;
+  Value wide = getWidened(adjoint);
+  auto getWidth = [](Type of) {
+    return getElementTypeOrSelf(of).getIntOrFloatBitWidth();
+  };
+  if (wide.getType() == type)
+    return wide;
+  if (getWidth(wide.getType()) < getWidth(type))
+    return arith::ExtFOp::create(builder, loc, type, wide);
+  return arith::TruncFOp::create(builder, loc, type, wide);
 }
 
 } // namespace mlir::tai

@@ -517,11 +517,10 @@ def Scalarize : Pass<"tai-scalarize"> {
     %n = arith.addf %b0, %b1 : f32
     ```
   }];
-  let dependentDialects = ["::mlir::arith::ArithDialect",
-                           "::mlir::math::MathDialect",
-                           "::mlir::scf::SCFDialect",
-                           "::mlir::vector::VectorDialect",
-                           "::mlir::tai::TaiRTDialect"];
+  let dependentDialects = [
+    "::mlir::arith::ArithDialect", "::mlir::LLVM::LLVMDialect",
+    "::mlir::math::MathDialect", "::mlir::scf::SCFDialect",
+    "::mlir::vector::VectorDialect", "::mlir::tai::TaiRTDialect"];
 }
 
 def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {

@@ -24,14 +24,8 @@ using namespace mlir::tai;
 Num RuleArgs::cast(Num a, unsigned i) {
   Value target =
       mode == Mode::Backward ? op->getOperand(i) : Value(op->getResult(0));
-  // A derivative does not lose what numbers of 16 bits do not hold.
-  if (Value wide = getWidened(a.value); wide.getType() == target.getType())
-    return {a.builder, wide};
-  Type from = a.value.getType(), to = target.getType();
-  if (getElementTypeOrSelf(from).getIntOrFloatBitWidth() <
-      getElementTypeOrSelf(to).getIntOrFloatBitWidth())
-    return {a.builder, arith::ExtFOp::create(builder, to, a.value)};
-  return {a.builder, arith::TruncFOp::create(builder, to, a.value)};
+  return {a.builder, createCastOfAdjoint(builder, builder.getLoc(), a.value,
+                                         target.getType())};
 }
 
 //===----------------------------------------------------------------------===//
@@ -113,6 +107,13 @@ static Num arcSlope(RuleArgs &a) {
   double least = 2 * (1 - inside.convertToDouble());
   Num square = (1 - x) * (1 + x);
   return sqrt(select(square < constant(x, least), constant(x, least), square));
+}
+
+/// The root of `square`, which is x^2 + 1 or x^2 - 1: |x| to the last bit where
+/// x is large, also where the square overflows.
+static Num rootBeside(Num x, Num square) {
+  Num size = make<math::AbsFOp>(x);
+  return select(size > 0x1p+30, size, sqrt(square));
 }
 
 /// n x^(n - 1) for an integer n; 0 where n = 0.
@@ -277,8 +278,8 @@ ArrayRef<ScalarRule> mlir::tai::getScalarRules() {
     {"math.sinh", {{0, "g cosh x", always, [](A a) { return a.g() * cosh(a.x()); }}}},
     {"math.cosh", {{0, "g sinh x", always, [](A a) { return a.g() * sinh(a.x()); }}}},
     {"math.tanh", {{0, "g (1 - r)(1 + r)", never, [](A a) { return a.g() * ((1 - a.r()) * (1 + a.r())); }}}},
-    {"math.asinh", {{0, "g / sqrt(1 + x^2)", never, [](A a) { return a.g() / sqrt(1 + a.x() * a.x()); }}}},
-    {"math.acosh", {{0, "g / sqrt((x - 1)(x + 1))", always, [](A a) { return a.g() / sqrt((a.x() - 1) * (1 + a.x())); }}},
+    {"math.asinh", {{0, "g / sqrt(1 + x^2)", never, [](A a) { return a.g() / rootBeside(a.x(), 1 + a.x() * a.x()); }}}},
+    {"math.acosh", {{0, "g / sqrt((x - 1)(x + 1))", always, [](A a) { return a.g() / rootBeside(a.x(), (a.x() - 1) * (1 + a.x())); }}},
      "x = 1: infinite, or 0 where g = 0"},
     {"math.atanh", {{0, "g / ((1 - x)(1 + x))", always, [](A a) { return a.g() / ((1 - a.x()) * (1 + a.x())); }}},
      "x = ±1: infinite, or 0 where g = 0"},

@@ -73,9 +73,7 @@ private:
   static Value widen(Operation *op, OpBuilder &b, Value value,
                      Storage storage) {
     Type type = getStoredType(op, storage, value.getType());
-    if (Value wide = getWidened(value); wide.getType() == type)
-      return wide;
-    return arith::ExtFOp::create(b, op->getLoc(), type, value);
+    return createCastOfAdjoint(b, op->getLoc(), value, type);
   }
 };
 

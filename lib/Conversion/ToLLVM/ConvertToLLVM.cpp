@@ -146,6 +146,59 @@ struct CastFloat : OpConversionPattern<FromT> {
 };
 } // namespace
 
+/// A constant of the type of `like`, f32 or vectors of it.
+static Value createF32(OpBuilder &builder, Location loc, Value like,
+                       double number) {
+  TypedAttr value = builder.getF32FloatAttr(number);
+  if (auto vector = dyn_cast<VectorType>(like.getType()))
+    value = DenseElementsAttr::get(vector, Attribute(value));
+  return arith::ConstantOp::create(builder, loc, value);
+}
+
+namespace {
+/// The polynomials take denormal operands for the least normal number, and have
+/// no denormal results. In these cases,
+/// exp %x  ->  exp (%x + 32 ln 2) 2^-32
+/// log %x  ->  log (%x 2^32) - 32 ln 2
+/// The op that is made is one for the polynomials: no pattern of a conversion
+/// is applied to what it has made itself.
+template <typename Op> struct KeepDenormals : OpRewritePattern<Op> {
+  using OpRewritePattern<Op>::OpRewritePattern;
+  LogicalResult matchAndRewrite(Op op,
+                                PatternRewriter &rewriter) const override {
+    if (!getElementTypeOrSelf(op.getType()).isF32())
+      return failure();
+    constexpr bool isExp = std::is_same_v<Op, math::ExpOp>;
+    Location loc = op.getLoc();
+    Value x = op.getOperand();
+    auto constant = [&](double number) {
+      return createF32(rewriter, loc, x, number);
+    };
+    Value shift = constant(22.180709777918249);
+    Value scale = constant(isExp ? 0x1p-32 : 0x1p+32);
+    auto select = [&](Value yes, Value no) {
+      Value isSmall =
+          arith::CmpFOp::create(rewriter, loc, arith::CmpFPredicate::OLT, x,
+                                constant(isExp ? -87 : 0x1p-126));
+      return arith::SelectOp::create(rewriter, loc, isSmall, yes, no);
+    };
+    Value moved;
+    if constexpr (isExp)
+      moved = arith::AddFOp::create(rewriter, loc, x, shift);
+    else
+      moved = arith::MulFOp::create(rewriter, loc, x, scale);
+    Value result = Op::create(rewriter, loc, select(moved, x));
+    Value back;
+    if constexpr (isExp)
+      back = arith::MulFOp::create(rewriter, loc, result, scale);
+    else
+      back = arith::SubFOp::create(rewriter, loc, result, shift);
+    rewriter.replaceOp(op, select(back, result));
+    return success();
+  }
+};
+} // namespace
+
 /// Expansions for which upstream has none, or a wrong one.
 static void populateExpansionFixes(RewritePatternSet &patterns) {
   // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
@@ -196,7 +249,9 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     populateSharedToLLVM(converter, patterns);
     // In f32, polynomials that are right to some units in the last place: they
     // vectorise, which calls of libm do not.
-    if (fastMath)
+    if (fastMath) {
+      patterns.add<KeepDenormals<math::ExpOp>, KeepDenormals<math::LogOp>>(
+          context, /*benefit=*/3);
       populateMathPolynomialApproximationPatterns(
           patterns,
           [](StringRef name) {
@@ -204,8 +259,9 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
                                       name);
           },
           /*benefit=*/2);
-    else if (contract)
+    } else if (contract) {
       populateWideMath(patterns, /*benefit=*/2);
+    }
     if (llvm::any_of(module.getOps<LLVM::LLVMFuncOp>(), [](auto function) {
           return Modes::of(function).isAccurate();
         }))

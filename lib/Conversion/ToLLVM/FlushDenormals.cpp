@@ -9,7 +9,7 @@
 // function that the runtime may call sets and restores it, so that neither the
 // caller nor another launch on the same worker is affected. LLVM does not know
 // that arithmetic depends on the mode, so the body is a separate function that
-// is not inlined.
+// is not inlined. The operands of library functions are flushed before.
 //
 //===----------------------------------------------------------------------===//
 
@@ -106,6 +106,57 @@ static void keepArguments(LLVM::LLVMFuncOp function) {
       /*asm_dialect=*/LLVM::AsmDialectAttr(), /*operand_attrs=*/ArrayAttr());
 }
 
+/// Zero of the same sign for a denormal number, else the number.
+static Value createFlushed(OpBuilder &builder, Location loc, Value x) {
+  Type type = x.getType();
+  auto element = cast<FloatType>(getElementTypeOrSelf(type));
+  auto constant = [&](APFloat number) {
+    TypedAttr value = builder.getFloatAttr(element, number);
+    if (auto vector = dyn_cast<VectorType>(type))
+      value = DenseElementsAttr::get(vector, Attribute(value));
+    return LLVM::ConstantOp::create(builder, loc, type, value);
+  };
+  const llvm::fltSemantics &semantics = element.getFloatSemantics();
+  Value least = constant(APFloat::getSmallestNormalized(semantics));
+  Value size = LLVM::FAbsOp::create(builder, loc, type, x);
+  Value isDenormal =
+      LLVM::FCmpOp::create(builder, loc, LLVM::FCmpPredicate::olt, size, least);
+  Value zero = LLVM::CopySignOp::create(
+      builder, loc, type, constant(APFloat::getZero(semantics)), x);
+  return LLVM::SelectOp::create(builder, loc, isDenormal, zero, x);
+}
+
+/// Whether a library computes the function, and not an instruction that knows
+/// the mode.
+static bool isOfLibrary(Operation *op) {
+  if (isa<LLVM::ATan2Op, LLVM::LogOp, LLVM::Log2Op, LLVM::Log10Op, LLVM::PowOp>(
+          op))
+    return true;
+  auto call = dyn_cast<LLVM::CallOp>(op);
+  if (!call || !call.getCallee())
+    return false;
+  auto callee = SymbolTable::lookupNearestSymbolFrom<LLVM::LLVMFuncOp>(
+      call, call.getCalleeAttr());
+  return callee && callee.isExternal() &&
+         llvm::all_of(call.getOperandTypes(), llvm::IsaPred<FloatType>);
+}
+
+/// Library functions look at the bits of a denormal number and multiply it by a
+/// power of two, which is zero then: a logarithm is off, and no longer that of
+/// any number.
+static void flushOperands(LLVM::LLVMFuncOp function) {
+  function.walk([](Operation *op) {
+    if (!isOfLibrary(op))
+      return;
+    OpBuilder builder(op);
+    for (OpOperand &operand : op->getOpOperands()) {
+      Type type = getElementTypeOrSelf(operand.get().getType());
+      if (type.isF32() || type.isF64())
+        operand.set(createFlushed(builder, op->getLoc(), operand.get()));
+    }
+  });
+}
+
 /// Moves the body of the function into another, and calls that.
 static void wrap(LLVM::LLVMFuncOp function) {
   Location loc = function.getLoc();
@@ -138,6 +189,9 @@ LogicalResult tai::flushDenormals(Operation *root) {
     return functions.front().emitError(
         "ftz=True cannot be had: this processor has no such mode that is known "
         "here");
-  llvm::for_each(functions, wrap);
+  for (LLVM::LLVMFuncOp function : functions) {
+    flushOperands(function);
+    wrap(function);
+  }
   return success();
 }

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Scalarizer.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "llvm/ADT/TypeSwitch.h"
 
@@ -73,7 +74,8 @@ static Components emitAdjugateOver(ScalarMath &math, ArrayRef<Value> cofactors,
 /// leaves the range of floats where those of the inverse do not: of 3×3
 /// matrices in f32 already at entries of 1e-13. Only then the matrix is divided
 /// by its largest entry before. As for norms, the branch is the same for almost
-/// all matrices.
+/// all matrices; LLVM is told so, or it computes both sides for vectors of
+/// them.
 static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   Type type = a[0].getType();
   if (n == 1)
@@ -84,24 +86,24 @@ static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
     return at.dot(matrix.take_front(n), minors.take_front(n));
   };
   Value determinant = getDeterminant(math, a, cofactors);
+  Components usual = emitAdjugateOver(math, cofactors, determinant, n);
   if (!type.isF32() && !type.isF64())
-    return emitAdjugateOver(math, cofactors, determinant, n);
+    return usual;
 
   OpBuilder &builder = math.getBuilder();
-  bool isDouble = type.isF64();
   Value size = math.abs(determinant);
+  double bound = type.isF64() ? 0x1p+900 : 0x1p+90;
   Value inRange = arith::AndIOp::create(
       builder, math.getLoc(),
-      math.lessOrEqual(math.constant(type, isDouble ? 0x1p-900 : 0x1p-90),
-                       size),
-      math.lessOrEqual(size,
-                       math.constant(type, isDouble ? 0x1p+900 : 0x1p+90)));
+      math.lessOrEqual(math.constant(type, 1 / bound), size),
+      math.lessOrEqual(size, math.constant(type, bound)));
+  Value likely = arith::ConstantOp::create(builder, math.getLoc(),
+                                           builder.getBoolAttr(true));
+  inRange = LLVM::ExpectOp::create(builder, math.getLoc(), inRange, likely);
   auto branch = scf::IfOp::create(
       builder, math.getLoc(), inRange,
       [&](OpBuilder &inside, Location loc) {
-        ScalarMath usual(inside, loc);
-        scf::YieldOp::create(
-            inside, loc, emitAdjugateOver(usual, cofactors, determinant, n));
+        scf::YieldOp::create(inside, loc, usual);
       },
       [&](OpBuilder &inside, Location loc) {
         ScalarMath rare(inside, loc);

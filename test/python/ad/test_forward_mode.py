@@ -215,6 +215,32 @@ def test_kinks(name):
     assert (x.grad[None], y.grad[None]) == (by_x, by_y)
 
 
+@pytest.mark.parametrize("name", ["asinh", "acosh"])
+@pytest.mark.parametrize(("dtype", "rtol"), [(ti.f64, 1e-15), (ti.f32, 4e-7)])
+def test_slopes_whose_squares_overflow(name, dtype, rtol):
+    """1 / x where x^2 is infinite, and what it is on both sides of where that is taken."""
+    function = op(f"math.{name}")
+    numbers = np.array([1.5, 1e3, 2.0**30, 2.0**30 * 1.5, 1e18, 1e20, 1e37, *[1e160, 1e300]
+                        * (dtype is ti.f64)]).astype(dtype.numpy)  # fmt: skip
+    x, y = both(len(numbers), dtype), both(len(numbers), dtype)
+    x.from_numpy(numbers)
+
+    @ti.kernel
+    def kernel():
+        for i in x:
+            y[i] = function(x[i])
+
+    y.grad.fill(1.0)
+    kernel.grad()
+    one = {"asinh": 1, "acosh": -1}[name]
+    exact = [1 / math.hypot(v, 1) if one == 1 else 1 / (math.sqrt(v - 1) * math.sqrt(v + 1))
+             for v in numbers.tolist()]  # fmt: skip
+    np.testing.assert_allclose(x.grad.to_numpy(), exact, rtol=rtol)
+    with ti.ad.FwdMode(loss=y, param=x, seed=[1.0] * len(numbers)):
+        kernel()
+    np.testing.assert_allclose(y.dual.to_numpy(), exact, rtol=rtol)
+
+
 def test_root_of_zero_has_an_infinite_tangent():
     x, loss = both(), both()
 

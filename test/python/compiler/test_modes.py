@@ -289,6 +289,30 @@ def test_ftz_of_a_context_and_its_gradients():
         assert x.grad[None] == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("dt", [ti.f32, ti.f64])
+@pytest.mark.parametrize("n", [1, 65])
+def test_ftz_of_functions(dt, n):
+    """Those of the library, which takes numbers apart, are of zero for a denormal number, too."""
+    ti.init(arch=ti.cpu, default_fp=dt, ftz=True)
+    x, y = ti.field(dt, shape=n), ti.field(dt, shape=(7, n))
+
+    @ti.kernel
+    def evaluate():
+        for i in x:
+            y[0, i] = ti.log(x[i])
+            y[1, i] = ti.math.log2(x[i])
+            y[2, i] = ti.pow(x[i], -0.3)
+            y[3, i] = ti.pow(x[i], 0.3)
+            y[4, i] = ti.atan2(x[i], x[i] * 3.0)
+            y[5, i] = ti.pow(2.0, x[i])
+            y[6, i] = ti.rsqrt(x[i])
+
+    x.fill(float(np.finfo(NPT[dt]).tiny) / 3)
+    evaluate()
+    expected = [-np.inf, -np.inf, np.inf, 0, 0, 1, np.inf]
+    assert y.to_numpy().T.tolist() == [expected] * n
+
+
 # Math
 
 
@@ -418,6 +442,40 @@ def test_gradients_of_narrow_fields_are_not_rounded_on_their_way(dt, scale):
         copy()
         measure(a)
     np.testing.assert_array_equal(x.grad.to_numpy(), np.full((n, 2), np.float32(3) * a))
+
+
+@pytest.mark.parametrize(
+    ("dt", "adjoints", "rtol"),
+    [(ti.f16, "default", 6e-8), (ti.bf16, "default", 6e-8),
+     (ti.f16, "f64", 1e-15), (ti.bf16, "f64", 1e-15), (ti.f32, "f64", 1e-15)],
+)  # fmt: skip
+@pytest.mark.parametrize("of_kernel", [False, True])
+def test_gradients_in_f64_are_rounded_once(dt, adjoints, rtol, of_kernel):
+    """To the type of the gradient, and not to that of the field on the way."""
+    modes = {"precision": "f64"}
+    ti.init(arch=ti.cpu, adjoints=adjoints, **({} if of_kernel else modes))
+    x, y = (ti.field(dt, shape=33, needs_grad=True) for _ in range(2))
+    v = ti.Vector.field(2, dt, shape=33, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel(**(modes if of_kernel else {}))
+    def store():
+        for i in x:
+            y[i] = 3.0 * x[i] + v[i][1] / 7.0
+
+    @ti.kernel(**(modes if of_kernel else {}))
+    def measure():
+        for i in y:
+            loss[None] += y[i] / 3.0 + ti.sqrt(v[i][0])
+
+    x.fill(1)
+    v.fill(3)
+    with ti.ad.Tape(loss):
+        store()
+        measure()
+    np.testing.assert_allclose(x.grad.to_numpy(), 1, rtol=rtol)
+    slopes = [0.5 / math.sqrt(3), 1 / 21]
+    np.testing.assert_allclose(v.grad.to_numpy(), np.tile(slopes, (33, 1)), rtol=rtol)
 
 
 def test_bf16_fields():
