@@ -25,8 +25,12 @@ MemRefType mlir::tai::getShadowType(Type type) {
     return {};
   if (memref && isa<FloatType>(type))
     return memref;
-  if (auto vector = dyn_cast<VectorType>(type))
+  if (auto vector = dyn_cast<VectorType>(type)) {
+    // No shape says how many components there are.
+    if (vector.isScalable())
+      return {};
     llvm::append_range(shape, vector.getShape());
+  }
   return MemRefType::get(shape, getElementTypeOrSelf(type));
 }
 

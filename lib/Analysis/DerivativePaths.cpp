@@ -218,7 +218,7 @@ void Paths::collectAccess(DifferentiableAccessInterface access) {
   }
   if (!isRead)
     writes.push_back(access);
-  if (isFloatOrVector(value.getType())) {
+  if (isFloatOrVector(value.getType()) && !isScalableVector(value.getType())) {
     if (ends.hasDerivative(storage)) {
       if (!isRead)
         wanted.push_back(value);
@@ -382,8 +382,16 @@ void Paths::findUseful() {
   }
 }
 
-/// True if a derivative would have to pass through an op without a rule.
+/// True if a derivative would have to pass through an op without a rule. No
+/// rule knows how many components a scalable vector has.
 bool Paths::isOnPath(Operation *op) {
+  auto isPassedOn = [&](Value result) {
+    return varied.contains(result) && useful.contains(result);
+  };
+  if (llvm::any_of(op->getResults(), [&](Value result) {
+        return isScalableVector(result.getType()) && isPassedOn(result);
+      }))
+    return true;
   if (isa<DifferentiableOpInterface, DifferentiableAccessInterface,
           AdjointLoopInterface, RegionBranchOpInterface, CallOpInterface,
           LocalLoadOp, LocalStoreOp, StackPopOp, StackPushOp>(op) ||
@@ -393,17 +401,18 @@ bool Paths::isOnPath(Operation *op) {
   bool isMade = op->getNumOperands() == 0 && op->getNumRegions() == 0;
   if (isMade || isMemory(op->getResultTypes().front()))
     return false;
-  return llvm::any_of(op->getResults(), [&](Value result) {
-    return varied.contains(result) && useful.contains(result);
-  });
+  return llvm::any_of(op->getResults(), isPassedOn);
 }
 
 LogicalResult Paths::refuse(Operation *op) {
   StringRef mode = ends.isForward ? "tangent" : "gradient";
   StringRef rule = ends.isForward ? "tangent" : "derivative";
+  bool isScalable = llvm::any_of(op->getResultTypes(), isScalableVector);
   emitError(op, "'" + op->getName().getStringRef() + "' has no " + rule +
-                    " rule, but a " + mode + " passes through it")
+                    " rule" + (isScalable ? " for scalable vectors" : "") +
+                    ", but a " + mode + " passes through it")
           .attachNote()
+      << (isScalable ? "use vectors of a fixed length, " : "")
       << "compute the value from differentiable ops, or keep it out of what "
          "the "
       << (ends.isForward ? "derivative" : "gradient") << " is taken of";
@@ -425,7 +434,7 @@ LogicalResult Paths::checkStores() {
     Type type = write.getAccessedValue().getType();
     if (!varied.contains(write.getAccessedValue()))
       continue;
-    if (!isFloatOrVector(type)) {
+    if (!isFloatOrVector(type) || isScalableVector(type)) {
       report(write, type);
       continue;
     }

@@ -197,6 +197,17 @@ static LogicalResult runExtract(Run &run, Operation *op) {
   SmallVector<int64_t> position = getPosition(
       extract, [&](Value at) { return toIndex(run.getNumber(at)); });
   int64_t offset = getOffset(extract.getSourceVectorType(), position);
+  if (llvm::is_contained(extract.getStaticPosition(),
+                         vector::ExtractOp::kPoisonIndex)) {
+    Datum poison;
+    for (int64_t i = 0; i != getCount(extract.getType()); ++i) {
+      poison.numbers.push_back(
+          getZero(getElementTypeOrSelf(extract.getType())));
+      setUndefined(run, poison, i, {op, "the position -1 is poison"});
+    }
+    run.set(extract, std::move(poison));
+    return success();
+  }
   if (offset < 0)
     return run.fail(op, "the vector has no such component", TAI_FAIL_INDEX);
   const Numbers &source = run.get(extract.getSource()).numbers;

@@ -216,7 +216,11 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
   Helpers helpers(module, own);
   OpBuilder builder = OpBuilder::atBlockEnd(module.getBody());
   auto part = ModuleOp::create(builder, module.getLoc());
-  part->setAttrs(module->getAttrs());
+  // The layout of data is that of the module around. MLIR crashes on a second
+  // one with the size of an index in it.
+  for (NamedAttribute attribute : module->getAttrs())
+    if (!isa<DataLayoutSpecInterface>(attribute.getValue()))
+      part->setAttr(attribute.getName(), attribute.getValue());
   part->removeAttr(SymbolTable::getSymbolAttrName());
 
   // Helpers keep their places before, between and behind what is lowered.
@@ -299,7 +303,7 @@ void Isolate::runOnOperation() {
   LogicalResult result = success();
   if (isAll)
     result = runPipeline(passes, module);
-  else if (succeeded(result = checkForeign(own)))
+  else if (succeeded(result = checkForeign(own)) && !own.empty())
     result = runOn(own);
   if (failed(result))
     signalPassFailure();

@@ -89,6 +89,7 @@ func.func @reduction(%x: memref<4xf32>) attributes {tai.differentiate} {
   %c4 = arith.constant 4 : index
   %one = arith.constant 1.0 : f32
   // expected-error @below {{cannot differentiate a reduction that is not a sum}}
+  // expected-note @below {{carry the value through an 'scf.for'}}
   %r = scf.parallel (%i) = (%c0) to (%c4) step (%c1) init (%one) -> f32 {
     %v = memref.load %x[%i] : memref<4xf32>
     scf.reduce(%v : f32) {

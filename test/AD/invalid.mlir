@@ -215,7 +215,8 @@ func.func private @helper(%v: f32) -> f32 {
 tai.kernel @call() {
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
-    // expected-error @+1 {{a derivative is lost in 'func.call', which cannot be differentiated}}
+    // expected-error @+2 {{a derivative is lost in 'func.call', which cannot be differentiated}}
+    // expected-note @+1 {{run 'inline' first}}
     %1 = func.call @helper(%0) : (f32) -> f32
     tai.store %1, @y[%i] : f32
   }
@@ -263,7 +264,8 @@ func.func @product(%x: memref<4xf32>, %out: memref<f32>) attributes {tai.differe
   %c1 = arith.constant 1 : index
   %c4 = arith.constant 4 : index
   %one = arith.constant 1.0 : f32
-  // expected-error @+1 {{cannot differentiate a reduction that is not a sum}}
+  // expected-error @+2 {{cannot differentiate a reduction that is not a sum}}
+  // expected-note @+1 {{carry the value through an 'scf.for'}}
   %p = scf.parallel (%i) = (%c0) to (%c4) step (%c1) init (%one) -> f32 {
     %v = memref.load %x[%i] : memref<4xf32>
     scf.reduce(%v : f32) {
@@ -296,5 +298,91 @@ func.func @in_place(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.differ
 func.func @blocks(%x: memref<4xf32>) attributes {tai.differentiate} {
   cf.br ^next
 ^next:
+  return
+}
+
+// -----
+
+// How many copies there are is known when this runs alone.
+func.func @scalable(%x: memref<f32>, %y: memref<f32>) attributes {tai.differentiate} {
+  %0 = memref.load %x[] : memref<f32>
+  // expected-error @+2 {{'vector.broadcast' has no derivative rule for scalable vectors, but a gradient passes through it}}
+  // expected-note @+1 {{use vectors of a fixed length}}
+  %1 = vector.broadcast %0 : f32 to vector<[4]xf32>
+  %2 = math.sin %1 : vector<[4]xf32>
+  %3 = vector.reduction <add>, %2 : vector<[4]xf32> into f32
+  memref.store %3, %y[] : memref<f32>
+  return
+}
+
+// -----
+
+func.func @scalable_array(%x: memref<4xvector<[2]xf32>>, %y: memref<f32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  // expected-error @+2 {{'memref.load' reads floats from memory that derivatives are not followed through}}
+  // expected-note @+1 {{load it from a field or from an argument that is a memref of floats}}
+  %0 = memref.load %x[%c0] : memref<4xvector<[2]xf32>>
+  %1 = vector.reduction <add>, %0 : vector<[2]xf32> into f32
+  memref.store %1, %y[] : memref<f32>
+  return
+}
+
+// -----
+
+// expected-error @+1 {{cannot differentiate by argument 0, which is no float but 'vector<[2]xf32>'}}
+func.func @scalable_argument(%x: vector<[2]xf32>, %y: memref<f32>)
+    attributes {tai.differentiate, tai.gradients = array<i64: 0, 1>} {
+  %0 = vector.reduction <add>, %x : vector<[2]xf32> into f32
+  memref.store %0, %y[] : memref<f32>
+  return
+}
+
+// -----
+
+// Nothing says how memory holds a complex number for each iteration.
+func.func @carried_complex(%x: memref<4xf64>, %y: memref<f64>, %n: index) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %one = arith.constant 1.0 : f64
+  %z = complex.constant [1.0, 0.5] : complex<f64>
+  // expected-error @+2 {{the gradient needs the values that this loop carries, but those of type 'complex<f64>' cannot be recorded}}
+  // expected-note @+1 {{carry numbers, or vectors of a fixed length}}
+  %r:2 = scf.for %i = %c0 to %n step %c1 iter_args(%s = %z, %a = %one) -> (complex<f64>, f64) {
+    %v = memref.load %x[%i] : memref<4xf64>
+    %re = complex.re %s : complex<f64>
+    %p = arith.mulf %a, %re : f64
+    %q = arith.mulf %p, %v : f64
+    %t = complex.mul %s, %s : complex<f64>
+    scf.yield %t, %q : complex<f64>, f64
+  }
+  memref.store %r#1, %y[] : memref<f64>
+  return
+}
+
+// -----
+
+func.func private @elsewhere(f32) -> f32
+func.func @calls(%x: memref<f32>, %y: memref<f32>) attributes {tai.differentiate} {
+  %0 = memref.load %x[] : memref<f32>
+  // expected-error @+2 {{a derivative is lost in 'func.call', which cannot be differentiated}}
+  // expected-note @+1 {{run 'inline' first}}
+  %1 = func.call @elsewhere(%0) : (f32) -> f32
+  memref.store %1, %y[] : memref<f32>
+  return
+}
+
+// -----
+
+func.func @unsigned(%x: memref<f64>, %y: memref<f64>, %n: i32) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : i32
+  %c1 = arith.constant 1 : i32
+  %0 = memref.load %x[] : memref<f64>
+  // expected-error @+2 {{cannot reverse a loop with unsigned bounds}}
+  // expected-note @+1 {{count in 'index'}}
+  %r = scf.for unsigned %i = %c0 to %n step %c1 iter_args(%a = %0) -> (f64) : i32 {
+    %m = arith.mulf %a, %0 : f64
+    scf.yield %m : f64
+  }
+  memref.store %r, %y[] : memref<f64>
   return
 }

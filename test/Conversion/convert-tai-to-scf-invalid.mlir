@@ -73,3 +73,17 @@ tai.kernel @strange(%m: memref<?xf32>) {
   %0 = memref.cast %m : memref<?xf32> to memref<4xf32>
   tai.return
 }
+
+// -----
+
+// expected-note @+1 {{defined here; control flow of a helper stands in 'scf'}}
+func.func private @helper(%x: f32) -> f32 {
+  cf.br ^next
+^next:
+  return %x : f32
+}
+func.func @host(%x: f32) {
+  // expected-error @+1 {{calls 'helper', which cannot be inlined; helpers have one block}}
+  %0 = func.call @helper(%x) : (f32) -> f32
+  return
+}

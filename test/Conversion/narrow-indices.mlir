@@ -360,3 +360,14 @@ module {
     tai.return
   }
 }
+
+// -----
+
+// A module without kernels is not marked.
+// CHECK: module attributes {foo.bar} {
+// CHECK-NEXT: func.func @alone
+module attributes {foo.bar} {
+  func.func @alone(%a: index) -> index {
+    return %a : index
+  }
+}

@@ -112,6 +112,27 @@ tai.kernel @dynamic(%x: f32, %y: f32, %k: index, %i: index) {
   tai.return
 }
 
+// A position beyond the vector, or at -1, is poison: any component will do, and
+// what is inserted there is dropped.
+// CHECK-LABEL: tai.kernel @beyond(
+//  CHECK-SAME:     %[[X:[^:]+]]: f32, %[[Y:[^:]+]]: f32, %[[I:[^:]+]]: index)
+//   CHECK-NOT:   vector.
+//       CHECK:   tai.store %[[X]], @x[%[[I]]]
+//       CHECK:   tai.store %[[X]], @v[%[[I]]] component[%c0] : f32
+//       CHECK:   tai.store %[[Y]], @v[%[[I]]] component[%c1] : f32
+tai.kernel @beyond(%x: f32, %y: f32, %i: index) {
+  %c7 = arith.constant 7 : index
+  %v = vector.from_elements %x, %y : vector<2xf32>
+  %0 = vector.extract %v[%c7] : f32 from vector<2xf32>
+  %1 = vector.extract %v[-1] : f32 from vector<2xf32>
+  tai.store %0, @x[%i] : f32
+  tai.store %1, @x[%i] : f32
+  %3 = vector.insert %x, %v[-1] : f32 into vector<2xf32>
+  %4 = vector.insert %x, %3[%c7] : f32 into vector<2xf32>
+  tai.store %4, @v[%i] : vector<2xf32>
+  tai.return
+}
+
 // The ops that rearrange vectors leave nothing behind.
 // CHECK-LABEL: tai.kernel @rearrange(
 //  CHECK-SAME:     %[[A:.+]]: f32, %[[B:.+]]: f32, %[[I:.+]]: index

@@ -13,6 +13,25 @@ tai.kernel @k(%x: f32) -> f32 {
 
 // -----
 
+// One of several blocks cannot go into a kernel, which has one.
+// expected-error @+1 {{expects a body of one block; 'lift-cf-to-scf' brings branches to 'scf'}}
+func.func private @jumps(%x: f32) -> f32 {
+  %zero = arith.constant 0.0 : f32
+  %c = arith.cmpf olt, %x, %zero : f32
+  cf.cond_br %c, ^less, ^more
+^less:
+  %0 = arith.negf %x : f32
+  return %0 : f32
+^more:
+  return %x : f32
+}
+tai.kernel @k(%x: f32) -> f32 {
+  %0 = func.call @jumps(%x) : (f32) -> f32
+  tai.return %0 : f32
+}
+
+// -----
+
 // A helper without a body cannot either, and says so.
 // expected-note @+1 {{declared here; give it a body, or call it by 'llvm.call'}}
 func.func private @ext(f32) -> f32

@@ -57,6 +57,13 @@ inline bool isFloatOrVector(Type type) {
   return isa<FloatType>(type);
 }
 
+/// True for a vector whose number of components is known when it runs alone.
+/// Its components cannot be taken one by one, as adjoints are made.
+inline bool isScalableVector(Type type) {
+  auto vector = dyn_cast<VectorType>(type);
+  return vector && vector.isScalable();
+}
+
 /// The default limit of the history that a loop records at once, in bytes for
 /// each thread: part of a core's L2 cache.
 constexpr int64_t kDefaultHistoryBytes = 256 * 1024;

@@ -26,7 +26,34 @@ static MemRefType getHistoryType(Type type) {
   return MemRefType::get(shape, getElementTypeOrSelf(type));
 }
 
+/// True for numbers, and vectors of a known length of them. A carried value may
+/// have any other type: nothing says how memory holds that.
+static bool canRecord(Type type) {
+  if (auto vector = dyn_cast<VectorType>(type)) {
+    if (vector.isScalable())
+      return false;
+    type = vector.getElementType();
+  }
+  return type.isIntOrIndexOrFloat();
+}
+
+/// Reports a carried value of a type that cannot be recorded.
+static LogicalResult checkRecordable(AdjointBuilder &b, Operation *loop,
+                                     Type type) {
+  if (canRecord(type))
+    return success();
+  b.emitError(loop, "the gradient needs the values that this loop carries, but "
+                    "those of type ")
+          .append(type, " cannot be recorded")
+          .attachNote()
+      << "carry numbers, or vectors of a fixed length: the parts of a complex "
+         "number, say, or the elements of a tensor";
+  return failure();
+}
+
 int64_t LoopTrajectory::getBytes(Type type) {
+  if (!canRecord(type))
+    return 0;
   Type element = getElementTypeOrSelf(type);
   int64_t bytes = element.isIndex()
                       ? 8
@@ -65,6 +92,8 @@ static Value loadState(AdjointBuilder &b, Type type, Value buffer,
 Value LoopTrajectory::load(Frame &frame, unsigned index,
                            const ReverseDraft &draft) {
   Type type = forward.getRegionIterArg(index).getType();
+  if (failed(checkRecordable(b, loop, type)))
+    return {};
   memref::AllocOp &buffer = histories[index];
   if (!buffer) {
     b.setInsertionPoint(forward);
@@ -257,7 +286,8 @@ void LoopTrajectory::recordChunks() {
   LiveValues live(forward.getRegion());
   for (BlockArgument argument : inner.getRegionIterArgs()) {
     unsigned index = argument.getArgNumber() - 1;
-    if (!live.isLive(argument))
+    if (!live.isLive(argument) ||
+        failed(checkRecordable(b, loop, argument.getType())))
       continue;
     memref::AllocOp start = histories.lookup(index);
     if (!start) {

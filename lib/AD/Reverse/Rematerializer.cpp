@@ -65,7 +65,14 @@ Value Rematerializer::materialize(Frame &frame, Value value) {
     SmallVector<Operation *> pending = {value.getDefiningOp()};
     while (!pending.empty()) {
       Operation *op = pending.back();
-      if (frame.recomputed.count(op) || refused.contains(op)) {
+      if (frame.recomputed.count(op)) {
+        pending.pop_back();
+      } else if (refused.contains(op)) {
+        // It may have been refused in another frame of the same block, and
+        // would be missing in this one for ever.
+        for (Value result : op->getResults())
+          if (!frame.values.contains(result))
+            frame.values.map(result, result);
         pending.pop_back();
       } else if (!needsOperands(frame, op, pending)) {
         pending.pop_back();

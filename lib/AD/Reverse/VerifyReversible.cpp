@@ -45,6 +45,10 @@ private:
 };
 } // namespace
 
+static constexpr StringLiteral kInlineFirst =
+    "run 'inline' first; a function that calls itself, or that is defined "
+    "elsewhere, cannot be differentiated";
+
 /// True for what only looks at an array.
 static bool isQuery(Operation *op) {
   return isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(op);
@@ -67,8 +71,10 @@ void Verifier::checkArrays() {
                           user->getName().getStringRef() +
                           "' on an array with a derivative")
               .attachNote()
-          << "access its elements by 'memref.load', 'memref.store' and "
-             "'memref.atomic_rmw addf'";
+          << (isa<CallOpInterface>(user)
+                  ? kInlineFirst
+                  : "access its elements by 'memref.load', 'memref.store' and "
+                    "'memref.atomic_rmw addf'");
     }
   }
 }
@@ -132,6 +138,8 @@ void Verifier::checkSink(Operation *op) {
   if (isa<AppendOp>(op))
     diag.attachNote() << "store the value to the element by an index; the "
                          "list grows to the highest one";
+  if (isa<CallOpInterface>(op))
+    diag.attachNote() << kInlineFirst;
 }
 
 LogicalResult Verifier::run() {

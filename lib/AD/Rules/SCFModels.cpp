@@ -99,7 +99,8 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
   LogicalResult buildReverse(Operation *op, AdjointBuilder &b) const {
     auto primal = cast<scf::ForOp>(op);
     if (primal.getUnsignedCmp()) {
-      b.emitError(op, "cannot reverse a loop with unsigned bounds");
+      b.emitError(op, "cannot reverse a loop with unsigned bounds").attachNote()
+          << "count in 'index', from zero to the number of iterations";
       return failure();
     }
     // Adjoints of carried values are carried the other way.
@@ -323,7 +324,9 @@ struct ParallelModel
       if (!seed)
         continue;
       if (!isSumReduction(reduce.getReductions()[i])) {
-        b.emitError(op, "cannot differentiate a reduction that is not a sum");
+        b.emitError(op, "cannot differentiate a reduction that is not a sum")
+                .attachNote()
+            << "carry the value through an 'scf.for'";
         return failure();
       }
       b.addAdjoint(primal.getInitVals()[i], seed);

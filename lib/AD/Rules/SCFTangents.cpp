@@ -154,7 +154,9 @@ LogicalResult mlir::tai::extendParallel(scf::ParallelOp op, TangentBuilder &b) {
   auto reduce = cast<scf::ReduceOp>(op.getBody()->getTerminator());
   for (unsigned i : varied)
     if (!isSumReduction(reduce.getReductions()[i])) {
-      b.emitError(op, "cannot differentiate a reduction that is not a sum");
+      b.emitError(op, "cannot differentiate a reduction that is not a sum")
+              .attachNote()
+          << "carry the value through an 'scf.for'";
       return failure();
     }
   // The tangent of a sum is the sum of the tangents.

@@ -34,6 +34,12 @@ std::pair<int64_t, int64_t> getComponents(VectorType type,
   return {first, count};
 }
 
+/// True if a position says poison (`vector.extract %v[-1]`): nothing depends on
+/// what the operands are.
+bool isPoison(ArrayRef<int64_t> position) {
+  return llvm::is_contained(position, vector::ExtractOp::kPoisonIndex);
+}
+
 /// Adds `component` of the adjoint of `from` to a component of that of `to`.
 void addComponents(AdjointBuilder &b, Value to, int64_t toFirst,
                    ArrayRef<Value> components) {
@@ -89,6 +95,8 @@ struct ExtractModel : LinearModel<ExtractModel, vector::ExtractOp> {
     auto extract = cast<vector::ExtractOp>(op);
     Value source = extract.getSource();
     VectorType type = extract.getSourceVectorType();
+    if (isPoison(extract.getStaticPosition()))
+      return success();
     if (extract.hasDynamicPosition()) {
       SmallVector<OpFoldResult> position;
       for (OpFoldResult index : extract.getMixedPosition()) {
@@ -114,6 +122,8 @@ struct InsertModel : LinearModel<InsertModel, vector::InsertOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto insert = cast<vector::InsertOp>(op);
     Value value = insert.getValueToStore();
+    if (isPoison(insert.getStaticPosition()))
+      return success();
     if (insert.hasDynamicPosition()) {
       SmallVector<OpFoldResult> position;
       for (OpFoldResult index : insert.getMixedPosition()) {

@@ -195,8 +195,15 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
       InFlightDiagnostic diag = user->emitOpError("calls '")
                                 << function.getSymName()
                                 << "', which cannot be inlined; ";
-      if (!function.isExternal())
+      if (function->isProperAncestor(user))
         return diag << "helpers cannot call themselves";
+      if (!function.isExternal()) {
+        diag << "helpers have one block, and do not call themselves";
+        diag.attachNote(function.getLoc())
+            << "defined here; control flow of a helper stands in 'scf', to "
+               "which 'lift-cf-to-scf' brings it";
+        return diag;
+      }
       diag << "it has no body here";
       diag.attachNote(function.getLoc())
           << "declared here; give it a body, or call it by 'llvm.call'";

@@ -80,9 +80,9 @@ static bool isPlainFloatOp(Operation &op) {
 }
 
 static bool isPlainIntegerOp(Operation &op) {
-  return isa<arith::ArithDialect>(op.getDialect()) && isMemoryEffectFree(&op) &&
-         op.getNumResults() == 1 && op.getNumRegions() == 0 &&
-         op.getResult(0).getType().isIntOrIndex() &&
+  return isa_and_present<arith::ArithDialect>(op.getDialect()) &&
+         isMemoryEffectFree(&op) && op.getNumResults() == 1 &&
+         op.getNumRegions() == 0 && op.getResult(0).getType().isIntOrIndex() &&
          llvm::all_of(op.getOperandTypes(),
                       [](Type type) { return type.isIntOrIndex(); });
 }

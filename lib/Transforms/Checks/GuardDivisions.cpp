@@ -158,7 +158,7 @@ static bool isOurs(Operation *function) {
   return isa<func::FuncOp>(function) &&
          function
              ->walk([](Operation *op) {
-               return isa<TaiDialect, TaiRTDialect, CheckDialect>(
+               return isa_and_present<TaiDialect, TaiRTDialect, CheckDialect>(
                           op->getDialect())
                           ? WalkResult::interrupt()
                           : WalkResult::advance();

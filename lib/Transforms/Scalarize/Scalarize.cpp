@@ -436,7 +436,8 @@ LogicalResult Scalarizer::run() {
   flattenArrays(function);
   Region &body = function.getFunctionBody();
   if (!body.hasOneBlock())
-    return function->emitOpError("expects a body of one block");
+    return function->emitOpError("expects a body of one block; "
+                                 "'lift-cf-to-scf' brings branches to 'scf'");
   Block &entry = body.front();
   SmallVector<Operation *> arguments;
   for (BlockArgument argument : entry.getArguments()) {

@@ -66,7 +66,9 @@ static void forEachPosition(
   for (auto [index, extent] : llvm::zip(indices, shape)) {
     auto &choice = choices.emplace_back();
     if (std::optional<int64_t> constant = getConstantIntValue(index)) {
-      choice.push_back({*constant, Value()});
+      // Beyond the vector, and at -1, is poison.
+      if (*constant >= 0 && *constant < extent)
+        choice.push_back({*constant, Value()});
       continue;
     }
     for (int64_t i = 0; i != extent; ++i)
@@ -110,6 +112,11 @@ static void expandExtract(vector::ExtractOp op, Scalarizer &scalarizer) {
                           : value;
         }
       });
+  // A position that is not there takes the first component, as one does that
+  // turns out not to be there when it runs.
+  for (int64_t i = 0; i != count; ++i)
+    if (!result[i])
+      result[i] = source[i];
   scalarizer.set(op.getResult(), std::move(result));
 }
 

@@ -135,7 +135,8 @@ static bool isOfIndexSpace(Value value) {
   if (auto cast = dyn_cast<arith::IndexCastUIOp>(op))
     return cast.getIn().getType().getIntOrFloatBitWidth() < 32;
   // What arith, a branch or a loop computes may be any number.
-  return !isa<arith::ArithDialect, scf::SCFDialect>(op->getDialect()) &&
+  return !isa_and_present<arith::ArithDialect, scf::SCFDialect>(
+             op->getDialect()) &&
          !isa<tai::LocalLoadOp>(op);
 }
 

@@ -302,7 +302,7 @@ bool BlockLoop::addAccess(Operation *op, FieldTable &fields) {
 
 /// Whether an op of scalars does the same to each element of a vector.
 static bool isRowOp(Operation *op) {
-  if (isa<math::MathDialect>(op->getDialect()) &&
+  if (isa_and_present<math::MathDialect>(op->getDialect()) &&
       !isa<math::AbsFOp, math::AbsIOp, math::SqrtOp, math::FloorOp,
            math::CeilOp, math::TruncOp, math::RoundEvenOp, math::FmaOp,
            math::CopySignOp>(op))

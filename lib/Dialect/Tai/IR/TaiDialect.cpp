@@ -36,8 +36,10 @@ struct TaiInlinerInterface : DialectInlinerInterface {
   bool isLegalToInline(Operation *, Operation *, bool) const final {
     return true;
   }
-  bool isLegalToInline(Region *, Region *, bool, IRMapping &) const final {
-    return true;
+  /// The regions of kernels, loops and tapes have one block.
+  bool isLegalToInline(Region *, Region *source, bool,
+                       IRMapping &) const final {
+    return source->hasOneBlock();
   }
   bool isLegalToInline(Operation *, Region *, bool, IRMapping &) const final {
     return true;
