@@ -143,6 +143,8 @@ class Assignments(Part):
             ):
                 place.atomic(op, place.convert(value))
                 return
+            if op in _ATOMIC_ASSIGN and place.dt.is_int:
+                value = place.convert(value)  # as for elements of fields
             place.store(place.convert(self.emitter.binary(op, place.load(), value)))
             return
         place.atomic(op, place.convert(value))
