@@ -58,7 +58,10 @@ static LogicalResult runRandom(Run &run, Operation *op) {
 static LogicalResult runPrint(Run &run, Operation *op) {
   auto print = cast<PrintOp>(op);
   Message message = run.getMessage(print.getArgs());
-  tai_rt_print(run.frame, print.getFormat().str().c_str(), message.kinds.size(),
+  std::string text = print.getFormat().str();
+  if (print.getNoNewline())
+    text += TAI_SAME_LINE;
+  tai_rt_print(run.frame, text.c_str(), message.kinds.size(),
                message.kinds.data(), message.shapes.data(),
                message.slots.data());
   return success();

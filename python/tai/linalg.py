@@ -5,14 +5,10 @@ from __future__ import annotations
 
 from ._impl.solvers.implicit import newton
 from ._impl.solvers.linear import bicgstab, cg, jacobi
+from ._impl.solvers.matrix_free import LinearOperator, MatrixFreeBICGSTAB, MatrixFreeCG
 from ._impl.solvers.report import SolveInfo
+from ._impl.solvers.sparse_cg import SparseCG
 from ._impl.solvers.sparse_matrix import SparseMatrix, SparseMatrixBuilder, SparseSolver
-from ._impl.solvers.taichi_names import (
-    LinearOperator,
-    MatrixFreeBICGSTAB,
-    MatrixFreeCG,
-    SparseCG,
-)
 from .errors import TaiConvergenceWarning
 
 __all__ = [

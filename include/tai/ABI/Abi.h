@@ -80,6 +80,9 @@ enum TaiValueKind {
   TAI_VALUE_BOOL = 3
 };
 
+/// The last character of a printed format whose line goes on (ETX).
+#define TAI_SAME_LINE '\3'
+
 /// Kinds of failures; see tai_rt_fail.
 enum TaiFailure {
   TAI_FAIL_ASSERT = 1,

@@ -295,7 +295,10 @@ struct LowerPrint final : LeafPattern<PrintOp> {
     Location loc = op.getLoc();
     MessageValues values = emitMessageValues(
         leaf.runtime, rewriter, loc, op.getArgs(), getShapes(op.getShapes()));
-    Value format = leaf.runtime.string(rewriter, loc, op.getFormat());
+    std::string text = op.getFormat().str();
+    if (op.getNoNewline())
+      text += TAI_SAME_LINE;
+    Value format = leaf.runtime.string(rewriter, loc, text);
     leaf.runtime.tai_rt_print(rewriter, loc, leaf.frame, format, values.count,
                               values.kinds, values.shapes, values.slots);
     rewriter.eraseOp(op);

@@ -492,9 +492,8 @@ extern "C" uint32_t tai_rt_random_u32(uint64_t seed, uint64_t launch,
 extern "C" void tai_rt_print(TaiFrame *frame, const char *format, int32_t count,
                              const int32_t *kinds, const int32_t *shapes,
                              const uint64_t *slots) {
-  std::string line = formatValues(format, count, kinds, shapes, slots);
-  line += '\n';
-  launchOf(frame).owner().print(line);
+  launchOf(frame).owner().print(
+      endPrinted(formatValues(format, count, kinds, shapes, slots)));
 }
 
 extern "C" void tai_rt_fail(TaiFrame *frame, int32_t failure,

@@ -229,7 +229,7 @@ Status DeviceContext::report() {
   if (!status)
     return status;
   for (std::string &line : report.lines)
-    services.printer.print(line + '\n');
+    services.printer.print(endPrinted(std::move(line)));
   if (report.lostLines)
     services.printer.print(
         "[tai] " + std::to_string(report.lostLines) +

@@ -123,6 +123,14 @@ std::string mlir::tai::runtime::formatValues(const char *format, int32_t count,
   return text;
 }
 
+std::string mlir::tai::runtime::endPrinted(std::string text) {
+  if (!text.empty() && text.back() == TAI_SAME_LINE)
+    text.pop_back();
+  else
+    text += '\n';
+  return text;
+}
+
 std::string mlir::tai::runtime::formatBytes(int64_t bytes) {
   const char *units[] = {"B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"};
   double value = static_cast<double>(bytes);

@@ -116,6 +116,8 @@ tai.kernel @locals(%x: f32, %i: index, %ok: i1) -> f32 {
   tai.precondition %ok, "step {}"(%i) : index
   // CHECK: tai.print "x = {}"(%{{.+}}) : f32
   tai.print "x = {}"(%x) : f32
+  // CHECK: tai.print "x = {}"(%{{.+}}) : f32 {no_newline}
+  tai.print "x = {}"(%x) : f32 {no_newline}
   tai.return %y : f32
 }
 

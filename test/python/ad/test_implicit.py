@@ -703,3 +703,26 @@ def test_programs_one_after_the_other():
         assert loss[None] == pytest.approx(7.5) and b.grad[2] == pytest.approx(0.5)
         ti.reset()
         ti.init(arch=ti.cpu)
+
+
+@pytest.mark.parametrize("dtype", [ti.f32, ti.f64])
+def test_names_of_taichi(dtype, capsys):
+    chain = Chain(9, dtype)
+    b, x = chain.b, ti.field(dtype, shape=9)
+    operator = ti.linalg.LinearOperator(chain.apply)
+    matrix = np.diag(2 + chain.C) - np.eye(9, k=1) - np.eye(9, k=-1)
+    wanted = np.linalg.solve(matrix, chain.B)
+    for solve in (ti.linalg.MatrixFreeCG, ti.linalg.MatrixFreeBICGSTAB):
+        x.fill(0)
+        assert solve(operator, b, x, tol=1e-5, maxiter=100)
+        assert x.to_numpy() == pytest.approx(wanted, abs=1e-4)
+        assert np.linalg.norm(matrix @ x.to_numpy() - chain.B) < 2e-5
+    assert capsys.readouterr().out == ""
+    x.fill(0)
+    with pytest.warns(ti.linalg.TaiConvergenceWarning):
+        assert not ti.linalg.MatrixFreeCG(operator, b, x, maxiter=2, quiet=False)
+    assert "did not converge: it needs more iterations after 2" in capsys.readouterr().out
+    with pytest.raises(ti.TaiRuntimeTypeError, match="takes a ti.linalg.LinearOperator"):
+        ti.linalg.MatrixFreeCG(chain.apply, b, x)
+    with pytest.raises(AttributeError, match="no assembled matrices"):
+        ti.linalg.SparseMatrixBuilder  # noqa: B018

@@ -339,3 +339,29 @@ def test_fill_among_others(components, rows):
     a.fill(0.0)
     assert (a.to_numpy() == 0.0).all()
     assert (b.to_numpy() == 7.0).all()
+
+
+def test_elements_of_one_column_are_vectors_in_arrays():
+    column = ti.Matrix.field(4, 1, ti.f32, shape=2)
+    row = ti.Matrix.field(1, 4, ti.f32, shape=2)
+    column[1] = [[1], [2], [3], [4]]
+    assert column.to_numpy().tolist() == [[0] * 4, [1, 2, 3, 4]]
+    assert column.to_numpy(keep_dims=True).shape == (2, 4, 1)
+    assert row.to_numpy().shape == (2, 1, 4)
+    for shape in ((2, 4), (2, 4, 1)):
+        column.from_numpy(np.arange(8.0).reshape(shape))
+        assert column.to_numpy().tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
+        column.fill(0)
+
+
+def test_vector_and_matrix_types_as_types_of_fields():
+    v = ti.field(ti.math.vec3, shape=2, needs_grad=True)
+    m = ti.field(dtype=ti.types.matrix(2, 3, ti.i32), shape=(2,))
+    placed = ti.field(ti.math.ivec2)
+    ti.root.dense(ti.i, 3).place(placed)
+    v[1] = [1, 2, 3]
+    m[0] = [[1, 2, 3], [4, 5, 6]]
+    placed.fill(7)
+    assert v.to_numpy().tolist() == [[0, 0, 0], [1, 2, 3]] and v.grad.shape == (2,)
+    assert m.to_numpy()[0].tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert placed.to_numpy().tolist() == [[7, 7]] * 3

@@ -546,3 +546,25 @@ def test_promises_are_values():
 
     run()
     assert x.to_numpy().tolist() == list(range(1, 9))
+
+
+@pytest.mark.filterwarnings("ignore:.*drops its fraction")
+def test_variables_of_whole_numbers_take_whole_numbers():
+    x = ti.field(ti.i32, shape=2)
+
+    @ti.kernel
+    def kernel(start: ti.i32) -> ti.i32:
+        a = start
+        a += 2.9
+        a -= 0.5
+        x[0] = start
+        x[0] += 2.9
+        x[0] -= 0.5
+        b = start
+        b *= 1.5
+        x[1] = b
+        return a
+
+    for start, added, scaled in ((3, 5, 4), (-3, -1, -4), (0, 2, 0)):
+        assert kernel(start) == added
+        assert x.to_numpy().tolist() == [added, scaled]

@@ -638,6 +638,26 @@ def test_print(capfd):
     assert lines == ["n = 3 [0.5, 2.5]", "twice 6", "[[1, 2], [3, 4]]"]
 
 
+def test_print_that_goes_on_in_the_line(capfd):
+    x = ti.field(ti.i32, shape=3)
+    x.from_numpy(np.arange(3))
+
+    @ti.kernel
+    def kernel(n: ti.i32):
+        for _ in range(1):
+            for i in range(n):
+                print(x[i], i, sep=":", end=", " if ti.static(True) else "")
+            print("end", end="")
+            print(end="!\n\n")
+        for _ in range(1):
+            print(ti.Vector([n, n]), end="\n")
+            print("", end="")
+
+    kernel(3)
+    ti.sync()
+    assert capfd.readouterr().out == "0:0, 1:1, 2:2, end!\n\n[3, 3]\n"
+
+
 SPECS = [
     "8.3f",
     "+.2e",

@@ -145,3 +145,35 @@ def test_methods_may_call_their_object_otherwise():
     grid = Grid(2)
     grid.run(3.0)
     assert grid.x.to_numpy().tolist() == [6.0, 7.0]
+
+
+def test_items_of_lists_that_a_kernel_makes():
+    x = ti.field(ti.i32, shape=3)
+
+    @ti.kernel
+    def kernel(n: ti.i32) -> ti.i32:
+        a = [1, 2, n]
+        a[1] = ti.cast(5.9, ti.i32)
+        a[0] += n
+        for i in ti.static(range(3)):
+            a[i] *= 2
+        for i in x:
+            w = [0, 0]
+            w[0] = i
+            w[1] = w[0] * 2
+            x[i] = w[1]
+        return a[0] + a[1] * 10 + a[2] * 100
+
+    assert kernel(3) == 708
+    assert x.to_numpy().tolist() == [0, 2, 4]
+
+    @ti.kernel
+    def branch(n: ti.i32) -> ti.i32:
+        a = [1, 2]
+        if n > 2:
+            a[1] = 5
+        return a[1]
+
+    with pytest.raises(ti.TaiTypeError, match="cannot change the Python object 'a") as caught:
+        branch(3)
+    assert "ti.Vector" in caught.value.hint

@@ -184,3 +184,19 @@ def test_diagonal_matrices():
     expected = [[6.5 * c + 2.0 for c in row] for row in cofactors]
     for p in range(3):
         assert F.grad[p].to_list() == expected
+
+
+@pytest.mark.parametrize("name", ["vulkan", "metal", "opengl"])
+def test_targets_that_a_gpu_stands_in_for(name, monkeypatch):
+    monkeypatch.delenv("TI_ARCH", raising=False)
+    with pytest.warns(UserWarning, match=f"arch=ti.{name} is not there"):
+        ti.init(arch=getattr(ti, name))
+    x = ti.field(ti.f32, shape=2)
+    x.fill(3.0)
+    assert x.to_numpy().tolist() == [3.0, 3.0]
+
+
+def test_the_cpu_has_one_name():
+    ti.init(arch=ti.x64)
+    assert ti.cpu == ti.x64
+    assert ti.lang.impl.current_cfg().arch in (ti.x64, ti.cuda, "python")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from enum import Enum
 from typing import Any
 
@@ -15,11 +16,15 @@ class Arch(str):
     __slots__ = ()
 
 
-cpu, x64, arm64 = Arch("cpu"), Arch("x64"), Arch("arm64")
-x86_64 = x64
+cpu, arm64 = Arch("cpu"), Arch("arm64")
+x64 = x86_64 = cpu  # programs compare them
 python = Arch("python")
 cuda, gpu, vulkan, metal = Arch("cuda"), Arch("gpu"), Arch("vulkan"), Arch("metal")
 opengl, gles, dx11, amdgpu = Arch("opengl"), Arch("gles"), Arch("dx11"), Arch("amdgpu")
+
+# Targets of Taichi, for which `gpu` stands in.
+_OTHER_GPUS = {vulkan, metal, opengl, gles, dx11, amdgpu}
+_CPU = {cpu, arm64, "x64", "x86_64"}
 
 
 class Extension(Enum):
@@ -54,7 +59,7 @@ def is_extension_supported(arch: Arch, ext: Extension) -> bool:
     Loops that carry values are differentiable without a limit, which is what `adstack`
     asks for.
     """
-    return arch in (cpu, x64, arm64, cuda, python) and ext in _SUPPORTED
+    return arch in (cpu, arm64, cuda, python) and ext in _SUPPORTED
 
 
 def why_no_cuda() -> str:
@@ -76,16 +81,23 @@ def check_target(arch: Arch, needs: Any, unwanted: Any) -> None:
         for extension in each(needs):
             if not is_extension_supported(arch, extension):
                 raise TaiRuntimeError(f"arch=ti.{arch} has no {extension}")
-    if arch in each(unwanted) or (arch == cpu and x64 in each(unwanted)):
+    if arch in each(unwanted):
         raise TaiRuntimeError(f"arch=ti.{arch} is excluded by this program")
 
 
 def choose_arch(arch: Any) -> tuple[Arch, bool]:
     """The target to use, and whether the CPU will do where it is not there."""
     if isinstance(arch, (list, tuple)):
-        arch = next((a for a in arch if a in (cpu, x64, arm64)), arch[0] if arch else None)
-    if arch is None or arch in (cpu, x64, arm64):
+        arch = next((a for a in arch if a in _CPU), arch[0] if arch else None)
+    if arch is None or arch in _CPU:
         return cpu, False
+    if arch in _OTHER_GPUS:
+        warnings.warn(
+            f"arch=ti.{arch} is not there: kernels run on an NVIDIA GPU, or on the CPU without one"
+            "\n  hint: arch=ti.gpu says so",
+            stacklevel=3,
+        )
+        arch = gpu
     if arch in (gpu, cuda):
         return cuda, arch == gpu
     if arch == python:

@@ -7,6 +7,7 @@ from typing import Any
 from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..base.program import get_program
 from ..values.matrix import Matrix, Vector, to_extent
+from ..values.types import MatrixType
 from .field import Field
 from .matrix_field import MatrixField
 from .root import open_root
@@ -77,20 +78,23 @@ def field(
     offset: Any = None,
     needs_grad: bool = False,
     needs_dual: bool = False,
-) -> ScalarField:
-    """A field of numbers.
+) -> Any:
+    """A field of numbers, or of vectors or matrices.
 
     Args:
-        dtype: `ti.f32`, `ti.i32`, …, `int` or `float`.
+        dtype: `ti.f32`, `ti.i32`, …, `int` or `float`, or a type such as `ti.math.vec3`.
         shape: extents; without it the field is placed by hand: `ti.root.dense(…).place(x)`.
         order: layout order of the axes, such as `"ji"`, slowest first.
         name: what to call the field in messages and IR.
         offset: the first index along each dimension.
         needs_grad, needs_dual: place a gradient, a tangent.
     """
-    made = make_field((), dtype, shape, order, name or None, offset, needs_grad, needs_dual)
-    assert isinstance(made, ScalarField)
-    return made
+    element_shape: tuple[int, ...] = ()
+    if isinstance(dtype, MatrixType):
+        element_shape, dtype = dtype.shape, dtype.dtype
+    return make_field(
+        element_shape, dtype, shape, order, name or None, offset, needs_grad, needs_dual
+    )
 
 
 def _matrix_field(

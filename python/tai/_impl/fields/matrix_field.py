@@ -192,19 +192,26 @@ class MatrixField(Field):
     def to_numpy(  # type: ignore[override]
         self, keep_dims: bool = False, dtype: Any = None
     ) -> np.ndarray:
-        """A copy as an array of shape `shape + element_shape`."""
+        """A copy as an array of shape `shape + element_shape`.
+
+        Args:
+            keep_dims: give elements of one column, vectors too, a dimension of 1 for it.
+            dtype: of the array, if not that of the field.
+        """
         self._placed_node()
         if self._single is not None:
             array = self._single.to_numpy(dtype)
         else:
             parts = [component.to_numpy(dtype) for component in self.components]
             array = np.stack(parts, axis=-1).reshape(self.shape + self.element_shape)
-        return array[..., None] if keep_dims and self.ndim == 1 else array
+        if self.m > 1:
+            return array
+        return array.reshape(*self.shape, self.n, *([1] if keep_dims else []))
 
     def from_numpy(self, array: Any) -> None:
         array = np.asarray(array)
-        if self.ndim == 1 and array.shape == (*self.shape, self.n, 1):
-            array = array[..., 0]
+        if self.m == 1 and array.shape in ((*self.shape, self.n), (*self.shape, self.n, 1)):
+            array = array.reshape(self.shape + self.element_shape)
         array = self._check_array(array)
         if self._single is not None:
             self._single.from_numpy(array)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -61,7 +62,8 @@ class Assignments(Part):
                 "give it a name: b = …, and change that of b",
             )
         if not isinstance(place, Place):
-            raise self.no_place(target)
+            self.assign_item(target, lambda old: value)
+            return
         place.store(place.convert(self.expressions.number(value)))
 
     def unpack(self, target: ast.Tuple | ast.List, value: Any, node: Any, is_static: bool) -> None:
@@ -143,6 +145,8 @@ class Assignments(Part):
             ):
                 place.atomic(op, place.convert(value))
                 return
+            if op in _ATOMIC_ASSIGN and place.dt.is_int:
+                value = place.convert(value)  # as for elements of fields
             place.store(place.convert(self.emitter.binary(op, place.load(), value)))
             return
         place.atomic(op, place.convert(value))
@@ -158,14 +162,25 @@ class Assignments(Part):
             return
         if isinstance(old, Field):
             raise TaiTypeError(describe_misuse(old), misuse_hint(old))
-        raise self.no_place(node.target)
+        self.assign_item(node.target, lambda old: self.emitter.binary(op, old, value))
 
-    def no_place(self, target: ast.expr) -> TaiTypeError:
-        """The error for a target that is an object of Python."""
+    def assign_item(self, target: ast.expr, change: Callable[[Any], Any]) -> None:
+        """`a[1] = …` where `a` is a list that the program makes in this block."""
         base = target.value if isinstance(target, ast.Subscript) else None
         local = self.frame.find(base.id) if isinstance(base, ast.Name) else None
-        is_list = isinstance(local, Bound) and isinstance(local.thing, list)
-        return TaiTypeError(
+        items: Any = local.thing if isinstance(local, Bound) else None
+        is_list = isinstance(items, list)
+        if isinstance(target, ast.Subscript) and is_list and self.checks.may_change(items):
+            key = self.visit(target.slice)
+            old = items[key] if isinstance(key, int) else None
+            if isinstance(old, (Value, bool, int, float)):
+                # It keeps its type, as a variable does.
+                item = Variable(ast.unparse(target), self.emitter.as_value(old))
+                place = VariablePlace(self.emitter, item)
+                place.store(place.convert(self.expressions.number(change(old))))
+                items[key] = item.value
+                return
+        raise TaiTypeError(
             f"a kernel cannot change the Python object '{ast.unparse(target)}'",
             "make it a vector: ti.Vector([…])"
             if is_list

@@ -188,10 +188,15 @@ class Checks(Part):
         line = self.context.diagnostics.last_node.lineno
         warnings.warn_explicit(text, TaiCompilationWarning, frame.filename, line, registry=_shown)
 
+    def may_change(self, thing: Any) -> bool:
+        """Whether the program has made a container in this very block."""
+        made = self._made.get(id(thing))
+        return made is not None and made[0] is thing and made[1] == self.context.depth_below_top
+
     def _check_change(self, receiver: Any, kind: type, name: str) -> None:
-        made = self._made.get(id(receiver))
-        if made is not None and made[0] is receiver and made[1] == self.context.depth_below_top:
+        if self.may_change(receiver):
             return
+        made = self._made.get(id(receiver))
         what = "an array" if kind is np.ndarray else f"a Python {kind.__name__}"
         if made is None:
             raise TaiSyntaxError(

@@ -172,17 +172,13 @@ class Printing(Part):
         return FormattedText(text, values) if values else text
 
     def print(self, node: ast.Call) -> None:
-        separator, end = " ", ""
+        separator, end = " ", "\n"
         for keyword in node.keywords:
             value = self.visit(keyword.value)
             if keyword.arg == "sep" and isinstance(value, str):
                 separator = value
             elif keyword.arg == "end" and isinstance(value, str):
-                if not value.endswith("\n"):
-                    raise TaiSyntaxError(
-                        "print in a kernel ends the line", "drop end=, or print once"
-                    )
-                end = value[:-1]
+                end = value
             elif keyword.arg not in ("flush",):
                 raise TaiTypeError(
                     f"print in a kernel has no option '{keyword.arg}'", "it has sep, end and flush"
@@ -195,8 +191,9 @@ class Printing(Part):
                 'write an f-string, or "…".format(…)',
             )
         self.at(node)
-        text = separator.join(part.text for part in parts) + end
-        self.builder.print(text, [self.printable(v).handle for v in values])
+        text = separator.join(part.text for part in parts) + end.removesuffix("\n")
+        handles = [self.printable(v).handle for v in values]
+        self.builder.print(text, handles, end.endswith("\n"))
 
     def printable(self, value: Value) -> Value:
         """A value whose printed digits are right although IR does not know its sign."""

@@ -325,9 +325,12 @@ class Builder:
         """Ends the program unless the condition holds; `{}` in the message are the values."""
         self._op("tai.assert", [condition, *values], [], {"message": self._string(message)})
 
-    def print(self, format: str, values: Sequence[Handle]) -> None:
+    def print(self, format: str, values: Sequence[Handle], ends_line: bool = True) -> None:
         """Prints a text; `{}` in it are the values."""
-        self._op("tai.print", values, [], {"format": self._string(format)})
+        attributes = {"format": self._string(format)}
+        if not ends_line:
+            attributes["no_newline"] = self._attribute("unit")
+        self._op("tai.print", values, [], attributes)
 
     # The kernel
 
