@@ -724,5 +724,3 @@ def test_names_of_taichi(dtype, capsys):
     assert "did not converge: it needs more iterations after 2" in capsys.readouterr().out
     with pytest.raises(ti.TaiRuntimeTypeError, match="takes a ti.linalg.LinearOperator"):
         ti.linalg.MatrixFreeCG(chain.apply, b, x)
-    with pytest.raises(AttributeError, match="no assembled matrices"):
-        ti.linalg.SparseMatrixBuilder  # noqa: B018

@@ -169,7 +169,7 @@ def test_matrices_that_cannot_be_factorised(solver_type, matrix, reason):
         solver.solve(np.ones(2))
 
 
-def test_iterative_solvers_of_taichi():
+def test_conjugate_gradients_of_a_matrix():
     ti.init(default_fp=ti.f64)
     n = 64
     builder, dense = laplacian(n)
@@ -180,22 +180,6 @@ def test_iterative_solvers_of_taichi():
     assert converged
     np.testing.assert_allclose(found, expected, rtol=1e-8)
     assert not ti.linalg.SparseCG(matrix, b, max_iter=2, atol=1e-10).solve()[1]
-
-    @ti.kernel
-    def apply(x: ti.template(), y: ti.template()):
-        for i in x:
-            left = x[i - 1] if i > 0 else 0.0
-            right = x[i + 1] if i < n - 1 else 0.0
-            y[i] = (2.0 + 0.5 * (i % 3)) * x[i] - left - right
-
-    right, x = ti.field(ti.f64, shape=n), ti.field(ti.f64, shape=n)
-    right.from_numpy(b)
-    for solve in (ti.linalg.MatrixFreeCG, ti.linalg.MatrixFreeBICGSTAB):
-        x.fill(0.0)
-        assert solve(ti.linalg.LinearOperator(apply), right, x, tol=1e-10, maxiter=500)
-        assert np.linalg.norm(dense @ x.to_numpy() - b) <= 2e-10
-    with pytest.raises(ti.TaiRuntimeTypeError, match="takes a ti.linalg.LinearOperator"):
-        ti.linalg.MatrixFreeCG(apply, right, x)
 
 
 def test_printed_as_taichi_does(capsys):
