@@ -177,3 +177,47 @@ def test_items_of_lists_that_a_kernel_makes():
     with pytest.raises(ti.TaiTypeError, match="cannot change the Python object 'a") as caught:
         branch(3)
     assert "ti.Vector" in caught.value.hint
+
+
+@ti.func
+def first_is_nine(v):
+    v[0] = 9
+    return v[0] + v[1]
+
+
+def test_lists_of_two_names_do_not_change():
+    """In Python both change, in kernels of Taichi one does: neither is chosen without a word."""
+
+    @ti.kernel
+    def second_name(n: ti.i32) -> ti.i32:
+        a = [0, n]
+        b = a
+        b[0] = 5
+        return a[0]
+
+    @ti.kernel
+    def argument(n: ti.i32) -> ti.i32:
+        a = [0, n]
+        return first_is_nine(a) + a[0]
+
+    @ti.kernel
+    def part_of_another(n: ti.i32) -> ti.i32:
+        a = [0, n]
+        t = (a, 1)
+        a[0] = 5
+        return t[0][0]
+
+    for kernel, names in ((second_name, "'a' and 'b'"), (argument, "'a' and 'v'"),
+                          (part_of_another, "'a' and 't'")):  # fmt: skip
+        with pytest.raises(ti.TaiTypeError, match=f"a list that is {names} cannot") as caught:
+            kernel(2)
+        assert "copy it first" in caught.value.hint
+
+    @ti.kernel
+    def copies(n: ti.i32) -> ti.i32:
+        a = [0, n]
+        b = list(a)
+        b[0] = 5
+        return a[0] * 100 + b[0] * 10 + first_is_nine(list(a))
+
+    assert copies(2) == 61

@@ -164,6 +164,30 @@ class Assignments(Part):
             raise TaiTypeError(describe_misuse(old), misuse_hint(old))
         self.assign_item(node.target, lambda old: self.emitter.binary(op, old, value))
 
+    def refuse_second_name(self, items: list) -> None:
+        """Refuses to change a list that something else refers to.
+
+        In Python that would change, too; in kernels of Taichi, where lists are copied, not.
+        """
+
+        def refers(thing: Any) -> bool:
+            if thing is items:
+                return True
+            return isinstance(thing, (list, tuple)) and any(refers(inner) for inner in thing)
+
+        bound = [
+            name
+            for frame in self.context.frames
+            for scope in frame.scopes
+            for name, meaning in scope.items()
+            if isinstance(meaning, Bound) and refers(meaning.thing)
+        ]
+        if len(bound) > 1:
+            raise TaiTypeError(
+                f"a list that is '{bound[0]}' and '{bound[-1]}' cannot change",
+                "copy it first, as in b = list(a), or make it a vector: ti.Vector([…])",
+            )
+
     def assign_item(self, target: ast.expr, change: Callable[[Any], Any]) -> None:
         """`a[1] = …` where `a` is a list that the program makes in this block."""
         base = target.value if isinstance(target, ast.Subscript) else None
@@ -174,6 +198,7 @@ class Assignments(Part):
             key = self.visit(target.slice)
             old = items[key] if isinstance(key, int) else None
             if isinstance(old, (Value, bool, int, float)):
+                self.refuse_second_name(items)
                 # It keeps its type, as a variable does.
                 item = Variable(ast.unparse(target), self.emitter.as_value(old))
                 place = VariablePlace(self.emitter, item)
