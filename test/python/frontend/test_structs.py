@@ -163,6 +163,7 @@ def test_structs_without_a_type_of_their_own():
         s.a = 10.0
         s.v[1] += 1
         s.inner.q = 4
+        ti.loop_config(serialize=True)
         for i in range(3):
             s.a += 1
             if i == 1:
