@@ -16,9 +16,8 @@ using namespace mlir;
 
 void tai::buildAutodiffPipeline(OpPassManager &pm,
                                 const AutodiffOptions &options) {
-  // Helpers go into the kernels that call them: a call hides what it reads. The
-  // inliner's own cleaning of every function is left out, see below.
-  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  // Helpers go into the kernels that call them: a call hides what it reads.
+  addInliner(pm);
   addPerFunction(pm, [](OpPassManager &function) {
     // Values instead of variables, so that the rest sees what depends on what.
     function.addPass(createEliminateLocals());
@@ -68,7 +67,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
 }
 
 void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {
-  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  addInliner(pm);
   addPerFunction(pm, [](OpPassManager &function) {
     function.addPass(createEliminateLocals());
     addCanonicalization(function);

@@ -15,6 +15,11 @@
 
 using namespace mlir;
 
+void tai::addInliner(OpPassManager &pm) {
+  pm.addPass(createVerifyInlinable());
+  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+}
+
 void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
   bool checked = options.checksIndices();
   pm.addPass(createCheckLowerable());
@@ -26,9 +31,8 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
     pm.addPass(createFuseLaunches(fuse));
   }
 
-  // Helpers go into the kernels that call them. The inliner's own cleaning of
-  // every function costs more than all that follows, so it is left out.
-  pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+  // Helpers go into the kernels that call them.
+  addInliner(pm);
 
   // Nothing that folds runs before.
   pm.addPass(createFoldAngles());

@@ -480,6 +480,15 @@ def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
   let dependentDialects = ["::mlir::arith::ArithDialect"];
 }
 
+def VerifyInlinable : Pass<"tai-verify-inlinable", "::mlir::ModuleOp"> {
+  let summary = "report ops that calls cannot be inlined beside";
+  let description = [{
+    Changes nothing. MLIR's inliner ends the process at an op that holds a region
+    and whose dialect is not loaded: such an op is an error, which pipelines
+    report before they inline.
+  }];
+}
+
 def TestFailure : Pass<"tai-test-failure", "::mlir::ModuleOp"> {
   let summary = "fail, for tests of error handling";
   let description = [{
