@@ -248,6 +248,7 @@ def test_wrong_arguments():
     with pytest.raises(ti.TaiRuntimeTypeError, match="'A' of kernel 'fill' expects a sparse matr"):
         fill(np.zeros((2, 2)))
     for wrong in ({"num_rows": 0}, {"num_rows": 2}, {"num_rows": 2, "max_num_triplets": -1},
+                  {"num_rows": 2, "max_num_triplets": 2**31 - 1},
                   {"num_rows": 2, "max_num_triplets": 1, "dtype": ti.i32},
                   {"num_rows": 2, "max_num_triplets": 1, "storage_format": "ELL"}):  # fmt: skip
         with pytest.raises(ti.TaiRuntimeTypeError):

@@ -86,7 +86,13 @@ class SparseMatrixBuilder(Triplets):
                 f"storage_format is {' or '.join(map(repr, _FORMATS))}, but got {storage_format!r}"
             )
         self.storage_format = storage_format
-        super().__init__(_count(max_num_triplets, "max_num_triplets"), self.dtype.numpy)
+        capacity = _count(max_num_triplets, "max_num_triplets")
+        if capacity >= 2**31 - 1:
+            raise TaiRuntimeTypeError(
+                f"max_num_triplets is below 2^31 - 1, but got {capacity}",
+                "fill several builders, and add the matrices up",
+            )
+        super().__init__(capacity, self.dtype.numpy)
 
     def _entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         sync()
@@ -217,12 +223,6 @@ class SparseMatrix:
 
     def __sub__(self, other: Any) -> Any:
         return self._combined(other, "-", lambda a, b: a - b)
-
-    def __iadd__(self, other: Any) -> Any:
-        return self.__add__(other)
-
-    def __isub__(self, other: Any) -> Any:
-        return self.__sub__(other)
 
     def __neg__(self) -> SparseMatrix:
         return SparseMatrix._of(-self._matrix)
