@@ -253,6 +253,8 @@ def test_wrong_arguments():
                   {"num_rows": 2, "max_num_triplets": 1, "storage_format": "ELL"}):  # fmt: skip
         with pytest.raises(ti.TaiRuntimeTypeError):
             ti.linalg.SparseMatrixBuilder(**wrong)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="storage_format is 'col_major' or 'row_m"):
+        ti.linalg.SparseMatrix(2, storage_format="ELL")
     with pytest.raises(ti.TaiRuntimeTypeError, match="there is no solver of type 'QR'"):
         ti.linalg.SparseSolver(solver_type="QR")
     with pytest.raises(ti.TaiRuntimeTypeError, match="square matrix, but got one of 2×3"):

@@ -59,7 +59,7 @@ class TripletPlace(Place):
             arrays[name].element(at).store(part)
         if op == "-":
             value = emitter.unary("neg", value)
-        arrays["values"].element(at).store(emitter.cast(emitter.as_value(value), self.dt))
+        arrays["values"].element(at).store(value)
 
     def _index(self, index: Any) -> Any:
         place = self.triplets.arrays["rows"].element(0)

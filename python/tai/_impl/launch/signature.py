@@ -129,18 +129,13 @@ def _parse(
     annotation = function.__annotations__.get("return")
     if annotation is None or resolve(annotation, function) is None:
         return parameters, None
-    several = _tuple_types(resolve(annotation, function))
     result: Any
-    if several:
-        result = [parse_type(kind, function, "the result") for kind in several]
-    else:
-        result = parse_type(annotation, function, "the result")
-    if isinstance(result, list):
+    if several := _tuple_types(resolve(annotation, function)):
         try:
-            result = TupleResult(result)
+            result = TupleResult([parse_type(k, function, "the result") for k in several])
         except TaiRuntimeTypeError as error:  # arrays, templates
             raise located(TaiTypeError(error.message), function) from None
-    elif isinstance(result, StructType):
+    elif isinstance(result := parse_type(annotation, function, "the result"), StructType):
         result = StructResult(result)
     elif not isinstance(result, (ScalarType, MatrixType)) or result.dtype.name in ("f16", "bf16"):
         raise located(

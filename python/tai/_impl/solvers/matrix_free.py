@@ -24,7 +24,9 @@ class LinearOperator:
         self._matvec(x, Ax)
 
 
-def _solve(solve: Any, name: str, operator: Any, b: Any, x: Any, tol: Any, limit: int) -> Any:
+def _solve(
+    solve: Any, name: str, operator: Any, b: Any, x: Any, tol: Any, limit: int, quiet: bool
+) -> bool:
     if not isinstance(operator, LinearOperator):
         raise TaiRuntimeTypeError(
             f"ti.linalg.{name} takes a ti.linalg.LinearOperator, but got {operator!r}",
@@ -32,7 +34,11 @@ def _solve(solve: Any, name: str, operator: Any, b: Any, x: Any, tol: Any, limit
         )
     size = float(np.linalg.norm(b.to_numpy()))
     relative = max(float(tol) / size if size > 0 else 0.5, _LEAST.get(b.dtype.name, 1e-6))
-    return solve(operator._matvec, b, x, tol=min(relative, 0.5), max_iterations=limit)
+    info = solve(operator._matvec, b, x, tol=min(relative, 0.5), max_iterations=limit)
+    if not quiet:
+        ended = "converged" if info.converged else f"did not converge: {info.reason}"
+        print(f"{ended} after {info.iterations} iterations, relative residual {info.residual:.3e}")
+    return bool(info)
 
 
 def MatrixFreeCG(
@@ -50,7 +56,7 @@ def MatrixFreeCG(
     Returns:
         Whether it converged.
     """
-    return _report(_solve(cg, "MatrixFreeCG", A, b, x, tol, maxiter), quiet)
+    return _solve(cg, "MatrixFreeCG", A, b, x, tol, maxiter, quiet)
 
 
 def MatrixFreeBICGSTAB(
@@ -60,11 +66,4 @@ def MatrixFreeBICGSTAB(
 
     The arguments are those of `MatrixFreeCG`.
     """
-    return _report(_solve(bicgstab, "MatrixFreeBICGSTAB", A, b, x, tol, maxiter), quiet)
-
-
-def _report(info: Any, quiet: bool) -> bool:
-    if not quiet:
-        ended = "converged" if info.converged else f"did not converge: {info.reason}"
-        print(f"{ended} after {info.iterations} iterations, relative residual {info.residual:.3e}")
-    return bool(info)
+    return _solve(bicgstab, "MatrixFreeBICGSTAB", A, b, x, tol, maxiter, quiet)

@@ -6,7 +6,9 @@ and others, which take a kernel in the place of a matrix, are.
 
 from __future__ import annotations
 
+import operator
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,8 @@ from ..fields.arrays import Ndarray
 from ..fields.field import Field
 from ..fields.triplets import Triplets
 
-_FORMATS = ("col_major", "row_major")
+# SciPy's formats by Taichi's.
+_FORMATS = {"col_major": "csc", "row_major": "csr"}
 _SOLVERS = ("LLT", "LDLT", "LU")
 # Orders of SciPy by those of Eigen, which Taichi names.
 _ORDERINGS = {"AMD": "MMD_AT_PLUS_A", "COLAMD": "COLAMD"}
@@ -48,6 +51,14 @@ def _count(value: Any, what: str) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise TaiRuntimeTypeError(f"{what} is a whole number above 0, but got {value!r}")
     return int(value)
+
+
+def _format(storage_format: str) -> str:
+    if storage_format not in _FORMATS:
+        raise TaiRuntimeTypeError(
+            f"storage_format is {' or '.join(map(repr, _FORMATS))}, but got {storage_format!r}"
+        )
+    return _FORMATS[storage_format]
 
 
 class SparseMatrixBuilder(Triplets):
@@ -81,11 +92,7 @@ class SparseMatrixBuilder(Triplets):
         self.num_rows = _count(num_rows, "num_rows")
         self.num_cols = _count(num_rows if num_cols is None else num_cols, "num_cols")
         self.dtype = _float_type(dtype, "a sparse matrix")
-        if storage_format not in _FORMATS:
-            raise TaiRuntimeTypeError(
-                f"storage_format is {' or '.join(map(repr, _FORMATS))}, but got {storage_format!r}"
-            )
-        self.storage_format = storage_format
+        self._format = _format(storage_format)
         capacity = _count(max_num_triplets, "max_num_triplets")
         if capacity >= 2**31 - 1:
             raise TaiRuntimeTypeError(
@@ -131,8 +138,7 @@ class SparseMatrixBuilder(Triplets):
         made = sparse.coo_array(
             (values.astype(kind.numpy), (rows, columns)), (self.num_rows, self.num_cols)
         )
-        is_rows = self.storage_format == "row_major"
-        return SparseMatrix._of(made.tocsr() if is_rows else made.tocsc())
+        return SparseMatrix._of(made.asformat(self._format))
 
 
 def as_numpy(x: Any) -> np.ndarray:
@@ -159,8 +165,8 @@ class SparseMatrix:
     ):  # fmt: skip
         sparse, _ = get_scipy()
         shape = (_count(n, "n"), _count(n if m is None else m, "m"))
-        make = sparse.csr_array if storage_format == "row_major" else sparse.csc_array
-        self._matrix = make(shape, dtype=_float_type(dtype, "a sparse matrix").numpy)
+        kind = _float_type(dtype, "a sparse matrix").numpy
+        self._matrix = sparse.coo_array(shape, dtype=kind).asformat(_format(storage_format))
 
     @classmethod
     def _of(cls, matrix: Any) -> SparseMatrix:
@@ -203,26 +209,20 @@ class SparseMatrix:
             warnings.simplefilter("ignore")
             self._matrix[indices] = value
 
-    def _alike(self, other: Any, op: str) -> Any:
+    def _combined(self, other: Any, op: str, apply: Callable[[Any, Any], Any]) -> Any:
         if not isinstance(other, SparseMatrix):
-            return None
+            return NotImplemented
         if other.shape != self.shape:
             sizes = " and ".join(f"{a}×{b}" for a, b in (self.shape, other.shape))
             raise TaiRuntimeTypeError(f"'{op}' takes sparse matrices of one size, but got {sizes}")
-        return other._matrix
-
-    def _combined(self, other: Any, op: str, apply: Any) -> Any:
-        matrix = self._alike(other, op)
-        if matrix is None:
-            return NotImplemented
-        made = apply(self._matrix, matrix)
+        made = apply(self._matrix, other._matrix)
         return SparseMatrix._of(made.asformat(self._matrix.format))
 
     def __add__(self, other: Any) -> Any:
-        return self._combined(other, "+", lambda a, b: a + b)
+        return self._combined(other, "+", operator.add)
 
     def __sub__(self, other: Any) -> Any:
-        return self._combined(other, "-", lambda a, b: a - b)
+        return self._combined(other, "-", operator.sub)
 
     def __neg__(self) -> SparseMatrix:
         return SparseMatrix._of(-self._matrix)
@@ -230,7 +230,7 @@ class SparseMatrix:
     def __mul__(self, other: Any) -> Any:
         if isinstance(other, (int, float, np.number)):
             return SparseMatrix._of(self._matrix * self._matrix.dtype.type(other))
-        return self._combined(other, "*", lambda a, b: a * b)
+        return self._combined(other, "*", operator.mul)
 
     __rmul__ = __mul__
 
@@ -318,7 +318,7 @@ class SparseSolver:
         """Checks that there is a factorisation of matrices of this form; `factorize` makes it."""
         self._check(sparse_matrix)
 
-    def _check(self, matrix: Any) -> Any:
+    def _check(self, matrix: Any) -> None:
         if not isinstance(matrix, SparseMatrix):
             raise TaiRuntimeTypeError(
                 f"a solver takes a sparse matrix, but got a {type(matrix).__name__}",
@@ -328,12 +328,12 @@ class SparseSolver:
             raise TaiRuntimeTypeError(
                 f"a solver takes a square matrix, but got one of {matrix.n}×{matrix.m}"
             )
-        return matrix.to_scipy().astype(np.float64).tocsc()
 
     def factorize(self, sparse_matrix: SparseMatrix) -> None:
         """Factorises the matrix; `info` says whether there is a factorisation."""
         _, solvers = get_scipy()
-        a = self._check(sparse_matrix)
+        self._check(sparse_matrix)
+        a = sparse_matrix.to_scipy().astype(np.float64).tocsc()
         self._factors, self._problem = None, ""
         is_symmetric = self.solver_type != "LU"
         if is_symmetric and abs(a - a.T).max() > 1e-5 * max(abs(a).max(), 1e-300):
@@ -356,8 +356,7 @@ class SparseSolver:
         self._factors = factors
 
     def compute(self, sparse_matrix: SparseMatrix) -> None:
-        """`analyze_pattern` and `factorize`."""
-        self.analyze_pattern(sparse_matrix)
+        """`analyze_pattern`, which `factorize` includes, and `factorize`."""
         self.factorize(sparse_matrix)
 
     def solve(self, b: Any) -> Any:

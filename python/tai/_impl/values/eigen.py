@@ -47,16 +47,13 @@ def eig(a: Any, dt: Any = None) -> Any:
     # Of the two multiples of a real eigenvector in the rows of A - λ, the one without cancellation.
     far = root + abs(half)
     leans = half >= 0
-    first = [ops.select(leans, far, a01), ops.select(leans, a10, far)]
-    second = [ops.select(leans, a01, -far), ops.select(leans, -far, a10)]
+    first = _choose(leans, [far, a10], [a01, far])
+    second = _choose(leans, [a01, -far], [-far, a10])
     # Both rows are zero, or one entry is left.
     apart = far > 0
-    first = [
-        ops.select(apart, x, y) for x, y in zip(first, _unit(a10 == 0, one, zero), strict=True)
-    ]
-    second = [
-        ops.select(apart, x, y) for x, y in zip(second, _unit(a01 != 0, one, zero), strict=True)
-    ]
+    axes = [one, zero], [zero, one]
+    first = _choose(apart, first, _choose(a10 == 0, *axes))
+    second = _choose(apart, second, _choose(a01 != 0, *axes))
     first, second = (_normalized(emitter, parts) for parts in (first, second))
 
     # A pair of complex ones: (half ± i root, a10).
@@ -65,9 +62,7 @@ def eig(a: Any, dt: Any = None) -> Any:
     for vector, sign in ((first, 1.0), (second, -1.0)):
         complex_parts = [pair[0], sign * pair[1], pair[2], zero]
         real_parts = [vector[0], zero, vector[1], zero]
-        columns.append(
-            [ops.select(is_real, x, y) for x, y in zip(real_parts, complex_parts, strict=True)]
-        )
+        columns.append(_choose(is_real, real_parts, complex_parts))
     values = [middle + real_root, imaginary_root, middle - real_root, zero - imaginary_root]
     vectors = [part for row in zip(*columns, strict=True) for part in row]
     return (
@@ -76,9 +71,9 @@ def eig(a: Any, dt: Any = None) -> Any:
     )
 
 
-def _unit(is_first: Any, one: Any, zero: Any) -> list[Any]:
-    """The first unit vector or the second."""
-    return [ops.select(is_first, one, zero), ops.select(is_first, zero, one)]
+def _choose(condition: Any, these: list[Any], others: list[Any]) -> list[Any]:
+    """`ti.select` of each component."""
+    return [ops.select(condition, x, y) for x, y in zip(these, others, strict=True)]
 
 
 def _normalized(emitter: Any, parts: list[Any]) -> list[Any]:
