@@ -153,23 +153,23 @@ private:
 
 using Predicate = arith::CmpFPredicate;
 
-Value expandExp(Wide &wide, Value x) {
-  // Beyond these f32 knows infinity and zero alone. NaN stays.
-  Value most = wide.constant(90), least = wide.constant(-110);
+/// A power of which `split` gives two factors. Beyond `lowest` and `highest`
+/// f32 knows zero and infinity alone. NaN stays.
+Value expandPower(Wide &wide, Value x, double lowest, double highest,
+                  std::pair<Value, Value> (Wide::*split)(Value)) {
+  Value most = wide.constant(highest), least = wide.constant(lowest);
   x = wide.extend(x);
   x = wide.choose(Predicate::OGT, x, most, most, x);
   x = wide.choose(Predicate::OLT, x, least, least, x);
-  auto [scale, minusOne] = wide.splitExp(x);
+  auto [scale, minusOne] = (wide.*split)(x);
   return wide.truncate(wide.add(scale, wide.mul(scale, minusOne)));
 }
 
+Value expandExp(Wide &wide, Value x) {
+  return expandPower(wide, x, -110, 90, &Wide::splitExp);
+}
 Value expandExp2(Wide &wide, Value x) {
-  Value most = wide.constant(130), least = wide.constant(-160);
-  x = wide.extend(x);
-  x = wide.choose(Predicate::OGT, x, most, most, x);
-  x = wide.choose(Predicate::OLT, x, least, least, x);
-  auto [scale, minusOne] = wide.splitExp2(x);
-  return wide.truncate(wide.add(scale, wide.mul(scale, minusOne)));
+  return expandPower(wide, x, -160, 130, &Wide::splitExp2);
 }
 
 /// t / (t + 2) with t = e^2x - 1, of which nothing cancels.

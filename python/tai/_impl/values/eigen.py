@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from ...errors import TaiTypeError
 from ..base import dtypes
 from . import ops
 
@@ -24,14 +23,9 @@ def eig(a: Any, dt: Any = None) -> Any:
         one, real ones with the greater one first; and the eigenvectors, of norm 1, as the columns
         of a 4×2 matrix: real and imaginary part of the first component, then of the second.
     """
-    emitter = ops._in_kernel("eig")
-    matrix = emitter.as_value(a)
-    if matrix.shape != (2, 2):
-        raise TaiTypeError(
-            "ti.eig takes a 2×2 matrix, but got "
-            + (f"a {matrix.kind_name}" if matrix.shape else f"a number of type {matrix.dt}"),
-            "use ti.sym_eig for symmetric 3×3 matrices",
-        )
+    hint = "use ti.sym_eig for symmetric 3×3 matrices"
+    matrix = ops.square_matrix("eig", a, (2,), hint)
+    emitter = matrix.emitter
     if dt is not None or not matrix.dt.is_float:
         matrix = emitter.cast(
             matrix, dtypes.to_dtype(dt) if dt is not None else dtypes.default_fp()

@@ -275,13 +275,13 @@ def stop_grad(x: Any) -> Any:
 
 def polar_decompose(a: Any, dt: Any = None) -> Any:
     """A = R S with a rotation R and a symmetric S, of a 2×2 or 3×3 matrix."""
-    matrix = _square("polar_decompose", a)
+    matrix = square_matrix("polar_decompose", a)
     return state.emitter.decompose("polar", matrix, [matrix.shape] * 2)
 
 
 def svd(a: Any, dt: Any = None) -> Any:
     """A = U Σ Vᵀ of a 2×2 or 3×3 matrix: `U, sigma, V`."""
-    matrix = _square("svd", a)
+    matrix = square_matrix("svd", a)
     u, sigma, v = state.emitter.decompose("svd", matrix, [matrix.shape] * 3)
     sigma.is_diagonal = True
     return u, sigma, v
@@ -289,7 +289,7 @@ def svd(a: Any, dt: Any = None) -> Any:
 
 def sym_eig(a: Any, dt: Any = None) -> Any:
     """Eigenvalues, greatest first, and eigenvectors (columns) of a symmetric matrix."""
-    matrix = _square("sym_eig", a)
+    matrix = square_matrix("sym_eig", a)
     return state.emitter.decompose("sym_eig", matrix, [matrix.shape[:1], matrix.shape])
 
 
@@ -307,12 +307,16 @@ def solve(a: Any, b: Any, dt: Any = None) -> Any:
     return emitter.solve(a, b)
 
 
-def _square(name: str, a: Any) -> Any:
+def square_matrix(
+    name: str, a: Any, sizes: tuple[int, ...] = (2, 3), hint: str | None = None
+) -> Any:
+    """The argument of `ti.<name>` in a kernel, which must be a square matrix of these sizes."""
     matrix = _in_kernel(name).as_value(a)
-    if matrix.shape not in ((2, 2), (3, 3)):
+    if matrix.shape not in [(size, size) for size in sizes]:
         raise TaiTypeError(
-            f"ti.{name} takes a 2×2 or 3×3 matrix, but got "
-            + (f"a {matrix.kind_name}" if matrix.shape else f"a number of type {matrix.dt}")
+            f"ti.{name} takes a {' or '.join(f'{size}×{size}' for size in sizes)} matrix, but got "
+            + (f"a {matrix.kind_name}" if matrix.shape else f"a number of type {matrix.dt}"),
+            hint,
         )
     return matrix
 

@@ -388,11 +388,12 @@ def Tai_PrintOp : Tai_Op<"print", [
   let summary = "print values from a kernel";
   let description = [{
     Prints the format, in which each `{}` is replaced by the next argument, and
-    a newline, unless `no_newline` is set. `{:…}` gives Python's format specification of a number, as in
-    `{:8.3f}`: fill, alignment, sign, `#`, `0`, width, precision and one of
-    `bdoxXeEfFgG%`; for vectors, that of each component. A final `u` prints an
-    integer as unsigned. Lines of parallel iterations are printed in any order,
-    each as a whole. For `shapes` see `tai.assert`.
+    a newline, unless `no_newline` is set. `{:…}` gives Python's format
+    specification of a number, as in `{:8.3f}`: fill, alignment, sign, `#`, `0`,
+    width, precision and one of `bdoxXeEfFgG%`; for vectors, that of each
+    component. A final `u` prints an integer as unsigned. Lines of parallel
+    iterations are printed in any order, each as a whole. For `shapes` see
+    `tai.assert`.
 
     Example:
 
