@@ -20,6 +20,7 @@
 #include "tai/AD/SpectralForms.h"
 #include "tai/AD/TangentBuilder.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Support/SilencedDiagnostics.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -136,8 +137,7 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
   func::ReturnOp::create(inner, loc);
 
   // What cannot be extended is no error: the product has its rules.
-  ScopedDiagnosticHandler silence(builder.getContext(),
-                                  [](Diagnostic &) { return success(); });
+  SilencedDiagnostics silence(builder.getContext());
   auto extended = cast<FunctionOpInterface>(holder->getOperation());
   TangentBuilder tangents(extended, [&](Storage storage) -> Storage {
     return storage.memref == body->getArgument(0) ? body->getArgument(1)

@@ -17,7 +17,6 @@
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
-#include "mlir/IR/Diagnostics.h"
 #include "tai/AD/AdjointBuilder.h"
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
@@ -25,6 +24,7 @@
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Support/SilencedDiagnostics.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_SPLITKERNEL
@@ -106,8 +106,7 @@ static bool sharesStorage(KernelOp kernel, ArrayRef<int> segments) {
 /// True if the adjoint cannot be made of the kernel as a whole, but might be of
 /// its parts.
 static bool needsParts(KernelOp kernel) {
-  ScopedDiagnosticHandler silence(kernel.getContext(),
-                                  [](Diagnostic &) { return success(); });
+  SilencedDiagnostics silence(kernel.getContext());
   OpBuilder builder(kernel);
   // What the kernel reads from its arrays is constant here.
   FailureOr<AdjointSignature> signature =

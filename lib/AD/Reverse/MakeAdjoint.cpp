@@ -29,6 +29,7 @@
 #include "tai/Analysis/Cost.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Support/SilencedDiagnostics.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_MAKEADJOINT
@@ -204,8 +205,7 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
                                      AdjointOptions options, bool *needsParts) {
   if (!options.skips.has(Skip::InactiveValues)) {
     // Not all that is assumed to carry derivatives can be differentiated.
-    ScopedDiagnosticHandler silence(function.getContext(),
-                                    [](Diagnostic &) { return success(); });
+    SilencedDiagnostics silence(function.getContext());
     if (succeeded(fillWith(function, shell, signature, options, needsParts)))
       return success();
     clearBody(shell);
@@ -255,8 +255,7 @@ struct MakeAdjoint
         cast<KernelOp>(createShell(function, name, signature).getOperation());
     bool zeroes = adjoint.getZeroesAdjoint();
     // All there is to say has been said of the adjoint.
-    ScopedDiagnosticHandler silence(&getContext(),
-                                    [](Diagnostic &) { return success(); });
+    SilencedDiagnostics silence(&getContext());
     if (failed(fillAdjoint(function, shell, signature,
                            getOptions(zeroes, /*loadsStored=*/true))) ||
         shell.getReadsBeforeAttr() != adjoint.getReadsBeforeAttr() ||

@@ -126,6 +126,17 @@ def test_rounding_of_parts_that_cancel_is_measured(tmp_path):
     assert found.kind in ("agree", "undecided"), found
 
 
+def test_a_chaotic_loss_decides_nothing(tmp_path):
+    """Where `y * sin(y)` is repeated, equal sums of 4,099 terms in another order end elsewhere.
+
+    A field of small noise reads it through a comparison alone.
+    """
+    where = configurations.parse("cpu-3t-O3-4099n")
+    found = outcome.judge(programs.program(4546), 4546, False, tmp_path, where)
+    assert found.kind == "undecided", found
+    assert found.reason == "rounding decides the loss"
+
+
 def test_the_oracle_can_fail(tmp_path):
     """A custom gradient that is wrong, in the place of a compiler that is."""
     wrong = """
