@@ -81,8 +81,13 @@ SANITIZERS = {
         "asan",
         ["lit", "gtest", "pytest"],
         MEMORY,
-        # LLVM's allocators poison memory that the package's own, not instrumented, code then uses.
-        {"allow_user_poisoning": "0"},
+        {
+            # LLVM's allocators poison memory that the package's own, not instrumented, code then
+            # uses.
+            "allow_user_poisoning": "0",
+            # Tests ask for 2**60 elements, of NumPy too, and expect to be refused.
+            "allocator_may_return_null": "1",
+        },
     ),
     "tsan": Sanitizer(
         "tsan",

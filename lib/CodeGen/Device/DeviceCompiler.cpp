@@ -567,6 +567,7 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
                 : options.optLevel == 2 ? llvm::OptimizationLevel::O2
                                         : llvm::OptimizationLevel::O3);
   passes.run(module, modules);
+  divideHugeBlocks(module, /*machine=*/nullptr, HugeBodyLimits::ofDevice());
 }
 
 //===----------------------------------------------------------------------===//

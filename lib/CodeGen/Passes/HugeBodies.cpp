@@ -367,6 +367,9 @@ private:
 };
 } // namespace
 
+/// Of functions in which calls were kept.
+constexpr StringLiteral kCallsKept("tai-calls-kept");
+
 bool Sizes::isHuge(const BasicBlock &block,
                    const HugeBodyLimits &limits) const {
   uint64_t size = 0, accesses = 0, writes = 0;
@@ -375,7 +378,9 @@ bool Sizes::isHuge(const BasicBlock &block,
     accesses += instruction.mayReadOrWriteMemory();
     writes += instruction.mayWriteToMemory();
   }
-  return size > limits.block || writes * accesses > limits.pairs;
+  bool hasCalls = block.getParent()->hasFnAttribute(kCallsKept);
+  return size > (hasCalls ? limits.blockOfCalls : limits.block) ||
+         writes * accesses > limits.pairs;
 }
 
 /// The instructions of a block that may go, in order; those of a part follow
@@ -406,8 +411,9 @@ void mlir::tai::divideHugeBlocks(Module &module, const TargetMachine *machine,
   for (Function &function : module) {
     std::optional<Sizes> sizes;
     for (BasicBlock &block : function) {
-      if (block.size() * most <= limits.block &&
-          block.size() * block.size() <= limits.pairs)
+      uint64_t size = block.size();
+      if (size * most <= std::min(limits.block, limits.blockOfCalls) &&
+          size * size <= limits.pairs)
         continue;
       if (!sizes)
         sizes.emplace(function, machine);
@@ -447,8 +453,10 @@ void mlir::tai::keepCallsInHugeFunctions(Module &module, StringRef prefix,
       if (inside > shortest)
         calls.push_back(call);
     }
-    if (size > limits.inlined)
-      for (CallInst *call : calls)
-        call->setIsNoInline();
+    if (size <= limits.inlined)
+      continue;
+    function.addFnAttr(kCallsKept);
+    for (CallInst *call : calls)
+      call->setIsNoInline();
   }
 }

@@ -40,6 +40,19 @@ struct HugeBodyLimits {
   uint64_t inlined = 30000;
   /// Instructions of each part of a divided block.
   unsigned part = 1000;
+  /// The same as `block`, of functions in which calls were kept.
+  unsigned blockOfCalls = 8000;
+
+  /// For a GPU: ptxas takes more than quadratic time for the calls of a block,
+  /// 114 s for 800 and 1200 of f64, and 9 s once they are in such parts.
+  static HugeBodyLimits ofDevice() {
+    HugeBodyLimits limits;
+    limits.block = ~0u;
+    limits.pairs = ~uint64_t(0);
+    limits.blockOfCalls = 400;
+    limits.part = 200;
+    return limits;
+  }
 };
 
 /// Marks loops whose bodies would be huge as not to be vectorised, and those of
@@ -66,7 +79,8 @@ void divideHugeBlocks(llvm::Module &module,
                       HugeBodyLimits limits = {});
 
 /// In functions that would become huge by inlining, keeps calls of functions
-/// whose name begins with `prefix`. Runs before the inliner.
+/// whose name begins with `prefix`, and marks the functions for
+/// `divideHugeBlocks`. Runs before the inliner.
 void keepCallsInHugeFunctions(llvm::Module &module, llvm::StringRef prefix,
                               HugeBodyLimits limits = {});
 

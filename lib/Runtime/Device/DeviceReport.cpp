@@ -70,7 +70,8 @@ bool Record::parse(const char *bytes, uint64_t available) {
   auto take = [&](auto &values, uint64_t size) {
     values.resize(size);
     uint64_t length = size * sizeof(values[0]);
-    std::memcpy(values.data(), at, length);
+    if (length) // an empty vector may have no address
+      std::memcpy(values.data(), at, length);
     at += length;
   };
   take(slots, slotCount);

@@ -89,7 +89,7 @@ def test_a_processor_without_fused_operations():
     n = 65537
     rng = np.random.default_rng(2)
     a, b, c = (rng.standard_normal(n).astype(np.float32) for _ in range(3))
-    ti.init(target_cpu="x86-64")
+    ti.init(arch=ti.cpu, target_cpu="x86-64")
     sums, _ = run_kernel(ti.f32, a, b, c)
     assert np.array_equal(sums, a * b + c)
 

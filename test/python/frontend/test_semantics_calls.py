@@ -73,6 +73,7 @@ def test_templates_stand_for_elements_and_components():
             increase_twice(ones[i][0, 1])
             push(particles[i].velocity)
             increase(particles[i].mass, 2)
+        ti.loop_config(serialize=True)  # an iteration exchanges what the last one has left
         for i in range(3):
             increase(v[1], 1)
             if i > 0:

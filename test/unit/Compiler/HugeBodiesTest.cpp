@@ -262,8 +262,8 @@ TEST(HugeBodies, StatementsOfHugeBlocksAreNoVectors) {
 }
 
 namespace {
-/// The calls that stay of so many of a library function of 20 instructions.
-int countKept(int calls, const std::string &name, uint64_t inlined) {
+/// So many calls of a library function of 20 instructions.
+std::string getCalls(int calls, const std::string &name) {
   std::string text = "define i32 @" + name + "(i32 %v0) alwaysinline {\n";
   for (int k = 1; k < 20; ++k)
     text += "  %v" + number(k) + " = mul i32 %v" + number(k - 1) + ", 3\n";
@@ -271,9 +271,13 @@ int countKept(int calls, const std::string &name, uint64_t inlined) {
   for (int k = 1; k <= calls; ++k)
     text += "  %v" + number(k) + " = call i32 @" + name + "(i32 %v" +
             number(k - 1) + ")\n";
-  text += "  ret i32 %v" + number(calls) + "\n}\n";
+  return text + "  ret i32 %v" + number(calls) + "\n}\n";
+}
+
+/// The calls that stay of so many.
+int countKept(int calls, const std::string &name, uint64_t inlined) {
   LLVMContext context;
-  std::unique_ptr<Module> module = parse(text, context);
+  std::unique_ptr<Module> module = parse(getCalls(calls, name), context);
   HugeBodyLimits limits;
   limits.inlined = inlined;
   keepCallsInHugeFunctions(*module, "__nv_", limits);
@@ -289,4 +293,17 @@ TEST(HugeBodies, FunctionsThatWouldBeHugeCallTheLibrary) {
   EXPECT_EQ(countKept(50, "__nv_sinf", 1000), 0);
   EXPECT_EQ(countKept(51, "__nv_sinf", 1000), 51);
   EXPECT_EQ(countKept(51, "own", 1000), 0);
+}
+
+TEST(HugeBodies, BlocksOfCallsAreDividedForADevice) {
+  for (bool keeps : {false, true}) {
+    LLVMContext context;
+    std::unique_ptr<Module> module = parse(getCalls(500, "__nv_sinf"), context);
+    HugeBodyLimits limits = HugeBodyLimits::ofDevice();
+    limits.inlined = keeps ? 1000 : 100000;
+    keepCallsInHugeFunctions(*module, "__nv_", limits);
+    divideHugeBlocks(*module, nullptr, limits);
+    EXPECT_FALSE(verifyModule(*module, &errs()));
+    EXPECT_EQ(module->size(), keeps ? 5u : 2u);
+  }
 }
