@@ -9,6 +9,7 @@ import os
 import platform
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -58,7 +59,7 @@ def _options() -> argparse.Namespace:
     add("--resume", action="store_true", help="keep what is done in --out, and go on")
     add("--out", type=Path, default=Path("out/paper"), help="folder of runs and page (out/paper)")
     add("--examples", type=Path, help="the folder of the programs (examples, of the checkout)")
-    add("--page", type=Path, help="also writes paper.md and its pictures here (docs)")
+    add("--page", type=Path, help="also writes paper.md, or paper-cuda.md, and its pictures here (docs)")
     return parser.parse_args()
 
 
@@ -81,13 +82,29 @@ def _writable(folder: Path, option: str) -> Path:
     return folder.resolve()
 
 
-def _machine() -> str:
+def _gpu() -> str:
+    """The name of the first GPU that processes see, as its driver says it."""
+    number = os.environ.get("CUDA_VISIBLE_DEVICES", "0").split(",")[0]
+    command = ["nvidia-smi", "-i", number, "--query-gpu=name", "--format=csv,noheader"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    except (OSError, subprocess.TimeoutExpired):
+        return "GPU unknown"
+    return done.stdout.strip() if done.returncode == 0 else "GPU unknown"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0))
+
+
+def _machine(arch: str) -> str:
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
         names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
         model = names[0].split(":", 1)[1].strip() if names else model
-    return f"{model}, {len(os.sched_getaffinity(0))} cores"
+    host = f"{model}, {_cores()} cores"
+    return f"{host}, {_gpu()}" if arch == "cuda" else host
 
 
 class _Store:
@@ -132,38 +149,50 @@ def _perform(lab: Lab, experiment: Experiment) -> Result:
         result.status, result.reason = "failed", f"{type(error).__name__}: {error}"
     result.seconds = time.monotonic() - begin
     result.load = os.getloadavg()[0]
+    result.machine, result.cores = _machine(lab.arch), _cores()
     return result
 
 
+def _copy_page(lab: Lab, text: str, rows: list[page.Row], docs: Path) -> None:
+    """The page of a GPU lies beside that of the CPU, with pictures of its own."""
+    suffix = "" if lab.arch == "cpu" else f"-{lab.arch}"
+    folder = docs / "pictures"
+    folder.mkdir(exist_ok=True)
+    for old in folder.glob(f"paper{suffix}_*.png"):
+        old.unlink()
+    for _, _, _, result in rows:
+        for kind, *content in result.blocks:
+            if kind == "picture":
+                name = content[0].replace("/paper_", f"/paper{suffix}_", 1)
+                text = text.replace(f"]({content[0]})", f"]({name})")
+                shutil.copyfile(lab.out / content[0], docs / name)
+    (docs / f"paper{suffix}.md").write_text(text)
+
+
 def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
-    cores, load = len(os.sched_getaffinity(0)), max((row[3].load for row in rows), default=0)
+    load = max((row[3].load for row in rows), default=0)
+    shared = [row[3].cores for row in rows if row[3].load > 2 * row[3].cores]
     seconds = sum(row[3].seconds for row in rows)
+    machines = dict.fromkeys(row[3].machine or "not named" for row in rows)
     times = (
         f"The experiments took {seconds / 60:.1f} minutes together, at a load of up to {load:.0f}."
     )
-    if load > 2 * cores:
+    if shared:
         times += (
-            f" **{cores} cores were shared with other work: times are several times too large.**"
+            f" **{shared[0]} cores were shared with other work: times are several times too large.**"
         )
     head = [
         "What the programs of [examples](examples.md) give for the figures and tables of "
         "*DiffTaichi: Differentiable Programming for Physical Simulation* (ICLR 2020). Made by "
         f"`python -m tai.paper --{lab.level}`; every number that is not said to be the paper's "
         "comes from that run.",
-        f"Machine: {_machine()}; arch {lab.arch}. {times}",
+        f"Machine: {'; '.join(machines)}; arch {lab.arch}. {times}",
     ]
     path = lab.out / "paper.md"
     path.write_text(page.markdown(head, rows))
     (lab.out / "paper.html").write_text(page.hypertext(head, rows, lab.out))
     if copy:
-        (copy / "pictures").mkdir(exist_ok=True)
-        for old in (copy / "pictures").glob("paper_*.png"):
-            old.unlink()
-        for _, _, _, result in rows:
-            for kind, *content in result.blocks:
-                if kind == "picture":
-                    shutil.copyfile(lab.out / content[0], copy / content[0])
-        shutil.copyfile(path, copy / "paper.md")
+        _copy_page(lab, path.read_text(), rows, copy)
     return path
 
 

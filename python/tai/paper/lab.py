@@ -43,6 +43,8 @@ class Result:
     reason: str = ""
     seconds: float = 0.0
     load: float = 0.0  # of the machine, when it was done
+    machine: str = ""  # processor and GPU
+    cores: int = 1  # that processes were allowed
     blocks: list[list[Any]] = field(default_factory=list)
 
 

@@ -190,6 +190,29 @@ def test_a_page_elsewhere(tmp_path, examples):
     assert [path.name for path in (docs / "pictures").iterdir()] == ["other.png"]
 
 
+def test_the_page_of_a_gpu_lies_beside_that_of_the_cpu(tmp_path):
+    """From a run that was copied here: the GPU it names is the one that computed."""
+    out, docs = tmp_path / "out", tmp_path / "docs"
+    (out / "results").mkdir(parents=True)
+    (out / "pictures").mkdir()
+    (docs / "pictures").mkdir(parents=True)
+    for path in (out / "pictures/paper_toi_1.png", docs / "pictures/paper_toi_1.png"):
+        path.write_text(path.parent.parent.name)
+    blocks = [["picture", "pictures/paper_toi_1.png", "Bounces"]]
+    result = {"name": "toi", "seconds": 1.0, "machine": "a host, a GPU", "blocks": blocks}
+    kept = {"settings": {"level": "once", "arch": "cuda"}, "result": result}
+    (out / "results/toi.json").write_text(json.dumps(kept))
+    options = ("--only", "toi", "--page", docs, "--arch", "cuda", "--resume")
+    done = paper(out, *options)
+    assert done.returncode == 0, done.stdout + done.stderr
+    text = (docs / "paper-cuda.md").read_text()
+    assert "Machine: a host, a GPU; arch cuda." in text
+    assert "![Bounces](pictures/paper-cuda_toi_1.png)" in text
+    assert (docs / "pictures/paper-cuda_toi_1.png").read_text() == "out"
+    assert (docs / "pictures/paper_toi_1.png").read_text() == "docs"
+    assert not (docs / "paper.md").exists()
+
+
 def test_pages(tmp_path):
     lab = Lab(ROOT / "examples", tmp_path, "once", "cpu", resume=False)
     result = lab.begin("some")
@@ -229,8 +252,9 @@ def test_the_list():
     assert [line.split()[0] for line in done.stdout.splitlines()] == [e.name for e in EXPERIMENTS]
 
 
-def test_the_page_of_this_repository():
-    text = (ROOT / "docs/paper.md").read_text()
+@pytest.mark.parametrize("name", ["paper.md", "paper-cuda.md"])
+def test_the_pages_of_this_repository(name):
+    text = (ROOT / "docs" / name).read_text()
     names = re.findall(r"^\| [^|]+ \| [^|]+ \| `(\w+)` \| ([a-z ]+)", text, re.M)
     assert [name for name, _ in names] == [e.name for e in EXPERIMENTS]
     assert {result.strip() for _, result in names} <= {"as expected", "left out"}
