@@ -59,7 +59,9 @@ def _options() -> argparse.Namespace:
     add("--resume", action="store_true", help="keep what is done in --out, and go on")
     add("--out", type=Path, default=Path("out/paper"), help="folder of runs and page (out/paper)")
     add("--examples", type=Path, help="the folder of the programs (examples, of the checkout)")
-    add("--page", type=Path, help="also writes paper.md, or paper-cuda.md, and its pictures here (docs)")
+    add(
+        "--page", type=Path, help="also writes paper.md or paper-cuda.md here (docs), with pictures"
+    )
     return parser.parse_args()
 
 
@@ -179,7 +181,8 @@ def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
     )
     if shared:
         times += (
-            f" **{shared[0]} cores were shared with other work: times are several times too large.**"
+            f" **{shared[0]} cores were shared with other work: "
+            "times are several times too large.**"
         )
     head = [
         "What the programs of [examples](examples.md) give for the figures and tables of "
