@@ -122,7 +122,7 @@ def find_reports(folder: Path) -> list[str]:
         text = path.read_text(errors="replace")
         for part in re.split(r"(?m)^(?==+$|==\d+==ERROR|WARNING: ThreadSanitizer)", text):
             first = re.search(r"(?m)^.*(?:(?:ERROR|WARNING): \w+Sanitizer|runtime error).*", part)
-            if first:
+            if first and "Sanitizer failed to allocate" not in first[0]:
                 summary = re.search(r"(?m)^SUMMARY: .*", part)
                 found.append(summary[0] if summary else first[0])
     return found

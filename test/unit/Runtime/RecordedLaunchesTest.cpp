@@ -181,14 +181,15 @@ TEST_F(RecordedAgain, WhateverElseComesQueuesThemFirst) {
   std::unique_ptr<DeviceEvent> event;
   DevicePtr spare = 0;
   double value = 1;
-  DeviceRows rows{y, 8, 8, 2};
+  // Each has memory of its own.
+  auto rows = [&] { return DeviceRows{y, 8, 8, 2}; };
   const std::pair<const char *, std::function<Status()>> others[] = {
       {"synchronize", [&] { return queue->synchronize(); }},
       {"copy out", [&] { return queue->copyOut(&value, y, 8); }},
       {"copy in", [&] { return queue->copyIn(y, &value, 8); }},
       {"copy", [&] { return queue->copy(y, x, 8); }},
-      {"copy of rows", [&] { return queue->copyRows(rows, x, 8); }},
-      {"exchange of rows", [&] { return queue->swapRows(rows, y + 16, 8); }},
+      {"copy of rows", [&] { return queue->copyRows(rows(), x, 8); }},
+      {"exchange of rows", [&] { return queue->swapRows(rows(), y + 16, 8); }},
       {"event", [&] { return queue->record(event); }},
       {"a stream waits", [&] { return queue->letStreamWait(4); }},
       {"waits for a stream", [&] { return queue->waitForStream(4); }},
