@@ -225,8 +225,11 @@ def _load_npz(path: Any, fields: dict[str, Field]) -> dict[str, tuple]:
     except (TaiError, FileNotFoundError, IsADirectoryError, PermissionError):
         raise
     except Exception as error:  # whatever zlib, zipfile and NumPy say of damaged files
+        why = str(error) or type(error).__name__
+        if "pickle" in why:  # what NumPy takes a file for that it does not know
+            why = "it is no archive of arrays"
         raise TaiRuntimeError(
-            f"{path} is damaged, or no file of ti.volumes.save: {error or type(error).__name__}",
+            f"{path} is damaged, or no file of ti.volumes.save: {why}",
             "save it again",
         ) from error
 

@@ -1,11 +1,14 @@
 """Tapes, forward mode, checks and compilation in several threads at once."""
 
+import ast
 import sys
 import threading
 
 import numpy as np
 import pytest
 import tai as ti
+from tai._impl.base import parsing
+from tai._impl.frontend import source
 
 
 @pytest.fixture(autouse=True)
@@ -223,6 +226,31 @@ def test_check_in_threads():
 
     in_threads(*(lambda p=p: check(p) for p in problems), go_on)
     assert other[None] == 200.0
+
+
+def test_syntax_trees_that_another_thread_spoils(monkeypatch):
+    """CPython's own count, which threads share; the same without threads."""
+    parse, calls = ast.parse, []
+
+    def spoiled(*args, **kwargs):
+        calls.append(args)
+        if len(calls) < 4:
+            raise SystemError("AST constructor recursion depth mismatch (before=57, after=54)")
+        return parse(*args, **kwargs)
+
+    monkeypatch.setattr(ast, "parse", spoiled)
+    monkeypatch.setattr(source, "_parsed", {})
+    x = ti.field(ti.i32, shape=())
+
+    @ti.kernel
+    def count():
+        x[None] += 1
+
+    count()
+    assert x[None] == 1 and len(calls) == 4
+    monkeypatch.setattr(ast, "parse", lambda *_: spoiled(calls.clear()))
+    with pytest.raises(SystemError):
+        parsing.parse("1")
 
 
 # Fields that threads share

@@ -197,7 +197,10 @@ def test_damaged_files(tmp_path):
     with pytest.raises(FileNotFoundError):
         ti.volumes.load(tmp_path / "none.npz", x=x)
     path.write_bytes(b"no archive at all")
-    with pytest.raises(ti.TaiRuntimeError, match="damaged, or no file of ti.volumes.save") as info:
+    with pytest.raises(
+        ti.TaiRuntimeError,
+        match="damaged, or no file of ti.volumes.save: it is no archive of arrays",
+    ) as info:
         ti.volumes.load(path, x=x)
     assert info.value.hint == "save it again"
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...errors import shorten
 from ..base import state
+from ..base.parsing import parse
 
 # Functions whose derivative is not finite everywhere.
 _SINGULAR = {"sqrt", "rsqrt", "log", "pow", "acos", "asin", "atan2", "tan", "norm", "normalized",
@@ -58,7 +59,7 @@ class Place:
         """Lines that compute what has a derivative that is not finite everywhere."""
         try:
             lines, start = inspect.getsourcelines(self.function)
-            tree = ast.parse(textwrap.dedent("".join(lines)))
+            tree = parse(textwrap.dedent("".join(lines)))
         except (OSError, TypeError, SyntaxError):
             return []
         found: dict[int, str] = {}

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiSyntaxError
+from ..base.parsing import parse
 
 # File name -> (the text it was parsed from, functions by first line and name).
 _parsed: dict[str, tuple[str, dict[tuple[int, str], ast.FunctionDef | ast.AsyncFunctionDef]]] = {}
@@ -40,7 +41,7 @@ def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
 
 def _index(text: str) -> dict[tuple[int, str], ast.FunctionDef | ast.AsyncFunctionDef]:
     try:
-        tree = ast.parse(text)
+        tree = parse(text)
     except SyntaxError:
         return {}
     found = {}

@@ -25,6 +25,7 @@ import numpy as np
 from ...errors import TaiGradientWarning
 from ..base import native, state
 from ..base.elements import Elements
+from ..base.parsing import parse
 from ..base.program import at_close
 
 # What gives no number, or one that does not change a little when its argument does.
@@ -224,7 +225,7 @@ def _warn(frame: Any, what: str) -> None:
 @functools.lru_cache(maxsize=64)
 def _parse(filename: str) -> ast.Module | None:
     try:
-        return ast.parse("".join(linecache.getlines(filename)))
+        return parse("".join(linecache.getlines(filename)))
     except (SyntaxError, ValueError):
         return None
 
