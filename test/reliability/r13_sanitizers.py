@@ -83,7 +83,7 @@ def main() -> None:
         words.append(f"{preset}: {kinds or 'did not run'}")
     where = f" in {', '.join(args.rooms)}" if args.rooms else ""
     bar.report(
-        f"{whole} presets in full ({'; '.join(words)}{where})",
+        f"{whole} presets in full ({' and '.join(words)}{where})",
         f"{totals['reports']} reports, {totals['failed']} tests failed",
         met=not totals["reports"] and not totals["failed"] and not totals["missing"],
     )
