@@ -4,11 +4,12 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import tai as ti
+
+from fake_driver import fake_driver
 
 COUNT = 1000
 
@@ -87,15 +88,6 @@ def test_the_limit_is_a_number_of_warps(emulated):
 
 
 # On a driver that has no GPU, and does nothing.
-
-
-def fake_driver():
-    """The library, which lies among those of a build."""
-    for line in Path("/proc/self/maps").read_text().splitlines():
-        driver = Path(line.split()[-1]).parent / "tai-fake-cuda.so"
-        if driver.is_file():
-            return driver
-    pytest.skip("there is no driver for tests here")
 
 
 def run(folder, text, likes_512=False):

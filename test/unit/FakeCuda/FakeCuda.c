@@ -21,6 +21,8 @@
 // (int32_t *blocks_and_threads) and "until" (uint32_t *word), whatever its text
 // is, and those of Rows.cu. The last one runs until somebody writes a number to
 // the word, which it then writes behind it.
+// With TAI_FAKE_CUDA_IMAGES, a folder, what is loaded is kept there: 000.ptx and
+// so on.
 // Compiled with -finstrument-functions, it counts how often it is called.
 // Graphs are lists of launches, fills and copies.
 //
@@ -55,7 +57,7 @@ NOT_COUNTED static int has(const char *word) {
   return given && strstr(given, word) != NULL;
 }
 
-enum { mostValues = sizeof(TaiFillTable) / 8, mostNodes = 1024 };
+enum { mostValues = sizeof(TaiFillTable) / 8, mostNodes = 16384 };
 
 /// A piece of work: a launch (0), a copy (1) or a fill (2).
 typedef struct {
@@ -395,8 +397,22 @@ Result cuPointerGetAttribute(void *value, int attribute, Address address) {
   return 1; // no memory that the driver knows
 }
 
+NOT_COUNTED static void keepImage(const char *image) {
+  static int number;
+  const char *folder = getenv("TAI_FAKE_CUDA_IMAGES");
+  char path[4096];
+  if (!folder)
+    return;
+  snprintf(path, sizeof(path), "%s/%03d.ptx", folder, number++);
+  FILE *file = fopen(path, "w");
+  if (!file)
+    return;
+  fputs(image, file);
+  fclose(file);
+}
 Result cuModuleLoadDataEx(void **result, const void *image, unsigned count,
                           int *options, void **values) {
+  keepImage(image);
   if (has("bad-ptx")) {
     for (unsigned i = 0; i < count; ++i)
       if (options[i] == 5)
