@@ -32,6 +32,7 @@
 #include "llvm/TargetParser/X86TargetParser.h"
 #include "llvm/Transforms/Instrumentation/AddressSanitizer.h"
 #include "llvm/Transforms/Scalar/GVN.h"
+#include "llvm/Transforms/Utils/InjectTLIMappings.h"
 
 using namespace llvm;
 using namespace mlir::tai;
@@ -230,9 +231,13 @@ void ObjectCompiler::runPasses(Module &module) {
   builder.registerVectorizerStartEPCallback(
       [&](FunctionPassManager &early, OptimizationLevel level) {
         early.addPass(KeepHugeLoopsScalar());
-        if (level != OptimizationLevel::O0)
-          early.addPass(VectorizeLoops(LoopVectorizeOptions(
-              !tuning.LoopInterleaving, !tuning.LoopVectorization)));
+        if (level == OptimizationLevel::O0)
+          return;
+        // Which functions are there for vectors. The pipeline's own comes
+        // after this place.
+        early.addPass(InjectTLIMappings());
+        early.addPass(VectorizeLoops(LoopVectorizeOptions(
+            !tuning.LoopInterleaving, !tuning.LoopVectorization)));
       });
   builder.registerVectorizerEndEPCallback(
       [](FunctionPassManager &late, OptimizationLevel) {
