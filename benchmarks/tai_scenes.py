@@ -298,6 +298,7 @@ def make_mpm(problem) -> Program:
         rest = ti.field(dtype=float)
         grids().place(momentum, grid_mass, rest)
     else:
+        rest = None  # taichi reads all that a kernel names
         place_components(grids, momentum)
         grids().place(grid_mass)
     ti.root.place(loss)
