@@ -118,7 +118,8 @@ class Runner:
             raise KeyboardInterrupt  # Ctrl-C reaches both: that is no failure of the scene
         lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
         if not lines:
-            return {"status": "failed", "reason": f"exit status {done.returncode}, see {self.log}"}
+            log = os.path.relpath(self.log, ROOT)  # results are for other machines too
+            return {"status": "failed", "reason": f"exit status {done.returncode}, see {log}"}
         return json.loads(lines[-1])
 
     def reference(self, scene: str) -> Path | None:

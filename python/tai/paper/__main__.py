@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import json
 import os
 import platform
@@ -84,6 +85,7 @@ def _writable(folder: Path, option: str) -> Path:
     return folder.resolve()
 
 
+@functools.cache
 def _gpu() -> str:
     """The name of the first GPU that processes see, as its driver says it."""
     number = os.environ.get("CUDA_VISIBLE_DEVICES", "0").split(",")[0]

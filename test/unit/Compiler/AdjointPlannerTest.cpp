@@ -11,12 +11,12 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/AD/AdjointPlanner.h"
+#include "ContextTest.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/IR/Diagnostics.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/InitAll.h"
 #include "gtest/gtest.h"
 
 using namespace mlir;
@@ -33,18 +33,8 @@ constexpr llvm::StringLiteral kFields = R"(
   tai.field @p = @t["p"] : f32, rank 1
 )";
 
-class AdjointPlannerTest : public ::testing::Test {
+class AdjointPlannerTest : public ContextTest {
 protected:
-  AdjointPlannerTest() : context(getRegistry()) {
-    context.loadAllAvailableDialects();
-  }
-
-  static DialectRegistry getRegistry() {
-    DialectRegistry registry;
-    registerAll(registry);
-    return registry;
-  }
-
   /// Plans the adjoint of a kernel with this body.
   AdjointPlanner plan(StringRef body, AdjointOptions options = {}) {
     std::string text =
@@ -80,7 +70,6 @@ protected:
     return names;
   }
 
-  MLIRContext context;
   OwningOpRef<ModuleOp> module;
   KernelOp kernel;
   /// The loads, stores and draws, in program order.

@@ -10,33 +10,21 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/CodeGen/Diagnostics.h"
+#include "ContextTest.h"
 #include "mlir/Parser/Parser.h"
 #include "mlir/Pass/PassManager.h"
 #include "tai/AD/Passes.h"
-#include "tai/InitAll.h"
 #include "tai/Support/SilencedDiagnostics.h"
 #include "gtest/gtest.h"
 #include <atomic>
+#include <optional>
 #include <thread>
 
 using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-class DiagnosticsTest : public ::testing::Test {
-protected:
-  DiagnosticsTest() : context(getRegistry()) {
-    context.loadAllAvailableDialects();
-  }
-
-  static DialectRegistry getRegistry() {
-    DialectRegistry registry;
-    registerAll(registry);
-    return registry;
-  }
-
-  MLIRContext context;
-};
+using DiagnosticsTest = ContextTest;
 
 TEST_F(DiagnosticsTest, SilenceDropsWhatItsThreadSays) {
   DiagnosticCollector collector(&context);
@@ -55,11 +43,11 @@ TEST_F(DiagnosticsTest, SilenceLeavesOtherThreads) {
   std::thread other([&] {
     // As in a thread that was at work before: the silence comes first.
     DiagnosticCollector collector(&context);
-    SilencedDiagnostics *inner = nullptr;
-    std::thread third([&] { inner = new SilencedDiagnostics(&context); });
+    std::optional<SilencedDiagnostics> inner;
+    std::thread third([&] { inner.emplace(&context); });
     third.join();
     emitError(UnknownLoc::get(&context), "of the other");
-    delete inner;
+    inner.reset();
     message = collector.take(FailureKind::Internal, "lost").message;
   });
   other.join();

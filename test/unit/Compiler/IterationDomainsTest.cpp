@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/IterationDomains.h"
+#include "ContextTest.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Parser/Parser.h"
-#include "tai/InitAll.h"
 #include "gtest/gtest.h"
 
 using namespace mlir;
@@ -17,18 +17,8 @@ using namespace mlir::tai;
 namespace {
 /// A kernel of `%n: i32` with a loop `%i` from 0 to 10 around the body, in
 /// which one `tai.print` stands where the test looks.
-class IterationDomainsTest : public ::testing::Test {
+class IterationDomainsTest : public ContextTest {
 protected:
-  IterationDomainsTest() : context(getRegistry()) {
-    context.loadAllAvailableDialects();
-  }
-
-  static DialectRegistry getRegistry() {
-    DialectRegistry registry;
-    registerAll(registry);
-    return registry;
-  }
-
   void parse(StringRef body) {
     std::string text = R"(
       tai.kernel @k(%n: i32) {
@@ -51,7 +41,6 @@ protected:
     return IterationDomains(kernel, *forms).domainOf(print->getBlock());
   }
 
-  MLIRContext context;
   OwningOpRef<ModuleOp> module;
   KernelOp kernel;
   PrintOp print;

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/LaunchAccesses.h"
+#include "ContextTest.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/Analysis/LoopLevels.h"
 #include "tai/Analysis/ToBeRecorded.h"
 #include "tai/Analysis/ValueFlows.h"
-#include "tai/InitAll.h"
 #include "gtest/gtest.h"
 
 using namespace mlir;
@@ -18,18 +18,8 @@ using namespace mlir::tai;
 using Kind = runtime::AccessKind;
 
 namespace {
-class LaunchAccessesTest : public ::testing::Test {
+class LaunchAccessesTest : public ContextTest {
 protected:
-  LaunchAccessesTest() : context(getRegistry()) {
-    context.loadAllAvailableDialects();
-  }
-
-  static DialectRegistry getRegistry() {
-    DialectRegistry registry;
-    registerAll(registry);
-    return registry;
-  }
-
   /// The kernel @k of the module, which has fields @x and @y of 8 by 16 and
   /// @s of sparse cells.
   void parse(StringRef kernels) {
@@ -47,7 +37,6 @@ protected:
     kernel = module->lookupSymbol<KernelOp>("k");
   }
 
-  MLIRContext context;
   OwningOpRef<ModuleOp> module;
   KernelOp kernel;
 };
