@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Declarations.h"
+#include "ContextTest.h"
 #include "mlir/Parser/Parser.h"
-#include "tai/InitAll.h"
 #include "gtest/gtest.h"
 
 using namespace mlir;
@@ -15,20 +15,13 @@ using namespace mlir::tai;
 
 namespace {
 
-class DeclarationsTest : public ::testing::Test {
+class DeclarationsTest : public ContextTest {
 protected:
-  DeclarationsTest() {
-    DialectRegistry registry;
-    registerAll(registry);
-    context.appendDialectRegistry(registry);
-    context.loadAllAvailableDialects();
-    declarations.emplace(&context, rt, failures);
-  }
+  DeclarationsTest() { declarations.emplace(&context, rt, failures); }
   FailureOr<runtime::FieldPtr> add(StringRef text) {
     return declarations->addField(text);
   }
 
-  MLIRContext context;
   runtime::Runtime rt;
   FailureLog failures;
   std::optional<Declarations> declarations;
