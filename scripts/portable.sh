@@ -16,6 +16,12 @@ root=dist/$name
 rm -rf "$root" "$root.tar.xz"
 cmake --install build-portable --prefix "$root" --strip >/dev/null
 cp LICENSE "$root/"
+# Vector functions for loops; without them loops call libm.
+for sleef in /usr/lib/"$(uname -m)"-linux-gnu/libsleef.so.3; do
+  [ -e "$sleef" ] || continue
+  cp -L "$sleef" "$root/lib/"
+  cp /usr/share/doc/libsleef3/copyright "$root/LICENSE.sleef"
+done
 cp docs/portable.md "$root/README.md"
 
 # Nothing else may be asked of the machine.

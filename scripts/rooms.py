@@ -44,6 +44,7 @@ ARROWS: dict[str, str] = {
 # KNOWN_CIRCLES and nowhere else: parts of one class that are still to be separated.
 RUNTIME_ARROWS: dict[str, str] = {
     "Cache": "",
+    "Math": "",
     "Text": "",
     "Threads": "",
     "Sparse": "Threads",
@@ -53,7 +54,7 @@ RUNTIME_ARROWS: dict[str, str] = {
     "Queue": "Device Threads",
     "Mirror": "Device Profile Queue Sparse Storage Text Threads",
     "Host": "Mirror Storage Threads",
-    "Launch": "Device Host Mirror Sparse Storage Text Threads",
+    "Launch": "Device Host Math Mirror Sparse Storage Text Threads",
     "Tape": "Host Launch Mirror Sparse Storage Text",
     "Cuda": "Device Queue Text Threads",
     "Emulated": "Device Text Threads",

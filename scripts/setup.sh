@@ -8,8 +8,9 @@ packages=(
   # LLVM and MLIR, and the libraries that find_package(MLIR) asks for
   llvm-22-dev libmlir-22-dev mlir-22-tools llvm-22-tools clang-22 lld-22
   zlib1g-dev libzstd-dev libcurl4-openssl-dev libedit-dev libxml2-dev
-  # the build, the tests; oneTBB for the benchmarks' hand-written programs
-  libtbb-dev ninja-build cmake ccache libgtest-dev clang-format-22
+  # the build, the tests; oneTBB for the benchmarks' hand-written programs; SLEEF, the vector
+  # functions of loops
+  libtbb-dev libsleef3 ninja-build cmake ccache libgtest-dev clang-format-22
   # the run time of sanitizers, for PRESET=asan and ti.init(sanitize="address")
   libclang-rt-22-dev
   python3 python3-venv python3-dev xz-utils ca-certificates
@@ -29,7 +30,7 @@ install_packages() {
   local name missing=()
   if ! command -v dpkg-query >/dev/null; then
     command -v clang++-22 >/dev/null && return   # not Debian: trust what is there
-    die "this machine has no apt: install LLVM/MLIR 22, oneTBB, CMake 3.25, Ninja and GoogleTest"
+    die "this machine has no apt: install LLVM/MLIR 22, oneTBB, SLEEF, CMake 3.25, Ninja and GoogleTest"
   fi
   local installed
   installed=$(dpkg-query -W -f='${db:Status-Abbrev} ${Package}\n' "${packages[@]}" 2>/dev/null || true)

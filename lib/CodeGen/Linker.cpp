@@ -7,6 +7,7 @@
 
 #include "tai/CodeGen/Linker.h"
 #include "PerfMap.h"
+#include "tai/CodeGen/ObjectCompiler.h"
 #include "llvm/ExecutionEngine/Orc/AbsoluteSymbols.h"
 #include "llvm/ExecutionEngine/Orc/Core.h"
 #include "llvm/ExecutionEngine/Orc/ExecutionUtils.h"
@@ -54,10 +55,11 @@ Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
         JITSymbolFlags::Exported | JITSymbolFlags::Callable};
   if (Error error = library.define(absoluteSymbols(std::move(symbols))))
     return error;
-  // The math libraries by name: the process may hold them privately only. The
-  // vector library is there on x86 alone.
-  for (const char *name : {"libm.so.6", "libmvec.so.1"}) {
-    auto generator = DynamicLibrarySearchGenerator::Load(name, '\0');
+  // The math libraries by name: the process may hold them privately only.
+  SmallVector<StringRef> names{"libm.so.6"};
+  append_range(names, getVectorLibraries());
+  for (StringRef name : names) {
+    auto generator = DynamicLibrarySearchGenerator::Load(name.data(), '\0');
     if (generator)
       library.addGenerator(std::move(*generator));
     else

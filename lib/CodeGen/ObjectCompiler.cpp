@@ -14,6 +14,7 @@
 #include "Passes/InsertSafepoints.h"
 #include "Passes/ManyLoops.h"
 #include "Passes/TransposeColumns.h"
+#include "Passes/VectorMath.h"
 #include "Passes/VectorizeLoops.h"
 #include "Passes/WidenSums.h"
 #include "VerifyEach.h"
@@ -128,10 +129,14 @@ void mlir::tai::allowFastMath(Module &module) {
         instruction.setFastMathFlags(instruction.getFastMathFlags() | flags);
 }
 
-/// True if glibc's vector math library can be loaded into this process.
-static bool hasVectorMathLibrary() {
-  static const bool found =
-      sys::DynamicLibrary::getPermanentLibrary("libmvec.so.1").isValid();
+ArrayRef<StringRef> mlir::tai::getVectorLibraries() {
+  static const SmallVector<StringRef, 2> found = [] {
+    SmallVector<StringRef, 2> libraries;
+    for (StringRef name : {kGlibcVectors, kSleef})
+      if (sys::DynamicLibrary::getPermanentLibrary(name.data()).isValid())
+        libraries.push_back(name);
+    return libraries;
+  }();
   return found;
 }
 
@@ -208,10 +213,14 @@ void ObjectCompiler::runPasses(Module &module) {
       libraryInfo.setUnavailable(function);
   // Its results are within 4 ulp, which only fast_math may accept.
   if (options.fastMath && machine->getTargetTriple().isX86() &&
-      hasVectorMathLibrary())
+      is_contained(getVectorLibraries(), kGlibcVectors))
     libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,
                                                    machine->getTargetTriple());
   functions.registerPass([&] { return TargetLibraryAnalysis(libraryInfo); });
+  // Fast code has glibc's, which are shorter.
+  std::optional<VectorMath> vectorMath;
+  if (!options.fastMath)
+    vectorMath.emplace(*machine, is_contained(getVectorLibraries(), kSleef));
   // The pipeline's own value numbering and vectoriser make way for ours, which
   // is all that an option of the pipeline could do, if it had one.
   PassInstrumentationCallbacks callbacks;
@@ -236,13 +245,17 @@ void ObjectCompiler::runPasses(Module &module) {
         // Which functions are there for vectors. The pipeline's own comes
         // after this place.
         early.addPass(InjectTLIMappings());
+        if (vectorMath)
+          early.addPass(NameVectorMath(*vectorMath));
         early.addPass(VectorizeLoops(LoopVectorizeOptions(
             !tuning.LoopInterleaving, !tuning.LoopVectorization)));
       });
   builder.registerVectorizerEndEPCallback(
-      [](FunctionPassManager &late, OptimizationLevel) {
+      [&](FunctionPassManager &late, OptimizationLevel level) {
         late.addPass(TransposeColumns());
         late.addPass(WidenSums());
+        if (vectorMath && level != OptimizationLevel::O0)
+          late.addPass(MatchScalarMath(*vectorMath));
       });
   builder.registerOptimizerLastEPCallback(
       [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {

@@ -47,6 +47,7 @@ std::string CompileOptions::str() const {
 #define TAI_COMPILE_OPTION(type, member, initial, key)                         \
   add(key, describe(member));
 #include "tai/Support/Options.def"
+  text += " vectors=" + llvm::join(getVectorLibraries(), ",");
   if (device)
     text += " device=" + DeviceTarget{*device, deviceTarget}.str();
   return text;

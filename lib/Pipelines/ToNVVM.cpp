@@ -23,7 +23,9 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   addPerFunction(pm, [&](OpPassManager &function) {
     if (fast) {
       function.addPass(createMarkExclusive());
-      function.addPass(createScatterToGather());
+      ScatterToGatherOptions gathers;
+      gathers.pairSums = false;
+      function.addPass(createScatterToGather(gathers));
       function.addPass(createNormalizeIndices());
       addCanonicalization(function);
     }

@@ -14,7 +14,9 @@
 #ifndef TAI_CODEGEN_OBJECTCOMPILER_H
 #define TAI_CODEGEN_OBJECTCOMPILER_H
 
+#include "llvm/ADT/ArrayRef.h"
 #include "llvm/ADT/SmallVector.h"
+#include "llvm/ADT/StringRef.h"
 #include "llvm/Support/Error.h"
 #include <memory>
 #include <string>
@@ -43,6 +45,10 @@ struct CodegenOptions {
 
 /// Sets the fast-math flags of all operations of the module.
 void allowFastMath(llvm::Module &module);
+
+/// The libraries of vector functions that this process can load, by the names
+/// under which it does. Code may call them; what is cached is for those alone.
+llvm::ArrayRef<llvm::StringRef> getVectorLibraries();
 
 /// A CPU that code is made for, as LLVM describes it.
 struct TargetCpu {

@@ -219,6 +219,9 @@ def ScatterToGather : Pass<"tai-scatter-to-gather"> {
     over less of the field, values that cannot be computed twice or that read
     what the loop writes, and more than `max-ops` operations to compute again.
 
+    In a kernel with compensated sums what an iteration gathers is summed with
+    twice the digits: f32 in f64, f64 with its rounding errors beside it.
+
     ```mlir
     tai.parallel_for (%i) in @x {
       %0 = tai.load @y[%i] : f32
@@ -238,6 +241,9 @@ def ScatterToGather : Pass<"tai-scatter-to-gather"> {
   let options = [
     Option<"maxOps", "max-ops", "unsigned", /*default=*/"256",
            "Largest number of operations computed again for one field">,
+    Option<"pairSums", "pair-sums", "bool", /*default=*/"true",
+           "Gather compensated sums of f64 as well; not for a target that "
+           "fuses products into several of the additions that use them">,
   ];
 }
 

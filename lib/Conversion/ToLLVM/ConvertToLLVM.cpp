@@ -26,6 +26,7 @@
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Utils/Accumulate.h"
+#include "llvm/ADT/StringSet.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTOLLVM
@@ -229,6 +230,29 @@ void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
       converter, patterns.getContext(), /*benefit=*/2);
 }
 
+/// Calls of libm become what intrinsics are: they access no memory (nobody asks
+/// for errno), and may be contracted as the arithmetic around them.
+static void relaxMathCalls(LLVM::LLVMFuncOp function, bool contract) {
+  // Those that have no intrinsic.
+  static const llvm::StringSet<> names{"expm1", "expm1f", "log1p", "log1pf",
+                                       "cbrt",  "cbrtf",  "erf",   "erff",
+                                       "erfc",  "erfcf",  "asinh", "asinhf",
+                                       "acosh", "acoshf", "atanh", "atanhf"};
+  function.walk([&](LLVM::CallOp call) {
+    std::optional<StringRef> callee = call.getCallee();
+    if (!callee || !names.contains(*callee))
+      return;
+    auto none = LLVM::ModRefInfo::NoModRef;
+    call.setMemoryEffectsAttr(LLVM::MemoryEffectsAttr::get(
+        call.getContext(), none, none, none, none, none, none));
+    call.setNoUnwind(true);
+    call.setWillReturn(true);
+    if (contract)
+      call.setFastmathFlags(call.getFastmathFlags() |
+                            LLVM::FastmathFlags::contract);
+  });
+}
+
 namespace {
 struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   using Base::Base;
@@ -274,6 +298,9 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     if (failed(applyPartialConversion(module, target, std::move(patterns))) ||
         failed(flushDenormals(module)))
       return signalPassFailure();
+    for (auto function : module.getOps<LLVM::LLVMFuncOp>())
+      relaxMathCalls(function,
+                     contract && Modes::of(function).math != MathMode::Strict);
     // The conversions carry annotations of loops along without knowing them.
     module.walk([](LLVM::BrOp branch) {
       if (auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(

@@ -11,6 +11,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/ABI/Abi.h"
+#include "../Math/VectorMath.h"
 #include "../Storage/Scalars.h"
 #include "../Text/Format.h"
 #include "Launch.h"
@@ -541,5 +542,7 @@ static std::vector<RuntimeSymbol> getAbiSymbols() {
 std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
   std::vector<RuntimeSymbol> symbols = getAbiSymbols();
   appendHalfCalls(symbols);
+  for (auto [name, function] : vectorMathSymbols())
+    symbols.push_back({name, function});
   return symbols;
 }

@@ -523,20 +523,66 @@ struct Gathered {
 };
 } // namespace
 
+/// The sum of the values.
+static Value emitSum(OpBuilder &builder, Location loc, ValueRange values) {
+  Value sum = values.front();
+  for (Value value : values.drop_front())
+    sum = arith::AddFOp::create(builder, loc, sum, value);
+  return sum;
+}
+
+/// The sum with twice the digits of its type, rounded once. In f64 the rounding
+/// errors are summed beside it (two-sum). A term that is a product may become
+/// part of fused operations: of both that use it or of none, so the error is
+/// that of the same term.
+static Value emitCompensatedSum(OpBuilder &builder, Location loc,
+                                ValueRange values) {
+  Type type = values.front().getType();
+  if (values.size() == 1)
+    return values.front();
+  auto add = [&](Value a, Value b) -> Value {
+    return arith::AddFOp::create(builder, loc, a, b);
+  };
+  if (!getElementTypeOrSelf(type).isF64()) {
+    Type wide = builder.getF64Type();
+    if (auto vector = dyn_cast<VectorType>(type))
+      wide = vector.clone(wide);
+    SmallVector<Value> extended;
+    for (Value value : values)
+      extended.push_back(arith::ExtFOp::create(builder, loc, wide, value));
+    return arith::TruncFOp::create(builder, loc, type,
+                                   emitSum(builder, loc, extended));
+  }
+  auto subtract = [&](Value a, Value b) -> Value {
+    return arith::SubFOp::create(builder, loc, a, b);
+  };
+  Value sum = values.front(), rest;
+  for (Value value : values.drop_front()) {
+    Value before = sum;
+    sum = add(before, value);
+    Value taken = subtract(sum, before);
+    Value lost =
+        add(subtract(before, subtract(sum, taken)), subtract(value, taken));
+    rest = rest ? add(rest, lost) : lost;
+  }
+  // The errors of an infinite sum are not numbers.
+  Value isNumber = arith::CmpFOp::create(builder, loc,
+                                         arith::CmpFPredicate::ORD, rest, rest);
+  return arith::SelectOp::create(builder, loc, isNumber, add(sum, rest), sum);
+}
+
 /// Computes at the end of the body what `group` adds to the element that the
 /// iteration owns.
-static Gathered gather(LoopBox &box, Group &group) {
+static Gathered gather(LoopBox &box, Group &group, bool compensated) {
   OpBuilder builder(box.body().getTerminator());
   Scatter &first = group.front();
   Gathered gathered{first.op, {}, {}, {}};
-  for (Scatter &scatter : group) {
-    Value value = recompute(builder, box, scatter);
-    gathered.sum = gathered.sum
-                       ? arith::AddFOp::create(builder, first.op.getLoc(),
-                                               gathered.sum, value)
-                             .getResult()
-                       : value;
-  }
+  SmallVector<Value> values;
+  for (Scatter &scatter : group)
+    values.push_back(recompute(builder, box, scatter));
+  Location loc = first.op.getLoc();
+  gathered.sum = compensated ? emitCompensatedSum(builder, loc, values)
+                             : emitSum(builder, loc, values);
   IRMapping identity;
   for (BlockArgument iv : box.ivs())
     identity.map(iv, iv);
@@ -603,10 +649,11 @@ static void widen(LoopBox &box, const Owned &owned) {
 }
 
 /// Replaces the additions of each group by one at the end of the body.
-static void rewrite(LoopBox &box, MutableArrayRef<Group> groups) {
+static void rewrite(LoopBox &box, MutableArrayRef<Group> groups,
+                    bool compensated) {
   SmallVector<Gathered> all;
   for (Group &group : groups)
-    all.push_back(gather(box, group));
+    all.push_back(gather(box, group, compensated));
   sinkAdditions(box);
   OpBuilder builder(box.body().getTerminator());
   for (Gathered &gathered : all) {
@@ -653,8 +700,16 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
   return reach;
 }
 
+namespace {
+struct GatherOptions {
+  unsigned maxOps;
+  /// Whether sums keep twice their digits, and whether those of f64 can.
+  bool compensated, pairSums;
+};
+} // namespace
+
 /// Gathers what can be gathered; true if anything was.
-static bool gatherLoop(LoopBox &box, unsigned maxOps) {
+static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
   int64_t reach = 0;
   std::optional<Owned> owned;
@@ -669,7 +724,11 @@ static bool gatherLoop(LoopBox &box, unsigned maxOps) {
       continue;
     FieldOp field =
         lookupField(atomics.front(), atomics.front().getFieldAttr());
-    SmallVector<Group> groups = getGroups(field, box, atomics, owned, maxOps);
+    Type number = getElementTypeOrSelf(atomics.front().getValue().getType());
+    if (options.compensated && number.isF64() && !options.pairSums)
+      continue;
+    SmallVector<Group> groups =
+        getGroups(field, box, atomics, owned, options.maxOps);
     if (groups.empty() || !isOnlyAccess(field, box, groups))
       continue;
     if (succeeded(visited) && reach >= 0) {
@@ -680,7 +739,7 @@ static bool gatherLoop(LoopBox &box, unsigned maxOps) {
     if (!owned && (wanted.lower != box.lower || wanted.upper != box.upper))
       widen(box, wanted);
     owned = wanted;
-    rewrite(box, groups);
+    rewrite(box, groups, options.compensated);
     changed = true;
   }
   if (changed && succeeded(visited))
@@ -690,9 +749,9 @@ static bool gatherLoop(LoopBox &box, unsigned maxOps) {
 
 /// The same for a loop over active cells, where it goes over all of them.
 static void gatherSparseLoop(ParallelForOp loop, LoopBox &box,
-                             unsigned maxOps) {
+                             const GatherOptions &options) {
   ParallelForOp scattered = loop.clone();
-  if (!gatherLoop(box, maxOps)) {
+  if (!gatherLoop(box, options)) {
     scattered.erase();
     return;
   }
@@ -710,19 +769,17 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
   using Base::Base;
 
   void runOnOperation() override {
-    // A gathered sum is one of plain additions.
-    if (Modes::of(getOperation()).isCompensated())
-      return;
     SmallVector<ParallelForOp> loops;
     getOperation()->walk([&](ParallelForOp loop) { loops.push_back(loop); });
     for (ParallelForOp loop : loops) {
       std::optional<LoopBox> box = getIndexBox(loop);
       if (!box || loop.getInductionVars().empty() || checksIndices(loop))
         continue;
+      GatherOptions options{maxOps, Modes::of(loop).isCompensated(), pairSums};
       if (failed(getSparseLoopField(loop)))
-        gatherLoop(*box, maxOps);
+        gatherLoop(*box, options);
       else if (keepsActivity(loop) && !loop->getParentOfType<ParallelForOp>())
-        gatherSparseLoop(loop, *box, maxOps);
+        gatherSparseLoop(loop, *box, options);
     }
   }
 };

@@ -1,4 +1,6 @@
 // RUN: tai-opt %s --tai-scatter-to-gather --canonicalize --cse --split-input-file | FileCheck %s
+// RUN: tai-opt %s --tai-scatter-to-gather=pair-sums=false --canonicalize --cse --split-input-file \
+// RUN:   | FileCheck %s --check-prefix=SINGLE
 
 tai.tree @t : !tai.root<dense<[i: 2, j: 8], {g: f32, y: f32}>>
 tai.field @g = @t["g"] : f32, rank 2
@@ -319,6 +321,54 @@ tai.kernel @halves(%f: f32) {
   tai.parallel_for (%i) in @g {
     %0 = arith.divsi %i, %c2 : index
     %1 = tai.atomic add %f, @g[%0] : f32
+  }
+  tai.return
+}
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 64], {g: f64, h: f32, y: f64, z: f32}>>
+tai.field @g = @t["g"] : f64, rank 1
+tai.field @h = @t["h"] : f32, rank 1
+tai.field @y = @t["y"] : f64, rank 1
+tai.field @z = @t["z"] : f32, rank 1
+
+// Compensated: of f32 in f64; of f64 the rounding error of the sum is added to
+// it at the end, unless the sum is infinite.
+// CHECK-LABEL: tai.kernel @compensated(
+//       CHECK:     %[[B:.+]] = tai.load @y
+//       CHECK:     %[[C:.+]] = tai.load @y
+//  CHECK-NEXT:     %[[S:.+]] = arith.addf %[[B]], %[[C]] : f64
+//  CHECK-NEXT:     %[[T:.+]] = arith.subf %[[S]], %[[B]]
+//  CHECK-NEXT:     %[[BB:.+]] = arith.subf %[[S]], %[[T]]
+//  CHECK-NEXT:     %[[E:.+]] = arith.subf %[[B]], %[[BB]]
+//  CHECK-NEXT:     %[[F:.+]] = arith.subf %[[C]], %[[T]]
+//  CHECK-NEXT:     %[[R:.+]] = arith.addf %[[E]], %[[F]]
+//  CHECK-NEXT:     %[[O:.+]] = arith.cmpf ord, %[[R]], %[[R]]
+//  CHECK-NEXT:     %[[U:.+]] = arith.addf %[[S]], %[[R]]
+//  CHECK-NEXT:     %[[V:.+]] = arith.select %[[O]], %[[U]], %[[S]]
+//       CHECK:     arith.extf
+//       CHECK:     arith.extf
+//       CHECK:     %[[W:.+]] = arith.addf %{{.+}}, %{{.+}} : f64
+//       CHECK:     %[[N:.+]] = arith.truncf %[[W]] : f64 to f32
+//   CHECK-DAG:     tai.atomic add %[[V]], @g[%{{.+}}] exclusive
+//   CHECK-DAG:     tai.atomic add %[[N]], @h[%{{.+}}] exclusive
+// Those of f64 stay where products are fused with several additions.
+// SINGLE-LABEL: tai.kernel @compensated(
+//   SINGLE-DAG:     tai.atomic add %{{.+}}, @h[%{{.+}}] exclusive
+//   SINGLE-DAG:     tai.atomic add %{{.+}}, @g[%{{.+}}] : f64
+tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
+  %c1 = arith.constant 1 : index
+  %c64 = arith.constant 64 : index
+  tai.parallel_for (%i) in @y {
+    %a = tai.load @y[%i] : f64
+    %b = tai.load @z[%i] : f32
+    %j = arith.addi %i, %c1 : index
+    %k = arith.remui %j, %c64 : index
+    %0 = tai.atomic add %a, @g[%i] : f64
+    %1 = tai.atomic add %a, @g[%k] : f64
+    %2 = tai.atomic add %b, @h[%i] : f32
+    %3 = tai.atomic add %b, @h[%k] : f32
   }
   tai.return
 }

@@ -223,7 +223,7 @@ def what_modes_change(**modes):
     @ti.kernel(**modes)
     def run():
         for i in x:
-            y[i] = x[i] * x[i] + ti.sin(10 * x[i]) + ti.tanh(x[i])
+            y[i] = x[i] * x[i] + ti.sin(10 * x[i]) + ti.tanh(x[i]) + ti.atan2(x[i], 0.3)
             tiny[i] = x[i] * 1e-20 * 1e-20
         for i in x:
             total[None] += x[i]

@@ -1,6 +1,8 @@
-"""Functions of vectors from glibc, which fast_math may use: within 4 units in the last place."""
+"""Functions of vectors: of glibc, within 4 units in the last place, under fast_math; else of SLEEF and
+the runtime, whose results test/unit/Compiler/VectorMathTest.cpp looks at."""
 
 import ctypes
+import math
 import platform
 import re
 
@@ -9,14 +11,13 @@ import pytest
 import tai as ti
 
 
-@pytest.fixture(autouse=True)
-def library():
+def need(library: str) -> None:
     if platform.machine() != "x86_64":
-        pytest.skip("glibc has none for this processor that are used")
+        pytest.skip("there are none for this processor that are used")
     try:
-        ctypes.CDLL("libmvec.so.1")
+        ctypes.CDLL(library)
     except OSError:
-        pytest.skip("this glibc has no libmvec")
+        pytest.skip(f"no {library} here")
 
 
 @pytest.mark.parametrize("name", ["sin", "cos", "exp", "log", "pow"])
@@ -24,6 +25,7 @@ def library():
 @pytest.mark.parametrize("fast", [True, False])
 def test_loops_call_them_under_fast_math(name, dtype, fast):
     """A call for each element takes ten times as long."""
+    need("libmvec.so.1")
     ti.init(arch=ti.cpu, fast_math=fast, default_fp=dtype)
     n = 1037
     x, y = ti.field(dtype, n), ti.field(dtype, n)
@@ -45,3 +47,74 @@ def test_loops_call_them_under_fast_math(name, dtype, fast):
     exact = exact**2.3 if name == "pow" else getattr(np, name)(exact)
     result = y.to_numpy()
     assert np.all(np.abs(result - exact) <= 4.5 * np.spacing(np.abs(exact).astype(result.dtype)))
+
+
+def forms_called(function, **options) -> set[str]:
+    """The vector forms that a loop over f64 calls."""
+    ti.init(arch=ti.cpu, default_fp=ti.f64, target_cpu="x86-64-v3", **options)
+    x, y = ti.field(ti.f64, 1037), ti.field(ti.f64, 1037)
+
+    @ti.kernel
+    def apply():
+        for i in x:
+            y[i] = function(x[i])
+
+    text = apply.mlir(stage="llvmir")
+    return set(re.findall(r"call .*<\d+ x double> @(Sleef_\w+|tai_wide_\w+)\(", text))
+
+
+def test_default_and_accurate_loops_call_those_of_sleef():
+    need("libsleef.so.3")
+    assert forms_called(ti.sin) == {"Sleef_finz_sind4_u10avx2"}
+    assert forms_called(ti.acos) == {"Sleef_finz_acosd4_u10avx2"}
+    assert forms_called(ti.math.expm1, math="accurate") == {"Sleef_finz_expm1d4_u10avx2"}
+
+
+@pytest.mark.parametrize(
+    "options", [{"fast_math": True}, {"math": "strict"}, {"deterministic": True}, {"opt_level": 0}]
+)
+def test_others_do_not(options):
+    need("libsleef.so.3")
+    assert not forms_called(ti.sin, **options)
+
+
+def test_older_processors_call_libm():
+    ti.init(arch=ti.cpu, default_fp=ti.f64, target_cpu="x86-64")
+    x = ti.field(ti.f64, 1037)
+
+    @ti.kernel
+    def apply():
+        for i in x:
+            x[i] = ti.sin(x[i])
+
+    assert "Sleef" not in apply.mlir(stage="llvmir")
+
+
+def test_both_kinds_of_kernel_in_one_program():
+    """A strict kernel beside a default one keeps the bits of libm, and its gradient, too."""
+    need("libsleef.so.3")
+    ti.init(arch=ti.cpu, default_fp=ti.f64)
+    x = ti.field(ti.f64, 1037, needs_grad=True)
+    y = ti.field(ti.f64, (2, 1037))
+    loss = ti.field(ti.f64, (), needs_grad=True)
+    values = np.random.default_rng(3).uniform(-9, 9, 1037)
+    x.from_numpy(values)
+
+    @ti.kernel(math="strict")
+    def strict():
+        for i in x:
+            y[0, i] = ti.sin(x[i])
+            loss[None] += ti.sin(x[i])
+
+    @ti.kernel
+    def default():
+        for i in x:
+            y[1, i] = ti.sin(x[i])
+
+    with ti.ad.Tape(loss):
+        strict()
+    default()
+    by_libm = np.array([math.sin(v) for v in values])
+    np.testing.assert_array_equal(y.to_numpy()[0], by_libm)
+    np.testing.assert_array_equal(x.grad.to_numpy(), [math.cos(v) for v in values])
+    np.testing.assert_allclose(y.to_numpy()[1], by_libm, rtol=3e-16)

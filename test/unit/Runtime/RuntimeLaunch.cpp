@@ -649,6 +649,7 @@ TEST(RuntimeSymbols, AreTheFunctions) {
   for (const auto &[name, address] : symbols) {
     // The others are conversions that LLVM calls by these names.
     EXPECT_TRUE(name.rfind("tai_rt_", 0) == 0 ||
+                name.rfind("tai_wide_", 0) == 0 ||
                 name.rfind("tai_emu_", 0) == 0 ||
                 name.rfind("__trunc", 0) == 0 || name == "__extendhfsf2")
         << name;

@@ -1,0 +1,150 @@
+//===- VectorMath.cpp - Elementary functions of vectors -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "VectorMath.h"
+#include "llvm/ADT/StringSet.h"
+#include "llvm/Analysis/TargetLibraryInfo.h"
+#include "llvm/IR/InstIterator.h"
+#include "llvm/IR/Module.h"
+#include "llvm/IR/Operator.h"
+#include "llvm/IR/VFABIDemangler.h"
+#include "llvm/MC/MCSubtargetInfo.h"
+#include "llvm/Target/TargetMachine.h"
+
+using namespace llvm;
+using namespace mlir::tai;
+
+VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
+  // Remainders are exact by fused operations alone; without them the scalar
+  // functions of libm are no slower.
+  const MCSubtargetInfo &target = *machine.getMCSubtargetInfo();
+  if (!machine.getTargetTriple().isX86_64() ||
+      !target.checkFeatures("+avx2,+fma"))
+    return;
+  bool has512 = target.checkFeatures("+avx512f,+avx512dq,+avx512vl");
+
+  auto addWide = [&](StringRef name) {
+    Forms wide;
+    std::string stem = ("tai_wide_" + name + "_").str();
+    wide.scalar = stem + "1";
+    for (unsigned lanes : {4, 8, 16})
+      if (lanes < 16 || has512)
+        wide.vectors.push_back({lanes, stem + std::to_string(lanes)});
+    forms[("llvm." + name + ".f32").str()] = wide;
+    forms[(name + "f").str()] = wide;
+  };
+  auto addSleef = [&](StringRef name, StringRef type, unsigned least) {
+    // Those that have the same bits for any number of lanes.
+    Forms sleef;
+    bool isDouble = type == "f64";
+    std::string stem = ("Sleef_finz_" + name + (isDouble ? "d" : "f")).str();
+    sleef.scalar = stem + "1_u10purecfma";
+    unsigned lanes = isDouble ? 2 : 4;
+    for (StringRef target : {"avx2128", "avx2", "avx512f"}) {
+      if (lanes >= least && (target != "avx512f" || has512))
+        sleef.vectors.push_back(
+            {lanes, stem + std::to_string(lanes) + ("_u10" + target).str()});
+      lanes *= 2;
+    }
+    if (sleef.vectors.empty())
+      return;
+    forms[("llvm." + name + "." + type).str()] = sleef;
+    forms[(name + (isDouble ? "" : "f")).str()] = sleef;
+  };
+#define TAI_WIDE_FUNCTION(name, arguments) addWide(#name);
+#include "tai/ABI/VectorMath.def"
+  if (!hasSleef)
+    return;
+#define TAI_SLEEF_FUNCTION(name, arguments, type, least)                       \
+  addSleef(#name, #type, least);
+#include "tai/ABI/VectorMath.def"
+}
+
+const VectorMath::Forms *VectorMath::find(const CallInst &call) const {
+  const Function *callee = call.getCalledFunction();
+  if (!callee || !callee->isDeclaration() || !isa<FPMathOperator>(call) ||
+      !call.hasAllowContract() || call.getType()->isVectorTy())
+    return nullptr;
+  auto found = forms.find(callee->getName());
+  return found == forms.end() ? nullptr : &found->second;
+}
+
+/// The function, which reads and writes nothing.
+static Function *declare(Module &module, StringRef name,
+                         llvm::FunctionType *type) {
+  auto *function = cast<Function>(
+      module.getOrInsertFunction(name, type).getCallee()->stripPointerCasts());
+  function->setDoesNotAccessMemory();
+  function->setDoesNotThrow();
+  function->setWillReturn();
+  function->addFnAttr(Attribute::NoCallback);
+  function->addFnAttr(Attribute::NoFree);
+  function->addFnAttr(Attribute::NoSync);
+  return function;
+}
+
+PreservedAnalyses NameVectorMath::run(Function &function,
+                                      FunctionAnalysisManager &) {
+  Module &module = *function.getParent();
+  for (Instruction &instruction : instructions(function)) {
+    auto *call = dyn_cast<CallInst>(&instruction);
+    const VectorMath::Forms *forms = call ? math->find(*call) : nullptr;
+    if (!forms)
+      continue;
+    llvm::FunctionType *scalar = call->getFunctionType();
+    SmallVector<std::string, 3> variants;
+    for (const auto &[lanes, name] : forms->vectors) {
+      ElementCount count = ElementCount::getFixed(lanes);
+      SmallVector<llvm::Type *, 2> types;
+      for (llvm::Type *type : scalar->params())
+        types.push_back(llvm::VectorType::get(type, count));
+      declare(module, name,
+              llvm::FunctionType::get(
+                  llvm::VectorType::get(scalar->getReturnType(), count), types,
+                  /*isVarArg=*/false));
+      std::string prefix = "_ZGV_LLVM_N" + std::to_string(lanes) +
+                           std::string(types.size(), 'v');
+      variants.push_back(VecDesc(call->getCalledFunction()->getName(), name,
+                                 count, /*Masked=*/false, prefix,
+                                 /*Conv=*/std::nullopt)
+                             .getVectorFunctionABIVariantString());
+    }
+    VFABI::setVectorVariantNames(call, variants);
+  }
+  return PreservedAnalyses::all();
+}
+
+PreservedAnalyses MatchScalarMath::run(Function &function,
+                                       FunctionAnalysisManager &) {
+  SmallVector<std::pair<CallInst *, const VectorMath::Forms *>> scalars;
+  StringSet<> vectors;
+  for (Instruction &instruction : instructions(function)) {
+    auto *call = dyn_cast<CallInst>(&instruction);
+    if (!call || !call->getCalledFunction())
+      continue;
+    if (const VectorMath::Forms *forms = math->find(*call))
+      scalars.push_back({call, forms});
+    else if (call->getType()->isVectorTy())
+      vectors.insert(call->getCalledFunction()->getName());
+  }
+  bool changed = false;
+  for (auto [call, forms] : scalars) {
+    call->removeFnAttr(VFABI::MappingsAttrName);
+    if (none_of(forms->vectors, [&](const auto &form) {
+          return vectors.contains(form.second);
+        }))
+      continue;
+    call->setCalledFunction(
+        declare(*function.getParent(), forms->scalar, call->getFunctionType()));
+    changed = true;
+  }
+  if (!changed)
+    return PreservedAnalyses::all();
+  PreservedAnalyses preserved;
+  preserved.preserveSet<CFGAnalyses>();
+  return preserved;
+}

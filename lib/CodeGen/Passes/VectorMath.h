@@ -1,0 +1,80 @@
+//===- VectorMath.h - Elementary functions of vectors -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Calls of elementary functions keep a loop scalar, unless the vectoriser knows
+// forms for vectors. Here it learns those of VectorMath.def: of the runtime,
+// for f32, and of SLEEF. Calls that may not be contracted (strict kernels, and
+// deterministic contexts) stay calls of libm.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CODEGEN_PASSES_VECTORMATH_H
+#define TAI_LIB_CODEGEN_PASSES_VECTORMATH_H
+
+#include "llvm/ADT/SmallVector.h"
+#include "llvm/ADT/StringMap.h"
+#include "llvm/ADT/StringRef.h"
+#include "llvm/IR/PassManager.h"
+#include <string>
+#include <utility>
+
+namespace llvm {
+class CallInst;
+class TargetMachine;
+} // namespace llvm
+
+namespace mlir::tai {
+
+/// The libraries by the names under which they are loaded.
+inline constexpr llvm::StringLiteral kGlibcVectors = "libmvec.so.1";
+inline constexpr llvm::StringLiteral kSleef = "libsleef.so.3";
+
+/// The functions of vectors that code for one processor may call.
+class VectorMath {
+public:
+  /// The names of one function's forms; an empty one is missing.
+  struct Forms {
+    std::string scalar;
+    /// By the number of lanes.
+    llvm::SmallVector<std::pair<unsigned, std::string>, 3> vectors;
+  };
+
+  VectorMath(const llvm::TargetMachine &machine, bool hasSleef);
+
+  /// The forms of what the call calls, if it may be replaced by them.
+  const Forms *find(const llvm::CallInst &call) const;
+
+  bool isEmpty() const { return forms.empty(); }
+
+private:
+  /// By the names of LLVM's intrinsic and of libm's function.
+  llvm::StringMap<Forms> forms;
+};
+
+/// Runs before the loop vectoriser: annotates calls with their vector forms,
+/// as the vector function ABI does.
+struct NameVectorMath : llvm::PassInfoMixin<NameVectorMath> {
+  explicit NameVectorMath(const VectorMath &math) : math(&math) {}
+  llvm::PreservedAnalyses run(llvm::Function &function,
+                              llvm::FunctionAnalysisManager &analyses);
+  const VectorMath *math;
+};
+
+/// Runs after the vectorisers: in a function that calls vector forms, what is
+/// left calls the scalar forms, which have the same bits, so that a result does
+/// not depend on where in a loop it is computed. Elsewhere libm, which is
+/// faster for one number, stays.
+struct MatchScalarMath : llvm::PassInfoMixin<MatchScalarMath> {
+  explicit MatchScalarMath(const VectorMath &math) : math(&math) {}
+  llvm::PreservedAnalyses run(llvm::Function &function,
+                              llvm::FunctionAnalysisManager &analyses);
+  const VectorMath *math;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CODEGEN_PASSES_VECTORMATH_H

@@ -1,0 +1,40 @@
+//===- VectorMath.cpp - Symbols of functions of vectors -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "VectorMath.h"
+
+using namespace mlir::tai::runtime;
+
+#if defined(__x86_64__)
+// Their types are those of sources that are compiled for other processors; only
+// compiled code calls them.
+extern "C" {
+#define TAI_WIDE_FUNCTION(name, arguments)                                     \
+  void tai_wide_##name##_1();                                                  \
+  void tai_wide_##name##_4();                                                  \
+  void tai_wide_##name##_8();                                                  \
+  void tai_wide_##name##_16();
+#include "tai/ABI/VectorMath.def"
+}
+#endif
+
+std::vector<std::pair<const char *, void *>>
+mlir::tai::runtime::vectorMathSymbols() {
+  std::vector<std::pair<const char *, void *>> symbols;
+#if defined(__x86_64__)
+  auto add = [&](const char *name, void (*function)()) {
+    symbols.emplace_back(name, reinterpret_cast<void *>(function));
+  };
+#define TAI_WIDE_FUNCTION(name, arguments)                                     \
+  add("tai_wide_" #name "_1", tai_wide_##name##_1);                            \
+  add("tai_wide_" #name "_4", tai_wide_##name##_4);                            \
+  add("tai_wide_" #name "_8", tai_wide_##name##_8);                            \
+  add("tai_wide_" #name "_16", tai_wide_##name##_16);
+#include "tai/ABI/VectorMath.def"
+#endif
+  return symbols;
+}

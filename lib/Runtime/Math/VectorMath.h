@@ -1,0 +1,22 @@
+//===- VectorMath.h - Symbols of functions of vectors -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_MATH_VECTORMATH_H
+#define TAI_LIB_RUNTIME_MATH_VECTORMATH_H
+
+#include <utility>
+#include <vector>
+
+namespace mlir::tai::runtime {
+
+/// The functions that VectorMath.def lists as those of the runtime, by name.
+/// Which of them code may call depends on the processor it is made for.
+std::vector<std::pair<const char *, void *>> vectorMathSymbols();
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_MATH_VECTORMATH_H

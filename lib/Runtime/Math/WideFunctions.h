@@ -1,0 +1,175 @@
+//===- WideFunctions.h - Functions of vectors of f32, by f64 ----*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// sin, cos, pow and log1p of f32 for vectors of any length, by short
+// polynomials in f64: right to hardly more than half a unit in the last place.
+// Each operation rounds as its scalar form does, so that a result depends on
+// the argument alone, not on the place in a vector or on its length. Arguments
+// that the polynomials do not cover (large angles, powers next to the ends of
+// the range, infinities, NaN) are left to libm, one by one.
+//
+// Included by sources that are compiled for one kind of processor each: nothing
+// here may be a function that the linker could take for another source's.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_MATH_WIDEFUNCTIONS_H
+#define TAI_LIB_RUNTIME_MATH_WIDEFUNCTIONS_H
+
+#define TAI_WIDE_INLINE static inline __attribute__((always_inline))
+
+extern "C" {
+float sinf(float);
+float cosf(float);
+float powf(float, float);
+float log1pf(float);
+}
+
+namespace {
+template <int lanes> struct Wide {
+  typedef float F32 __attribute__((ext_vector_type(lanes)));
+  typedef double F64 __attribute__((ext_vector_type(lanes)));
+  typedef long I64 __attribute__((ext_vector_type(lanes)));
+
+  TAI_WIDE_INLINE F64 extend(F32 x) { return __builtin_convertvector(x, F64); }
+  TAI_WIDE_INLINE F32 truncate(F64 x) {
+    return __builtin_convertvector(x, F32);
+  }
+  TAI_WIDE_INLINE F64 fma(F64 a, F64 b, F64 c) {
+    return __builtin_elementwise_fma(a, b, c);
+  }
+  TAI_WIDE_INLINE I64 bits(F64 x) { return __builtin_bit_cast(I64, x); }
+  TAI_WIDE_INLINE F64 number(I64 x) { return __builtin_bit_cast(F64, x); }
+  TAI_WIDE_INLINE bool all(I64 mask) { return __builtin_reduce_and(mask) != 0; }
+
+  /// c[0] + c[1] x + ... + c[n-1] x^(n-1).
+  template <int n> TAI_WIDE_INLINE F64 polynomial(F64 x, const double (&c)[n]) {
+    F64 sum = c[n - 1];
+    for (int i = n - 2; i >= 0; --i)
+      sum = fma(sum, x, F64(c[i]));
+    return sum;
+  }
+
+  /// The integer nearest to x, for |x| < 2^51. `rounded`: as a float.
+  TAI_WIDE_INLINE I64 round(F64 x, F64 &rounded) {
+    const F64 shifter = 0x1.8p52;
+    F64 shifted = x + shifter;
+    rounded = shifted - shifter;
+    return bits(shifted);
+  }
+
+  /// sin(x + quarters pi / 2). `covered`: where the result holds.
+  TAI_WIDE_INLINE F64 sine(F64 x, long quarters, I64 &covered) {
+    // Up to here pi / 2 in two parts leaves a remainder that is right for f32.
+    covered = __builtin_elementwise_abs(x) < 0x1p32;
+    F64 k;
+    I64 turns = round(x * 0x1.45f306dc9c883p-1, k) + quarters;
+    F64 r = fma(-k, F64(0x1.921fb54442d18p0), x);
+    r = fma(-k, F64(0x1.1a62633145c07p-54), r);
+    F64 z = r * r;
+    // The next terms are below 2^-36.
+    F64 sine = r * polynomial(z, {1., -1. / 6, 1. / 120, -1. / 5040,
+                                  1. / 362880, -1. / 39916800});
+    F64 cosine = polynomial(z, {1., -1. / 2, 1. / 24, -1. / 720, 1. / 40320,
+                                -1. / 3628800, 1. / 479001600});
+    I64 isOdd = -(turns & 1);
+    I64 result = (bits(cosine) & isOdd) | (bits(sine) & ~isOdd);
+    return number(result ^ ((turns & 2) << 62));
+  }
+
+  TAI_WIDE_INLINE F32 sin(F32 x) {
+    I64 covered;
+    F32 result = truncate(sine(extend(x), 0, covered));
+    if (__builtin_expect(!all(covered), false))
+      for (int i = 0; i < lanes; ++i)
+        if (!covered[i])
+          result[i] = sinf(x[i]);
+    return result;
+  }
+
+  TAI_WIDE_INLINE F32 cos(F32 x) {
+    I64 covered;
+    F32 result = truncate(sine(extend(x), 1, covered));
+    if (__builtin_expect(!all(covered), false))
+      for (int i = 0; i < lanes; ++i)
+        if (!covered[i])
+          result[i] = cosf(x[i]);
+    return result;
+  }
+
+  /// The logarithm to base 2 of a positive normal f64, to 2^-44 of itself.
+  TAI_WIDE_INLINE F64 log2(F64 x) {
+    // Counted from sqrt(1/2), the bits of the exponent are those of e in
+    // x = 2^e m.
+    const I64 rootHalf = 0x3fe6a09e667f3bcd;
+    I64 above = bits(x) - rootHalf;
+    F64 e = __builtin_convertvector(above >> 52, F64);
+    F64 m = number((above & ((1L << 52) - 1)) + rootHalf);
+    // 2 artanh(s) / ln 2, of which the next term is below 2^-44.
+    F64 s = (m - 1.) / (m + 1.);
+    F64 z = s * s;
+    const double scale = 0x1.71547652b82fep1;
+    F64 series = polynomial(z, {scale, scale / 3, scale / 5, scale / 7,
+                                scale / 9, scale / 11, scale / 13, scale / 15});
+    return fma(s, series, e);
+  }
+
+  TAI_WIDE_INLINE F32 log1p(F32 x) {
+    F64 wideX = extend(x);
+    I64 covered = (wideX > -1.) & (wideX < __builtin_inf()) & (wideX != 0.);
+    F64 sum = wideX + 1.;
+    // What the sum rounds away, to first order.
+    F64 rest = (wideX - (sum - 1.)) / sum;
+    F32 result = truncate(fma(log2(sum), F64(0x1.62e42fefa39efp-1), rest));
+    if (__builtin_expect(!all(covered), false))
+      for (int i = 0; i < lanes; ++i)
+        if (!covered[i])
+          result[i] = log1pf(x[i]);
+    return result;
+  }
+
+  /// 2^x for |x| < 1000, to 2^-37.
+  TAI_WIDE_INLINE F64 exp2(F64 x) {
+    F64 k;
+    I64 shifted = round(x, k);
+    F64 r = (x - k) * 0x1.62e42fefa39efp-1;
+    F64 power = polynomial(r, {1., 1., 1. / 2, 1. / 6, 1. / 24, 1. / 120,
+                               1. / 720, 1. / 5040, 1. / 40320, 1. / 362880});
+    return power * number((shifted << 52) + (1023L << 52));
+  }
+
+  TAI_WIDE_INLINE F32 pow(F32 x, F32 y) {
+    F64 wideX = extend(x);
+    F64 t = extend(y) * log2(wideX);
+    // Every positive f32 is a normal f64. Where the power is denormal or
+    // overflows in f32, it is left to libm, which sets the flags.
+    I64 covered = (wideX > 0.) & (wideX < __builtin_inf()) &
+                  (__builtin_elementwise_abs(t) < 126.);
+    // What does not matter does not overflow either.
+    t = number(bits(t) & covered);
+    F32 result = truncate(exp2(t));
+    if (__builtin_expect(!all(covered), false))
+      for (int i = 0; i < lanes; ++i)
+        if (!covered[i])
+          result[i] = powf(x[i], y[i]);
+    return result;
+  }
+};
+} // namespace
+
+/// Defines the function for `lanes` numbers at once.
+#define TAI_DEFINE_WIDE_1(name, lanes)                                         \
+  extern "C" Wide<lanes>::F32 tai_wide_##name##_##lanes(Wide<lanes>::F32 x) {  \
+    return Wide<lanes>::name(x);                                               \
+  }
+#define TAI_DEFINE_WIDE_2(name, lanes)                                         \
+  extern "C" Wide<lanes>::F32 tai_wide_##name##_##lanes(Wide<lanes>::F32 x,    \
+                                                        Wide<lanes>::F32 y) {  \
+    return Wide<lanes>::name(x, y);                                            \
+  }
+
+#endif // TAI_LIB_RUNTIME_MATH_WIDEFUNCTIONS_H
