@@ -25,8 +25,7 @@ struct Pair {
   Value sum, rest;
 };
 
-/// Adds `x` to the pair (two-sum). The operations have no fast-math flags, and
-/// `x` is not contracted into them.
+/// Adds `x` to the pair (two-sum). The operations have no fast-math flags.
 Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x);
 
 /// Whether each update runs at most once in an iteration of the innermost loop

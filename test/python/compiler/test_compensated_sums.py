@@ -1,7 +1,8 @@
-"""Compensated sums that are gathered: adjoints of stencils."""
+"""Compensated sums of what cancels: gathered (adjoints of stencils), and of products."""
 
 import math
 import os
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -68,3 +69,55 @@ def test_compensated_gathers_keep_infinities():
     with ti.ad.Tape(loss):
         stencil()
     assert x.grad.to_numpy().tolist() == [1e308, math.inf, math.inf, 5, 7, 9, 11, 1e308]
+
+
+@pytest.mark.parametrize("where", ["scatter", "rows", "conditional rows", "total"])
+def test_products_round_in_one_way(where):
+    """A fused product in one half of a two-sum and a rounded one in the other would lose digits."""
+    ti.init(arch=ti.cpu, default_fp=ti.f64, sums="compensated")
+    n, m = 300, 40
+    rng = np.random.default_rng(5)
+    one, two = rng.uniform(1, 2, (n, m)), rng.uniform(1, 2, (n, m))
+    # Each product meets its opposite but for 1e-10 of it.
+    one = np.concatenate([one, one])
+    two = np.concatenate([two, -two * (1 - 1e-10)])
+    order = rng.permutation(2 * n)
+    one, two = one[order], two[order]
+    a, b = ti.field(ti.f64, one.shape), ti.field(ti.f64, one.shape)
+    cell = ti.field(ti.i32, 2 * n)
+    out = ti.field(ti.f64, m)
+
+    @ti.kernel
+    def add(t: ti.i32):
+        if ti.static(where == "scatter"):
+            for i, j in a:
+                out[(j + cell[i]) % m] += a[i, j] * b[i, j]
+        elif ti.static(where == "total"):
+            for i, j in a:
+                out[t] += a[i, j] * b[i, j]
+        else:
+            for i in range(2 * n):
+                for j in range(m):
+                    if ti.static(where == "rows"):
+                        out[j] += a[i, j] * b[i, j]
+                    elif a[i, j] > 1.01:
+                        out[j] -= a[i, j] * b[i, j]
+
+    a.from_numpy(one)
+    b.from_numpy(two)
+    cell.from_numpy((order % 3).astype(np.int32))
+    add(0)
+    sums = [[Fraction(0), Fraction(0)] for _ in range(m)]
+    for i in range(2 * n):
+        for j in range(m):
+            at, sign = j, 1
+            if where == "scatter":
+                at = (j + int(order[i]) % 3) % m
+            elif where == "total":
+                at = 0
+            elif where == "conditional rows":
+                sign = -1 if one[i, j] > 1.01 else 0
+            sums[at][0] += sign * Fraction(float(one[i, j] * two[i, j]))
+            sums[at][1] += sign * Fraction(float(one[i, j])) * Fraction(float(two[i, j]))
+    for got, either in zip(out.to_numpy().tolist(), sums, strict=True):
+        assert min(abs(Fraction(got) - exact) - abs(exact) / 10**12 for exact in either) <= 0
