@@ -85,6 +85,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   ConvertToLLVMOptions llvm;
   llvm.fastMath = options.fastMath;
   llvm.contract = options.contract;
+  // Their bits do not depend on where a loop ends.
+  llvm.vectorFunctions = options.deterministic;
   pm.addPass(createConvertToLLVM(llvm));
   if (options.shadow)
     pm.addPass(createShadowExecution());

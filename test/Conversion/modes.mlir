@@ -58,9 +58,9 @@ tai.kernel @pairs() attributes {modes = {sums = "compensated"}} {
 // after another.
 // CHECK-LABEL: llvm.func internal @inner_pairs.loop0
 //   CHECK-NOT:   vector<8xf64>
-//       CHECK:   %[[X:.+]] = llvm.call_intrinsic "llvm.arithmetic.fence"
-//       CHECK:   %[[S:.+]] = llvm.fadd %{{.+}}, %[[X]] : f64
-//       CHECK:   %[[T:.+]] = llvm.fsub %[[S]], %{{.+}} : f64
+//   CHECK-NOT:   fence
+//       CHECK:   %[[S:.+]] = llvm.fadd %[[P:.+]], %[[X:.+]] : f64
+//  CHECK-NEXT:   %[[T:.+]] = llvm.fsub %[[S]], %[[P]] : f64
 //       CHECK:   llvm.fsub %[[X]], %[[T]] : f64
 tai.kernel @inner_pairs(%n: index) attributes {modes = {sums = "compensated"}} {
   %c0 = arith.constant 0 : index

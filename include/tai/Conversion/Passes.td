@@ -240,12 +240,18 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
     error 1, 1 and 4 units in the last place), else, with `contract`, in f64
     (0.501, where those of libm have 0.5, 1 and 2). Without both they are calls
     of libm.
+
+    Elementary functions that may be contracted are those for which loops may
+    call vector forms: with `contract` or `vector-functions`, but for kernels
+    with `math = "strict"`.
   }];
   let options = [
     Option<"fastMath", "fast-math", "bool", /*default=*/"false",
            "Let float operations be reordered and approximated">,
     Option<"contract", "contract", "bool", /*default=*/"true",
            "Let a product and a sum be rounded once">,
+    Option<"vectorFunctions", "vector-functions", "bool", /*default=*/"false",
+           "Let elementary functions be contracted in any case">,
   ];
   let dependentDialects = ["::mlir::LLVM::LLVMDialect",
                            "::mlir::cf::ControlFlowDialect",

@@ -7,8 +7,8 @@
 //
 // Calls of elementary functions keep a loop scalar, unless the vectoriser knows
 // forms for vectors. Here it learns those of VectorMath.def: of the runtime,
-// for f32, and of SLEEF. Calls that may not be contracted (strict kernels, and
-// deterministic contexts) stay calls of libm.
+// for f32, and of SLEEF. Calls that may not be contracted (those of strict
+// kernels) stay calls of libm.
 //
 //===----------------------------------------------------------------------===//
 

@@ -230,8 +230,25 @@ void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
       converter, patterns.getContext(), /*benefit=*/2);
 }
 
+/// Lets elementary functions be contracted, which says to VectorMath.h that
+/// others than libm's may be called. With arithmetic it has nothing to do:
+/// their bits do not depend on what is fused.
+static void relaxMathOps(Operation *root) {
+  root->walk([](Operation *op) {
+    auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
+    if (!arithmetic || !isa<math::MathDialect>(op->getDialect()) ||
+        isa<math::FmaOp, math::SqrtOp>(op))
+      return;
+    auto flags = arith::FastMathFlags::contract;
+    if (arith::FastMathFlagsAttr attr = arithmetic.getFastMathFlagsAttr())
+      flags = flags | attr.getValue();
+    op->setAttr(arithmetic.getFastMathAttrName(),
+                arith::FastMathFlagsAttr::get(op->getContext(), flags));
+  });
+}
+
 /// Calls of libm become what intrinsics are: they access no memory (nobody asks
-/// for errno), and may be contracted as the arithmetic around them.
+/// for errno), and may be contracted.
 static void relaxMathCalls(LLVM::LLVMFuncOp function, bool contract) {
   // Those that have no intrinsic.
   static const llvm::StringSet<> names{"expm1", "expm1f", "log1p", "log1pf",
@@ -264,6 +281,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
       if (failed(verifyPassedModes(&op)))
         return signalPassFailure();
       std::optional<MathMode> own = Modes::of(&op).math;
+      if (vectorFunctions && own != MathMode::Strict)
+        relaxMathOps(&op);
       setFloatOptions(&op, own ? own == MathMode::Fast : fastMath,
                       contract && own != MathMode::Strict);
     }
@@ -299,8 +318,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
         failed(flushDenormals(module)))
       return signalPassFailure();
     for (auto function : module.getOps<LLVM::LLVMFuncOp>())
-      relaxMathCalls(function,
-                     contract && Modes::of(function).math != MathMode::Strict);
+      relaxMathCalls(function, Modes::of(function).math != MathMode::Strict);
     // The conversions carry annotations of loops along without knowing them.
     module.walk([](LLVM::BrOp branch) {
       if (auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(

@@ -9,21 +9,18 @@
 
 #include "WideFunctions.h"
 
-TAI_DEFINE_WIDE_1(sin, 4)
-TAI_DEFINE_WIDE_1(cos, 4)
-TAI_DEFINE_WIDE_2(pow, 4)
-TAI_DEFINE_WIDE_1(log1p, 4)
-TAI_DEFINE_WIDE_1(sin, 8)
-TAI_DEFINE_WIDE_1(cos, 8)
-TAI_DEFINE_WIDE_2(pow, 8)
-TAI_DEFINE_WIDE_1(log1p, 8)
-
-/// For what is left of a loop: the bits of the vector forms.
-extern "C" float tai_wide_sin_1(float x) { return Wide<4>::sin(x)[0]; }
-extern "C" float tai_wide_cos_1(float x) { return Wide<4>::cos(x)[0]; }
-extern "C" float tai_wide_pow_1(float x, float y) {
-  return Wide<4>::pow(x, y)[0];
-}
-extern "C" float tai_wide_log1p_1(float x) { return Wide<4>::log1p(x)[0]; }
+// The scalar forms are for what is left of a loop: the bits of the vectors.
+#define TAI_DEFINE_1(name)                                                     \
+  TAI_DEFINE_WIDE_1(name, 4)                                                   \
+  TAI_DEFINE_WIDE_1(name, 8)                                                   \
+  extern "C" float tai_wide_##name##_1(float x) { return Wide<4>::name(x)[0]; }
+#define TAI_DEFINE_2(name)                                                     \
+  TAI_DEFINE_WIDE_2(name, 4)                                                   \
+  TAI_DEFINE_WIDE_2(name, 8)                                                   \
+  extern "C" float tai_wide_##name##_1(float x, float y) {                     \
+    return Wide<4>::name(x, y)[0];                                             \
+  }
+#define TAI_WIDE_FUNCTION(name, arguments) TAI_DEFINE_##arguments(name)
+#include "tai/ABI/VectorMath.def"
 
 #endif

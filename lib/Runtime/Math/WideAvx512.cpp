@@ -9,9 +9,7 @@
 
 #include "WideFunctions.h"
 
-TAI_DEFINE_WIDE_1(sin, 16)
-TAI_DEFINE_WIDE_1(cos, 16)
-TAI_DEFINE_WIDE_2(pow, 16)
-TAI_DEFINE_WIDE_1(log1p, 16)
+#define TAI_WIDE_FUNCTION(name, arguments) TAI_DEFINE_WIDE_##arguments(name, 16)
+#include "tai/ABI/VectorMath.def"
 
 #endif

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// sin, cos, pow and log1p of f32 for vectors of any length, by short
+// Elementary functions of f32 for vectors of any length, by short
 // polynomials in f64: right to hardly more than half a unit in the last place.
 // Each operation rounds as its scalar form does, so that a result depends on
 // the argument alone, not on the place in a vector or on its length. Arguments
@@ -27,6 +27,12 @@ float sinf(float);
 float cosf(float);
 float powf(float, float);
 float log1pf(float);
+float expf(float);
+float exp2f(float);
+float logf(float);
+float log2f(float);
+float log10f(float);
+float tanhf(float);
 }
 
 namespace {
@@ -45,6 +51,12 @@ template <int lanes> struct Wide {
   TAI_WIDE_INLINE I64 bits(F64 x) { return __builtin_bit_cast(I64, x); }
   TAI_WIDE_INLINE F64 number(I64 x) { return __builtin_bit_cast(F64, x); }
   TAI_WIDE_INLINE bool all(I64 mask) { return __builtin_reduce_and(mask) != 0; }
+
+  /// `y` with the sign of `x`, that of a zero included.
+  TAI_WIDE_INLINE F64 withSignOf(F64 x, F64 y) {
+    const I64 sign = 1L << 63;
+    return number((bits(x) & sign) | (bits(y) & ~sign));
+  }
 
   /// c[0] + c[1] x + ... + c[n-1] x^(n-1).
   template <int n> TAI_WIDE_INLINE F64 polynomial(F64 x, const double (&c)[n]) {
@@ -81,28 +93,30 @@ template <int lanes> struct Wide {
     return number(result ^ ((turns & 2) << 62));
   }
 
-  TAI_WIDE_INLINE F32 sin(F32 x) {
-    I64 covered;
-    F32 result = truncate(sine(extend(x), 0, covered));
+  /// The result as f32 where it is covered; that of libm where it is not.
+  TAI_WIDE_INLINE F32 finish(F64 wide, I64 covered, F32 x,
+                             float (*libm)(float)) {
+    F32 result = truncate(wide);
     if (__builtin_expect(!all(covered), false))
       for (int i = 0; i < lanes; ++i)
         if (!covered[i])
-          result[i] = sinf(x[i]);
+          result[i] = libm(x[i]);
     return result;
   }
 
+  TAI_WIDE_INLINE F32 sin(F32 x) {
+    I64 covered;
+    F64 wide = sine(extend(x), 0, covered);
+    return finish(wide, covered, x, sinf);
+  }
   TAI_WIDE_INLINE F32 cos(F32 x) {
     I64 covered;
-    F32 result = truncate(sine(extend(x), 1, covered));
-    if (__builtin_expect(!all(covered), false))
-      for (int i = 0; i < lanes; ++i)
-        if (!covered[i])
-          result[i] = cosf(x[i]);
-    return result;
+    F64 wide = sine(extend(x), 1, covered);
+    return finish(wide, covered, x, cosf);
   }
 
   /// The logarithm to base 2 of a positive normal f64, to 2^-44 of itself.
-  TAI_WIDE_INLINE F64 log2(F64 x) {
+  TAI_WIDE_INLINE F64 binaryLogarithm(F64 x) {
     // Counted from sqrt(1/2), the bits of the exponent are those of e in
     // x = 2^e m.
     const I64 rootHalf = 0x3fe6a09e667f3bcd;
@@ -118,40 +132,75 @@ template <int lanes> struct Wide {
     return fma(s, series, e);
   }
 
-  TAI_WIDE_INLINE F32 log1p(F32 x) {
-    F64 wideX = extend(x);
-    I64 covered = (wideX > -1.) & (wideX < __builtin_inf()) & (wideX != 0.);
-    F64 sum = wideX + 1.;
-    // What the sum rounds away, to first order.
-    F64 rest = (wideX - (sum - 1.)) / sum;
-    F32 result = truncate(fma(log2(sum), F64(0x1.62e42fefa39efp-1), rest));
-    if (__builtin_expect(!all(covered), false))
-      for (int i = 0; i < lanes; ++i)
-        if (!covered[i])
-          result[i] = log1pf(x[i]);
-    return result;
+  /// Of a positive finite number, to the base that makes log(2) `ofTwo`.
+  TAI_WIDE_INLINE F32 logarithm(F32 x, double ofTwo, float (*libm)(float)) {
+    F64 wide = extend(x);
+    I64 covered = (wide > 0.) & (wide < __builtin_inf());
+    return finish(binaryLogarithm(wide) * ofTwo, covered, x, libm);
+  }
+  TAI_WIDE_INLINE F32 log(F32 x) {
+    return logarithm(x, 0x1.62e42fefa39efp-1, logf);
+  }
+  TAI_WIDE_INLINE F32 log2(F32 x) { return logarithm(x, 1., log2f); }
+  TAI_WIDE_INLINE F32 log10(F32 x) {
+    return logarithm(x, 0x1.34413509f79ffp-2, log10f);
   }
 
-  /// 2^x for |x| < 1000, to 2^-37.
-  TAI_WIDE_INLINE F64 exp2(F64 x) {
+  TAI_WIDE_INLINE F32 log1p(F32 x) {
+    F64 wide = extend(x);
+    I64 covered = (wide > -1.) & (wide < __builtin_inf());
+    F64 sum = wide + 1.;
+    // What the sum rounds away, to first order.
+    F64 rest = (wide - (sum - 1.)) / sum;
+    F64 result = fma(binaryLogarithm(sum), F64(0x1.62e42fefa39efp-1), rest);
+    return finish(withSignOf(wide, result), covered, x, log1pf);
+  }
+
+  /// 2^x as scale + scale * minusOne for |x| < 1000, where minusOne is right to
+  /// 2^-37 of itself.
+  TAI_WIDE_INLINE F64 splitPower(F64 x, F64 &minusOne) {
     F64 k;
     I64 shifted = round(x, k);
     F64 r = (x - k) * 0x1.62e42fefa39efp-1;
-    F64 power = polynomial(r, {1., 1., 1. / 2, 1. / 6, 1. / 24, 1. / 120,
-                               1. / 720, 1. / 5040, 1. / 40320, 1. / 362880});
-    return power * number((shifted << 52) + (1023L << 52));
+    minusOne =
+        r * polynomial(r, {1., 1. / 2, 1. / 6, 1. / 24, 1. / 120, 1. / 720,
+                           1. / 5040, 1. / 40320, 1. / 362880});
+    return number((shifted << 52) + (1023L << 52));
+  }
+  TAI_WIDE_INLINE F64 powerOfTwo(F64 x) {
+    F64 minusOne, scale = splitPower(x, minusOne);
+    return fma(scale, minusOne, scale);
+  }
+
+  /// base^x, where `log` is the base's logarithm to base 2. What is denormal or
+  /// overflows in f32 is left to libm, which sets the flags.
+  TAI_WIDE_INLINE F32 power(F32 x, double log, float (*libm)(float)) {
+    F64 t = extend(x) * log;
+    I64 covered = __builtin_elementwise_abs(t) < 126.;
+    // What does not matter does not overflow either.
+    return finish(powerOfTwo(number(bits(t) & covered)), covered, x, libm);
+  }
+  TAI_WIDE_INLINE F32 exp(F32 x) { return power(x, 0x1.71547652b82fep0, expf); }
+  TAI_WIDE_INLINE F32 exp2(F32 x) { return power(x, 1., exp2f); }
+
+  /// t / (t + 2) with t = e^2x - 1, of which nothing cancels.
+  TAI_WIDE_INLINE F32 tanh(F32 x) {
+    F64 wide = extend(x);
+    // From 9.1 on the result is 1.
+    I64 covered = __builtin_elementwise_abs(wide) < 9.5;
+    wide = number(bits(wide) & covered);
+    F64 minusOne, scale = splitPower(wide * 0x1.71547652b82fep1, minusOne);
+    F64 t = fma(scale, minusOne, scale - 1.);
+    return finish(withSignOf(wide, t / (t + 2.)), covered, x, tanhf);
   }
 
   TAI_WIDE_INLINE F32 pow(F32 x, F32 y) {
     F64 wideX = extend(x);
-    F64 t = extend(y) * log2(wideX);
-    // Every positive f32 is a normal f64. Where the power is denormal or
-    // overflows in f32, it is left to libm, which sets the flags.
+    F64 t = extend(y) * binaryLogarithm(wideX);
+    // Every positive f32 is a normal f64.
     I64 covered = (wideX > 0.) & (wideX < __builtin_inf()) &
                   (__builtin_elementwise_abs(t) < 126.);
-    // What does not matter does not overflow either.
-    t = number(bits(t) & covered);
-    F32 result = truncate(exp2(t));
+    F32 result = truncate(powerOfTwo(number(bits(t) & covered)));
     if (__builtin_expect(!all(covered), false))
       for (int i = 0; i < lanes; ++i)
         if (!covered[i])

@@ -162,6 +162,12 @@ TEST(VectorMath, FunctionsOfF32AreWithinOneUnit) {
 TEST(VectorMath, FunctionsOfF64AreWithinOneUnit) {
   expectAccurate<double>("math", "default");
 }
+TEST(VectorMath, DeterministicFunctionsOfF32AreWithinOneUnit) {
+  expectAccurate<float>("deterministic", "true");
+}
+TEST(VectorMath, DeterministicFunctionsOfF64AreWithinOneUnit) {
+  expectAccurate<double>("deterministic", "true");
+}
 TEST(VectorMath, AccurateFunctionsOfF32AreWithinOneUnit) {
   expectAccurate<float>("math", "accurate");
 }
@@ -191,12 +197,13 @@ TEST(VectorMath, FunctionsOfTwoNumbersAreWithinOneUnit) {
 
 /// What an element becomes does not depend on where in a loop it stands, on how
 /// long the loop is, or on the processor's vectors.
-template <typename T> void expectSameBits() {
+template <typename T> void expectSameBits(const char *deterministic) {
   std::vector<T> x = makeArguments<T>(-1, 1);
   x.resize(1031);
   for (const Function &function : functions) {
-    std::vector<T> all = map<T>(function.name, x);
-    if (hasVectorForms()) {
+    std::vector<T> all =
+        map<T>(function.name, x, "deterministic", deterministic);
+    if (hasVectorForms() && std::string("false") == deterministic) {
       std::vector<T> narrow =
           map<T>(function.name, x, "target_cpu", "x86-64-v3");
       EXPECT_TRUE(llvm::equal(all, narrow, [](T a, T b) {
@@ -205,7 +212,8 @@ template <typename T> void expectSameBits() {
     }
     for (size_t shift : {1, 2, 7, 15, 33}) {
       std::vector<T> rest(x.begin() + shift, x.end());
-      std::vector<T> found = map<T>(function.name, rest);
+      std::vector<T> found =
+          map<T>(function.name, rest, "deterministic", deterministic);
       for (size_t i = 0; i < rest.size(); ++i)
         ASSERT_EQ(distance<T>(found[i], all[i + shift]), 0)
             << function.name << " of " << rest[i] << " at " << i;
@@ -213,8 +221,15 @@ template <typename T> void expectSameBits() {
   }
 }
 
-TEST(VectorMath, BitsOfF32DoNotDependOnThePlace) { expectSameBits<float>(); }
-TEST(VectorMath, BitsOfF64DoNotDependOnThePlace) { expectSameBits<double>(); }
+TEST(VectorMath, BitsOfF32DoNotDependOnThePlace) {
+  expectSameBits<float>("false");
+}
+TEST(VectorMath, BitsOfF64DoNotDependOnThePlace) {
+  expectSameBits<double>("false");
+}
+TEST(VectorMath, DeterministicBitsOfF32DoNotDependOnThePlace) {
+  expectSameBits<float>("true");
+}
 
 TEST(VectorMath, StrictKernelsCallLibm) {
   std::vector<double> x = makeArguments<double>(-30, 30);
