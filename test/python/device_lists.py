@@ -46,6 +46,11 @@ ONE_RUN_DOES = {
     "test_emulated_blocks": {ALL: CHOOSES},
     "test_forward_mode": {"test_every_scalar_rule_is_tested": NAMES},
     "test_gpu_benchmark": {ALL: CHOOSES},
+    "test_huge_bodies": {
+        "test_code_of_hundreds_of_loops_is_in_parts": CPU,
+        "test_code_of_huge_blocks_is_in_parts": CPU,
+        "test_huge_loops_call_a_function_once_for_each_call": CPU,
+    },
     "test_interrupts": {ALL: "of kernels on the CPU; those of a device: test_device_interrupts"},
     "test_lazy_names": {ALL: NAMES},
     "test_matrices": {
@@ -60,6 +65,7 @@ ONE_RUN_DOES = {
         ALL: "its kernel waits for the host, which waits for what a device has begun",
     },
     "test_shadow": {ALL: CPU},
+    "test_strict": {"test_a_processor_without_fused_operations": CPU},
     "test_stripped_attributes": {
         "test_modes_stay": CPU,
         "test_modes_stay_on_a_device": CHOOSES,
@@ -72,6 +78,7 @@ ONE_RUN_DOES = {
         "test_no_alias_without_being_asked": NAMES,
     },
     "test_tidy": {ALL: SOURCES},
+    "test_vector_functions": {ALL: CPU},
     "test_worked_examples": {ALL: SOURCES},
 }
 
@@ -105,20 +112,13 @@ FAILS_ON_A_DEVICE = {
     },
 }
 
-# On GPUs alone. These would end the process and are not run there.
-# They would end the process, wait for threads that were refused, or for ptxas.
+# On GPUs alone, and not run there: they would end the process, or wait for refused threads.
 NOT_RUN_ON_A_GPU = {
     "test_device_interrupts": {
         "test_a_kernel_is_interrupted": "endless iterations of a GPU are not ended yet",
     },
     "test_stripped_attributes": {
         "test_results_stay": "attributes between passes of device code may not be lost yet",
-    },
-    "test_huge_bodies": {
-        "test_a_chain_of_thousands": "ptxas takes minutes for thousands of statements",
-        "test_code_of_hundreds_of_loops_is_in_parts": "looks at code of the CPU",
-        "test_code_of_huge_blocks_is_in_parts": "looks at code of the CPU",
-        "test_huge_loops_call_a_function_once_for_each_call": "looks at code of the CPU",
     },
     "test_sparse_api": {
         "test_addresses_hold_the_elements": "the host cannot follow addresses of a GPU",
