@@ -52,11 +52,12 @@ def test_a_short_walk_of_springs(tmp_path, monkeypatch, processor):
     monkeypatch.setenv("TI_TARGET_CPU", processor)
     losses = [-0.232538, -0.242773, -0.256238]
     options = ("mass_spring", tmp_path, "--robot", 0, "--steps", 150, "--iterations", 3)
-    close(descent(*options, "--double")["loss"], losses, 1e-4)
-    found = descent(*options)
+    exact, found = descent(*options, "--double"), descent(*options)
+    close(exact["loss"], losses, 1e-4)
     close_walks(found, losses)
     for name, length in (("w1", 0.290718), ("b1", 0.102484), ("w2", 0.203013), ("b2", 0.0501982)):
-        close(found[f"|d{name}|"], [length], 1e-3)
+        close(exact[f"|d{name}|"], [length], 1e-4)
+        close(found[f"|d{name}|"], [length], 3e-3)
 
 
 @pytest.mark.parametrize("name", ["mass_spring", "rigid_body"])
@@ -72,10 +73,12 @@ def test_toi_changes_the_walk(tmp_path, name):
 
 
 def test_billiards(tmp_path):
-    found = descent("billiards", tmp_path)
+    exact, found = descent("billiards", tmp_path, "--double"), descent("billiards", tmp_path)
     expected = [0.045418, 0.029303, 0.028748, 0.025674, 0.023475, 0.022155]
     close(found["loss"], expected, 1e-4)
-    close(found["loss"][[10, 19, 49]], [0.013615, 0.005971, 7.05e-4], 2e-3)
+    close(exact["loss"][[10, 19, 49]], [0.0137214, 0.0060098, 7.0467e-4], 1e-4)
+    # Of f32: rounding moves what a descent has come to by some thousandths.
+    close(found["loss"][[10, 19, 49]], [0.013615, 0.005971, 7.05e-4], 1e-2)
     close(found["loss"][[99, 199]], [2.27e-5, 2.23e-5], 2e-2)
     slope = [found[name][0] for name in ("dx", "dy", "dvx", "dvy")]
     close(slope, [-0.51836, 1.12848, -0.69684, 1.27969], 1e-4)
