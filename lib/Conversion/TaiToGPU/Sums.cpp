@@ -100,13 +100,18 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
 /// So many terms of f32, added up by blocks, are at most some hundred additions
 /// in f32.
 constexpr int64_t kFewTerms = 1 << 15;
+/// 16-bit floats keep their value when a two-thousandth of it is added.
+constexpr int64_t kFewTermsOf16Bits = 32;
 
 /// Whether the sums of blocks are added up in f64 as well.
 static bool isWide(ParallelForOp loop, AtomicKind kind, Type type,
                    bool compensated) {
+  if (kind != AtomicKind::Add || !isa<FloatType>(type) || type.isF64() ||
+      loop.getInWarp())
+    return false;
   std::optional<int64_t> count = getNumIterations(loop);
-  return kind == AtomicKind::Add && type.isF32() && !loop.getInWarp() &&
-         (!count || *count > kFewTerms || compensated);
+  int64_t few = type.isF32() ? kFewTerms : kFewTermsOf16Bits;
+  return !count || *count > few || compensated;
 }
 
 /// A loop of one iteration behind `loop` that adds the sum of its blocks to
