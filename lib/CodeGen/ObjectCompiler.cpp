@@ -148,13 +148,19 @@ Error ObjectCompiler::optimize(Module &module) {
   return guardFatalErrors(broken, "optimize", [&] { runPasses(module); });
 }
 
-/// The number of instructions in the largest basic block.
-static size_t getLargestBlock(const Module &module) {
-  size_t largest = 0;
-  for (const Function &function : module)
+/// Whether straight code is to be vectorised. Its time grows with the square of
+/// a block, and unrolled programs make blocks that would take seconds. Those of
+/// compensated sums are longer for the same work, and gain more.
+static bool hasBlocksForVectors(const Module &module) {
+  for (const Function &function : module) {
+    // Of its kernel, by Modes.h.
+    StringRef modes = function.getFnAttribute("tai.modes").getValueAsString();
+    size_t most = modes.contains("sums=compensated") ? 5000 : 2000;
     for (const BasicBlock &block : function)
-      largest = std::max(largest, block.size());
-  return largest;
+      if (block.size() >= most)
+        return false;
+  }
+  return true;
 }
 
 namespace {
@@ -196,10 +202,7 @@ void ObjectCompiler::runPasses(Module &module) {
 
   PipelineTuningOptions tuning;
   tuning.LoopVectorization = options.optLevel > 1;
-  // Its time grows with the square of a block, and unrolled programs make
-  // blocks that would take seconds.
-  tuning.SLPVectorization =
-      options.optLevel > 1 && getLargestBlock(module) < 2000;
+  tuning.SLPVectorization = options.optLevel > 1 && hasBlocksForVectors(module);
   tuning.LoopInterleaving = options.optLevel > 1;
   LoopAnalysisManager loops;
   FunctionAnalysisManager functions;

@@ -15,7 +15,8 @@
 #include "tai/ABI/Abi.h"
 
 /// A further kind of `tai_rt_combine`: a field of f64 with private buffers of
-/// pairs of f64, each a sum and its rounding error (compensated summation).
+/// pairs of f64, first the sums, then their rounding errors (compensated
+/// summation).
 enum { kSumsPairs = kSumsWide + 1 };
 
 /// An argument of `tai_rt_parts`, besides 0 and, for reductions, 1: the

@@ -650,6 +650,9 @@ void Accumulators::rewriteUpdates() {
   }
   for (Buffer &buffer : buffers) {
     const FieldInfo &field = *buffer.group.field;
+    // A buffer stands for its field: what does not reach the one does not reach
+    // the other.
+    AliasScopes scopes = lowering->fields.getScopes(field);
     for (AtomicOp atomic : buffer.group.atomics) {
       OpBuilder builder(atomic);
       Location loc = atomic.getLoc();
@@ -679,26 +682,24 @@ void Accumulators::rewriteUpdates() {
         cell = math.add(cell, emitComponent(builder, loc, field.elementShape,
                                             atomic.getComponents()));
       if (buffer.isPair) {
-        address =
-            emitPointer(builder, loc, storage, address, math.mul(cell, 2));
-        Value restAt =
-            emitPointer(builder, loc, storage, address, math.constant(1));
+        // Errors follow all sums, so that neighbours are neighbours in memory.
+        address = emitPointer(builder, loc, storage, address, cell);
+        Value restAt = emitPointer(builder, loc, storage, address,
+                                   math.constant(buffer.numElements()));
         Value term = atomic.getValue();
         if (atomic.getKind() == AtomicKind::Sub)
           term = LLVM::FNegOp::create(builder, loc, term);
-        Pair pair = {emitLoad(builder, loc, scalar, address, AliasScopes()),
-                     emitLoad(builder, loc, scalar, restAt, AliasScopes())};
+        Pair pair = {emitLoad(builder, loc, scalar, address, scopes),
+                     emitLoad(builder, loc, scalar, restAt, scopes)};
         pair = emitPairSum(builder, loc, pair, term);
-        emitStore(builder, loc, pair.sum, address, AliasScopes());
-        emitStore(builder, loc, pair.rest, restAt, AliasScopes());
+        emitStore(builder, loc, pair.sum, address, scopes);
+        emitStore(builder, loc, pair.rest, restAt, scopes);
         atomic.erase();
         continue;
       }
       address = emitPointer(builder, loc, storage, address, cell);
       Value term = emitWidened(builder, loc, atomic.getValue(), scalar);
-      emitPlainUpdate(builder, loc, atomic.getKind(), term, address,
-                      buffer.isWide ? AliasScopes()
-                                    : lowering->fields.getScopes(field));
+      emitPlainUpdate(builder, loc, atomic.getKind(), term, address, scopes);
       atomic.erase();
     }
   }

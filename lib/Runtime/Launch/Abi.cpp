@@ -211,8 +211,10 @@ extern "C" void tai_rt_stack_free(TaiStack *stack) {
 //===----------------------------------------------------------------------===//
 
 namespace {
+/// `count`: of the elements of a buffer.
 using AddBuffers = void (*)(void *target, const char *buffers, int64_t begin,
-                            int64_t end, int64_t parts, int64_t stride);
+                            int64_t end, int64_t parts, int64_t stride,
+                            int64_t count);
 
 struct Combining {
   void *target;
@@ -227,7 +229,7 @@ struct Combining {
 template <typename Target, typename T>
 __attribute__((always_inline)) static inline void
 addBuffers(void *targetBytes, const char *buffers, int64_t begin, int64_t end,
-           int64_t parts, int64_t stride) {
+           int64_t parts, int64_t stride, int64_t) {
   constexpr int64_t block = 1024;
   T sums[block];
   Target *target = static_cast<Target *>(targetBytes);
@@ -245,34 +247,37 @@ addBuffers(void *targetBytes, const char *buffers, int64_t begin, int64_t end,
   }
 }
 
-namespace {
-/// A sum, and the sum of what that has rounded away.
-struct PairSum {
-  double sum = 0, rest = 0;
-
-  void add(double x) {
-    double next = sum + x, taken = next - sum;
-    rest += (sum - (next - taken)) + (x - taken);
-    sum = next;
-  }
-  void add(const PairSum &other) {
-    add(other.sum);
-    rest += other.rest;
-  }
-};
-} // namespace
-
-/// Adds elements [begin, end) of all buffers of pairs, each rounded once.
-static void addPairs(void *targetBytes, const char *buffers, int64_t begin,
-                     int64_t end, int64_t parts, int64_t stride) {
+/// Adds elements [begin, end) of all buffers of pairs, each rounded once. A
+/// buffer holds `count` sums, and then what each of them has rounded away.
+__attribute__((always_inline)) static inline void
+addPairs(void *targetBytes, const char *buffers, int64_t begin, int64_t end,
+         int64_t parts, int64_t stride, int64_t count) {
+  constexpr int64_t block = 512;
+  double sums[block], rests[block];
+  auto add = [&](int64_t e, double x, double rest) {
+    double next = sums[e] + x, taken = next - sums[e];
+    rests[e] += (sums[e] - (next - taken)) + (x - taken) + rest;
+    sums[e] = next;
+  };
   double *target = static_cast<double *>(targetBytes);
-  for (int64_t at = begin; at < end; ++at) {
-    PairSum total;
-    for (int64_t p = 0; p < parts; ++p)
-      total.add(reinterpret_cast<const PairSum *>(buffers + p * stride)[at]);
-    total.add(target[at]);
-    // Nothing is left of what an infinite sum has rounded away.
-    target[at] = total.sum + (std::isnan(total.rest) ? 0 : total.rest);
+  for (int64_t at = begin; at < end; at += block) {
+    int64_t length = std::min(block, end - at);
+    for (int64_t p = 0; p < parts; ++p) {
+      const double *from =
+          reinterpret_cast<const double *>(buffers + p * stride) + at;
+      for (int64_t e = 0; e < length; ++e)
+        if (p == 0) {
+          sums[e] = from[e];
+          rests[e] = from[count + e];
+        } else {
+          add(e, from[e], from[count + e]);
+        }
+    }
+    for (int64_t e = 0; e < length; ++e) {
+      add(e, target[at + e], 0);
+      // Nothing is left of what an infinite sum has rounded away.
+      target[at + e] = sums[e] + (std::isnan(rests[e]) ? 0 : rests[e]);
+    }
   }
 }
 
@@ -282,7 +287,7 @@ static int64_t sizeOfSums(int32_t kind) {
   case kSumsF32:
     return sizeof(float);
   case kSumsPairs:
-    return sizeof(PairSum);
+    return 2 * sizeof(double);
   default:
     return sizeof(double);
   }
@@ -293,13 +298,19 @@ static int64_t sizeOfSums(int32_t kind) {
 #define TAI_ADD_BUFFERS(name, target_type, type, unit)                         \
   __attribute__((target(unit))) static void name(                              \
       void *to, const char *buffers, int64_t begin, int64_t end,               \
-      int64_t parts, int64_t stride) {                                         \
-    addBuffers<target_type, type>(to, buffers, begin, end, parts, stride);     \
+      int64_t parts, int64_t stride, int64_t count) {                          \
+    addBuffers<target_type, type>(to, buffers, begin, end, parts, stride,      \
+                                  count);                                      \
   }
 TAI_ADD_BUFFERS(addF32Avx2, float, float, "avx2")
 TAI_ADD_BUFFERS(addF64Avx2, double, double, "avx2")
 TAI_ADD_BUFFERS(addWideAvx2, float, double, "avx2")
 #undef TAI_ADD_BUFFERS
+__attribute__((target("avx2"))) static void
+addPairsAvx2(void *to, const char *buffers, int64_t begin, int64_t end,
+             int64_t parts, int64_t stride, int64_t count) {
+  addPairs(to, buffers, begin, end, parts, stride, count);
+}
 #endif
 
 /// Does `add`, which adds `parts` buffers to `count` numbers, the numbers of
@@ -344,17 +355,17 @@ static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
 }
 
 static AddBuffers chooseAdd(int32_t kind) {
-  if (kind == kSumsPairs)
-    return addPairs;
 #if defined(__x86_64__)
   if (__builtin_cpu_supports("avx2"))
-    return kind == kSumsF32   ? addF32Avx2
-           : kind == kSumsF64 ? addF64Avx2
-                              : addWideAvx2;
+    return kind == kSumsF32     ? addF32Avx2
+           : kind == kSumsF64   ? addF64Avx2
+           : kind == kSumsPairs ? addPairsAvx2
+                                : addWideAvx2;
 #endif
-  return kind == kSumsF32   ? addBuffers<float, float>
-         : kind == kSumsF64 ? addBuffers<double, double>
-                            : addBuffers<float, double>;
+  return kind == kSumsF32     ? addBuffers<float, float>
+         : kind == kSumsF64   ? addBuffers<double, double>
+         : kind == kSumsPairs ? addPairs
+                              : addBuffers<float, double>;
 }
 
 extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
@@ -378,7 +389,7 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
   auto run = [](void *context, int64_t cut) {
     Combining &c = *static_cast<Combining *>(context);
     c.add(c.target, c.buffers, boundOf(c.count, cut, c.cuts),
-          boundOf(c.count, cut + 1, c.cuts), c.parts, c.stride);
+          boundOf(c.count, cut + 1, c.cuts), c.parts, c.stride, c.count);
   };
   addBuffersOf(
       launch, kind, count, parts, combining.buffers, stride,
@@ -437,8 +448,8 @@ static void addStridedPairs(void *context, int64_t cut) {
   int64_t end = boundOf(c.cells, cut + 1, c.cuts);
   for (int64_t cell = boundOf(c.cells, cut, c.cuts); cell < end; ++cell)
     addPairs(c.target + cell * c.targetStride,
-             c.buffers + cell * c.components * sizeof(PairSum), 0, c.components,
-             c.parts, c.bufferStride);
+             c.buffers + cell * c.components * sizeof(double), 0, c.components,
+             c.parts, c.bufferStride, c.cells * c.components);
 }
 
 extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,

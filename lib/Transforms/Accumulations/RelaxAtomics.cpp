@@ -274,7 +274,8 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
     AccumulationGroup merged = sums.front();
     for (const AccumulationGroup &group : ArrayRef(sums).drop_front())
       mergeGroups(merged, group);
-    if (isWorthPrivate(merged) && isContiguous(merged)) {
+    // Compensated sums have a buffer of their own in any case.
+    if (isWorthPrivate(merged) && (compensated || isContiguous(merged))) {
       buffers.push_back(std::move(merged));
       sums.clear();
     }
