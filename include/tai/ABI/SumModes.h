@@ -5,7 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Additions to Abi.h for kernels that name the mode of their sums.
+// Additions to Abi.h for kernels that name the mode of their sums, and for
+// sums of 16 bits.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,6 +19,8 @@
 /// pairs of f64, first the sums, then their rounding errors (compensated
 /// summation).
 enum { kSumsPairs = kSumsWide + 1 };
+/// Fields of 16 bits with private buffers of f64.
+enum { kSumsF16 = kSumsPairs + 1, kSumsBF16 };
 
 /// An argument of `tai_rt_parts`, besides 0 and, for reductions, 1: the
 /// partition depends on the loop alone, whatever the options of the context.

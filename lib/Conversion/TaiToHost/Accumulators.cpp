@@ -205,7 +205,10 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
     bool isLong = updates * countIterations(loop) >=
                   kWideUpdates * double(buffer.numElements());
     Type scalar = buffer.group.field->scalarType;
-    buffer.isWide = scalar.isF32() && (isLong || result.compensated);
+    // 16 bits stop growing after 2048 or 256 terms.
+    bool is16Bits = scalar.getIntOrFloatBitWidth() == 16;
+    buffer.isWide =
+        is16Bits || (scalar.isF32() && (isLong || result.compensated));
     buffer.isPair = scalar.isF64() && result.compensated;
     result.buffers.push_back(std::move(buffer));
   }
@@ -484,10 +487,12 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
     const FieldInfo &field = *buffer.group.field;
     OpBuilder &inside = buffer.isApart() ? builder : whereSeveral;
     Value kind = runtime.i32(inside, loc,
-                             buffer.isPair              ? kSumsPairs
-                             : buffer.isWide            ? kSumsWide
-                             : field.scalarType.isF64() ? kSumsF64
-                                                        : kSumsF32);
+                             buffer.isPair               ? kSumsPairs
+                             : field.scalarType.isF16()  ? kSumsF16
+                             : field.scalarType.isBF16() ? kSumsBF16
+                             : buffer.isWide             ? kSumsWide
+                             : field.scalarType.isF64()  ? kSumsF64
+                                                         : kSumsF32);
     if (buffer.isContiguous()) {
       Value count = runtime.i64(inside, loc, buffer.numElements());
       runtime.tai_rt_combine(inside, loc, frame, buffer.target, buffer.memory,

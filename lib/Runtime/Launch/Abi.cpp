@@ -224,6 +224,18 @@ struct Combining {
 };
 } // namespace
 
+namespace {
+/// A 16-bit float in memory.
+template <double (*extend)(uint16_t), uint16_t (*truncate)(double)>
+struct Float16Bits {
+  uint16_t bits;
+  explicit Float16Bits(double value) : bits(truncate(value)) {}
+  operator double() const { return extend(bits); }
+};
+using Half = Float16Bits<doubleFromHalf, halfFromDouble>;
+using Bfloat = Float16Bits<doubleFromBfloat, bfloatFromDouble>;
+} // namespace
+
 /// Adds elements [begin, end) of all buffers. The sum of the buffers is formed
 /// first, in their order, in blocks that stay in the first-level cache.
 template <typename Target, typename T>
@@ -278,6 +290,20 @@ addPairs(void *targetBytes, const char *buffers, int64_t begin, int64_t end,
       // Nothing is left of what an infinite sum has rounded away.
       target[at + e] = sums[e] + (std::isnan(rests[e]) ? 0 : rests[e]);
     }
+  }
+}
+
+/// Bytes of an element of the field.
+static int64_t sizeOfTarget(int32_t kind) {
+  switch (kind) {
+  case kSumsF16:
+  case kSumsBF16:
+    return 2;
+  case kSumsF64:
+  case kSumsPairs:
+    return sizeof(double);
+  default:
+    return sizeof(float);
   }
 }
 
@@ -341,9 +367,10 @@ template <typename AddressOf, typename Add>
 static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
                          int64_t parts, const char *buffers, int64_t stride,
                          AddressOf addressOf, Add add) {
-  // Compensated sums are pairs of f32 in memory, and have no shadows there.
+  // Compensated sums are pairs in memory, and have no shadows there; nor have
+  // fields of 16 bits.
   if (__builtin_expect(!launch.owner().options().shadow, true) ||
-      kind == kSumsPairs)
+      kind == kSumsPairs || sizeOfTarget(kind) == 2)
     return add();
   if (kind == kSumsF32)
     return addWithShadows<float, float>(count, parts, buffers, stride,
@@ -355,6 +382,10 @@ static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
 }
 
 static AddBuffers chooseAdd(int32_t kind) {
+  if (kind == kSumsF16)
+    return addBuffers<Half, double>;
+  if (kind == kSumsBF16)
+    return addBuffers<Bfloat, double>;
 #if defined(__x86_64__)
   if (__builtin_cpu_supports("avx2"))
     return kind == kSumsF32     ? addF32Avx2
@@ -376,7 +407,7 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
   if (count <= 0 || parts <= 0 || launch.hasFailed())
     return;
   int64_t size = sizeOfSums(kind);
-  int64_t sizeOfTarget = kind == kSumsF64 ? sizeof(double) : sizeof(float);
+  int64_t targetBytes = sizeOfTarget(kind);
   int64_t stride = (count * size + 63) / 64 * 64;
   // Bytes read by one worker that repay its fork.
   constexpr int64_t cutBytes = 64 << 10;
@@ -393,7 +424,7 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target,
   };
   addBuffersOf(
       launch, kind, count, parts, combining.buffers, stride,
-      [&](int64_t e) { return static_cast<char *>(target) + e * sizeOfTarget; },
+      [&](int64_t e) { return static_cast<char *>(target) + e * targetBytes; },
       [&] {
         if (cuts == 1)
           run(&combining, 0);
@@ -474,14 +505,16 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
   auto run = kind == kSumsF32     ? addStrided<float, float>
              : kind == kSumsF64   ? addStrided<double, double>
              : kind == kSumsPairs ? addStridedPairs
+             : kind == kSumsF16   ? addStrided<Half, double>
+             : kind == kSumsBF16  ? addStrided<Bfloat, double>
                                   : addStrided<float, double>;
-  int64_t sizeOfTarget = kind == kSumsF64 ? sizeof(double) : sizeof(float);
+  int64_t targetBytes = sizeOfTarget(kind);
   addBuffersOf(
       launch, kind, cells * components, parts, combining.buffers,
       combining.bufferStride,
       [&](int64_t e) {
         return combining.target + e / components * stride +
-               e % components * sizeOfTarget;
+               e % components * targetBytes;
       },
       [&] {
         if (cuts == 1)

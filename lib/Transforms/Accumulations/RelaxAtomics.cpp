@@ -150,7 +150,7 @@ static std::optional<FieldSlice> getSlice(const AccumulationGroup &group) {
 /// updates.
 bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   const FieldInfo &field = *group.field;
-  if (!field.scalarType.isF32() && !field.scalarType.isF64())
+  if (!isa<FloatType>(field.scalarType))
     return false;
   double updates = 0;
   for (AtomicOp atomic : group.atomics) {

@@ -1,0 +1,79 @@
+"""Scatters into fields of 16 bits are added up in f64 and rounded once."""
+
+import os
+
+import numpy as np
+import pytest
+import tai as ti
+
+
+@pytest.fixture(autouse=True)
+def on_cpu():
+    if os.environ.get("TI_ARCH") == "cuda":
+        pytest.skip("on a GPU each addition is rounded: docs/roadmap.md")
+
+
+def nearest(values, dt):
+    """As f16, or bf16 by the upper half of f32; ties aside."""
+    if dt == ti.f16:
+        return values.astype(np.float16).astype(np.float32)
+    bits = values.astype(np.float32).view(np.uint32)
+    return ((bits + np.uint32(0x8000)) & np.uint32(0xFFFF0000)).view(np.float32)
+
+
+@pytest.mark.parametrize("dt", [ti.f16, ti.bf16])
+@pytest.mark.parametrize("cells", [1, 7])
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("options", [{}, {"deterministic": True}, {"sums": "compensated"}], ids=str)
+def test_many_terms_of_few_cells(dt, cells, threads, options):
+    ti.init(arch=ti.cpu, cpu_max_num_threads=threads, **options)
+    n = 100_003
+    x, at = ti.field(dt, n), ti.field(ti.i32, n)
+    plain, pairs = ti.field(dt, cells), ti.Vector.field(2, dt, cells)
+    mixed = ti.Struct.field({"left": dt, "right": ti.f32}, shape=cells)
+    where = np.random.default_rng(cells).integers(0, cells, n).astype(np.int32)
+    at.from_numpy(where)
+    x.fill(1 / 64)
+    plain.fill(2)
+
+    @ti.kernel
+    def scatter():
+        for i in x:
+            plain[at[i]] += x[i]
+            pairs[at[i]] -= ti.Vector([x[i], 2 * x[i]])
+            mixed[at[i]].left += x[i]
+
+    scatter()
+    sums = np.bincount(where, minlength=cells) / 64
+    np.testing.assert_array_equal(plain.to_numpy().astype(np.float32), nearest(sums + 2, dt))
+    found = pairs.to_numpy().astype(np.float32)
+    np.testing.assert_array_equal(found[:, 0], nearest(-sums, dt))
+    np.testing.assert_array_equal(found[:, 1], nearest(-2 * sums, dt))
+    np.testing.assert_array_equal(mixed.left.to_numpy().astype(np.float32), nearest(sums, dt))
+    assert not mixed.right.to_numpy().any()
+
+
+@pytest.mark.parametrize("dt", [ti.f16, ti.bf16])
+def test_gradients_through_scatters(dt):
+    ti.init(arch=ti.cpu)
+    n = 20_000
+    x, at = ti.field(dt, n, needs_grad=True), ti.field(ti.i32, n)
+    grid, loss = ti.field(dt, 2, needs_grad=True), ti.field(ti.f32, (), needs_grad=True)
+    at.from_numpy((np.arange(n) % 2).astype(np.int32))
+    x.fill(1 / 32)
+
+    @ti.kernel
+    def scatter():
+        for i in x:
+            grid[at[i]] += x[i]
+
+    @ti.kernel
+    def measure():
+        for c in grid:
+            loss[None] += grid[c] * (c + 1)
+
+    with ti.ad.Tape(loss):
+        scatter()
+        measure()
+    assert loss[None] == nearest(np.array(n / 64), dt) * 3
+    assert np.array_equal(x.grad.to_numpy(), 1.0 + np.arange(n) % 2)
