@@ -30,7 +30,9 @@ parser.add_argument("--side", type=studio.at_least(1), default=80, help=text)
 text = "steps of a segment (32, the root of 1024)"
 parser.add_argument("--segment", type=studio.at_least(1), default=32, help=text)
 text = "megabytes that the tape may keep (50)"
-parser.add_argument("--budget", type=studio.at_least(0.001, float), default=50.0, help=text)
+parser.add_argument(
+    "--budget", type=studio.at_least(0.001, float, most=1e12), default=50.0, help=text
+)
 args = parser.parse_args()
 studio.start(args)
 

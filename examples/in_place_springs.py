@@ -24,7 +24,7 @@ options = studio.options(__doc__, "in_place_springs", steps=10_000, least_steps=
 add = options.add_argument
 add("--by", choices=["saving", "budget", "hand"], default="saving", help="how to go back (saving)")
 text = "bytes that the tape may keep (50000)"
-add("--budget", type=studio.at_least(1), default=50_000, help=text)
+add("--budget", type=studio.at_least(1, most=2**63 - 1), default=50_000, help=text)
 args = options.parse_args()
 STEPS = args.steps
 if args.by == "hand" and STEPS % SEGMENT:

@@ -20,7 +20,9 @@ import tai as ti
 import studio
 
 options = studio.options(__doc__, "mass_spring_simple", iterations=25, steps=1024, rate=5.0)
-options.add_argument("--target", type=float, default=0.1, help="area wanted (0.1)")
+options.add_argument(
+    "--target", type=studio.at_least(0, float), default=0.1, help="area wanted (0.1)"
+)
 options.add_argument("--wall", action="store_true", help="with the wall of the paper's program")
 args = options.parse_args()
 

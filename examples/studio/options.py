@@ -35,8 +35,13 @@ def need(library: str, purpose: str, package: str | None = None):
         fail(f"{purpose} needs {library}, which is not installed: pip install {package or library}")
 
 
-def at_least(minimum: float, kind: type = int, most: float = float("inf")) -> Callable:
-    """The type of an option that is a number, and not too small or too large."""
+def at_least(minimum: float, kind: type = int, most: float | None = None) -> Callable:
+    """The type of an option that is a number, and not too small or too large.
+
+    A whole number fits the 32 bits of an argument or an index of a kernel, unless `most` is given.
+    """
+    if most is None:
+        most = 2**31 - 1 if kind is int else float("inf")
 
     def number(text: str):
         try:
@@ -101,6 +106,7 @@ def options(
     """
     parser = Options(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.name, parser.quick = name, quick or {"iterations": min(iterations, 3)}
+    sys.excepthook = _explain
     add = parser.add_argument
     add("--arch", choices=["cpu", "cuda", "python"], default="cpu", help="what computes (cpu)")
     if steps:
@@ -152,7 +158,6 @@ def _check_folder(folder: Path) -> None:
 
 def start(args: argparse.Namespace, **more) -> None:
     """`ti.init` with what the options say; `float` becomes f32 or, with --double, f64."""
-    sys.excepthook = _explain
     given = {
         "arch": getattr(ti, args.arch),
         "default_fp": ti.f64 if args.double else ti.f32,
@@ -176,7 +181,7 @@ def _explain(kind, error, trace) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     if issubclass(kind, MemoryError):
-        fail(f"this size does not fit into memory: {error}")
+        fail(f"this size does not fit into memory{f': {error}' if str(error) else ''}")
     if issubclass(kind, OSError) and error.filename:
         fail(f"cannot write {error.filename}: {error.strerror}")
     sys.__excepthook__(kind, error, trace)

@@ -365,3 +365,10 @@ def test_vector_and_matrix_types_as_types_of_fields():
     assert v.to_numpy().tolist() == [[0, 0, 0], [1, 2, 3]] and v.grad.shape == (2,)
     assert m.to_numpy()[0].tolist() == [[1, 2, 3], [4, 5, 6]]
     assert placed.to_numpy().tolist() == [[7, 7]] * 3
+
+
+def test_more_cells_than_can_be_counted():
+    # A size that does not fit, as those that can be counted and not be had.
+    ti.init()
+    with pytest.raises(ti.TaiMemoryError, match="more cells than a 64-bit number can count"):
+        ti.field(ti.f32, shape=(2**32, 2**31))

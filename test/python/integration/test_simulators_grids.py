@@ -327,6 +327,8 @@ def test_water_renderer_without_torch(tmp_path, error, words):
         ("wave", ["--target", "missing.png"], ["missing.png", "not a picture"]),
         ("smoke", ["--setting", "fog"], ["--setting", "fog", "stripes-peace"]),
         ("smoke", ["--sweeps", 0], ["--sweeps", "at least 1"]),
+        ("smoke", ["--n", 2**31 - 1], ["does not fit into memory", "64-bit"]),
+        ("checkpointing", ["--budget", 1e300], ["--budget", "at most"]),
         ("diffmpm3d", ["--density", 0.5], ["--density", "at least 0.8"]),
         ("checkpointing", ["--scheme", "none"], ["--scheme", "segments"]),
         ("volume_renderer", ["--volume", "missing.npy"], ["missing.npy"]),

@@ -214,6 +214,7 @@ def test_going_on_with_nothing_to_do(tmp_path, capsys):
     [
         (["--n", "0"], "argument --n: 0 is impossible; at least 1"),
         (["--n", "two"], "argument --n: 'two' is not a whole number"),
+        (["--n", "2147483648"], "argument --n: 2147483648 is impossible; at most 2147483647"),
         (["--rate", "inf"], "argument --rate: inf is impossible; at least 0"),
         (["--rate", "fast"], "argument --rate: 'fast' is not a number"),
         (["--nn", "2"], "unrecognized arguments: --nn 2"),
@@ -258,6 +259,7 @@ def test_a_device_that_is_missing(tmp_path, capsys, monkeypatch):
     assert end.text.startswith("toy: --arch cuda: no CUDA driver") and end.text.count("\n") == 1
 
 
+@pytest.mark.parametrize("place", ["before", "after"])
 @pytest.mark.parametrize(
     "error, line, code",
     [
@@ -268,17 +270,18 @@ def test_a_device_that_is_missing(tmp_path, capsys, monkeypatch):
             2,
         ),
         ("MemoryError('7 TiB')", "this size does not fit into memory: 7 TiB", 2),
+        ("MemoryError", "this size does not fit into memory", 2),
         ("OSError(28, 'No space left', 'out/x.gif')", "cannot write out/x.gif: No space left", 2),
         ("ValueError('own mistake')", None, 1),
     ],
 )
-def test_errors_outside_of_the_descent(tmp_path, error, line, code):
+def test_errors_outside_of_the_descent(tmp_path, error, line, code, place):
     program = tmp_path / "toy.py"
+    lines = ["studio.start(args)", f"raise {error}"]
     program.write_text(
         f"import sys; sys.path.insert(0, {str(Path(studio.__file__).parents[1])!r})\n"
-        "import studio\n"
-        "studio.start(studio.options('', 'toy').parse_args())\n"
-        f"raise {error}\n"
+        "import studio\nargs = studio.options('', 'toy').parse_args()\n"
+        + "\n".join(lines if place == "after" else lines[::-1])
     )
     command = [sys.executable, program, "--out", tmp_path]
     done = subprocess.run(command, capture_output=True, text=True)

@@ -123,7 +123,7 @@ class SNode:
             extents.append(value)
         cells = math.prod(extents) * math.prod(n for level in self.path() for n in level.extents)
         if cells >= 2**63:
-            raise TaiRuntimeTypeError(
+            raise TaiMemoryError(
                 f"the level has more cells than a 64-bit number can count: {cells:,}",
                 "make the extents smaller",
             )
