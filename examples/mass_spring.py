@@ -276,7 +276,7 @@ def main():
     studio.report_memory(args, x, v, impulse, centre, seen, hidden, drive)
     studio.plot_losses(args, losses)
     if args.picture:
-        studio.take_best(args, **WEIGHTS)
+        studio.take_best(**WEIGHTS)
         studio.animate(args, draw, film(), res=(640, 320))
 
 

@@ -384,7 +384,7 @@ def main():
     studio.report_memory(args, *state)
     studio.plot_losses(args, losses)
     if args.picture:
-        studio.take_best(args, **WEIGHTS)
+        studio.take_best(**WEIGHTS)
         studio.animate(args, draw, film())
 
 

@@ -21,6 +21,7 @@ from .options import checkpoint, fail
 # Options that may differ between a run and its continuation.
 FREE = {"arch", "iterations", "movie", "out", "picture", "quick", "rate", "resume"}
 KEEP_EVERY = 10.0  # seconds between two checkpoints
+_runs = []  # the last one
 
 
 def table(args: argparse.Namespace, what: str, **columns: Iterable) -> Path:
@@ -115,6 +116,7 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
             whatever else the next iteration reads. (Anything with `to_numpy` and `from_numpy`.)
     """
     run = _Run(args, kept)
+    _runs[:] = [run]
     first = len(run)
     saved = time.monotonic()
     bar = ti.tools.Progress(range(first, args.iterations), args.name)
@@ -156,11 +158,13 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
     return losses
 
 
-def take_best(args: argparse.Namespace, **kept) -> None:
-    """Puts back into the fields of `optimise` what had the least loss; for a film, say."""
-    with np.load(checkpoint(args)) as file:
-        for name, field in kept.items():
-            field.from_numpy(file[f"best.{name}"])
+def take_best(**kept) -> None:
+    """Puts back into the fields of `optimise` what had the least loss; for a film, say.
+
+    Not from the checkpoint: another run in the same folder may have written its own by now.
+    """
+    for name, field in kept.items():
+        field.from_numpy(_runs[0].best[name])
 
 
 @contextlib.contextmanager

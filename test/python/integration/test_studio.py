@@ -97,15 +97,24 @@ def test_the_best_is_kept(tmp_path):
     args = parse(tmp_path, "--iterations", 4)
     Toy(args).optimise()
     toy = Toy(args)
-    studio.take_best(args, x=toy.x)
+    studio.take_best(x=toy.x)
     best = toy.x.to_numpy()
     assert best[0] == table(tmp_path / "toy.losses.csv")["first"][3] > 0
     # It survives a resumed run that is no better.
     toy = Toy(parse(tmp_path, "--resume", "--iterations", 6))
     toy.iteration = lambda number: {"loss": 9.0, "first": 0.0}
     toy.optimise()
-    studio.take_best(args, x=toy.x)
+    studio.take_best(x=toy.x)
     assert toy.x.to_numpy().tolist() == best.tolist()
+
+
+def test_the_best_is_that_of_this_run(tmp_path):
+    # Another run, of another size, may write its checkpoint into the same folder.
+    toy = Toy(parse(tmp_path, "--iterations", 4))
+    toy.optimise()
+    np.savez(tmp_path / "toy.npz", **{"best.x": np.zeros(7)})
+    studio.take_best(x=toy.x)
+    assert toy.x.to_numpy()[0] == table(tmp_path / "toy.losses.csv")["first"][3] > 0
 
 
 def test_an_interrupt_before_anything_is_learned(tmp_path, capsys):
