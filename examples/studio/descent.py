@@ -149,8 +149,8 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
     if run.rows > first:
         run.save()
     if len(run) > run.rows:
-        path = checkpoint(args)
-        fail(f"the loss of iteration {run.rows} is not finite; what was learned before: {path}")
+        before = f"what was learned before: {checkpoint(args)}" if run.rows else "nothing to keep"
+        fail(f"the loss of iteration {run.rows} is not finite; {before}")
     losses = run.losses()
     if losses:
         print(f"loss     {losses[0]:.6g} -> {losses[-1]:.6g}")

@@ -177,6 +177,9 @@ def test_a_loss_that_is_no_number(tmp_path, capsys, value):
         Toy(parse(tmp_path), 9, lambda: value).optimise()
     assert "the loss of iteration 9 is not finite" in end.text
     assert len(Toy(parse(tmp_path, "--resume")).optimise()) == 20
+    with ends(capsys) as end:
+        Toy(parse(tmp_path / "new"), 0, lambda: value).optimise()
+    assert end.text.endswith("toy: the loss of iteration 0 is not finite; nothing to keep\n")
 
 
 def test_a_full_disk_in_the_middle(tmp_path, monkeypatch):
