@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import tai as ti
 
-from .options import need
+from .options import fail, need
 
 # Paper and ink, a soft grey for what stands still, and colours for what is compared, in order.
 PAPER, INK, SOFT = 0xF4F1EA, 0x2B3A55, 0x9A9484
@@ -134,6 +134,8 @@ def movie(args: argparse.Namespace, frames: list, framerate: float = 24, what: s
 
         path = path.with_suffix("")
         path.mkdir(exist_ok=True)
+        for old in path.glob("[0-9][0-9][0-9][0-9].png"):  # of a longer film
+            old.unlink()
         for number, frame in enumerate(frames):
             Image.fromarray(frame).save(path / f"{number:04d}.png")
     print(f"picture  {path.resolve()}")
@@ -146,10 +148,13 @@ def _write_mp4(path: Path, frames: list, framerate: float) -> None:
     writer = need("imageio_ffmpeg", "--movie mp4", "imageio-ffmpeg").write_frames(
         str(path), size, fps=rate, quality=8, macro_block_size=2
     )
-    writer.send(None)
-    for frame in frames:
-        writer.send(np.ascontiguousarray(frame[:height, :width, :3]))
-    writer.close()
+    try:
+        writer.send(None)
+        for frame in frames:
+            writer.send(np.ascontiguousarray(frame[:height, :width, :3]))
+        writer.close()
+    except OSError as error:  # its text is the log of ffmpeg, many lines
+        fail(f"cannot write {path}: {str(error).splitlines()[0]}")
 
 
 def picture(args: argparse.Namespace, image, what: str = "") -> None:

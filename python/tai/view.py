@@ -239,6 +239,8 @@ def _frames(folder: Path, reason: str) -> Frames:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
+        for old in folder.glob("[0-9]" * 6 + ".png"):  # of a longer run
+            old.unlink()
     except OSError as error:
         fail(f"cannot write frames to {folder}: {error.strerror}")
     print(f"view: {reason}: frames go to {folder.resolve()}", file=sys.stderr)

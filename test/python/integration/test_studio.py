@@ -322,14 +322,33 @@ def test_pictures(tmp_path, capsys):
     args.movie = "png"
     studio.movie(args, [np.zeros((4, 6, 3), np.uint8)], framerate=2)
     assert len(list((tmp_path / "toy").glob("*.png"))) == 2
+    # Frames of a longer film do not stay, and what is not a frame does.
+    (tmp_path / "toy/0002.png").touch()
+    (tmp_path / "toy/7 of mine.png").touch()
+    studio.movie(args, [np.zeros((4, 6, 3), np.uint8)], framerate=2)
+    names = sorted(path.name for path in (tmp_path / "toy").iterdir())
+    assert names == ["0000.png", "0001.png", "7 of mine.png"]
     studio.picture(args, np.full((3, 5, 3), 1.5), what="flat")
     assert Image.open(tmp_path / "toy.flat.png").getpixel((0, 0)) == (255, 255, 255)
     studio.plot(args, "two", {"a": [1, 2], "b": ([0, 2], [3, 1])}, x="time (s)", y="way (m)")
     assert Image.open(tmp_path / "toy.two.png").size[0] > 500
-    assert capsys.readouterr().out.count(str(tmp_path)) == 4
+    assert capsys.readouterr().out.count(str(tmp_path)) == 5
     args.picture = False
     for call in (studio.movie, studio.picture):
         call(args, [])
+
+
+def test_a_film_that_ffmpeg_cannot_write(tmp_path, capsys, monkeypatch):
+    def write_frames(path, size, **options):
+        yield
+        raise OSError("[Errno 32] Broken pipe\n\nFFMPEG COMMAND:\n...")
+
+    library = argparse.Namespace(write_frames=write_frames)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", library)
+    args = parse(tmp_path, "--movie", "mp4")
+    with ends(capsys) as end:
+        studio.movie(args, [np.zeros((4, 6, 3), np.uint8)])
+    assert end.text == f"toy: cannot write {tmp_path / 'toy.mp4'}: [Errno 32] Broken pipe\n"
 
 
 def test_colours():

@@ -40,9 +40,11 @@ def program(tmp_path):
 
 def test_frames_where_no_display_is(tmp_path, program, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "out/view/toy"
+    folder.mkdir(parents=True)
+    (folder / "000003.png").touch()  # of a longer run
     done = view(program, "film", tmp_path / "film.gif")
     assert (done.returncode, done.stdout) == (0, "3\n")
-    folder = tmp_path / "out/view/toy"
     assert done.stderr == f"view: there is no display: frames go to {folder}\n"
     # The frames of the film are those that were drawn.
     assert sorted(p.name for p in folder.iterdir()) == ["000000.png", "000001.png", "000002.png"]
