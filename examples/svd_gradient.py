@@ -131,7 +131,7 @@ def turn(generator):
 
 
 def main():
-    generator = np.random.default_rng(1)
+    generator = np.random.default_rng(args.seed + 1)
     M.from_numpy(np.eye(3) + 0.1 * generator.standard_normal((n, 3, 3)))
     wanted_rotation.from_numpy(turn(generator))
     wanted_sigma.from_numpy(generator.uniform(0.8, 1.5, (n, 3)))

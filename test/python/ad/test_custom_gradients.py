@@ -27,6 +27,13 @@ def test_the_svd_of_an_iterative_solver(tmp_path, matrices):
     assert last < 0.02 * first
 
 
+def test_matrices_of_the_svd_by_seed(tmp_path):
+    slopes = [
+        run_svd(tmp_path, "--iterations", 1, "--seed", seed).split("\n")[0] for seed in (3, 3, 4)
+    ]
+    assert slopes[0] == slopes[1] != slopes[2]
+
+
 def test_the_svd_by_hand_agrees_with_the_op(tmp_path):
     """The gradient of the example's loss, against ti.svd in a program of its own."""
     program = (EXAMPLES / "svd_gradient.py").read_text().partition('if __name__ == "__main__"')[0]
