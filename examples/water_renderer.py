@@ -13,6 +13,7 @@ and checks become stripes.
     python examples/water_renderer.py --weights vgg16.pth --photo squirrel.png --label 1 --rate 0.1
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -191,7 +192,6 @@ def main():
         studio.fail(f"--label {label} is impossible; the classes are 0 to {len(names) - 1}")
     photo.from_numpy(load_photo())
     classifier = load_vgg() if args.weights else train()
-    chances = []
 
     def iteration(_):
         with ti.ad.Tape() as tape:
@@ -199,13 +199,13 @@ def main():
         loss, gradient, chance = look(classifier, label)
         tape.backward({picture: SEED * gradient})
         descend(args.rate)
-        chances.append(chance)
         return {"loss": loss, "probability": chance}
 
     losses = studio.optimise(args, iteration, start=start)
     forward()
-    chances.append(look(classifier, label)[2])
-    print(f"seen as  {names[label]}: {100 * chances[0]:.2f} % -> {100 * chances[-1]:.2f} %")
+    # A loss is the negative logarithm of a probability; with --resume the first one is of old.
+    before, after = math.exp(-losses[0]), look(classifier, label)[2]
+    print(f"seen as  {names[label]}: {100 * before:.2f} % -> {100 * after:.2f} %")
     studio.plot_losses(args, losses)
     below, above = photo.to_numpy(), picture.to_numpy()
     surface = np.clip(0.5 + 0.5 * height.to_numpy() / (abs(height.to_numpy()).max() or 1), 0, 1)

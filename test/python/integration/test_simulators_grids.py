@@ -293,6 +293,9 @@ def test_water_renderer(tmp_path):
     pytest.importorskip("torch")
     found = descent("water_renderer", tmp_path, "--quick")
     assert found["probability"][-1] > found["probability"][0]
+    # Of a run in two parts, too, the first probability is that before the first step.
+    first = f"{100 * found['probability'][0]:.2f} % -> "
+    assert first in printed("water_renderer", tmp_path, "--quick", "--iterations", 4, "--resume")
     assert "classes are 0 to 3" in refused("water_renderer", tmp_path, "--quick", "--label", 4)
 
 
