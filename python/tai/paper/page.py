@@ -68,7 +68,11 @@ def markdown(head: Sequence[str], rows: Sequence[Row]) -> str:
 
 
 def _inline(text: str) -> str:
-    return re.sub(r"`([^`]*)`", r"<code>\1</code>", html.escape(text, quote=False))
+    """Code and emphasis of Markdown; of a link its text, since the page may lie anywhere."""
+    text = html.escape(text, quote=False)
+    for pattern, tag in ((r"`([^`]*)`", "code"), (r"\*\*([^*]+)\*\*", "b"), (r"\*([^*]+)\*", "i")):
+        text = re.sub(pattern, rf"<{tag}>\1</{tag}>", text)
+    return re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text)
 
 
 def _html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

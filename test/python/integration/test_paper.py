@@ -227,7 +227,8 @@ def test_pages(tmp_path):
     assert "| a <b> | c |\n|---|---|\n| 1.23457 | `x` |\n| 2 |  |" in text
     assert "**FAILED: a number is 1 and not 1.1**" in text
     assert "![Two](pictures/paper_some_1.png)" in text
-    hypertext = page.hypertext(["Head."], rows, tmp_path)
+    hypertext = page.hypertext(["Of [a](b.md), *c d* and **e**."], rows, tmp_path)
+    assert "<p>Of a, <i>c d</i> and <b>e</b>.</p>" in hypertext
     assert "<th>a &lt;b&gt;</th>" in hypertext and "<code>x</code>" in hypertext
     assert "One &amp; two." in hypertext and "data:image/png;base64,iVBOR" in hypertext
 
