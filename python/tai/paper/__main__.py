@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -116,7 +117,21 @@ class _Store:
 
     def __init__(self, folder: Path, settings: dict[str, str]):
         self.folder, self.settings = folder / "results", settings
+        self.runs = folder / "runs"
         self.folder.mkdir(exist_ok=True)
+
+    def clear(self, names: Sequence[str], resume: bool) -> None:
+        """Deletes the runs that cannot go on: those made with other settings, and, unless
+        resuming, all of the given experiments, with their results."""
+        made = self.runs / "settings.json"
+        content = json.dumps(self.settings)
+        if made.is_file() and made.read_text() != content:
+            shutil.rmtree(self.runs, ignore_errors=True)
+        for name in () if resume else names:
+            shutil.rmtree(self.runs / name, ignore_errors=True)
+            (self.folder / f"{name}.json").unlink(missing_ok=True)
+        self.runs.mkdir(exist_ok=True)
+        made.write_text(content)
 
     def save(self, result: Result) -> None:
         content = {"settings": self.settings, "result": dataclasses.asdict(result)}
@@ -216,10 +231,9 @@ def main() -> int:
     out = _writable(args.out, "--out")
     copy = _writable(args.page, "--page") if args.page else None
     store = _Store(out, {"level": args.level, "arch": args.arch})
-    if not args.resume:
-        shutil.rmtree(out / "runs", ignore_errors=True)
     lab = Lab(examples, out, args.level, args.arch, args.resume)
     chosen = [e for e in EXPERIMENTS if not args.only or e.name in args.only]
+    store.clear([experiment.name for experiment in chosen], args.resume)
     signal.signal(signal.SIGTERM, _stop)
     rows: list[page.Row] = []
     for number, experiment in enumerate(chosen, 1):

@@ -165,6 +165,29 @@ def test_programs_are_resumed_too(tmp_path, examples):
     assert " --resume" not in (folder / "started").read_text()
 
 
+def test_runs_with_other_settings_do_not_go_on(tmp_path, examples):
+    folder, out = examples(), tmp_path / "out"
+    assert paper(out, "--examples", folder, "--only", "toi").returncode == 0
+    (out / "runs/toi/run/rigid_body_toi.npz").touch()
+    assert (
+        paper(out, "--examples", folder, "--only", "toi", "--resume", "--arch", "cuda").returncode
+        == 0
+    )
+    assert "--arch cuda" in (folder / "started").read_text()
+    assert " --resume" not in (folder / "started").read_text()
+
+
+def test_a_new_start_forgets_its_experiments_and_no_others(tmp_path, examples):
+    out = tmp_path / "out"
+    assert paper(out, "--examples", examples(), "--only", "toi").returncode == 0
+    (out / "runs/billiards").mkdir()
+    assert "toi" in results(out)
+    # What an interrupted run has not done must not be taken from the run before it.
+    interrupted(tmp_path, examples, signal.SIGINT)
+    assert list(results(out)) == ["lengths"]
+    assert (out / "runs/billiards").is_dir()
+
+
 def test_bad_input(tmp_path):
     def line(*options, **more):
         done = paper(*options, **more)
