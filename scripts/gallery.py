@@ -3,7 +3,7 @@
     python scripts/gallery.py                    # all; some minutes on two cores
     python scripts/gallery.py --keep out/gallery # reuses the output of earlier runs
 
-Videos are scaled down, or become a strip of some of their frames.
+Videos are scaled down, or become a strip of some of their frames, or a part of the last one.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from PIL import Image, ImageSequence
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "gallery.md"
 PICTURES = ROOT / "docs" / "pictures"
+# What a "last" frame is cut to: left, top, right and bottom as shares of it.
+CUT = (0.13, 0.24, 0.865, 0.977)
 
 
 class Entry(NamedTuple):
@@ -27,10 +29,15 @@ class Entry(NamedTuple):
 
     name: str
     options: str
-    output: str
-    kind: str  # film, strip or picture
+    output: str  # suffix of a file; empty: a folder of frames
+    kind: str  # film, strip, last or picture
     width: int
     text: str
+    target: str = ""  # of the picture; empty: gallery_NAME
+
+    def path(self) -> Path:
+        suffix = "gif" if self.kind == "film" else "png"
+        return PICTURES / f"{self.target or f'gallery_{self.name}'}.{suffix}"
 
 
 ENTRIES = [
@@ -49,15 +56,11 @@ ENTRIES = [
           "A ripple that becomes the sign, 256 steps later."),
     Entry("volume_renderer", "--res 128 --views 4 --iterations 30", "png", "picture", 600,
           "Above, four shadows of a body; below, those of the body that was found from them."),
+    Entry("electric", "", "gif", "film", 480, "Eight electrodes lead a ball along a path.",
+          "electric"),
+    Entry("liquid", "--steps 128 --iterations 3 --rate 100 --movie png", "", "last", 470,
+          "A robot below a pool of liquid, a quarter of a second after the start.", "liquid"),
 ]  # fmt: skip
-# Made before, by the commands that docs/examples.md names.
-OTHERS = {
-    "electric.gif": ("python examples/electric.py", "Eight electrodes lead a ball along a path."),
-    "liquid.png": (
-        "python examples/liquid.py --steps 128 --iterations 3 --rate 100",
-        "A robot below a pool of liquid, a quarter of a second after the start.",
-    ),
-}
 
 
 def frames_of(path: Path) -> list[Image.Image]:
@@ -72,14 +75,18 @@ def narrowed(image: Image.Image, width: int) -> Image.Image:
 
 def make(entry: Entry, source: Path) -> Path:
     """The picture for the page."""
-    film = entry.kind == "film"
-    target = PICTURES / f"gallery_{entry.name}.{'gif' if film else 'png'}"
+    target = entry.path()
     if entry.kind == "picture":
         with Image.open(source) as image:
             narrowed(image.convert("RGB"), entry.width).quantize(128).save(target, optimize=True)
         return target
+    if entry.kind == "last":
+        with Image.open(max(source.iterdir())) as image:
+            box = [round(share * n) for share, n in zip(CUT, image.size * 2, strict=True)]
+            narrowed(image.convert("RGB").crop(box), entry.width).save(target, optimize=True)
+        return target
     frames = frames_of(source)
-    if film:
+    if entry.kind == "film":
         step = -(-len(frames) // 60)
         small = [narrowed(frame, entry.width).quantize(64) for frame in frames[::step]]
         small[0].save(
@@ -102,8 +109,8 @@ def make(entry: Entry, source: Path) -> Path:
 
 
 def run(entry: Entry, folder: Path, keep: bool) -> Path:
-    found = folder / f"{entry.name}.{entry.output}"
-    if keep and found.is_file():
+    found = folder / (f"{entry.name}.{entry.output}" if entry.output else entry.name)
+    if keep and found.exists():
         return found
     program = ROOT / "examples" / f"{entry.name}.py"
     command = [sys.executable, str(program), *entry.options.split(), "--out", str(folder)]
@@ -111,7 +118,7 @@ def run(entry: Entry, folder: Path, keep: bool) -> Path:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
     print(f"{entry.name} {entry.options}", file=sys.stderr, flush=True)
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
-    if done.returncode or not found.is_file():
+    if done.returncode or not found.exists():
         lines = done.stderr.strip().splitlines() or ["it wrote no film"]
         sys.exit(f"gallery: {entry.name}: {lines[-1]}")
     return found
@@ -130,11 +137,9 @@ def main() -> None:
              "(paper.md)."]  # fmt: skip
     for entry in ENTRIES:
         picture = make(entry, run(entry, folder, keep=args.keep is not None))
-        command = f"python examples/{entry.name}.py {entry.options}"
+        command = f"python examples/{entry.name}.py {entry.options}".strip()
         parts += [f"## {entry.name}", f"![{entry.text}](pictures/{picture.name})"]
         parts += [f"{entry.text}\n`{command}`"]
-    for name, (command, text) in OTHERS.items():
-        parts += [f"## {name.split('.')[0]}", f"![{text}](pictures/{name})", f"{text}\n`{command}`"]
     PAGE.write_text("\n\n".join(parts) + "\n")
     print(PAGE)
 

@@ -28,6 +28,11 @@ def folders(tmp_path, monkeypatch):
     for entry in gallery.ENTRIES:
         shades = [np.full((60, 60, 3), 25 * k, np.uint8) for k in range(9)]
         frames = [Image.fromarray(shade) for shade in shades]
+        if not entry.output:
+            (kept / entry.name).mkdir()
+            for k, frame in enumerate(frames):
+                frame.save(kept / entry.name / f"{k:04d}.png")
+            continue
         more = {"save_all": True, "append_images": frames[1:]} if entry.output == "gif" else {}
         frames[0].save(kept / f"{entry.name}.{entry.output}", **more)
     return tmp_path
@@ -40,6 +45,11 @@ def test_what_the_script_makes(folders, monkeypatch):
     assert (folders / "gallery.md").read_text() == (ROOT / "docs/gallery.md").read_text()
     for path in (folders / "pictures").iterdir():
         assert (ROOT / "docs/pictures" / path.name).is_file()
+    # None of those that the page shows is left as somebody once made it.
+    shown = re.findall(r"\(pictures/([^)]+)\)", (ROOT / "docs/gallery.md").read_text())
+    assert {path.name for path in (folders / "pictures").iterdir()} == set(shown)
+    last = Image.open(folders / "pictures/liquid.png").convert("L")
+    assert last.size[0] == 470 and last.getpixel((50, 50)) > 190
     film = Image.open(folders / "pictures/gallery_billiards.gif")
     assert film.n_frames == 9 and film.size == (360, 360)
     strip = np.asarray(Image.open(folders / "pictures/gallery_smoke.png").convert("L"))
