@@ -13,19 +13,19 @@ At the end it prints how much more the processes get done together than one of t
 the same number of scenes.
 """
 
-import argparse
 import os
 import statistics
 import time
 
-parser = argparse.ArgumentParser(
-    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-)
-parser.add_argument("--arch", default="cpu", choices=["cpu", "cuda"])
-parser.add_argument("--scenes", type=int, default=4096, help="scenes per process (4096)")
-parser.add_argument("--steps", type=int, default=100, help="time steps of 0.02 s (100)")
-parser.add_argument("--iterations", type=int, default=60, help="steps of Adam (60)")
-parser.add_argument("--rate", type=float, default=0.03, help="learning rate (0.03)")
+import studio
+
+parser = studio.plain(__doc__)
+add, least = parser.add_argument, studio.at_least
+add("--arch", default="cpu", choices=["cpu", "cuda"], help="what computes (cpu)")
+add("--scenes", type=least(1), default=4096, help="scenes per process (4096)")
+add("--steps", type=least(1), default=100, help="time steps of 0.02 s (100)")
+add("--iterations", type=least(1), default=60, help="steps of Adam (60)")
+add("--rate", type=least(0, float), default=0.03, help="learning rate (0.03)")
 args = parser.parse_args()
 
 RANK, WORLD = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
@@ -37,8 +37,9 @@ if args.arch == "cuda":
 
 import numpy as np  # noqa: E402
 import tai as ti  # noqa: E402
-import torch  # noqa: E402
-import torch.distributed as dist  # noqa: E402
+
+torch = studio.need("torch", "the ensemble")
+dist = studio.need("torch.distributed", "the ensemble")
 
 ti.init(arch=getattr(ti, args.arch))
 

@@ -61,6 +61,7 @@ RUN_AND_LIST_THREADS = """
 import contextlib, os, runpy, sys
 
 del sys.argv[0]
+sys.path[0] = os.path.dirname(sys.argv[0])
 runpy.run_path(sys.argv[0], run_name="__main__")
 for thread in os.listdir("/proc/self/task"):
     # It may end meanwhile, and one that was joined is listed until the system has cleared it away.
@@ -84,6 +85,27 @@ def test_threads_of_the_process_group_end_with_it(python, tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "thread" in done.stdout and "gloo" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    "words, line",
+    [
+        (["--scenes", "0"], "argument --scenes: 0 is impossible; at least 1"),
+        (["--steps", "many"], "argument --steps: 'many' is not a whole number"),
+        (["--rate", "nan"], "argument --rate: nan is impossible; at least 0"),
+        ([], "the ensemble needs torch, which is not installed: pip install torch"),
+    ],
+)
+def test_bad_input(tmp_path, words, line):
+    error = "raise ModuleNotFoundError('No module', name='torch')"
+    (tmp_path / "torch.py").write_text(error)
+    more = environment()
+    more["PYTHONPATH"] = f"{tmp_path}{os.pathsep}{more['PYTHONPATH']}"
+    done = subprocess.run(
+        [sys.executable, EXAMPLE, *words], capture_output=True, text=True, env=more
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"ensemble: {line}") and done.stderr.count("\n") == 1
 
 
 def test_two_processes_do_what_one_does(python):
