@@ -35,6 +35,12 @@ def test_programs_and_their_options(name, options):
     assert options <= known, options - known
 
 
+def test_no_program_is_left_out():
+    listed = set(re.findall(r"`(\w+\.py)`", TEXT))
+    programs = [path for path in (ROOT / "examples").glob("*.py") if "__main__" in path.read_text()]
+    assert len(programs) > 20 and {path.name for path in programs} <= listed
+
+
 def test_pictures():
     shown = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", TEXT)
     assert len(shown) >= 3
