@@ -69,7 +69,7 @@ class _Run:
         self.state = {name: field.to_numpy() for name, field in self.fields.items()}
         self.rows = len(self)
 
-    def save(self) -> Path:
+    def save(self) -> None:
         """Writes the copy; a file that was there stays whole until the new one is."""
         path = checkpoint(self.args)
         part = path.with_suffix(f".{os.getpid()}.npz")  # another run may have the same folder
@@ -77,13 +77,13 @@ class _Run:
         arrays = {f"kept.{name}": value for name, value in self.state.items()}
         arrays |= {f"best.{name}": value for name, value in self.best.items()}
         arrays |= {f"column.{name}": np.array(values) for name, values in columns.items()}
-        try:
-            np.savez(part, settings=json.dumps(_settings(self.args)), **arrays)
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-        table(self.args, "losses", iteration=range(self.rows), **columns)
-        return path
+        with _uninterrupted():
+            try:
+                np.savez(part, settings=json.dumps(_settings(self.args)), **arrays)
+                os.replace(part, path)
+            finally:
+                part.unlink(missing_ok=True)
+            table(self.args, "losses", iteration=range(self.rows), **columns)
 
     def load(self) -> None:
         path = checkpoint(self.args)
@@ -138,8 +138,9 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
                     saved = time.monotonic()
     except BaseException as error:
         if run.rows > first:
-            path = run.save()
-            text = f"{run.rows} of {args.iterations} iterations are kept in {path}"
+            with contextlib.suppress(KeyboardInterrupt):  # a second one
+                run.save()
+            text = f"{run.rows} of {args.iterations} iterations are kept in {checkpoint(args)}"
             print(f"stopped  {text}; --resume goes on from there", file=sys.stderr)
         if isinstance(error, KeyboardInterrupt):
             if run.rows == first:
@@ -183,6 +184,25 @@ def _interruptible():
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextlib.contextmanager
+def _uninterrupted():
+    """Ctrl-C and SIGTERM wait for what is in here: an impatient second one loses nothing."""
+    came = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    try:
+        before = [signal.signal(number, lambda *_: came.append(True)) for number in numbers]
+    except ValueError:  # not in the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+    if came:
+        raise KeyboardInterrupt
 
 
 def _times(seconds: list[float]) -> str:

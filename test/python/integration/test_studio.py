@@ -156,6 +156,30 @@ def test_two_runs_in_one_folder(tmp_path, monkeypatch):
     assert len(Toy(parse(tmp_path, "--resume")).optimise()) == 20
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_impatient_second_interrupt_loses_nothing(tmp_path, capsys, monkeypatch, number):
+    write = np.savez
+
+    def savez(path, **arrays):
+        os.kill(os.getpid(), number)
+        write(path, **arrays)
+
+    monkeypatch.setattr(np, "savez", savez)
+    handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with ends(capsys, code=130) as end:
+            Toy(parse(tmp_path), 7, signalled(signal.SIGINT)).optimise()
+        assert "7 of 20 iterations are kept" in end.text
+        # The first one may come when all is done and the result is written.
+        with pytest.raises(KeyboardInterrupt):
+            Toy(parse(tmp_path, "--resume")).optimise()
+        assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+    monkeypatch.setattr(np, "savez", write)
+    assert len(Toy(parse(tmp_path, "--resume", "--iterations", 8)).optimise()) == 20
+
+
 def test_an_error_loses_nothing(tmp_path, capsys):
     def wrong():
         raise ValueError("wrong")
