@@ -25,8 +25,8 @@ SCHEMES = ["stored", "grid", "segments", "tape", "budget"]
 
 parser = studio.options(__doc__, "checkpointing", iterations=30, steps=1024, rate=10.0)
 parser.add_argument("--scheme", choices=["all", *SCHEMES], default="all", help="one of them (all)")
-text = "particles along a side (80)"
-parser.add_argument("--side", type=studio.at_least(1), default=80, help=text)
+text = "particles along a side (80); 180 reach the wall"
+parser.add_argument("--side", type=studio.at_least(1, most=180), default=80, help=text)
 text = "steps of a segment (32, the root of 1024)"
 parser.add_argument("--segment", type=studio.at_least(1), default=32, help=text)
 text = "megabytes that the tape may keep (50)"
@@ -53,8 +53,11 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 @ti.func
 def around(position):
-    """The first of the nine nodes around a particle, its place from there, and the weights."""
-    base = ti.cast(position / DX - 0.5, ti.i32)
+    """The first of the nine nodes around a particle, its place from there, and the weights.
+
+    The nodes are of the grid also where too large a rate has thrown the particle out of it.
+    """
+    base = ti.math.clamp(ti.cast(position / DX - 0.5, ti.i32), 0, N_GRID - 3)
     fx = position / DX - base
     return base, fx, [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1) ** 2, 0.5 * (fx - 0.5) ** 2]
 

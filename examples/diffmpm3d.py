@@ -70,8 +70,11 @@ class Scene:
 
 @ti.func
 def around(position):
-    """The first of the 27 nodes around a particle, and the particle's place from there."""
-    base = ti.cast(position / DX - 0.5, ti.i32)
+    """The first of the 27 nodes around a particle, and the particle's place from there.
+
+    The nodes are of the grid also where too large a rate has thrown the particle out of it.
+    """
+    base = ti.math.clamp(ti.cast(position / DX - 0.5, ti.i32), 0, N_GRID - 3)
     return base, position / DX - base
 
 

@@ -323,6 +323,21 @@ def test_water_renderer_without_torch(tmp_path, error, words):
 
 
 @pytest.mark.parametrize(
+    "name, options",
+    [
+        ("checkpointing", ("--side", 12, "--steps", 20, "--scheme", "grid", "--rate", 1e9)),
+        ("diffmpm3d", ("--density", 0.8, "--steps", 48, "--rate", 1e8)),
+    ],
+)
+def test_particles_that_leave_the_grid(tmp_path, name, options):
+    """By a step of descent that is far too long; what was learned before it stays."""
+    done = start(name, tmp_path, *options, "--iterations", 3)
+    assert done.returncode == 2, done.stderr
+    assert "the loss of iteration 1 is not finite" in done.stderr.splitlines()[-1]
+    assert len(table(tmp_path / f"{name}.losses.csv")["loss"]) == 1
+
+
+@pytest.mark.parametrize(
     "name, options, words",
     [
         ("wave", ["--n", 1], ["--n", "at least 2"]),
@@ -332,6 +347,7 @@ def test_water_renderer_without_torch(tmp_path, error, words):
         ("smoke", ["--sweeps", 0], ["--sweeps", "at least 1"]),
         ("smoke", ["--n", 2**31 - 1], ["does not fit into memory", "64-bit"]),
         ("checkpointing", ["--budget", 1e300], ["--budget", "at most"]),
+        ("checkpointing", ["--side", 181], ["--side", "at most 180"]),
         ("diffmpm3d", ["--density", 0.5], ["--density", "at least 0.8"]),
         ("checkpointing", ["--scheme", "none"], ["--scheme", "segments"]),
         ("volume_renderer", ["--volume", "missing.npy"], ["missing.npy"]),
