@@ -382,15 +382,7 @@ static void emitCompensatedUpdate(OpBuilder &builder, Location loc, Pair sum,
   Value old = emitLoad(builder, loc, type, address, scopes);
   Value next;
   if (sum.rest) {
-    Pair total = emitPairSum(builder, loc, {sum.sum, sum.rest}, old);
-    // Nothing is left of what an infinite sum has rounded away.
-    Value isNone = arith::CmpFOp::create(
-        builder, loc, arith::CmpFPredicate::UNO, total.rest, total.rest);
-    Value zero = arith::ConstantOp::create(
-        builder, loc, builder.getFloatAttr(total.rest.getType(), 0.0));
-    Value rest =
-        arith::SelectOp::create(builder, loc, isNone, zero, total.rest);
-    next = LLVM::FAddOp::create(builder, loc, total.sum, rest);
+    next = emitRounded(builder, loc, emitPairSum(builder, loc, sum, old));
   } else {
     Value wide = emitWidened(builder, loc, old, sum.sum.getType());
     next = emitNarrowed(

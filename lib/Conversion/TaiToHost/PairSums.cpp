@@ -43,7 +43,17 @@ Pair tai::emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x) {
   return {sum, add(pair.rest, lost)};
 }
 
-/// The same, of lanes. Where additions and fused operations are done by two
+Value tai::emitRounded(OpBuilder &builder, Location loc, Pair pair) {
+  // Nothing is left of what an infinite sum has rounded away.
+  Value isNone = arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::UNO,
+                                       pair.rest, pair.rest);
+  Value zero = arith::ConstantOp::create(
+      builder, loc, builder.getFloatAttr(pair.rest.getType(), 0.0));
+  Value rest = arith::SelectOp::create(builder, loc, isNone, zero, pair.rest);
+  return LLVM::FAddOp::create(builder, loc, pair.sum, rest);
+}
+
+/// Adds to pairs in lanes. Where additions and fused operations are done by two
 /// kinds of units, each has half of the work; a product with a one or its
 /// opposite, which LLVM does not see, rounds nothing.
 static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x,

@@ -28,6 +28,9 @@ struct Pair {
 /// Adds `x` to the pair (two-sum). The operations have no fast-math flags.
 Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x);
 
+/// The pair as one number.
+Value emitRounded(OpBuilder &builder, Location loc, Pair pair);
+
 /// Whether each update runs at most once in an iteration of the innermost loop
 /// that `loop` is lowered to, directly in its body.
 bool areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop);
