@@ -89,7 +89,7 @@ def collide(t: int):
 
 
 @ti.kernel
-def move(t: int):
+def integrate(t: int):
     for i in range(N):
         speed = v[at(t - 1), i] + impulse[at(t), i]
         x[at(t), i] = x[at(t - 1), i] + DT * speed + shift[at(t), i]
@@ -105,7 +105,7 @@ def forward():
     place_balls()
     for t in range(1, STEPS):
         collide(t)
-        move(t)
+        integrate(t)
     measure(STEPS - 1)
 
 
@@ -175,7 +175,7 @@ def film():
     place_balls()
     for t in range(1, STEPS):
         collide(t)
-        move(t)
+        integrate(t)
         if t % 8 == 0:
             yield x.to_numpy()[0 if args.in_place else t]
 

@@ -61,7 +61,7 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.kernel
-def think(t: int):
+def hidden_layer(t: int):
     """The hidden layer of the network."""
     seen = t if ti.static(SEES_OLD) else t - 1
     for i in range(N_HIDDEN):
@@ -73,7 +73,7 @@ def think(t: int):
 
 
 @ti.kernel
-def command(t: int):
+def output_layer(t: int):
     """The output layer: a charge for each electrode."""
     for i in range(N):
         total = b2[i]
@@ -83,7 +83,7 @@ def command(t: int):
 
 
 @ti.kernel
-def move(t: int):
+def integrate(t: int):
     force = ti.Vector([0.0, 0.0])
     for i in range(N):
         r = x[t - 1] - electrode[i]
@@ -112,9 +112,9 @@ def descend(rate: float):
 
 def forward():
     for t in range(1, STEPS):
-        think(t)
-        command(t)
-        move(t)
+        hidden_layer(t)
+        output_layer(t)
+        integrate(t)
     measure()
 
 
@@ -124,7 +124,7 @@ def by_tape():
 
 
 def reread():
-    """Goes back by hand. `think` reads what the slots hold now, not what it saw."""
+    """Goes back by hand. `hidden_layer` reads what the slots hold now, not what it saw."""
     loss[None] = 0
     forward()
     for field in (x, v, hidden, charge, *WEIGHTS.values()):
@@ -132,9 +132,9 @@ def reread():
     loss.grad[None] = 1
     measure.grad()
     for t in reversed(range(1, STEPS)):
-        move.grad(t)
-        command.grad(t)
-        think.grad(t)
+        integrate.grad(t)
+        output_layer.grad(t)
+        hidden_layer.grad(t)
 
 
 def paths(generator):
@@ -143,7 +143,7 @@ def paths(generator):
         yield np.array([[0.2 + 0.6 * generator.random() for _ in range(2)] for _ in range(3)])
 
 
-def lead(path):
+def set_path(path):
     """Sets the goal of each slot, and puts the ball at the first one."""
     half = STEPS // 2
     share = (np.arange(STEPS) % half / half)[:, None]
@@ -170,12 +170,12 @@ def set_up():
         w.from_numpy(np.reshape(numbers, w.shape))
     numbered_paths = enumerate(paths(generator))
     electrode.from_numpy(np.array(ELECTRODES))
-    lead(next(numbered_paths)[1])
+    set_path(next(numbered_paths)[1])
     forward()
 
 
 def iteration(number):
-    lead(path_of(number))
+    set_path(path_of(number))
     by_tape() if args.gradient == "tape" else reread()
     lengths = {f"|d{n}|": np.linalg.norm(w.grad.to_numpy()) for n, w in WEIGHTS.items()}
     descend(args.rate)
@@ -192,7 +192,7 @@ def slopes(gradient, seen):
 
 def check():
     """Derivatives along a random direction of all weights: a difference, and both gradients."""
-    lead(path_of(0))
+    set_path(path_of(0))
     seen = x.to_numpy(), v.to_numpy()
     generator = np.random.RandomState(args.seed)
     way = [generator.standard_normal(w.shape) for w in WEIGHTS.values()]

@@ -50,7 +50,7 @@ def clear():
 
 
 @ti.kernel
-def pull():
+def apply_springs():
     for s in first:
         a, b = first[s], second[s]
         way = x[b] - x[a]
@@ -81,7 +81,7 @@ def measure():
 
 def step():
     clear()
-    pull()
+    apply_springs()
     kick()
     drift()
 
@@ -116,12 +116,12 @@ def segment_in_reverse(number):
         states.append((x.to_numpy(), v.to_numpy()))
         step()
     for position, velocity in reversed(states):
-        # What `pull` read; the other kernels are linear, and their gradients read nothing.
+        # What `apply_springs` read; the other kernels are linear, and their gradients read nothing.
         x.from_numpy(position)
         v.from_numpy(velocity)
         drift.grad()
         kick.grad()
-        pull.grad()
+        apply_springs.grad()
         clear.grad()
 
 

@@ -121,7 +121,7 @@ def find_centre(t: int):
 
 
 @ti.kernel
-def look(t: int):
+def gather_inputs(t: int):
     """What the network sees: waves, the points around their centre, the goal."""
     for j in range(N_WAVES):
         seen[at(t), j] = ti.sin(10.0 * t * DT + 2 * math.pi / N_WAVES * j)
@@ -134,7 +134,7 @@ def look(t: int):
 
 
 @ti.kernel
-def think(t: int):
+def hidden_layer(t: int):
     """The hidden layer of the network."""
     for i in range(N_HIDDEN):
         total = b1[i]
@@ -144,7 +144,7 @@ def think(t: int):
 
 
 @ti.kernel
-def command(t: int):
+def output_layer(t: int):
     """The output layer: what each muscle is told, from -1 to 1."""
     for i in range(N_SPRINGS):
         total = b2[i]
@@ -154,7 +154,7 @@ def command(t: int):
 
 
 @ti.kernel
-def pull(t: int):
+def apply_springs(t: int):
     for i in range(N_SPRINGS):
         a, b = end[i][0], end[i][1]
         way = x[at(t), a] - x[at(t), b]
@@ -166,7 +166,7 @@ def pull(t: int):
 
 
 @ti.kernel
-def move(t: int):
+def integrate(t: int):
     """From the slot before t to t. What meets the floor stays."""
     for i in range(N):
         place = x[at(t - 1), i]
@@ -194,11 +194,11 @@ def advance(t):
     if args.in_place:
         clear_impulses()
     find_centre(t - 1)
-    look(t - 1)
-    think(t - 1)
-    command(t - 1)
-    pull(t - 1)
-    move(t)
+    gather_inputs(t - 1)
+    hidden_layer(t - 1)
+    output_layer(t - 1)
+    apply_springs(t - 1)
+    integrate(t)
 
 
 def begin():

@@ -104,10 +104,10 @@ x = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
 v = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
 angle = ti.field(float, shape=(SLOTS, N), needs_grad=True)
 spin = ti.field(float, shape=(SLOTS, N), needs_grad=True)
-more_x = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
-more_v = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
-more_angle = ti.field(float, shape=(SLOTS, N), needs_grad=True)
-more_spin = ti.field(float, shape=(SLOTS, N), needs_grad=True)
+delta_x = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
+delta_v = ti.Vector.field(2, float, shape=(SLOTS, N), needs_grad=True)
+delta_angle = ti.field(float, shape=(SLOTS, N), needs_grad=True)
+delta_spin = ti.field(float, shape=(SLOTS, N), needs_grad=True)
 seen = ti.field(float, shape=(SLOTS, N_INPUTS), needs_grad=True)
 hidden = ti.field(float, shape=(SLOTS, N_HIDDEN), needs_grad=True)
 drive = ti.field(float, shape=(SLOTS, N_SPRINGS), needs_grad=True)
@@ -151,40 +151,40 @@ def rotation(t, i):
 
 
 @ti.func
-def speed_at(t, i, r):
+def velocity_at(t, i, r):
     return v[at(t), i] + spin[at(t), i] * ti.Vector([-r[1], r[0]])
 
 
 @ti.func
-def resistance(i, r, way):
+def inverse_effective_mass(i, r, way):
     """Speed that a unit impulse along `way` gives to the place at the end of r."""
     return inverse_mass(i) + r.cross(way) ** 2 * inverse_inertia(i)
 
 
 @ti.func
-def push(t, i, r, impulse, toi):
+def apply_impulse(t, i, r, impulse, toi):
     """An impulse at the end of r, some time into the step to t."""
     late = ti.min(ti.max(toi, 0.0), DT)
     by_speed = inverse_mass(i) * impulse
     by_spin = inverse_inertia(i) * r.cross(impulse)
-    more_v[at(t), i] += by_speed
-    more_spin[at(t), i] += by_spin
+    delta_v[at(t), i] += by_speed
+    delta_spin[at(t), i] += by_spin
     if ti.static(args.toi):
-        more_x[at(t), i] -= late * by_speed
-        more_angle[at(t), i] -= late * by_spin
+        delta_x[at(t), i] -= late * by_speed
+        delta_angle[at(t), i] -= late * by_spin
 
 
 @ti.kernel
 def clear():
-    for s, i in more_v:
-        more_x[s, i] = [0.0, 0.0]
-        more_v[s, i] = [0.0, 0.0]
-        more_angle[s, i] = 0.0
-        more_spin[s, i] = 0.0
+    for s, i in delta_v:
+        delta_x[s, i] = [0.0, 0.0]
+        delta_v[s, i] = [0.0, 0.0]
+        delta_angle[s, i] = 0.0
+        delta_spin[s, i] = 0.0
 
 
 @ti.kernel
-def look(t: int):
+def gather_inputs(t: int):
     """What the network sees: waves, the bodies around the head, the goal."""
     for j in range(N_WAVES):
         seen[at(t), j] = ti.sin(30.0 * t * DT + 2 * math.pi / N_WAVES * j)
@@ -200,7 +200,7 @@ def look(t: int):
 
 
 @ti.kernel
-def think(t: int):
+def hidden_layer(t: int):
     """The hidden layer of the network."""
     for i in range(N_HIDDEN):
         total = b1[i]
@@ -210,7 +210,7 @@ def think(t: int):
 
 
 @ti.kernel
-def command(t: int):
+def output_layer(t: int):
     """The output layer: what each muscle is told, from -1 to 1."""
     for i in range(N_SPRINGS):
         total = b2[i]
@@ -226,20 +226,24 @@ def collide(t: int):
         turn = rotation(t, i)
         for k in range(4):
             r = turn @ (half[i] * ti.Vector([k % 2 * 2 - 1, k // 2 * 2 - 1]))
-            speed = speed_at(t, i, r) + DT * ti.Vector([0.0, GRAVITY])
+            speed = velocity_at(t, i, r) + DT * ti.Vector([0.0, GRAVITY])
             height = x[at(t), i][1] + r[1] - FLOOR
             if speed[1] < 0 and height + DT * speed[1] < 0:
-                up = -(1 + RESTITUTION) * speed[1] / resistance(i, r, ti.Vector([0.0, 1.0]))
-                along = -speed[0] / resistance(i, r, ti.Vector([1.0, 0.0]))
+                up = (
+                    -(1 + RESTITUTION)
+                    * speed[1]
+                    / inverse_effective_mass(i, r, ti.Vector([0.0, 1.0]))
+                )
+                along = -speed[0] / inverse_effective_mass(i, r, ti.Vector([1.0, 0.0]))
                 along = ti.min(ti.max(along, -FRICTION * up), FRICTION * up)
                 toi = 0.0
                 if height > 0:
                     toi = -height / ti.min(speed[1], -1e-3)
-                push(t + 1, i, r + DT * speed, ti.Vector([along, up]), toi)
+                apply_impulse(t + 1, i, r + DT * speed, ti.Vector([along, up]), toi)
 
 
 @ti.kernel
-def pull(t: int):
+def apply_springs(t: int):
     for i in range(N_SPRINGS):
         a, b = end[i][0], end[i][1]
         ra, rb = rotation(t, a) @ place_a[i], rotation(t, b) @ place_b[i]
@@ -251,22 +255,26 @@ def pull(t: int):
         impulse = DT * (length - wanted) * stiffness[i] / length * way
         if rest_length[i] < 0:
             # A joint also stops what its ends do against one another.
-            slip = speed_at(t, a, ra) - speed_at(t, b, rb)
+            slip = velocity_at(t, a, ra) - velocity_at(t, b, rb)
             slip_speed = slip.norm() + 1e-1
             along = slip / slip_speed
-            impulse += slip_speed / (resistance(a, ra, along) + resistance(b, rb, along)) * along
-        push(t + 1, a, ra, -impulse, 0.0)
-        push(t + 1, b, rb, impulse, 0.0)
+            impulse += (
+                slip_speed
+                / (inverse_effective_mass(a, ra, along) + inverse_effective_mass(b, rb, along))
+                * along
+            )
+        apply_impulse(t + 1, a, ra, -impulse, 0.0)
+        apply_impulse(t + 1, b, rb, impulse, 0.0)
 
 
 @ti.kernel
-def move(t: int):
+def integrate(t: int):
     """From the slot before t to t."""
     for i in range(N):
-        speed = DECAY * v[at(t - 1), i] + more_v[at(t), i] + DT * ti.Vector([0.0, GRAVITY])
-        turn = DECAY * spin[at(t - 1), i] + more_spin[at(t), i]
-        x[at(t), i] = x[at(t - 1), i] + DT * speed + more_x[at(t), i]
-        angle[at(t), i] = angle[at(t - 1), i] + DT * turn + more_angle[at(t), i]
+        speed = DECAY * v[at(t - 1), i] + delta_v[at(t), i] + DT * ti.Vector([0.0, GRAVITY])
+        turn = DECAY * spin[at(t - 1), i] + delta_spin[at(t), i]
+        x[at(t), i] = x[at(t - 1), i] + DT * speed + delta_x[at(t), i]
+        angle[at(t), i] = angle[at(t - 1), i] + DT * turn + delta_angle[at(t), i]
         v[at(t), i] = speed
         spin[at(t), i] = turn
 
@@ -279,12 +287,12 @@ def measure(t: int):
 def advance(t):
     if args.in_place:
         clear()
-    look(t - 1)
-    think(t - 1)
-    command(t - 1)
+    gather_inputs(t - 1)
+    hidden_layer(t - 1)
+    output_layer(t - 1)
     collide(t - 1)
-    pull(t - 1)
-    move(t)
+    apply_springs(t - 1)
+    integrate(t)
 
 
 def begin():
@@ -380,7 +388,7 @@ def main():
     set_up()
     losses = optimise()
     print(f"best     {min(losses):.4f} from the goal")
-    state = (x, v, angle, spin, more_x, more_v, more_angle, more_spin, seen, hidden, drive)
+    state = (x, v, angle, spin, delta_x, delta_v, delta_angle, delta_spin, seen, hidden, drive)
     studio.report_memory(args, *state)
     studio.plot_losses(args, losses)
     if args.picture:

@@ -42,7 +42,7 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
-def resistance(r, way):
+def inverse_effective_mass(r, way):
     return 1 / MASS + r.cross(way) ** 2 / INERTIA
 
 
@@ -50,7 +50,7 @@ def resistance(r, way):
 def move(t: int, friction: float):
     for i in range(N):
         c, s = ti.cos(angle[t - 1, i]), ti.sin(angle[t - 1, i])
-        more_v, more_spin = ti.Vector([0.0, 0.0]), 0.0
+        delta_v, delta_spin = ti.Vector([0.0, 0.0]), 0.0
         for k in range(4):
             a, b = HALF * (k % 2 * 2 - 1), HALF * (k // 2 * 2 - 1)
             r = ti.Vector([c * a - s * b, s * a + c * b])
@@ -58,18 +58,18 @@ def move(t: int, friction: float):
             depth = x[t - 1, i][1] + r[1] - FLOOR
             if depth < 0:
                 up, along = 0.0, 0.0
-                hard = resistance(r, ti.Vector([0.0, 1.0]))
+                hard = inverse_effective_mass(r, ti.Vector([0.0, 1.0]))
                 if speed[1] < 0:
                     up = -(1 + RESTITUTION) * speed[1] / hard
-                    along = -speed[0] / resistance(r, ti.Vector([1.0, 0.0]))
+                    along = -speed[0] / inverse_effective_mass(r, ti.Vector([1.0, 0.0]))
                     along = ti.min(ti.max(along, -friction * up), friction * up)
                 # Lifts what is below the floor, whether it goes down or up.
                 up -= DT * PENALTY * depth / hard
                 impulse = ti.Vector([along, up])
-                more_v += impulse / MASS
-                more_spin += r.cross(impulse) / INERTIA
-        v[t, i] = v[t - 1, i] + more_v
-        spin[t, i] = spin[t - 1, i] + more_spin
+                delta_v += impulse / MASS
+                delta_spin += r.cross(impulse) / INERTIA
+        v[t, i] = v[t - 1, i] + delta_v
+        spin[t, i] = spin[t - 1, i] + delta_spin
         x[t, i] = x[t - 1, i] + DT * v[t, i]
         angle[t, i] = angle[t - 1, i] + DT * spin[t, i]
 

@@ -1,7 +1,7 @@
 """How must the air be stirred so that a chequered smoke becomes a sign?
 
 A smoke solver in two dimensions: advection by bilinear look-up, then a few Jacobi sweeps
-that make the wind (almost) free of divergence. The unknown is the wind at the start; its
+that make the velocity (almost) free of divergence. The unknown is the velocity at the start; its
 gradient runs back through a hundred steps.
 
     python examples/smoke.py                             # 128², 10 sweeps, to the yin-yang sign
@@ -48,13 +48,13 @@ def real_field(slots):
     return ti.field(float, shape=(slots, N, N), needs_grad=True)
 
 
-# The wind in cells per step, before and after the projection; smoke; pressure by sweep.
-wind = ti.Vector.field(2, float, shape=(SLOTS, N, N), needs_grad=True)
+# The velocity in cells per step, before and after the projection; smoke; pressure by sweep.
+velocity = ti.Vector.field(2, float, shape=(SLOTS, N, N), needs_grad=True)
 advected = ti.Vector.field(2, float, shape=(SLOTS, N, N), needs_grad=True)
 divergence = real_field(SLOTS)
 smoke = [real_field(SLOTS) for _ in range(TURNS)]
 pressure = [real_field(PRESSURES) for _ in range(TURNS)]
-start = ti.Vector.field(2, float, shape=(N, N), needs_grad=True)  # the wind, to be found
+start = ti.Vector.field(2, float, shape=(N, N), needs_grad=True)  # the velocity, to be found
 smoke_at_start = ti.field(float, shape=(N, N))
 target = ti.field(float, shape=(N, N))
 loss = ti.field(float, shape=(), needs_grad=True)
@@ -78,8 +78,8 @@ def at(t):
 
 
 @ti.func
-def carried(q: ti.template(), slot, w, i, j):
-    """The quantity q at the place from which the wind w blew into cell (i, j)."""
+def backtrace(q: ti.template(), slot, w, i, j):
+    """The quantity q where what is now in cell (i, j) was before (semi-Lagrangian)."""
     x, y = i - w[0], j - w[1]
     x0, y0 = ti.floor(x), ti.floor(y)
     fx, fy = x - x0, y - y0
@@ -93,16 +93,16 @@ def carried(q: ti.template(), slot, w, i, j):
 @ti.kernel
 def begin(density: ti.template()):
     for i, j in start:
-        wind[0, i, j] = start[i, j]
+        velocity[0, i, j] = start[i, j]
         density[0, i, j] = smoke_at_start[i, j]
 
 
 @ti.kernel
-def advect_wind(t: ti.i32):
+def advect_velocity(t: ti.i32):
     for i, j in ti.ndrange(N, N):
         last, now = at(t - 1), at(t)
-        w = wind[last, i, j]
-        advected[now, i, j] = carried(wind, last, w, i, j)
+        w = velocity[last, i, j]
+        advected[now, i, j] = backtrace(velocity, last, w, i, j)
 
 
 @ti.kernel
@@ -116,7 +116,7 @@ def compute_divergence(t: ti.i32):
 
 @ti.kernel
 def project(p: ti.template(), number: ti.i32, t: ti.i32):
-    """Takes the gradient of the pressure out of the wind."""
+    """Takes the gradient of the pressure out of the velocity."""
     for i, j in ti.ndrange(N, N):
         now, s = at(t), at(number)
         push = ti.Vector(
@@ -125,7 +125,7 @@ def project(p: ti.template(), number: ti.i32, t: ti.i32):
                 p[s, i, after(j)] - p[s, i, before(j)],
             ]
         )
-        wind[now, i, j] = advected[now, i, j] - 0.5 * push / DX
+        velocity[now, i, j] = advected[now, i, j] - 0.5 * push / DX
 
 
 @ti.kernel
@@ -142,8 +142,8 @@ def sweep(old: ti.template(), new: ti.template(), number: ti.i32, t: ti.i32):
 def advect_smoke(old: ti.template(), new: ti.template(), t: ti.i32):
     for i, j in ti.ndrange(N, N):
         now = at(t)
-        w = wind[now, i, j]
-        new[now, i, j] = carried(old, at(t - 1), w, i, j)
+        w = velocity[now, i, j]
+        new[now, i, j] = backtrace(old, at(t - 1), w, i, j)
 
 
 @ti.kernel
@@ -153,7 +153,7 @@ def compute_loss(density: ti.template()):
         loss[None] += (target[i, j] - density[last, i, j]) ** 2 / N**2
 
 
-def turn(fields, number):
+def buffer_of(fields, number):
     return fields[number % len(fields)]
 
 
@@ -164,14 +164,14 @@ def simulate():
         if args.in_place:
             field.fill(0.0)
     for t in range(1, STEPS):
-        advect_wind(t)
+        advect_velocity(t)
         compute_divergence(t)
         # As in the published program: by the last but one sweep of the step before.
         first = t * SWEEPS
-        project(turn(pressure, first - 1), first - 1, t)
+        project(buffer_of(pressure, first - 1), first - 1, t)
         for s in range(first, first + SWEEPS):
-            sweep(turn(pressure, s), turn(pressure, s + 1), s, t)
-        advect_smoke(turn(smoke, t - 1), turn(smoke, t), t)
+            sweep(buffer_of(pressure, s), buffer_of(pressure, s + 1), s, t)
+        advect_smoke(buffer_of(smoke, t - 1), buffer_of(smoke, t), t)
         yield t
 
 
@@ -185,7 +185,7 @@ def iteration(_):
     with studio.tape(args, loss):
         for _ in simulate():
             pass
-        compute_loss(turn(smoke, STEPS - 1))
+        compute_loss(buffer_of(smoke, STEPS - 1))
     norm = np.linalg.norm(start.grad.to_numpy())
     descend(args.rate)
     return {"loss": loss[None], "|dv|": norm}
@@ -196,7 +196,7 @@ def film():
     slots = [smoke_at_start.to_numpy()]
     for t in simulate():
         if t % 2 == 0 or t == STEPS - 1:
-            slots.append(turn(smoke, t).to_numpy()[0 if args.in_place else t])
+            slots.append(buffer_of(smoke, t).to_numpy()[0 if args.in_place else t])
     for slot in slots:
         colours = studio.shades(slot, 0, 1, (studio.INK, studio.SOFT, studio.PAPER))
         yield (255 * colours.repeat(3, 0).repeat(3, 1)).astype(np.uint8)
@@ -212,7 +212,7 @@ def main():
     sign = signs.peace if args.setting == "stripes-peace" else signs.yin_yang
     target.from_numpy(signs.from_file(args.target, N) if args.target else sign(N))
     losses = studio.optimise(args, iteration, start=start)
-    studio.report_memory(args, wind, advected, divergence, *smoke, *pressure)
+    studio.report_memory(args, velocity, advected, divergence, *smoke, *pressure)
     studio.plot_losses(args, losses)
     if args.picture:
         studio.movie(args, list(film()), framerate=20)

@@ -57,7 +57,7 @@ def at(i, j):
 
 
 @ti.kernel
-def let_go():
+def initialise():
     for i, j in start:
         change[i, j] = -start[i, j]
         height[i, j] = 0.0
@@ -98,7 +98,7 @@ def descend(rate: float):
 
 
 def forward():
-    let_go()
+    initialise()
     for _ in range(2, STEPS):
         bend()
         move()

@@ -43,7 +43,7 @@ def height(t, i, j):
 
 
 @ti.func
-def bend(t, i, j):
+def laplacian_step(t, i, j):
     """What the Laplacian adds in a step, by central differences."""
     neighbours = height(t, i - 1, j) + height(t, i + 1, j)
     neighbours += height(t, i, j - 1) + height(t, i, j + 1)
@@ -51,7 +51,7 @@ def bend(t, i, j):
 
 
 @ti.kernel
-def let_go():
+def initialise():
     for i, j in start:
         u[0, i, j] = start[i, j]
 
@@ -60,7 +60,7 @@ def let_go():
 def step(t: ti.i32):
     """The wave equation in time and space."""
     for i, j in start:
-        u[t, i, j] = 2 * u[t - 1, i, j] - u[t - 2, i, j] + bend(t - 1, i, j)
+        u[t, i, j] = 2 * u[t - 1, i, j] - u[t - 2, i, j] + laplacian_step(t - 1, i, j)
 
 
 # The same in place. All updates are linear and add to what is there: the reverse sweep needs
@@ -68,7 +68,7 @@ def step(t: ti.i32):
 
 
 @ti.kernel
-def let_go_in_place():
+def initialise_in_place():
     """The state in slot 1, where all heights are 0."""
     for i, j in start:
         change[i, j] = -start[i, j]
@@ -76,13 +76,13 @@ def let_go_in_place():
 
 
 @ti.kernel
-def bend_in_place():
+def add_laplacian_in_place():
     for i, j in start:
-        change[i, j] += bend(0, i, j)
+        change[i, j] += laplacian_step(0, i, j)
 
 
 @ti.kernel
-def move_in_place():
+def integrate_in_place():
     for i, j in start:
         u[0, i, j] += change[i, j]
 
@@ -102,13 +102,13 @@ def descend(rate: float):
 def simulate():
     """Yields the times when they are reached."""
     if args.in_place:
-        let_go_in_place()
+        initialise_in_place()
     else:
-        let_go()
+        initialise()
     for t in range(2, STEPS):
         if args.in_place:
-            bend_in_place()
-            move_in_place()
+            add_laplacian_in_place()
+            integrate_in_place()
         else:
             step(t)
         yield t

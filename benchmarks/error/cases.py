@@ -59,7 +59,7 @@ def _billiards(module):
 
 def _electric(module):
     module.set_up()
-    module.lead(module.path_of(0))
+    module.set_path(module.path_of(0))
     weights = list(module.WEIGHTS.values())
     # The path of iteration 0 has been drawn.
     return module.forward, weights, lambda number: module.iteration(number + 1)
