@@ -217,7 +217,7 @@ class Simulation:
                 self.loss[None] -= self.x[self.steps - 1, p][0] / self.solids
 
     @ti.kernel
-    def descend(self, rate: ti.f32):
+    def descend(self, rate: float):
         for i, j in self.weights:
             self.weights[i, j] -= rate * self.weights.grad[i, j]
         for i in self.bias:
