@@ -56,7 +56,7 @@ ENTRIES = [
           "A ripple that becomes the sign, 256 steps later."),
     Entry("volume_renderer", "--res 128 --views 4 --iterations 30", "png", "picture", 600,
           "Above, four shadows of a body; below, those of the body that was found from them."),
-    Entry("electric", "", "gif", "film", 480, "Eight electrodes steer a ball along a path that it has not seen before.",
+    Entry("electric", "", "gif", "film", 480, "Eight electrodes steer a ball along a new path.",
           "electric"),
     Entry("liquid", "--steps 128 --iterations 3 --rate 100 --movie png", "", "last", 470,
           "A robot below a pool of liquid, a quarter of a second after the start.", "liquid"),
