@@ -169,38 +169,35 @@ def take_best(**kept) -> None:
 
 
 @contextlib.contextmanager
+def _handled(numbers: Iterable[int], handler: Callable):
+    """Signals go to the handler meanwhile; in the main thread, which alone gets them."""
+    try:
+        before = [(number, signal.signal(number, handler)) for number in numbers]
+    except ValueError:  # not in the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        for number, old in before:
+            signal.signal(number, old)
+
+
 def _interruptible():
     """A batch system's SIGTERM counts as Ctrl-C."""
 
     def stop(*_):
         raise KeyboardInterrupt
 
-    try:
-        before = signal.signal(signal.SIGTERM, stop)
-    except ValueError:  # not in the main thread
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    return _handled([signal.SIGTERM], stop)
 
 
 @contextlib.contextmanager
 def _uninterrupted():
     """Ctrl-C and SIGTERM wait for what is in here: an impatient second one loses nothing."""
     came = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    try:
-        before = [signal.signal(number, lambda *_: came.append(True)) for number in numbers]
-    except ValueError:  # not in the main thread
+    with _handled([signal.SIGINT, signal.SIGTERM], lambda *_: came.append(True)):
         yield
-        return
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
     if came:
         raise KeyboardInterrupt
 

@@ -113,6 +113,10 @@ ObjectCompiler::create(const CodegenOptions &options) {
       CodeModel::Small, levels[std::min(options.optLevel, 3u)], /*JIT=*/true));
   if (!compiler->machine)
     return createStringError("no target machine for %s", cpu->triple.c_str());
+  // Fast code has glibc's, which are shorter.
+  if (!options.fastMath)
+    compiler->vectorMath = std::make_unique<VectorMath>(
+        *compiler->machine, is_contained(getVectorLibraries(), kSleef));
   return compiler;
 }
 
@@ -220,10 +224,6 @@ void ObjectCompiler::runPasses(Module &module) {
     libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,
                                                    machine->getTargetTriple());
   functions.registerPass([&] { return TargetLibraryAnalysis(libraryInfo); });
-  // Fast code has glibc's, which are shorter.
-  std::optional<VectorMath> vectorMath;
-  if (!options.fastMath)
-    vectorMath.emplace(*machine, is_contained(getVectorLibraries(), kSleef));
   // The pipeline's own value numbering and vectoriser make way for ours, which
   // is all that an option of the pipeline could do, if it had one.
   PassInstrumentationCallbacks callbacks;

@@ -29,6 +29,8 @@ class raw_pwrite_stream;
 
 namespace mlir::tai {
 
+class VectorMath;
+
 /// The options that affect machine code; see Options.def.
 struct CodegenOptions {
 #define TAI_CODEGEN_OPTION(type, member, initial, key) type member = initial;
@@ -96,6 +98,8 @@ private:
 
   CodegenOptions options;
   std::unique_ptr<llvm::TargetMachine> machine;
+  /// What loops may call; none where floats are fast.
+  std::unique_ptr<VectorMath> vectorMath;
   bool broken = false;
 };
 

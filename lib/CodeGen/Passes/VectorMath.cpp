@@ -59,8 +59,7 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
 #include "tai/ABI/VectorMath.def"
   if (!hasSleef)
     return;
-#define TAI_SLEEF_FUNCTION(name, arguments, type, least)                       \
-  addSleef(#name, #type, least);
+#define TAI_SLEEF_FUNCTION(name, type, least) addSleef(#name, #type, least);
 #include "tai/ABI/VectorMath.def"
 }
 

@@ -48,8 +48,6 @@ public:
   /// The forms of what the call calls, if it may be replaced by them.
   const Forms *find(const llvm::CallInst &call) const;
 
-  bool isEmpty() const { return forms.empty(); }
-
 private:
   /// By the names of LLVM's intrinsic and of libm's function.
   llvm::StringMap<Forms> forms;

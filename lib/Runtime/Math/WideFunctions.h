@@ -94,25 +94,25 @@ template <int lanes> struct Wide {
   }
 
   /// The result as f32 where it is covered; that of libm where it is not.
-  TAI_WIDE_INLINE F32 finish(F64 wide, I64 covered, F32 x,
-                             float (*libm)(float)) {
+  template <typename Libm, typename... X>
+  TAI_WIDE_INLINE F32 finish(F64 wide, I64 covered, Libm libm, X... x) {
     F32 result = truncate(wide);
     if (__builtin_expect(!all(covered), false))
       for (int i = 0; i < lanes; ++i)
         if (!covered[i])
-          result[i] = libm(x[i]);
+          result[i] = libm(x[i]...);
     return result;
   }
 
   TAI_WIDE_INLINE F32 sin(F32 x) {
     I64 covered;
     F64 wide = sine(extend(x), 0, covered);
-    return finish(wide, covered, x, sinf);
+    return finish(wide, covered, sinf, x);
   }
   TAI_WIDE_INLINE F32 cos(F32 x) {
     I64 covered;
     F64 wide = sine(extend(x), 1, covered);
-    return finish(wide, covered, x, cosf);
+    return finish(wide, covered, cosf, x);
   }
 
   /// The logarithm to base 2 of a positive normal f64, to 2^-44 of itself.
@@ -136,7 +136,7 @@ template <int lanes> struct Wide {
   TAI_WIDE_INLINE F32 logarithm(F32 x, double ofTwo, float (*libm)(float)) {
     F64 wide = extend(x);
     I64 covered = (wide > 0.) & (wide < __builtin_inf());
-    return finish(binaryLogarithm(wide) * ofTwo, covered, x, libm);
+    return finish(binaryLogarithm(wide) * ofTwo, covered, libm, x);
   }
   TAI_WIDE_INLINE F32 log(F32 x) {
     return logarithm(x, 0x1.62e42fefa39efp-1, logf);
@@ -153,7 +153,7 @@ template <int lanes> struct Wide {
     // What the sum rounds away, to first order.
     F64 rest = (wide - (sum - 1.)) / sum;
     F64 result = fma(binaryLogarithm(sum), F64(0x1.62e42fefa39efp-1), rest);
-    return finish(withSignOf(wide, result), covered, x, log1pf);
+    return finish(withSignOf(wide, result), covered, log1pf, x);
   }
 
   /// 2^x as scale + scale * minusOne for |x| < 1000, where minusOne is right to
@@ -178,7 +178,7 @@ template <int lanes> struct Wide {
     F64 t = extend(x) * log;
     I64 covered = __builtin_elementwise_abs(t) < 126.;
     // What does not matter does not overflow either.
-    return finish(powerOfTwo(number(bits(t) & covered)), covered, x, libm);
+    return finish(powerOfTwo(number(bits(t) & covered)), covered, libm, x);
   }
   TAI_WIDE_INLINE F32 exp(F32 x) { return power(x, 0x1.71547652b82fep0, expf); }
   TAI_WIDE_INLINE F32 exp2(F32 x) { return power(x, 1., exp2f); }
@@ -191,7 +191,7 @@ template <int lanes> struct Wide {
     wide = number(bits(wide) & covered);
     F64 minusOne, scale = splitPower(wide * 0x1.71547652b82fep1, minusOne);
     F64 t = fma(scale, minusOne, scale - 1.);
-    return finish(withSignOf(wide, t / (t + 2.)), covered, x, tanhf);
+    return finish(withSignOf(wide, t / (t + 2.)), covered, tanhf, x);
   }
 
   TAI_WIDE_INLINE F32 pow(F32 x, F32 y) {
@@ -200,12 +200,7 @@ template <int lanes> struct Wide {
     // Every positive f32 is a normal f64.
     I64 covered = (wideX > 0.) & (wideX < __builtin_inf()) &
                   (__builtin_elementwise_abs(t) < 126.);
-    F32 result = truncate(powerOfTwo(number(bits(t) & covered)));
-    if (__builtin_expect(!all(covered), false))
-      for (int i = 0; i < lanes; ++i)
-        if (!covered[i])
-          result[i] = powf(x[i], y[i]);
-    return result;
+    return finish(powerOfTwo(number(bits(t) & covered)), covered, powf, x, y);
   }
 };
 } // namespace

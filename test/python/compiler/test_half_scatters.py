@@ -6,19 +6,13 @@ import numpy as np
 import pytest
 import tai as ti
 
+from half_floats import nearest
+
 
 @pytest.fixture(autouse=True)
 def on_cpu():
     if os.environ.get("TI_ARCH") == "cuda":
         pytest.skip("on a GPU each addition is rounded: docs/roadmap.md")
-
-
-def nearest(values, dt):
-    """As f16, or bf16 by the upper half of f32; ties aside."""
-    if dt == ti.f16:
-        return values.astype(np.float16).astype(np.float32)
-    bits = values.astype(np.float32).view(np.uint32)
-    return ((bits + np.uint32(0x8000)) & np.uint32(0xFFFF0000)).view(np.float32)
 
 
 @pytest.mark.parametrize("dt", [ti.f16, ti.bf16])

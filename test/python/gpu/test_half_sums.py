@@ -6,20 +6,14 @@ import numpy as np
 import pytest
 import tai as ti
 
+from half_floats import nearest
+
 
 @pytest.fixture(autouse=True)
 def device(monkeypatch):
     if os.environ.get("TI_ARCH") != "cuda":
         monkeypatch.setenv("TI_ARCH", "cuda")
         monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
-
-
-def nearest(value, dt):
-    """As f16, or bf16 by its upper half of an f32, ties aside."""
-    if dt == ti.f16:
-        return float(np.float16(value))
-    bits = np.float32(value).view(np.uint32)
-    return float(((bits + np.uint32(0x8000)) & np.uint32(0xFFFF0000)).view(np.float32))
 
 
 @pytest.mark.parametrize("dt", [ti.f16, ti.bf16])
