@@ -76,38 +76,40 @@ bool LoopAnalysis::isOwn(Operation *op, FlatSymbolRefAttr name,
   return isOwnAccess(loop, layout, op, name, indices);
 }
 
-bool LoopAnalysis::staysZeroResult(Operation *op, unsigned number) const {
+bool mlir::tai::isZeroOfZeros(OpResult result,
+                              llvm::function_ref<bool(Value)> isZero) {
   Attribute constant;
-  if (matchPattern(op->getResult(number), m_Constant(&constant)))
-    return matchPattern(op->getResult(number), m_AnyZeroFloat());
-  return llvm::TypeSwitch<Operation *, bool>(op)
-      .Case([&](LoadOp load) {
-        return sources.contains(load.getFieldAttr().getAttr()) &&
-               isOwn(load, load.getFieldAttr(), load.getIndices());
-      })
-      // Of a product, one factor is enough: the others are finite.
+  if (matchPattern(Value(result), m_Constant(&constant)))
+    return matchPattern(Value(result), m_AnyZeroFloat());
+  return llvm::TypeSwitch<Operation *, bool>(result.getOwner())
       .Case<arith::MulFOp, MatmulOp, DotOp, CrossOp, OuterOp>(
           [&](Operation *product) {
-            return llvm::any_of(product->getOperands(),
-                                [&](Value v) { return zeros.contains(v); });
+            return llvm::any_of(product->getOperands(), isZero);
           })
-      .Case([&](arith::DivFOp quotient) {
-        return zeros.contains(quotient.getLhs());
-      })
+      .Case([&](arith::DivFOp quotient) { return isZero(quotient.getLhs()); })
       .Case([&](arith::SelectOp select) {
-        return zeros.contains(select.getTrueValue()) &&
-               zeros.contains(select.getFalseValue());
+        return isZero(select.getTrueValue()) && isZero(select.getFalseValue());
       })
       .Case<arith::AddFOp, arith::SubFOp, arith::NegFOp, arith::ExtFOp,
             arith::TruncFOp, TransposeOp, SumOp, TraceOp,
             vector::FromElementsOp, vector::BroadcastOp, vector::ShuffleOp>(
-          [&](Operation *linear) { return areZero(linear->getOperands()); })
+          [&](Operation *linear) {
+            return llvm::all_of(linear->getOperands(), isZero);
+          })
       .Case([&](vector::ExtractOp extract) {
-        return zeros.contains(extract->getOperand(0));
+        return isZero(extract.getSource());
       })
       .Case([&](vector::InsertOp insert) {
-        return zeros.contains(insert->getOperand(0)) &&
-               zeros.contains(insert->getOperand(1));
+        return isZero(insert.getValueToStore()) && isZero(insert.getDest());
+      })
+      .Default([](Operation *) { return false; });
+}
+
+bool LoopAnalysis::staysZeroResult(Operation *op, unsigned number) const {
+  return llvm::TypeSwitch<Operation *, bool>(op)
+      .Case([&](LoadOp load) {
+        return sources.contains(load.getFieldAttr().getAttr()) &&
+               isOwn(load, load.getFieldAttr(), load.getIndices());
       })
       .Case([&](scf::IfOp branch) {
         return llvm::all_of(branch->getRegions(), [&](Region &region) {
@@ -121,7 +123,10 @@ bool LoopAnalysis::staysZeroResult(Operation *op, unsigned number) const {
                zeros.contains(
                    inner.getBody()->getTerminator()->getOperand(number));
       })
-      .Default([](Operation *) { return false; });
+      .Default([&](Operation *other) {
+        return isZeroOfZeros(other->getResult(number),
+                             [&](Value v) { return zeros.contains(v); });
+      });
 }
 
 bool LoopAnalysis::staysZero(Value value) const {

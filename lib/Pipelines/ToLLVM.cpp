@@ -30,6 +30,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
       // The interior's answers are constants now, and dead questions go.
       addCanonicalization(function);
     }
+    if (fast && options.skip.has(Skip::UntakenBranches))
+      function.addPass(createSinkAdjoints());
     // A test of the results stands for many of single values; the fast floats
     // assume that all of them succeed.
     if (fast && !options.fastMath)

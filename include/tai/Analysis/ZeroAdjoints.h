@@ -21,6 +21,11 @@ struct LoopFlags {
   bool sumsUp = false;
 };
 
+/// Whether a result of an op without regions is zero where the operands with
+/// `isZero` are. Of a product, one factor is enough: guards see to it that a
+/// zero adjoint contributes zero, whatever the partial derivative is.
+bool isZeroOfZeros(OpResult result, llvm::function_ref<bool(Value)> isZero);
+
 /// The loops of an adjoint over sparse fields; see
 /// docs/decisions/0007-adjoint-flags.md.
 std::vector<LoopFlags> findLoopFlags(KernelOp primal, KernelOp adjoint);

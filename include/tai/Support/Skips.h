@@ -73,7 +73,8 @@ public:
   /// Those that affect generated code: passes query them.
   static constexpr SkipSet ofCompiler() {
     return SkipSet(bit(Skip::ActivityTests) | bit(Skip::RepeatedLookups) |
-                   bit(Skip::InactiveValues) | bit(Skip::UnneededRecords));
+                   bit(Skip::InactiveValues) | bit(Skip::UnneededRecords) |
+                   bit(Skip::UntakenBranches));
   }
 
   constexpr SkipSet() = default;

@@ -141,6 +141,39 @@ def FlattenBranches : Pass<"tai-flatten-branches"> {
   ];
 }
 
+def SinkAdjoints : Pass<"tai-sink-adjoints"> {
+  let summary = "move what only one arm of a branch contributes into that arm";
+  let description = [{
+    The reverse of `if contact: f += g(x)` is a branch that returns adjoints,
+    zeros where the branch was not taken, and behind it the reverse of what
+    computed `x`, which then adds zeros up. This pass moves that code into the
+    arm that is not zero, if all that it does is to contribute to adjoints.
+
+    Applies to branches that the reverse of a branch has marked, in kernels with
+    guards: a zero adjoint contributes zero there, whatever the partial
+    derivative is. Loops that LLVM may vectorise stay as they are.
+
+    ```mlir
+    %g = scf.if %c -> (f64) {
+      %0 = "some.adjoint"() : () -> f64
+      scf.yield %0 : f64
+    } else {
+      scf.yield %c0 : f64
+    } {tai.adjoint_branch}
+    %1 = arith.mulf %g, %partial : f64
+    %2 = tai.atomic add %1, @gx[%i] : f64
+    // becomes
+    scf.if %c {
+      %g = "some.adjoint"() : () -> f64
+      %1 = arith.mulf %g, %partial : f64
+      %2 = tai.atomic add %1, @gx[%i] : f64
+    }
+    ```
+  }];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::scf::SCFDialect"];
+}
+
 def SummarizeKernels : Pass<"tai-summarize-kernels"> {
   let summary = "list what each kernel reads, writes and accumulates";
   let description = [{

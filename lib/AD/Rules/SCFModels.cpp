@@ -17,6 +17,7 @@
 #include "mlir/IR/Matchers.h"
 #include "tai/AD/LoopHistory.h"
 #include "tai/AD/ParallelReverse.h"
+#include "tai/Dialect/Tai/IR/Guards.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -67,6 +68,8 @@ struct IfModel : AdjointLoopInterface::ExternalModel<IfModel, scf::IfOp> {
     auto mirrored = scf::IfOp::create(b, types, condition,
                                       /*addThenBlock=*/false,
                                       /*addElseBlock=*/false);
+    if (b.wantsGuards())
+      mirrored->setAttr(kAdjointBranch, b.getUnitAttr());
     mirrored.getThenRegion().takeBody(draft.getThenRegion());
     mirrored.getElseRegion().takeBody(draft.getElseRegion());
     draft.erase();

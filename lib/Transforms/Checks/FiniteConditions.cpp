@@ -29,13 +29,14 @@ bool mlir::tai::passesOn(OpOperand &use) {
              arith::ExtFOp, arith::TruncFOp, vector::BroadcastOp,
              vector::ExtractOp, vector::FromElementsOp, vector::InsertOp,
              vector::ShapeCastOp, vector::ToElementsOp, vector::FMAOp,
-             math::FmaOp, SumOp, TransposeOp, MatmulOp>(op);
+             math::FmaOp, SumOp, TransposeOp, MatmulOp, OuterOp, CrossOp,
+             DotOp>(op);
 }
 
 bool mlir::tai::keepsNonFinite(OpOperand &use) {
   Operation *op = use.getOwner();
   if (isa<math::AbsFOp, math::SqrtOp, math::LogOp, math::Log2Op, math::Log10Op,
-          math::Log1pOp, NormOp, DotOp, DeterminantOp, TraceOp>(op))
+          math::Log1pOp, NormOp, DeterminantOp, TraceOp>(op))
     // The trace drops what is not on the diagonal.
     return !isa<TraceOp>(op);
   return passesOn(use) && !isa<arith::SelectOp, vector::ExtractOp,
@@ -189,6 +190,10 @@ bool FiniteConditions::requireSeeds(Value value, Block &block) {
     return true;
   }
   Operation *op = value.getDefiningOp();
+  if (apart.contains(op)) {
+    finite.insert(value);
+    return true;
+  }
   // Guards around the block keep their conditions to themselves: what comes
   // from there may be infinite.
   bool comesFromAround = !block.findAncestorOpInBlock(*op);
@@ -274,7 +279,7 @@ bool FiniteConditions::requireFinite(Value value, Operation *at) {
   if (!isFloatOrVector(value.getType()) || !required.insert(value).second)
     return true;
   Operation *op = value.getDefiningOp();
-  if (isLeaf(value)) {
+  if (isLeaf(value) || apart.contains(op)) {
     finite.insert(value);
     return true;
   }
@@ -358,6 +363,22 @@ bool FiniteConditions::requireClear(Value value, Operation *at,
   if (isPositive || facts.isNonNegative(value, at))
     positive.insert(value);
   return true;
+}
+
+DenseSet<Value> FiniteConditions::findNonZero() const {
+  DenseSet<Value> result;
+  SmallVector<Value> pending(cleared.begin(), cleared.end());
+  while (!pending.empty()) {
+    Value value = pending.pop_back_val();
+    if (!result.insert(value).second)
+      continue;
+    // A product is not zero, nor is any factor.
+    Operation *op = value.getDefiningOp();
+    if (isa_and_nonnull<arith::MulFOp, arith::NegFOp, vector::BroadcastOp,
+                        math::SqrtOp, math::AbsFOp>(op))
+      llvm::append_range(pending, op->getOperands());
+  }
+  return result;
 }
 
 /// Whether each component of a vector is extracted, and told about.
@@ -487,7 +508,10 @@ void FiniteConditions::simplify(function_ref<bool(Value)> isAvailable) {
 Value FiniteConditions::createTest(OpBuilder &builder, Location loc,
                                    function_ref<bool(Value)> isIncluded) {
   SmallVector<Value> sums = llvm::filter_to_vector(finite, isIncluded);
-  Value all = createTestOfFinite(builder, loc, sums);
+  // Of a single value, the size says that it is finite, too.
+  bool isSingle = sums.size() == 1 && isa<FloatType>(sums[0].getType()) &&
+                  llvm::filter_to_vector(clear, isIncluded) == sums;
+  Value all = isSingle ? Value() : createTestOfFinite(builder, loc, sums);
   llvm::SmallMapVector<Type, SmallVector<Value>, 2> sizes;
   for (Value value : clear) {
     if (!isIncluded(value))
@@ -516,6 +540,16 @@ Value FiniteConditions::createTest(OpBuilder &builder, Location loc,
     all = createAnd(builder, loc, all,
                     arith::CmpFOp::create(
                         builder, loc, arith::CmpFPredicate::OGE, least, bound));
+    if (!isSingle)
+      continue;
+    Value infinity = arith::ConstantOp::create(
+        builder, loc,
+        builder.getFloatAttr(
+            type, APFloat::getInf(cast<FloatType>(type).getFloatSemantics())));
+    all =
+        createAnd(builder, loc, all,
+                  arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::OLT,
+                                        least, infinity));
   }
   return all;
 }

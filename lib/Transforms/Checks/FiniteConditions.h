@@ -45,6 +45,10 @@ Value createTestOfFinite(OpBuilder &builder, Location loc,
 /// The conditions on values under which guards have no effect.
 class FiniteConditions {
 public:
+  /// Ops whose results may be non-finite: the conditions of their guards are
+  /// not among these.
+  void setApart(DenseSet<Operation *> ops) { apart = std::move(ops); }
+
   /// Adds the conditions of a guard in the block, or in a region of its ops.
   /// False if none are known for it.
   bool require(arith::SelectOp guard, Block &block);
@@ -57,6 +61,8 @@ public:
   ArrayRef<Value> getFinite() const { return finite.getArrayRef(); }
   /// Values of which every component must be far enough from zero to divide by.
   ArrayRef<Value> getClear() const { return clear.getArrayRef(); }
+  /// Values that are not zero where the conditions hold.
+  DenseSet<Value> findNonZero() const;
   /// The number of components that are tested.
   int64_t count() const {
     return countComponents(getFinite()) + countComponents(getClear());
@@ -85,6 +91,7 @@ private:
   /// hold, and values for which being non-zero is not enough.
   DenseSet<Value> positive, strict;
   DenseSet<Value> required, cleared, followed;
+  DenseSet<Operation *> apart;
   DenseMap<Value, bool> told;
 };
 

@@ -28,9 +28,11 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/ZeroTests.h"
 #include "tai/Dialect/Tai/IR/Guards.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
+#include "tai/Transforms/Utils/Vectorization.h"
 #include "llvm/ADT/SetVector.h"
 
 namespace mlir::tai {
@@ -40,28 +42,6 @@ namespace mlir::tai {
 
 using namespace mlir;
 using namespace mlir::tai;
-
-/// Whether nothing hinders that the iterations of the innermost loop around the
-/// block run side by side in the lanes of vectors.
-static bool mayBeVectorized(Block &block) {
-  Operation *loop = block.getParentOp();
-  while (loop && !isa<LoopLikeOpInterface>(loop))
-    loop = loop->getParentOp();
-  if (!isa_and_nonnull<ParallelForOp>(loop))
-    return false;
-  // Loads of vectors, scatters and indices from memory keep loops scalar.
-  return !loop->walk([&](Operation *op) {
-                if (op != loop && isa<LoopLikeOpInterface>(op))
-                  return WalkResult::interrupt();
-                if (auto atomic = dyn_cast<AtomicOp>(op);
-                    atomic && !atomic.getExclusive())
-                  return WalkResult::interrupt();
-                if (isa<MatmulOp, InverseOp, DeterminantOp>(op))
-                  return WalkResult::interrupt();
-                return WalkResult::advance();
-              })
-              .wasInterrupted();
-}
 
 namespace {
 /// Versions the guards in the pure operations of a block that stand, or can be
@@ -308,6 +288,12 @@ static scf::IfOp createVersions(Operation *begin, Value condition,
   return branch;
 }
 
+static Value markLikely(OpBuilder &builder, Value condition) {
+  Location loc = condition.getLoc();
+  Value likely = arith::ConstantIntOp::create(builder, loc, /*value=*/1, 1);
+  return LLVM::ExpectOp::create(builder, loc, condition, likely);
+}
+
 void Segment::emit() {
   Location loc = guards.front()->getLoc();
   OpBuilder builder(end);
@@ -321,7 +307,8 @@ void Segment::emit() {
   SmallVector<Value> tested;
   for (Value value : findTested())
     tested.push_back(bare.lookupOrDefault(value));
-  Value isFinite = createTestOfFinite(builder, loc, tested);
+  Value isFinite =
+      markLikely(builder, createTestOfFinite(builder, loc, tested));
   SmallVector<Operation *> own;
   for (Operation *op : ops)
     if (dependents.contains(op) || conditions.contains(op))
@@ -361,8 +348,19 @@ namespace {
 /// are computed from.
 class EarlyTest {
 public:
-  explicit EarlyTest(Block &block) : block(block) {}
+  explicit EarlyTest(Block &block)
+      : block(block), scope(block), begin(block.begin()) {}
+  /// For the guards from `begin` on that the block has itself, in front of the
+  /// next op with guards in its regions. `apart` are ops in front of `begin`,
+  /// in `scope`, whose results are tested.
+  EarlyTest(Block &block, Block &scope, Block::iterator begin,
+            const DenseSet<Operation *> &apart)
+      : block(block), scope(scope), begin(begin), isPart(true) {
+    conditions.setApart(apart);
+  }
   bool run();
+  /// After a run: the block that does not have these guards.
+  Block &getBare() { return *bareBlock; }
 
 private:
   bool findGuards();
@@ -371,7 +369,10 @@ private:
   void moveBegin();
   Value createTest();
 
-  Block &block;
+  Block &block, &scope;
+  Block::iterator begin;
+  bool isPart = false;
+  Block *bareBlock = nullptr;
   /// Those whose results matter to more than conditions of guards.
   SmallVector<arith::SelectOp> guards;
   /// The first op in the block that is or has a guard.
@@ -397,15 +398,25 @@ static bool isForConditions(Operation *op, DenseMap<Operation *, bool> &known) {
   return known[op] = result;
 }
 
+static bool hasGuardsInside(Operation &op) {
+  return op.getNumRegions() != 0 && op.walk([](Operation *inner) {
+                                        return isGuard(inner)
+                                                   ? WalkResult::interrupt()
+                                                   : WalkResult::advance();
+                                      }).wasInterrupted();
+}
+
 /// False if there are loops, or too much to have it twice.
 bool EarlyTest::findGuards() {
   constexpr size_t most = 2000;
   DenseMap<Operation *, bool> known;
-  for (Operation &op : block) {
+  bool isBehind = false;
+  for (Operation &op : llvm::make_range(begin, block.end())) {
+    isBehind |= isPart && hasGuardsInside(op);
     WalkResult walked = op.walk([&](Operation *inner) {
       if (first && (isa<LoopLikeOpInterface>(inner) || ++numOps > most))
         return WalkResult::interrupt();
-      if (!isGuard(inner))
+      if (isBehind || !isGuard(inner))
         return WalkResult::advance();
       if (!first && op.walk([](LoopLikeOpInterface) {
                         return WalkResult::interrupt();
@@ -495,16 +506,14 @@ Value EarlyTest::createTest() {
               : test;
   }
   OpBuilder builder(first);
-  Value likely =
-      arith::ConstantIntOp::create(builder, all.getLoc(), /*value=*/1, 1);
-  return LLVM::ExpectOp::create(builder, all.getLoc(), all, likely);
+  return markLikely(builder, all);
 }
 
 bool EarlyTest::run() {
   if (!findGuards())
     return false;
   for (arith::SelectOp guard : guards)
-    if (!conditions.require(guard, block))
+    if (!conditions.require(guard, scope))
       return false;
   auto isThere = [&](Value value) { return canComeEarly(value); };
   conditions.simplify(isThere);
@@ -521,11 +530,20 @@ bool EarlyTest::run() {
   Value test = createTest();
   IRMapping bare;
   scf::IfOp branch = createVersions(first, test, bare, /*own=*/{});
+  bareBlock = branch.thenBlock();
+  // What derivatives of norms choose where a norm is zero.
+  DenseSet<Value> nonZero;
+  for (Value value : conditions.findNonZero())
+    nonZero.insert(bare.lookupOrDefault(value));
   SmallVector<arith::SelectOp> removed;
-  branch.getThenRegion().walk([&](arith::SelectOp select) {
-    if (isGuard(select))
-      removed.push_back(select);
-  });
+  for (Operation &op : *bareBlock) {
+    if (isPart && hasGuardsInside(op))
+      break;
+    op.walk([&](arith::SelectOp select) {
+      if (isGuard(select) || nonZero.contains(getTestedForZero(select)))
+        removed.push_back(select);
+    });
+  }
   for (arith::SelectOp guard : removed) {
     guard.getResult().replaceAllUsesWith(guard.getFalseValue());
     guard.erase();
@@ -539,13 +557,48 @@ static bool isBarrier(Operation *op) {
          !(isMemoryEffectFree(op) || hasSingleEffect<MemoryEffects::Read>(op));
 }
 
+static void versionGuards(Block &block);
+
+/// Versions the guards of a block, which has some in regions of its ops too, by
+/// a test for each part between these. False if no part can be tested.
+static bool versionParts(Block &start) {
+  if (llvm::none_of(start, hasGuardsInside))
+    return false;
+  Block *block = &start;
+  Block::iterator begin = block->begin();
+  DenseSet<Operation *> apart;
+  SmallVector<Operation *> between;
+  while (true) {
+    EarlyTest test(*block, start, begin, apart);
+    if (test.run()) {
+      block = &test.getBare();
+      begin = block->begin();
+    }
+    for (; begin != block->end() && !hasGuardsInside(*begin); ++begin)
+      if (isGuard(&*begin))
+        apart.insert(&*begin);
+    if (begin == block->end())
+      break;
+    between.push_back(&*begin);
+    apart.insert(&*begin);
+    ++begin;
+  }
+  if (block == &start)
+    return false;
+  for (Operation *op : between)
+    for (Region &region : op->getRegions())
+      for (Block &nested : region)
+        versionGuards(nested);
+  return true;
+}
+
 static void versionGuards(Block &block) {
   if (block.empty())
     return;
   bool hasGuards =
       llvm::any_of(block, [](Operation &op) { return isGuard(&op); }) &&
       !mayBeVectorized(block);
-  if (hasGuards && EarlyTest(block).run())
+  if (hasGuards && (EarlyTest(block).run() || versionParts(block)))
     return;
   SmallVector<Block *> inner;
   for (Operation &op : block)

@@ -265,3 +265,109 @@ tai.kernel @infinite_around() {
   }
   tai.return
 }
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 64], {x: f64, y: f64, gx: f64, gy: f64, p: i32, d: vector<3xf64>, gd: vector<3xf64>}>>
+tai.field @x = @t["x"] : f64, rank 1
+tai.field @y = @t["y"] : f64, rank 1
+tai.field @gx = @t["gx"] : f64, rank 1
+tai.field @gy = @t["gy"] : f64, rank 1
+tai.field @p = @t["p"] : i32, rank 1
+tai.field @d = @t["d"] : vector<3xf64>, rank 1
+tai.field @gd = @t["gd"] : vector<3xf64>, rank 1
+
+// A branch between the guards, with one that depends on what the branch alone
+// computes: each part has a test, and the last one also of what comes out of
+// the branch. The guarded code behind the first test has none of these.
+// CHECK-LABEL: tai.kernel @parts
+//       CHECK:   %[[FIRST:.+]] = llvm.intr.expect
+//       CHECK:   scf.if %[[FIRST]] {
+//   CHECK-NOT:     tai.guard
+//       CHECK:     %[[OUT:.+]] = scf.if %{{.+}} -> (f64) {
+//       CHECK:       %[[SECOND:.+]] = llvm.intr.expect
+//       CHECK:       scf.if %[[SECOND]]
+//   CHECK-NOT:         tai.guard
+//       CHECK:       } else {
+//       CHECK:         tai.guard
+//       CHECK:     %[[TEST:.+]] = arith.mulf %[[OUT]], %{{.+}} : f64
+//       CHECK:     %[[FINITE:.+]] = arith.cmpf ord, %[[TEST]], %[[TEST]]
+//       CHECK:     %[[THIRD:.+]] = llvm.intr.expect %[[FINITE]]
+//       CHECK:     scf.if %[[THIRD]] {
+//   CHECK-NOT:       tai.guard
+//       CHECK:       tai.atomic add
+//       CHECK:     } else {
+//       CHECK:       tai.guard_infinite
+//       CHECK:       tai.atomic add
+//       CHECK:   } else {
+//       CHECK:     tai.guard
+//   CHECK-NOT:     llvm.intr.expect
+//       CHECK:   tai.return
+tai.kernel @parts() {
+  %zero = arith.constant 0.0 : f64
+  tai.parallel_for (%i) in @x {
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %x = tai.load @x[%i] : f64
+    %g = tai.load @gy[%i] : f64
+    %q = arith.divf %g, %x : f64
+    %none = arith.cmpf oeq, %g, %zero : f64
+    %a = arith.select %none, %zero, %q {tai.guard} : f64
+    %c = arith.cmpf olt, %x, %zero : f64
+    %s = scf.if %c -> (f64) {
+      %y = tai.load @y[%j] : f64
+      %z = arith.subf %y, %x : f64
+      %r = arith.divf %a, %z : f64
+      %no = arith.cmpf oeq, %a, %zero : f64
+      %b = arith.select %no, %zero, %r {tai.guard} : f64
+      tai.atomic add %b, @gy[%j] : f64
+      scf.yield %b : f64
+    } else {
+      scf.yield %a : f64
+    }
+    %m = arith.mulf %s, %x : f64
+    %drops = arith.cmpf oeq, %x, %zero : f64
+    %e = arith.select %drops, %zero, %m {tai.guard_infinite} : f64
+    tai.atomic add %e, @gx[%j] : f64
+  }
+  tai.return
+}
+
+// The power of a norm that is large enough says that the norm is not zero, and
+// one comparison with infinity that it is finite.
+// CHECK-LABEL: tai.kernel @norm
+//       CHECK:   %[[N:.+]] = tai.norm
+//       CHECK:   %[[P:.+]] = arith.mulf %[[N]], %[[N]] : f64
+//       CHECK:   %[[LARGE:.+]] = arith.cmpf oge, %[[P]]
+//       CHECK:   %[[SMALL:.+]] = arith.cmpf olt, %[[P]]
+//       CHECK:   arith.andi %[[LARGE]], %[[SMALL]]
+//       CHECK:   scf.if
+//   CHECK-NOT:     arith.select
+//       CHECK:   } else {
+//       CHECK:     arith.select
+tai.kernel @norm() {
+  %zero = arith.constant 0.0 : f64
+  %one = arith.constant 1.0 : f64
+  %zeros = arith.constant dense<0.0> : vector<3xf64>
+  tai.parallel_for (%i) in @x {
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %d = tai.load @d[%i] : vector<3xf64>
+    %n = tai.norm %d : vector<3xf64>
+    %p = arith.mulf %n, %n : f64
+    %g = tai.load @gd[%i] : vector<3xf64>
+    %pb = vector.broadcast %p : f64 to vector<3xf64>
+    %q = arith.divf %g, %pb : vector<3xf64>
+    %none = arith.cmpf oeq, %g, %zeros : vector<3xf64>
+    %a = arith.select %none, %zeros, %q {tai.guard} : vector<3xi1>, vector<3xf64>
+    %is = arith.cmpf oeq, %n, %zero : f64
+    %o = arith.select %is, %one, %n : f64
+    %ob = vector.broadcast %o : f64 to vector<3xf64>
+    %u = arith.divf %d, %ob : vector<3xf64>
+    %e = arith.mulf %u, %a : vector<3xf64>
+    %drops = arith.cmpf oeq, %u, %zeros : vector<3xf64>
+    %f = arith.select %drops, %zeros, %e {tai.guard_infinite} : vector<3xi1>, vector<3xf64>
+    tai.atomic add %f, @gd[%j] : vector<3xf64>
+  }
+  tai.return
+}

@@ -53,6 +53,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.tiles", Kind::Any},
     // Of ops that mean the same without, as far as the program goes.
     {"tai.accumulate", Kind::String},
+    {"tai.adjoint_branch", Kind::Unit},
     {"tai.guard", Kind::Unit},
     {"tai.guard_infinite", Kind::Unit},
     // Set and read by one pass.

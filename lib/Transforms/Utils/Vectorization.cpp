@@ -1,0 +1,33 @@
+//===- Vectorization.cpp - What LLVM may vectorise ------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Transforms/Utils/Vectorization.h"
+#include "mlir/Interfaces/LoopLikeInterface.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+bool mlir::tai::mayBeVectorized(Block &block) {
+  Operation *loop = block.getParentOp();
+  while (loop && !isa<LoopLikeOpInterface>(loop))
+    loop = loop->getParentOp();
+  if (!isa_and_nonnull<ParallelForOp>(loop))
+    return false;
+  // Loads of vectors, scatters and indices from memory keep loops scalar.
+  return !loop->walk([&](Operation *op) {
+                if (op != loop && isa<LoopLikeOpInterface>(op))
+                  return WalkResult::interrupt();
+                if (auto atomic = dyn_cast<AtomicOp>(op);
+                    atomic && !atomic.getExclusive())
+                  return WalkResult::interrupt();
+                if (isa<MatmulOp, InverseOp, DeterminantOp>(op))
+                  return WalkResult::interrupt();
+                return WalkResult::advance();
+              })
+              .wasInterrupted();
+}
