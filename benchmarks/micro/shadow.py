@@ -2,9 +2,9 @@
 
     python benchmarks/micro/shadow.py [--scene wave] [--rounds 3] [--plain strict]
 
-Processes of both kinds in turns, one thread, f32. Prints the least processor time of a run, forward
-and backward, and how many times as long it takes with shadows. `--save FILE` writes the reports, to
-compare those of two builds.
+Processes of both kinds in turns, one thread, f32. Prints the least processor time of a run,
+forward, backward and both, and how many times as long it takes with shadows. `--save FILE` writes
+the reports, to compare those of two builds.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ def main() -> int:
                 best[kind] = [min(pair) for pair in zip(before, found["times"], strict=True)]
                 if kind == "shadow":
                     saved[scene] = found["report"]
-        for phase, slow, fast in zip(PHASES, best["shadow"], best[chosen.plain], strict=True):
+        shadow, plain = ([*times, sum(times)] for times in (best["shadow"], best[chosen.plain]))
+        for phase, slow, fast in zip([*PHASES, "both"], shadow, plain, strict=True):
             times = f"{fast * 1e3:8.2f} {slow * 1e3:8.2f} ms"
             print(f"{scene:12} {phase:9} {times} {slow / fast:6.1f}", flush=True)
     if chosen.save:
