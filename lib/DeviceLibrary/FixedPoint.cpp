@@ -176,15 +176,17 @@ static double getSpecial(uint64_t bits) {
   return bits & hasNegative ? -__builtin_inf() : __builtin_inf();
 }
 
-static void round(uint64_t *sum, uint32_t scale, float *element) {
+static double getSum(uint64_t units, uint32_t scale) {
   constexpr int unit = int(Format<float>::bias) - 1 + Format<float>::window;
-  uint64_t units = *sum;
   if (scale == Parts<float>::special)
-    *element += static_cast<float>(getSpecial(units));
-  else if (units != 0)
-    *element = static_cast<float>(
-        double(*element) + static_cast<double>(static_cast<int64_t>(units)) *
-                               powerOfTwo(static_cast<int>(scale) - unit));
+    return getSpecial(units);
+  return static_cast<double>(static_cast<int64_t>(units)) *
+         powerOfTwo(static_cast<int>(scale) - unit);
+}
+
+static void round(uint64_t *sum, uint32_t scale, float *element) {
+  if (*sum != 0)
+    *element = static_cast<float>(double(*element) + getSum(*sum, scale));
 }
 
 /// The two integers as one of 128 bits, rounded once unless it is subnormal.
@@ -246,3 +248,8 @@ static void addSum(uint32_t *scale, uint64_t *sum, T *element) {
 TAI_FIXED(float, f32)
 TAI_FIXED(double, f64)
 #undef TAI_FIXED
+
+double tai_dev_fixed_take_f32(uint32_t *scale, uint64_t *sum) {
+  uint32_t exponent = atomicExchange(scale, uint32_t(0));
+  return exponent && *sum != 0 ? getSum(*sum, exponent) : -0.0;
+}

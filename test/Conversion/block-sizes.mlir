@@ -29,7 +29,7 @@ tai.field @z = @t["z"] : f32, rank 1
 //       NVVM-NOT:   maxntid
 //     NVVM-LABEL: llvm.func @two_2(
 //      NVVM-SAME:   nvvm.maxntid = array<i32: 1024>
-//      NVVM-SAME:   passthrough = {{\[\["tai.block_size", "1024"\]\]}}
+//      NVVM-SAME:   passthrough = {{\["tai.few_iterations", \["tai.block_size", "1024"\]\]}}
 //   EMULATED-NOT: maxntid
 // EMULATED-LABEL: llvm.func @two_0(
 //  EMULATED-SAME:   passthrough = {{\[\["tai.block_size", "64"\]\]}}

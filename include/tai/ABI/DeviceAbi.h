@@ -103,6 +103,8 @@ void tai_dev_fixed_add_f64(const uint32_t *scale, uint64_t *sum, double value);
 /// Of several threads that call it with one accumulator, one adds the sum.
 void tai_dev_fixed_round_f32(uint32_t *scale, uint64_t *sum, float *element);
 void tai_dev_fixed_round_f64(uint32_t *scale, uint64_t *sum, double *element);
+/// The sum, for an element of another type.
+double tai_dev_fixed_take_f32(uint32_t *scale, uint64_t *sum);
 
 //===----------------------------------------------------------------------===//
 // Memory of one thread, out of the heap of the device

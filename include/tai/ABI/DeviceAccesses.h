@@ -26,6 +26,10 @@ namespace mlir::tai::runtime {
 /// The maximum of threads in a block, on any GPU.
 constexpr unsigned kMostBlockThreads = 1024;
 
+/// An LLVM function attribute of a device function with less than two warps of
+/// iterations: their float additions are not combined.
+inline constexpr char kFewIterationsAttrName[] = "tai.few_iterations";
+
 /// The accesses of one operation of a device function. Iteration (i0, i1, ...)
 /// touches bytes of
 ///   address(slot) + offset + sum of terms + sum of strides * i

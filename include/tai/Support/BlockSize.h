@@ -21,14 +21,19 @@ namespace mlir::tai {
 
 constexpr llvm::StringLiteral kBlockSizeAttrName = "tai.block_size";
 
-inline void setBlockSize(LLVM::LLVMFuncOp function, int64_t threads) {
-  Builder builder(function.getContext());
+inline void addPassthrough(LLVM::LLVMFuncOp function, Attribute attribute) {
   SmallVector<Attribute> attributes;
   if (ArrayAttr others = function.getPassthroughAttr())
     llvm::append_range(attributes, others);
-  attributes.push_back(
-      builder.getStrArrayAttr({kBlockSizeAttrName, std::to_string(threads)}));
-  function.setPassthroughAttr(builder.getArrayAttr(attributes));
+  attributes.push_back(attribute);
+  function.setPassthroughAttr(
+      ArrayAttr::get(function.getContext(), attributes));
+}
+
+inline void setBlockSize(LLVM::LLVMFuncOp function, int64_t threads) {
+  addPassthrough(function, Builder(function.getContext())
+                               .getStrArrayAttr({kBlockSizeAttrName,
+                                                 std::to_string(threads)}));
 }
 
 /// From 1 to 1024; none if not specified.

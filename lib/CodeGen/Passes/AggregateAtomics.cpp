@@ -26,6 +26,7 @@
 
 #include "AggregateAtomics.h"
 #include "Addresses.h"
+#include "tai/ABI/DeviceAccesses.h"
 #include "llvm/Analysis/AliasAnalysis.h"
 #include "llvm/Analysis/MemoryLocation.h"
 #include "llvm/Analysis/UniformityAnalysis.h"
@@ -39,6 +40,7 @@
 #include <vector>
 
 using namespace llvm;
+using namespace mlir::tai;
 
 static constexpr unsigned warpSize = 32;
 /// Addresses are sums of few parts.
@@ -47,6 +49,10 @@ static constexpr unsigned maxDepth = 12;
 /// a vector), the addresses that are compared, and the groups of a function.
 static constexpr unsigned maxChosen = 4, maxChosenBases = 2,
                           maxChosenGroups = 4;
+
+/// Metadata of additions that no later run combines: programs have the code of
+/// many functions.
+static constexpr char kApartName[] = "tai.apart";
 
 namespace {
 /// Additions that move to the last of them.
@@ -108,7 +114,8 @@ static bool isAddition(const Instruction &instruction) {
   auto *op = dyn_cast<AtomicRMWInst>(&instruction);
   return op && op->getOperation() == AtomicRMWInst::FAdd &&
          op->getType()->isFloatTy() && op->use_empty() && !op->isVolatile() &&
-         op->getOrdering() == AtomicOrdering::Monotonic;
+         op->getOrdering() == AtomicOrdering::Monotonic &&
+         !op->hasMetadata(kApartName);
 }
 
 /// True for multiples of the size of a warp, for all that is known: blocks are
@@ -479,6 +486,13 @@ mlir::tai::AggregateAtomics::run(Function &function,
                                  FunctionAnalysisManager &analyses) {
   if (none_of(instructions(function), isAddition))
     return PreservedAnalyses::all();
+  if (function.hasFnAttribute(runtime::kFewIterationsAttrName)) {
+    MDNode *apart = MDNode::get(function.getContext(), {});
+    for (Instruction &instruction : instructions(function))
+      if (isAddition(instruction))
+        instruction.setMetadata(kApartName, apart);
+    return PreservedAnalyses::all();
+  }
   GroupFinder finder(analyses.getResult<UniformityInfoAnalysis>(function),
                      analyses.getResult<AAManager>(function));
   for (BasicBlock &block : function)

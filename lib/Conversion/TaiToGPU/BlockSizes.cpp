@@ -16,6 +16,7 @@
 #include "tai/ABI/DeviceAccesses.h"
 #include "tai/Support/BlockSize.h"
 #include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/Accumulation.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;
@@ -33,7 +34,11 @@ LogicalResult tai::checkBlockSize(ParallelForOp loop) {
          << " or a power of two, and " << most << " at most";
 }
 
-void tai::noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function) {
+void tai::noteSizes(ParallelForOp loop, LLVM::LLVMFuncOp function) {
+  std::optional<int64_t> count = getNumIterations(loop);
+  if (count && *count < 2 * kWarpSize)
+    addPassthrough(function, StringAttr::get(loop.getContext(),
+                                             runtime::kFewIterationsAttrName));
   if (loop.getInWarp())
     setBlockSize(function, kWarpSize);
   else if (std::optional<int64_t> size = loop.getBlockDim())

@@ -207,8 +207,9 @@ LogicalResult KernelOffload::run() {
     }
   }
 
-  if (failed(splitFixedPointLoops(host, frame, lowering)) ||
-      failed(prepareLoops()))
+  auto split =
+      lowering.deterministic ? splitFixedPointLoops : splitWideScatters;
+  if (failed(split(host, frame, lowering)) || failed(prepareLoops()))
     return failure();
   replaceTreeBases();
   replaceDrawKeys();

@@ -14,26 +14,26 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Offload.h"
+#include "ScatterBuffers.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/Transforms/Utils/Accumulation.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The accumulators of one group of additions.
-struct Accumulators {
-  const FieldInfo *field;
-  /// For each dimension, the index that all additions share, or null.
-  SmallVector<Value> fixed;
-  int64_t count;
-  Value fieldBase, sums, scales;
-  std::string suffix;
+/// The sums of one group of additions, in one or two integers for each, and
+/// their scales.
+struct Accumulators : ScatterBuffer {
+  using ScatterBuffer::ScatterBuffer;
+  Value scales;
 
   int64_t getNumIntegers() const { return field->scalarType.isF64() ? 2 : 1; }
+  /// 16-bit floats are added up as f32.
+  bool isOfHalves() const {
+    return field->scalarType.getIntOrFloatBitWidth() == 16;
+  }
 };
 
 /// One of the three passes.
@@ -50,7 +50,9 @@ private:
   void emitPass(ParallelForOp in, Pass pass);
   void emitCall(OpBuilder &builder, Location loc, Pass pass,
                 const Accumulators &to, Value number, Value operand);
-  void roundElements(const Accumulators &accumulators);
+  void emitSum(OpBuilder &builder, const Accumulators &from, Value number,
+               Value element);
+  bool hasEffects();
   bool isWorthVisiting(ArrayRef<AccumulationGroup> groups);
 
   ParallelForOp loop;
@@ -59,11 +61,6 @@ private:
   SmallVector<Accumulators> all;
 };
 } // namespace
-
-static bool isInBuffer(Operation *op) {
-  auto atomic = dyn_cast<AtomicOp>(op);
-  return atomic && atomic.getStrategy() == AccumulationStrategy::Private;
-}
 
 /// True for memory of one iteration.
 static bool isPrivate(ParallelForOp loop, Value pointer) {
@@ -109,9 +106,7 @@ static void removeDeadOps(ParallelForOp loop) {
 }
 
 Accumulators Splitter::create(const AccumulationGroup &group) {
-  Accumulators made{group.field, group.fixed, getNumAccumulators(group), {}, {},
-                    {},          ""};
-  made.suffix = made.field->scalarType.isF64() ? "f64" : "f32";
+  Accumulators made(group);
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   RuntimeCalls &runtime = lowering.host.runtime;
@@ -123,6 +118,26 @@ Accumulators Splitter::create(const AccumulationGroup &group) {
   made.scales = emitPointer(builder, loc, builder.getI64Type(), made.sums,
                             math.constant(made.count * made.getNumIntegers()));
   return made;
+}
+
+/// Adds a sum to its element.
+void Splitter::emitSum(OpBuilder &builder, const Accumulators &from,
+                       Value number, Value element) {
+  Location loc = loop.getLoc();
+  if (!from.isOfHalves())
+    return emitCall(builder, loc, Pass::Round, from, number, element);
+  Type wide = builder.getF64Type(), type = from.field->scalarType;
+  Value scale =
+      emitPointer(builder, loc, builder.getI32Type(), from.scales, number);
+  Value integer =
+      emitPointer(builder, loc, builder.getI64Type(), from.sums, number);
+  Value sum = lowering.device.runtime.call(
+      builder, loc, "tai_dev_fixed_take_f32", wide, {scale, integer});
+  Value old = arith::ExtFOp::create(
+      builder, loc, wide, emitLoad(builder, loc, type, element, AliasScopes()));
+  Value total = arith::AddFOp::create(builder, loc, old, sum);
+  emitStore(builder, loc, arith::TruncFOp::create(builder, loc, type, total),
+            element, AliasScopes());
 }
 
 /// `operand` is the value, or the address of the element.
@@ -139,7 +154,8 @@ void Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
   StringRef name = pass == Pass::Scale ? "tai_dev_fixed_scale_"
                    : pass == Pass::Add ? "tai_dev_fixed_add_"
                                        : "tai_dev_fixed_round_";
-  lowering.device.runtime.call(builder, loc, (name + to.suffix).str(), Type(),
+  StringRef suffix = to.field->scalarType.isF64() ? "f64" : "f32";
+  lowering.device.runtime.call(builder, loc, (name + suffix).str(), Type(),
                                operands);
 }
 
@@ -154,74 +170,40 @@ void Splitter::emitPass(ParallelForOp in, Pass pass) {
     OpBuilder builder(atomic);
     Location loc = atomic.getLoc();
     const Accumulators &to = all[*atomic.getBuffer()];
-    IndexMath math(builder, loc);
-    SmallVector<Value> zeroBased =
-        emitZeroBased(builder, loc, *to.field, atomic.getIndices());
-    Value number = math.constant(0);
-    for (auto [index, extent, fixed] :
-         llvm::zip_equal(zeroBased, to.field->layout.shape, to.fixed))
-      if (!fixed)
-        number = math.add(math.mul(number, extent), index);
-    if (to.field->numComponents != 1)
-      number = math.add(math.mul(number, to.field->numComponents),
-                        emitComponent(builder, loc, to.field->elementShape,
-                                      atomic.getComponents()));
-    Value operand = atomic.getValue();
-    if (pass == Pass::Round)
+    Value number = emitSumNumber(builder, atomic, to);
+    Value operand =
+        pass == Pass::Round
+            ? emitPointer(
+                  builder, loc, to.field->scalarType, to.fieldBase,
+                  emitElementOffset(builder, loc, *to.field,
+                                    emitZeroBased(builder, loc, *to.field,
+                                                  atomic.getIndices()),
+                                    atomic.getComponents()))
+            : emitTerm(builder, atomic);
+    if (to.isOfHalves() && pass != Pass::Round)
       operand =
-          emitPointer(builder, loc, to.field->scalarType, to.fieldBase,
-                      emitElementOffset(builder, loc, *to.field, zeroBased,
-                                        atomic.getComponents()));
-    else if (atomic.getKind() == AtomicKind::Sub)
-      operand = arith::NegFOp::create(builder, loc, operand);
+          arith::ExtFOp::create(builder, loc, builder.getF32Type(), operand);
     emitCall(builder, loc, pass, to, number, operand);
     atomic.erase();
   }
   removeDeadOps(in);
 }
 
-/// A loop over the accumulators.
-void Splitter::roundElements(const Accumulators &accumulators) {
-  const FieldInfo &field = *accumulators.field;
-  OpBuilder outside(loop);
-  Location loc = loop.getLoc();
-  IndexMath around(outside, loc);
-  // What they share is computed once.
-  SmallVector<Value> zeroBased(field.layout.shape.size());
-  for (auto [i, fixed] : llvm::enumerate(accumulators.fixed))
-    if (fixed)
-      zeroBased[i] = around.sub(fixed, field.layout.offset[i]);
-  auto over = ParallelForOp::create(outside, loc, around.constant(0),
-                                    around.constant(accumulators.count));
-  OpBuilder builder = OpBuilder::atBlockBegin(&over.getBody().front());
-  IndexMath math(builder, loc);
-  Value number = over.getInductionVars().front(), rest = number;
-  SmallVector<Value> components(field.elementShape.size());
-  auto takeDigit = [&](int64_t extent) {
-    Value digit = math.rem(rest, extent);
-    rest = math.div(rest, extent);
-    return digit;
-  };
-  for (size_t i = components.size(); i-- > 0;)
-    components[i] = takeDigit(field.elementShape[i]);
-  for (size_t i = zeroBased.size(); i-- > 0;)
-    if (!accumulators.fixed[i])
-      zeroBased[i] = takeDigit(field.layout.shape[i]);
-  Value element = emitPointer(
-      builder, loc, field.scalarType, accumulators.fieldBase,
-      emitElementOffset(builder, loc, field, zeroBased, components));
-  emitCall(builder, loc, Pass::Round, accumulators, number, element);
+bool Splitter::hasEffects() {
+  return loop.getBody()
+      .walk([&](Operation *op) {
+        return isSeen(loop, op) ? WalkResult::interrupt()
+                                : WalkResult::advance();
+      })
+      .wasInterrupted();
 }
 
-/// True if the elements are few against the additions.
+/// True if a loop over the elements adds the sums: these are few against the
+/// additions, or the field is of 16-bit floats.
 bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups) {
-  bool hasEffects = loop.getBody()
-                        .walk([&](Operation *op) {
-                          return isSeen(loop, op) ? WalkResult::interrupt()
-                                                  : WalkResult::advance();
-                        })
-                        .wasInterrupted();
-  if (hasEffects)
+  if (llvm::any_of(all, [](const Accumulators &to) { return to.isOfHalves(); }))
+    return true;
+  if (hasEffects())
     return false;
   double elements = 0, updates = 0;
   for (const AccumulationGroup &group : groups) {
@@ -257,37 +239,35 @@ LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
     emitPass(loop, Pass::Round);
     return success();
   }
-  for (const Accumulators &accumulators : all)
-    roundElements(accumulators);
-  loop.erase();
+  OpBuilder builder(loop->getContext());
+  builder.setInsertionPointAfter(loop);
+  for (const Accumulators &to : all)
+    emitElementLoop(builder, loop.getLoc(), to,
+                    [&](OpBuilder &in, Value number, Value element) {
+                      emitSum(in, to, number, element);
+                    });
+  if (!hasEffects()) {
+    loop.erase();
+    return success();
+  }
+  SmallVector<AtomicOp> additions;
+  loop.walk([&](AtomicOp atomic) {
+    if (isInBuffer(atomic))
+      additions.push_back(atomic);
+  });
+  for (AtomicOp addition : additions)
+    addition.erase();
+  removeDeadOps(loop);
   return success();
 }
 
 LogicalResult tai::splitFixedPointLoops(LLVM::LLVMFuncOp host, Value frame,
                                         DeviceLowering &lowering) {
-  llvm::MapVector<Operation *, SmallVector<AtomicOp>> atomics;
-  WalkResult result = host.walk([&](AtomicOp atomic) {
-    if (!isInBuffer(atomic))
-      return WalkResult::advance();
-    auto loop = atomic->getParentOfType<ParallelForOp>();
-    Type type = atomic.getValue().getType();
-    bool isKnown = loop && isDeviceLoop(loop) && atomic.getBuffer() &&
-                   atomic.getOld().use_empty() &&
-                   (type.isF32() || type.isF64()) &&
-                   (atomic.getKind() == AtomicKind::Add ||
-                    atomic.getKind() == AtomicKind::Sub);
-    if (!isKnown) {
-      atomic.emitOpError("has a private buffer, which on a GPU only additions "
-                         "of f32 and f64 have whose old value nobody uses; "
-                         "expects tai-relax-atomics=on-device to run before");
-      return WalkResult::interrupt();
-    }
-    atomics[loop].push_back(atomic);
-    return WalkResult::advance();
-  });
-  if (result.wasInterrupted())
+  auto atomics =
+      findInBuffers(host, [](Type type) { return isa<FloatType>(type); });
+  if (failed(atomics))
     return failure();
-  for (auto &[loop, found] : atomics)
+  for (auto &[loop, found] : *atomics)
     if (failed(Splitter(cast<ParallelForOp>(loop), frame, lowering).run(found)))
       return failure();
   return success();

@@ -86,6 +86,11 @@ void fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
 LogicalResult splitFixedPointLoops(LLVM::LLVMFuncOp host, Value frame,
                                    DeviceLowering &lowering);
 
+/// Replaces additions that have private buffers by such to sums of f64, with a
+/// loop behind theirs that adds the sums to the field.
+LogicalResult splitWideScatters(LLVM::LLVMFuncOp host, Value frame,
+                                DeviceLowering &lowering);
+
 /// Finds the sums that the iterations of a loop can keep in registers, and
 /// computes their target addresses before the loop.
 LogicalResult prepareSums(ParallelForOp loop, Value frame,
@@ -98,8 +103,9 @@ LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
 /// Fails where a GPU has no blocks of the size that the loop asks for.
 LogicalResult checkBlockSize(ParallelForOp loop);
 
-/// Sets the block size on the function of a loop, if the loop specifies one.
-void noteBlockSize(ParallelForOp loop, LLVM::LLVMFuncOp function);
+/// Sets the block size on the function of a loop, if the loop specifies one, and
+/// whether iterations are few.
+void noteSizes(ParallelForOp loop, LLVM::LLVMFuncOp function);
 
 /// Limits registers so that a block of the function's size fits, if it has one.
 void limitRegisters(LLVM::LLVMFuncOp function);

@@ -560,7 +560,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
             IntegerAttr::get(IntegerType::get(context, 64), alignment));
   function->setAttr(gpu::GPUDialect::getKernelFuncAttrName(),
                     UnitAttr::get(context));
-  noteBlockSize(loop, function);
+  noteSizes(loop, function);
   emitLaunch(loop, function, operands, lowering);
   // What the host knows of activity is then out of date.
   OpBuilder after(loop);

@@ -81,6 +81,7 @@ private:
   void relaxField(FieldAccesses &accesses);
   bool isWorthPrivate(const AccumulationGroup &group);
   bool isWarpSum(AtomicOp atomic);
+  bool isWorthWide(const AccumulationGroup &group);
   bool hasCompensatedSums();
   bool canRunInWarp();
   bool useFixedPoint();
@@ -211,6 +212,26 @@ bool LoopRelaxation::isWarpSum(AtomicOp atomic) {
   return around == loop;
 }
 
+/// True if the additions of a loop on a GPU are rounded once, from sums in f64
+/// beside the field: those of 16-bit floats, which stop growing at some
+/// thousand terms, and compensated ones.
+bool LoopRelaxation::isWorthWide(const AccumulationGroup &group) {
+  Type scalar = group.field->scalarType;
+  if (!onDevice || deterministic || !isa<FloatType>(scalar) ||
+      !(compensated || scalar.getIntOrFloatBitWidth() == 16))
+    return false;
+  // Host code that repeats the loop would have as many sums.
+  for (Operation *at = loop->getParentOp(); !isa<FunctionOpInterface>(at);
+       at = at->getParentOp())
+    if (!isa<scf::IfOp>(at))
+      return false;
+  return double(getNumAccumulators(group)) * 16 <= kMaxAccumulatorBytes &&
+         llvm::all_of(group.atomics, [](AtomicOp atomic) {
+           return atomic.getKind() == AtomicKind::Add ||
+                  atomic.getKind() == AtomicKind::Sub;
+         });
+}
+
 /// Chooses for the updates of one field.
 void LoopRelaxation::relaxField(FieldAccesses &accesses) {
   SmallVector<AtomicOp> &atomics = accesses.atomics;
@@ -258,7 +279,12 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
                loop.isDefinedOutsideOfLoop(component);
       });
     };
-    if (group.isFixed() && llvm::all_of(group.atomics, isFixed))
+    bool isTotal = group.isFixed() && llvm::all_of(group.atomics, isFixed);
+    // A GPU's blocks add up totals in f64, too.
+    bool isWideTotal = isTotal && !group.field->scalarType.isF64();
+    if (!isWideTotal && isWorthWide(group))
+      buffers.push_back(std::move(group));
+    else if (isTotal)
       sums.push_back(std::move(group));
     else if (!onDevice && !oneOrder && isWorthPrivate(group))
       buffers.push_back(std::move(group));
@@ -319,17 +345,18 @@ LogicalResult LoopRelaxation::checkCompensated() {
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
       // On a device, blocks add up in f64, which is twice the digits of f32.
       bool isWideTotal =
-          isFloatTotal(op) && atomic.getValue().getType().isF32();
+          isFloatTotal(op) && !atomic.getValue().getType().isF64();
+      bool isWide =
+          isWideTotal || atomic.getStrategy() == AccumulationStrategy::Private;
       if (!isFloatSum(atomic) || atomic.getExclusive() ||
-          (atomic.getStrategy() && (!onDevice || isWideTotal)))
+          (atomic.getStrategy() && (!onDevice || isWide)))
         return WalkResult::advance();
       StringRef why = "its field is sparse or large, or takes other updates "
                       "or reads in the same loop";
       if (!atomic.getOld().use_empty())
         why = "the value before the addition is used";
-      else if (onDevice)
-        why = "a GPU has sums wider than their type for those of all "
-              "iterations in f32 alone";
+      else if (onDevice && deterministic)
+        why = "on a GPU its bits would depend on the order of threads";
       op->emitError(what) << why << "; give the kernel sums=\"default\"";
       return WalkResult::interrupt();
     }
@@ -393,17 +420,20 @@ bool LoopRelaxation::useFixedPoint() {
       return false;
   }
   double bytes = 0;
+  bool hasHalves = false;
   for (const AccumulationGroup &group : groups) {
     if (!group.field->sparse.empty())
       return false;
+    hasHalves |= group.field->scalarType.getIntOrFloatBitWidth() == 16;
     bytes += double(getNumAccumulators(group)) *
              getAccumulatorBytes(group.field->scalarType);
   }
   std::optional<int64_t> iterations = getNumIterations(loop);
   double inWarp = iterations ? double(*iterations) * kWarpNanoseconds
                              : std::numeric_limits<double>::infinity();
+  // Each addition of 16-bit floats would be rounded otherwise.
   if (bytes > kMaxAccumulatorBytes ||
-      inWarp < kPassesNanoseconds + bytes * kNanosecondsPerByte)
+      (!hasHalves && inWarp < kPassesNanoseconds + bytes * kNanosecondsPerByte))
     return false;
   for (auto [number, group] : llvm::enumerate(groups))
     for (AtomicOp atomic : group.atomics) {

@@ -103,8 +103,8 @@ private:
 
   ParallelForOp loop;
   FieldTable &fields;
-  /// Iterations may take memory of their own.
-  bool allowsStacks = false;
+  /// Iterations may take memory of their own, and add 16-bit floats.
+  bool inAnyOrder = false;
   llvm::MapVector<const void *, PlaceAccesses> places;
   llvm::DenseSet<Operation *> additions;
 };
@@ -140,8 +140,9 @@ bool Checker::visitField(FieldAccessOpInterface op) {
   AtomicKind kind = atomic.getKind();
   if (isa<FloatType>(getElementTypeOrSelf(type)) && kind != AtomicKind::Min &&
       kind != AtomicKind::Max) {
-    if (!isOrderable(type) ||
-        (kind != AtomicKind::Add && kind != AtomicKind::Sub))
+    bool isKnown =
+        isOrderable(type) || (inAnyOrder && (type.isF16() || type.isBF16()));
+    if (!isKnown || (kind != AtomicKind::Add && kind != AtomicKind::Sub))
       return false;
     additions.insert(op);
   }
@@ -199,9 +200,9 @@ bool Checker::visit(Operation *op) {
   if (isa<scf::YieldOp, scf::ConditionOp, YieldOp>(op))
     return true;
   if (isa<StackCreateOp>(op))
-    return allowsStacks;
+    return inAnyOrder;
   if (isa<StackPushOp, StackPopOp, StackDestroyOp>(op))
-    return allowsStacks && llvm::none_of(op->getOperands(), [&](Value operand) {
+    return inAnyOrder && llvm::none_of(op->getOperands(), [&](Value operand) {
              return isa<StackType>(operand.getType()) &&
                     loop.isDefinedOutsideOfLoop(operand);
            });
@@ -294,7 +295,7 @@ bool Checker::readsComeFirst(const PlaceAccesses &place) {
 }
 
 bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
-  allowsStacks = true;
+  inAnyOrder = true;
   if (!areFree())
     return false;
   WalkResult result = loop.getBody().walk([&](Operation *op) {

@@ -1,18 +1,10 @@
 """Scatters into fields of 16 bits are added up in f64 and rounded once."""
 
-import os
-
 import numpy as np
 import pytest
 import tai as ti
 
 from half_floats import nearest
-
-
-@pytest.fixture(autouse=True)
-def on_cpu():
-    if os.environ.get("TI_ARCH") == "cuda":
-        pytest.skip("on a GPU each addition is rounded: docs/roadmap.md")
 
 
 @pytest.mark.parametrize("dt", [ti.f16, ti.bf16])

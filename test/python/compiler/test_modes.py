@@ -709,16 +709,6 @@ def test_what_a_gpu_cannot_do():
     ti.init(arch=ti.cuda)
     x, y, s = ti.field(ti.f32, shape=99), ti.field(ti.f64, shape=99), ti.field(ti.f64, shape=())
 
-    @ti.kernel(sums="compensated")
-    def add():
-        for i in x:
-            s[None] += x[i] * y[i]
-
-    @ti.kernel(sums="compensated")
-    def scatter():
-        for i in x:
-            x[(i * i) % 7] += y[i]
-
     @ti.kernel(sums="deterministic")
     def fixed():
         for i in x:
@@ -730,8 +720,6 @@ def test_what_a_gpu_cannot_do():
             y[i] = ti.sin(y[i])
 
     for kernel, message in (
-        (add, "those of all iterations in f32 alone"),
-        (scatter, "those of all iterations in f32 alone"),
         (fixed, "cannot be had for one kernel on a GPU"),
         (wave, "cannot be had for 'sin' of f64 on a GPU"),
     ):

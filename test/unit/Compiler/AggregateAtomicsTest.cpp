@@ -12,6 +12,7 @@
 
 #include "../../../lib/CodeGen/Passes/AggregateAtomics.h"
 #include "LLVMPassUtils.h"
+#include "tai/ABI/DeviceAccesses.h"
 #include "llvm/AsmParser/Parser.h"
 #include "llvm/IR/Instructions.h"
 #include "llvm/IR/IntrinsicInst.h"
@@ -169,7 +170,7 @@ enum class Elements { Uniform, Own, Loaded, LoadedAndMixed };
 
 /// Lets a warp of which these threads are there add to so many elements.
 Warp add(unsigned elements, uint32_t active, Elements kind = Elements::Uniform,
-         bool combines = true) {
+         bool combines = true, bool hasFew = false) {
   bool isLoaded = kind != Elements::Uniform && kind != Elements::Own;
   InitializeAllTargetInfos();
   InitializeAllTargets();
@@ -207,7 +208,14 @@ Warp add(unsigned elements, uint32_t active, Elements kind = Elements::Uniform,
   EXPECT_TRUE(target) << message;
   std::unique_ptr<TargetMachine> machine(target->createTargetMachine(
       triple, "sm_90", "+ptx80", TargetOptions(), std::nullopt));
+  if (hasFew)
+    function.addFnAttr(runtime::kFewIterationsAttrName);
   runPass(function, AggregateAtomics(combines), machine.get());
+  if (hasFew) {
+    // Part of a program later, which has as many threads as it likes.
+    function.removeFnAttr(runtime::kFewIterationsAttrName);
+    runPass(function, AggregateAtomics(combines), machine.get());
+  }
   EXPECT_FALSE(verifyFunction(function, &errs()));
 
   std::vector<std::string> names;
@@ -278,4 +286,11 @@ TEST(AggregateAtomics, ElementsThatDataChooseAreCompared) {
 TEST(AggregateAtomics, ManyElementsThatDataChooseStay) {
   EXPECT_EQ(add(3, ~0u, Elements::Loaded).additions, 3 * warp);
   EXPECT_EQ(add(1, ~0u, Elements::Loaded, /*combines=*/false).additions, warp);
+}
+
+TEST(AggregateAtomics, FewIterationsAddApart) {
+  Warp few = add(4, 0xffu, Elements::Uniform, /*combines=*/true,
+                 /*hasFew=*/true);
+  EXPECT_EQ(few.additions, 4u * 8u);
+  EXPECT_EQ(few.exchanges, 0u);
 }

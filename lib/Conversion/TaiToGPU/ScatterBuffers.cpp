@@ -1,0 +1,98 @@
+//===- ScatterBuffers.cpp - Sums of a field's elements beside it ----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "ScatterBuffers.h"
+#include "tai/Transforms/Utils/IndexMath.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+bool tai::isInBuffer(Operation *op) {
+  auto atomic = dyn_cast<AtomicOp>(op);
+  return atomic && atomic.getStrategy() == AccumulationStrategy::Private;
+}
+
+FailureOr<llvm::MapVector<Operation *, SmallVector<AtomicOp>>>
+tai::findInBuffers(LLVM::LLVMFuncOp host, function_ref<bool(Type)> isKnown) {
+  llvm::MapVector<Operation *, SmallVector<AtomicOp>> atomics;
+  WalkResult result = host.walk([&](AtomicOp atomic) {
+    if (!isInBuffer(atomic))
+      return WalkResult::advance();
+    auto loop = atomic->getParentOfType<ParallelForOp>();
+    if (loop && isDeviceLoop(loop) && atomic.getBuffer() &&
+        atomic.getOld().use_empty() && isKnown(atomic.getValue().getType()) &&
+        (atomic.getKind() == AtomicKind::Add ||
+         atomic.getKind() == AtomicKind::Sub)) {
+      atomics[loop].push_back(atomic);
+      return WalkResult::advance();
+    }
+    atomic.emitOpError("has a private buffer, which on a GPU only additions "
+                       "of floats have whose old value nobody uses; expects "
+                       "tai-relax-atomics=on-device to run before");
+    return WalkResult::interrupt();
+  });
+  if (result.wasInterrupted())
+    return failure();
+  return atomics;
+}
+
+Value tai::emitTerm(OpBuilder &builder, AtomicOp atomic) {
+  if (atomic.getKind() == AtomicKind::Add)
+    return atomic.getValue();
+  return arith::NegFOp::create(builder, atomic.getLoc(), atomic.getValue());
+}
+
+Value tai::emitSumNumber(OpBuilder &builder, AtomicOp atomic,
+                         const ScatterBuffer &buffer) {
+  const FieldInfo &field = *buffer.field;
+  Location loc = atomic.getLoc();
+  IndexMath math(builder, loc);
+  SmallVector<Value> zeroBased =
+      emitZeroBased(builder, loc, field, atomic.getIndices());
+  Value number = math.constant(0);
+  for (auto [index, extent, fixed] :
+       llvm::zip_equal(zeroBased, field.layout.shape, buffer.fixed))
+    if (!fixed)
+      number = math.add(math.mul(number, extent), index);
+  if (field.numComponents == 1)
+    return number;
+  return math.add(
+      math.mul(number, field.numComponents),
+      emitComponent(builder, loc, field.elementShape, atomic.getComponents()));
+}
+
+void tai::emitElementLoop(
+    OpBuilder &outside, Location loc, const ScatterBuffer &buffer,
+    function_ref<void(OpBuilder &, Value number, Value element)> emit) {
+  const FieldInfo &field = *buffer.field;
+  IndexMath around(outside, loc);
+  // What they share is computed once.
+  SmallVector<Value> zeroBased(field.layout.shape.size());
+  for (auto [i, fixed] : llvm::enumerate(buffer.fixed))
+    if (fixed)
+      zeroBased[i] = around.sub(fixed, field.layout.offset[i]);
+  auto over = ParallelForOp::create(outside, loc, around.constant(0),
+                                    around.constant(buffer.count));
+  OpBuilder builder = OpBuilder::atBlockBegin(&over.getBody().front());
+  IndexMath math(builder, loc);
+  Value number = over.getInductionVars().front(), rest = number;
+  SmallVector<Value> components(field.elementShape.size());
+  auto takeDigit = [&](int64_t extent) {
+    Value digit = math.rem(rest, extent);
+    rest = math.div(rest, extent);
+    return digit;
+  };
+  for (size_t i = components.size(); i-- > 0;)
+    components[i] = takeDigit(field.elementShape[i]);
+  for (size_t i = zeroBased.size(); i-- > 0;)
+    if (!buffer.fixed[i])
+      zeroBased[i] = takeDigit(field.layout.shape[i]);
+  Value element = emitPointer(
+      builder, loc, getStorageType(field.scalarType), buffer.fieldBase,
+      emitElementOffset(builder, loc, field, zeroBased, components));
+  emit(builder, number, element);
+}

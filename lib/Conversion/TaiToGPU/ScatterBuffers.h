@@ -1,0 +1,58 @@
+//===- ScatterBuffers.h - Sums of a field's elements beside it --*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Additions to elements that data choose, of which `tai-relax-atomics` says
+// that they have a buffer: they add to scratch memory with a sum for each
+// element, which a loop over the elements then adds to the field.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_TAITOGPU_SCATTERBUFFERS_H
+#define TAI_LIB_CONVERSION_TAITOGPU_SCATTERBUFFERS_H
+
+#include "Offload.h"
+#include "tai/Transforms/Utils/Accumulation.h"
+
+namespace mlir::tai {
+
+/// The sums of one group of additions.
+struct ScatterBuffer {
+  explicit ScatterBuffer(const AccumulationGroup &group)
+      : field(group.field), fixed(group.fixed),
+        count(getNumAccumulators(group)) {}
+
+  const FieldInfo *field;
+  /// For each dimension, the index that all additions share, or null.
+  SmallVector<Value> fixed;
+  /// The number of elements that the others reach, times components.
+  int64_t count;
+  Value fieldBase, sums;
+};
+
+bool isInBuffer(Operation *op);
+
+/// The additions of a host function that have buffers, by their loops. Fails at
+/// one of a type that is not `isKnown`.
+FailureOr<llvm::MapVector<Operation *, SmallVector<AtomicOp>>>
+findInBuffers(LLVM::LLVMFuncOp host, function_ref<bool(Type)> isKnown);
+
+/// What an addition adds, with the sign.
+Value emitTerm(OpBuilder &builder, AtomicOp atomic);
+
+/// The number of the sum to which an addition goes.
+Value emitSumNumber(OpBuilder &builder, AtomicOp atomic,
+                    const ScatterBuffer &buffer);
+
+/// Emits a loop over the elements; `emit` gets the number of a sum and the
+/// address of the element.
+void emitElementLoop(
+    OpBuilder &builder, Location loc, const ScatterBuffer &buffer,
+    function_ref<void(OpBuilder &, Value number, Value element)> emit);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_TAITOGPU_SCATTERBUFFERS_H
