@@ -103,8 +103,8 @@ LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
 /// Fails where a GPU has no blocks of the size that the loop asks for.
 LogicalResult checkBlockSize(ParallelForOp loop);
 
-/// Sets the block size on the function of a loop, if the loop specifies one, and
-/// whether iterations are few.
+/// Sets the block size on the function of a loop, if the loop specifies one,
+/// and whether iterations are few.
 void noteSizes(ParallelForOp loop, LLVM::LLVMFuncOp function);
 
 /// Limits registers so that a block of the function's size fits, if it has one.
