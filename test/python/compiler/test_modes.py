@@ -521,6 +521,30 @@ def test_precision_of_storage(precision, stored):
     assert y[0] == np.float32(0.1) + np.float32(0.1)
 
 
+@pytest.mark.parametrize("precision", ["f16", "bf16"])
+def test_single_elements_are_not_stored_in_16_bits(precision):
+    """What a program adds up, and what it is asked for, unless their type says so."""
+    ti.init(arch=ti.cpu, precision=precision)
+    n = 100_000
+    x, loss = ti.field(float, n, needs_grad=True), ti.field(float, (), needs_grad=True)
+    rate, named = ti.Vector.field(2, float, ()), ti.field(getattr(ti, precision), ())
+    assert loss.dtype is ti.f32 and rate.dtype is ti.f32
+    assert named.dtype is x.dtype is getattr(ti, precision)
+    assert ti.field(float, 1).dtype is x.dtype
+    x.fill(1)
+    rate[None] = [0.1, 70001]
+
+    @ti.kernel
+    def add():
+        for i in x:
+            loss[None] += x[i] * rate[None][1]
+
+    with ti.ad.Tape(loss):
+        add()
+    assert loss[None] == pytest.approx(70001 * n, rel=1e-6)
+    assert x.grad[n - 1] == 70001 and rate[None][0] == np.float32(0.1)
+
+
 def test_precision_of_a_kernel():
     """Fields of f32, arithmetic of f64: literals, arguments, locals and loops."""
     ti.init(arch=ti.cpu)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ...errors import TaiAutodiffError, TaiRuntimeTypeError
+from ..base import dtypes
 from ..base.program import get_program
 from ..values.matrix import Matrix, Vector, to_extent
 from ..values.types import MatrixType
@@ -28,6 +29,9 @@ def make_field(
     layout: str = Layout.AOS,
 ) -> Field:
     """A field, placed under `ti.root` if it has a shape."""
+    if dtype is float and shape is not None and not to_shape(shape):
+        # One element is not worth fewer digits: it is a sum, or a parameter of the program.
+        dtype = dtypes.default_fp()
     made: Any
     if element_shape:
         made = MatrixField(element_shape, dtype, name)
