@@ -19,17 +19,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "FiniteConditions.h"
+#include "GuardVersions.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
-#include "mlir/Dialect/Math/IR/Math.h"
-#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
-#include "mlir/IR/IRMapping.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
-#include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/Analysis/ZeroTests.h"
-#include "tai/Dialect/Tai/IR/Guards.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/Vectorization.h"
@@ -72,11 +66,6 @@ private:
   SmallVector<Value> results;
 };
 } // namespace
-
-/// True for an op without effects and regions, that may be moved.
-static bool isMovable(Operation *op) {
-  return op->getNumRegions() == 0 && mlir::isPure(op);
-}
 
 /// Moves what is pure and depends on nothing behind the end in front of it,
 /// where there is a guard among that or in the segment.
@@ -222,78 +211,6 @@ void Segment::findResults() {
         results.push_back(result);
 }
 
-/// Moves what only ops of `to` use from in front of `branch` to the start of
-/// that block.
-static void sinkInto(Block *to, Operation *branch) {
-  for (Operation *op = branch->getPrevNode(); op;) {
-    Operation *candidate = std::exchange(op, op->getPrevNode());
-    if (isMovable(candidate) && !candidate->use_empty() &&
-        llvm::all_of(candidate->getUsers(), [&](Operation *user) {
-          return to->findAncestorOpInBlock(*user);
-        }))
-      candidate->moveBefore(to, to->begin());
-  }
-}
-
-/// Puts what stands from `begin` on in a block into both branches of an if: as
-/// `bare` maps it, and as it is, behind `own`.
-static scf::IfOp createVersions(Operation *begin, Value condition,
-                                IRMapping &bare, ArrayRef<Operation *> own) {
-  Block &block = *begin->getBlock();
-  // What comes afterwards follows in both branches: results that wait for the
-  // test would all be alive at once.
-  Operation *terminator = block.getTerminator();
-  SetVector<Operation *> moved(own.begin(), own.end());
-  SmallVector<Operation *> tail;
-  for (Operation *op = begin; op != terminator; op = op->getNextNode()) {
-    tail.push_back(op);
-    moved.insert(op);
-  }
-  SmallVector<OpOperand *> yielded;
-  SmallVector<Type> types;
-  SmallVector<Value> guardedResults, bareResults;
-  for (OpOperand &operand : terminator->getOpOperands())
-    if (Operation *op = operand.get().getDefiningOp();
-        op && moved.contains(op)) {
-      yielded.push_back(&operand);
-      types.push_back(operand.get().getType());
-      guardedResults.push_back(operand.get());
-    }
-  OpBuilder builder(begin);
-  Location loc = condition.getLoc();
-  auto branch = scf::IfOp::create(builder, loc, types, condition,
-                                  /*withElseRegion=*/true);
-  Block *fast = branch.thenBlock(), *guarded = branch.elseBlock();
-  if (types.empty()) {
-    fast->getTerminator()->erase();
-    guarded->getTerminator()->erase();
-  }
-  builder.setInsertionPointToStart(fast);
-  for (Operation *op : tail)
-    builder.clone(*op, bare);
-  for (Value result : guardedResults)
-    bareResults.push_back(bare.lookup(result));
-  scf::YieldOp::create(builder, loc, bareResults);
-  builder.setInsertionPointToStart(guarded);
-  auto yield = scf::YieldOp::create(builder, loc, guardedResults);
-  for (auto [operand, result] : llvm::zip(yielded, branch.getResults()))
-    operand->set(result);
-  for (Operation *op : own)
-    op->moveBefore(yield);
-  for (Operation *op : tail)
-    op->moveBefore(yield);
-  // Partial derivatives that guards ask about, and what follows the test.
-  sinkInto(guarded, branch);
-  sinkInto(fast, branch);
-  return branch;
-}
-
-static Value markLikely(OpBuilder &builder, Value condition) {
-  Location loc = condition.getLoc();
-  Value likely = arith::ConstantIntOp::create(builder, loc, /*value=*/1, 1);
-  return LLVM::ExpectOp::create(builder, loc, condition, likely);
-}
-
 void Segment::emit() {
   Location loc = guards.front()->getLoc();
   OpBuilder builder(end);
@@ -336,218 +253,6 @@ bool Segment::run(Operation *begin) {
       dependents.size() > most || hasMoreBehind(mostBehind))
     return false;
   emit();
-  return true;
-}
-
-//===----------------------------------------------------------------------===//
-// Tests before the guards
-//===----------------------------------------------------------------------===//
-
-namespace {
-/// Versions all guards of a block by a test of what their partial derivatives
-/// are computed from.
-class EarlyTest {
-public:
-  explicit EarlyTest(Block &block)
-      : block(block), scope(block), begin(block.begin()) {}
-  /// For the guards from `begin` on that the block has itself, in front of the
-  /// next op with guards in its regions. `apart` are ops in front of `begin`,
-  /// in `scope`, whose results are tested.
-  EarlyTest(Block &block, Block &scope, Block::iterator begin,
-            const DenseSet<Operation *> &apart)
-      : block(block), scope(scope), begin(begin), isPart(true) {
-    conditions.setApart(apart);
-  }
-  bool run();
-  /// After a run: the block that does not have these guards.
-  Block &getBare() { return *bareBlock; }
-
-private:
-  bool findGuards();
-  bool canComeEarly(Value value);
-  void moveEarly(Value value);
-  void moveBegin();
-  Value createTest();
-
-  Block &block, &scope;
-  Block::iterator begin;
-  bool isPart = false;
-  Block *bareBlock = nullptr;
-  /// Those whose results matter to more than conditions of guards.
-  SmallVector<arith::SelectOp> guards;
-  /// The first op in the block that is or has a guard.
-  Operation *first = nullptr;
-  size_t numOps = 0;
-  FiniteConditions conditions;
-  /// Of ops behind the first guard, whether they can be in front of it.
-  DenseMap<Operation *, bool> isMovedEarly;
-};
-} // namespace
-
-/// Whether nothing but conditions of guards uses the op.
-static bool isForConditions(Operation *op, DenseMap<Operation *, bool> &known) {
-  if (op->use_empty() || !isMovable(op))
-    return false;
-  auto [it, isNew] = known.try_emplace(op, false);
-  if (!isNew)
-    return it->second;
-  bool result = llvm::all_of(op->getUses(), [&](OpOperand &use) {
-    return (isGuard(use.getOwner()) && use.getOperandNumber() == 0) ||
-           isForConditions(use.getOwner(), known);
-  });
-  return known[op] = result;
-}
-
-static bool hasGuardsInside(Operation &op) {
-  return op.getNumRegions() != 0 && op.walk([](Operation *inner) {
-                                        return isGuard(inner)
-                                                   ? WalkResult::interrupt()
-                                                   : WalkResult::advance();
-                                      }).wasInterrupted();
-}
-
-/// False if there are loops, or too much to have it twice.
-bool EarlyTest::findGuards() {
-  constexpr size_t most = 2000;
-  DenseMap<Operation *, bool> known;
-  bool isBehind = false;
-  for (Operation &op : llvm::make_range(begin, block.end())) {
-    isBehind |= isPart && hasGuardsInside(op);
-    WalkResult walked = op.walk([&](Operation *inner) {
-      if (first && (isa<LoopLikeOpInterface>(inner) || ++numOps > most))
-        return WalkResult::interrupt();
-      if (isBehind || !isGuard(inner))
-        return WalkResult::advance();
-      if (!first && op.walk([](LoopLikeOpInterface) {
-                        return WalkResult::interrupt();
-                      }).wasInterrupted())
-        return WalkResult::interrupt();
-      first = first ? first : &op;
-      if (!isForConditions(inner, known))
-        guards.push_back(cast<arith::SelectOp>(inner));
-      return WalkResult::advance();
-    });
-    if (walked.wasInterrupted())
-      return false;
-  }
-  return !guards.empty();
-}
-
-/// Whether a value is there before the first guard, or can be.
-bool EarlyTest::canComeEarly(Value value) {
-  Operation *around = value.getParentBlock()->findAncestorOpInBlock(*first);
-  Operation *op = value.getDefiningOp();
-  if (!around || !op)
-    return around; // an argument of this block or one around it
-  if (op->isBeforeInBlock(around))
-    return true;
-  if (value.getParentBlock() != &block || op->getNumRegions() != 0 ||
-      isGuard(op))
-    return false;
-  auto [it, isNew] = isMovedEarly.try_emplace(op, false);
-  if (!isNew)
-    return it->second;
-  auto onlyReads = [](Operation *op) {
-    return isMemoryEffectFree(op) || hasSingleEffect<MemoryEffects::Read>(op);
-  };
-  bool result =
-      onlyReads(op) && llvm::all_of(op->getOperands(), [&](Value operand) {
-        return canComeEarly(operand);
-      });
-  if (result && !isMemoryEffectFree(op))
-    for (Operation *before = first; before != op;
-         before = before->getNextNode())
-      result &= onlyReads(before);
-  return isMovedEarly[op] = result;
-}
-
-/// Moves what a value is computed from in front of the first guard.
-void EarlyTest::moveEarly(Value value) {
-  Operation *op = value.getDefiningOp();
-  if (!op || op->getBlock() != &block || op->isBeforeInBlock(first))
-    return;
-  for (Value operand : op->getOperands())
-    moveEarly(operand);
-  op->moveBefore(first);
-}
-
-/// Lets the versions begin as soon as the test can be made: LLVM puts floats of
-/// one block into vectors, and not those of two.
-void EarlyTest::moveBegin() {
-  DenseSet<Operation *> needed;
-  for (Value value : conditions.getFinite())
-    needed.insert(value.getDefiningOp());
-  for (Value value : conditions.getClear())
-    needed.insert(value.getDefiningOp());
-  while (Operation *before = first->getPrevNode()) {
-    if (needed.contains(before) || before->getNumRegions() != 0)
-      return;
-    first = before;
-  }
-}
-
-/// Each part of the test where its values are: in front of a loop that does not
-/// change them.
-Value EarlyTest::createTest() {
-  llvm::SmallSetVector<Block *, 4> blocks;
-  for (Value value : conditions.getFinite())
-    blocks.insert(value.getParentBlock());
-  for (Value value : conditions.getClear())
-    blocks.insert(value.getParentBlock());
-  Value all;
-  for (Block *from : blocks) {
-    Operation *at = from->findAncestorOpInBlock(*first);
-    OpBuilder builder(at);
-    Value test = conditions.createTest(
-        builder, guards.front().getLoc(),
-        [&](Value value) { return value.getParentBlock() == from; });
-    builder.setInsertionPoint(first);
-    all = all ? Value(arith::AndIOp::create(builder, test.getLoc(), all, test))
-              : test;
-  }
-  OpBuilder builder(first);
-  return markLikely(builder, all);
-}
-
-bool EarlyTest::run() {
-  if (!findGuards())
-    return false;
-  for (arith::SelectOp guard : guards)
-    if (!conditions.require(guard, scope))
-      return false;
-  auto isThere = [&](Value value) { return canComeEarly(value); };
-  conditions.simplify(isThere);
-  if (conditions.count() == 0 ||
-      conditions.count() > static_cast<int64_t>(guards.size()) ||
-      !llvm::all_of(conditions.getFinite(), isThere) ||
-      !llvm::all_of(conditions.getClear(), isThere))
-    return false;
-  for (Value value : conditions.getFinite())
-    moveEarly(value);
-  for (Value value : conditions.getClear())
-    moveEarly(value);
-  moveBegin();
-  Value test = createTest();
-  IRMapping bare;
-  scf::IfOp branch = createVersions(first, test, bare, /*own=*/{});
-  bareBlock = branch.thenBlock();
-  // What derivatives of norms choose where a norm is zero.
-  DenseSet<Value> nonZero;
-  for (Value value : conditions.findNonZero())
-    nonZero.insert(bare.lookupOrDefault(value));
-  SmallVector<arith::SelectOp> removed;
-  for (Operation &op : *bareBlock) {
-    if (isPart && hasGuardsInside(op))
-      break;
-    op.walk([&](arith::SelectOp select) {
-      if (isGuard(select) || nonZero.contains(getTestedForZero(select)))
-        removed.push_back(select);
-    });
-  }
-  for (arith::SelectOp guard : removed) {
-    guard.getResult().replaceAllUsesWith(guard.getFalseValue());
-    guard.erase();
-  }
   return true;
 }
 

@@ -1,0 +1,78 @@
+//===- GuardVersions.h - Code with and without guards -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Parts of `tai-version-guards`: the two versions of the rest of a block, and a
+// test in front of the first guard that chooses between them.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_TRANSFORMS_CHECKS_GUARDVERSIONS_H
+#define TAI_LIB_TRANSFORMS_CHECKS_GUARDVERSIONS_H
+
+#include "FiniteConditions.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/IRMapping.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+
+namespace mlir::tai {
+
+/// True for an op without effects and regions, that may be moved.
+inline bool isMovable(Operation *op) {
+  return op->getNumRegions() == 0 && mlir::isPure(op);
+}
+
+bool hasGuardsInside(Operation &op);
+
+Value markLikely(OpBuilder &builder, Value condition);
+
+/// Puts what stands from `begin` on in a block into both branches of an if: as
+/// `bare` maps it, and as it is, behind `own`.
+scf::IfOp createVersions(Operation *begin, Value condition, IRMapping &bare,
+                         ArrayRef<Operation *> own);
+
+/// Versions all guards of a block by a test of what their partial derivatives
+/// are computed from.
+class EarlyTest {
+public:
+  explicit EarlyTest(Block &block)
+      : block(block), scope(block), begin(block.begin()) {}
+  /// For the guards from `begin` on that the block has itself, in front of the
+  /// next op with guards in its regions. `apart` are ops in front of `begin`,
+  /// in `scope`, whose results are tested.
+  EarlyTest(Block &block, Block &scope, Block::iterator begin,
+            const DenseSet<Operation *> &apart)
+      : block(block), scope(scope), begin(begin), isPart(true) {
+    conditions.setApart(apart);
+  }
+  bool run();
+  /// After a run: the block that does not have these guards.
+  Block &getBare() { return *bareBlock; }
+
+private:
+  bool findGuards();
+  bool canComeEarly(Value value);
+  void moveEarly(Value value);
+  void moveBegin();
+  Value createTest();
+
+  Block &block, &scope;
+  Block::iterator begin;
+  bool isPart = false;
+  Block *bareBlock = nullptr;
+  /// Those whose results matter to more than conditions of guards.
+  SmallVector<arith::SelectOp> guards;
+  /// The first op in the block that is or has a guard.
+  Operation *first = nullptr;
+  size_t numOps = 0;
+  FiniteConditions conditions;
+  /// Of ops behind the first guard, whether they can be in front of it.
+  DenseMap<Operation *, bool> isMovedEarly;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_TRANSFORMS_CHECKS_GUARDVERSIONS_H
