@@ -16,7 +16,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Target.h"
+#include "Warp.h"
 #include "tai/ABI/DeviceAbi.h"
 
 using namespace tai::device;
@@ -59,29 +59,6 @@ template <typename T> struct Parts {
 static constexpr uint64_t hasInfinity = 1, hasNegative = 2, hasNaN = 4;
 
 static constexpr unsigned limbBits = 30;
-
-//===----------------------------------------------------------------------===//
-// Warps
-//===----------------------------------------------------------------------===//
-
-static uint32_t exchange(uint32_t value, unsigned from) {
-  return shuffle(wholeWarp, value, from);
-}
-
-static uint64_t exchange(uint64_t value, unsigned from) {
-  uint64_t low = exchange(static_cast<uint32_t>(value), from);
-  uint64_t high = exchange(static_cast<uint32_t>(value >> 32), from);
-  return high << 32 | low;
-}
-
-/// Combines the values of a whole warp; all lanes call it and have the result.
-template <typename T, typename Combine>
-static T combineInWarp(T value, Combine combine) {
-#pragma unroll
-  for (unsigned offset = warpSize / 2; offset; offset /= 2)
-    value = combine(value, exchange(value, getLane() ^ offset));
-  return value;
-}
 
 //===----------------------------------------------------------------------===//
 // Scales

@@ -12,7 +12,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Target.h"
+#include "Warp.h"
 #include "tai/ABI/DeviceAbi.h"
 
 using namespace tai::device;
@@ -22,22 +22,6 @@ using namespace tai::device;
 // this lane writes.
 static constexpr unsigned roundBits = 8, countShift = 48;
 static constexpr uint64_t takes = 32, writes = uint64_t(1) << 63;
-
-static uint32_t exchange(uint32_t value, unsigned from) {
-  return shuffle(wholeWarp, value, from);
-}
-
-static float exchange(float value, unsigned from) {
-  return __builtin_bit_cast(
-      float, exchange(__builtin_bit_cast(uint32_t, value), from));
-}
-
-static double exchange(double value, unsigned from) {
-  auto bits = __builtin_bit_cast(uint64_t, value);
-  uint64_t low = exchange(static_cast<uint32_t>(bits), from);
-  uint64_t high = exchange(static_cast<uint32_t>(bits >> 32), from);
-  return __builtin_bit_cast(double, high << 32 | low);
-}
 
 uint32_t tai_dev_ordered_lanes() {
 #ifndef __NVPTX__

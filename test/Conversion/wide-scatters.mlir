@@ -86,15 +86,13 @@ tai.kernel @plain() {
   tai.return
 }
 
-// The error of an addition follows from what was there before.
 //   GPU-LABEL: llvm.func @halves_0(
-//         GPU:   arith.extf {{.+}} : f16 to f64
-//         GPU:   llvm.atomicrmw fadd {{.+}} : !llvm.ptr, f64
+//         GPU:   %[[WIDE:.+]] = arith.extf {{.+}} : f16 to f64
+//         GPU:   llvm.call @tai_dev_wide_add_f32({{.+}}, %[[WIDE]])
 //     GPU-NOT:   atomicrmw
 //   GPU-LABEL: llvm.func @halves_1(
 //         GPU:   arith.truncf {{.+}} : f64 to f16
 //   GPU-LABEL: llvm.func @compensated_0(
-//         GPU:   %[[OLD:.+]] = llvm.atomicrmw fadd {{.+}}, %[[TERM:.+]] monotonic
-//         GPU:   %[[SUM:.+]] = arith.addf %[[OLD]], %[[TERM]]
-//         GPU:   arith.subf %[[SUM]], %[[OLD]]
-//         GPU:   llvm.atomicrmw fadd
+// GPU-COUNT-2:   llvm.call @tai_dev_wide_add_f64
+//   GPU-LABEL: llvm.func @compensated_1(
+//         GPU:   arith.select

@@ -99,4 +99,5 @@ def main():
                 check(text, name, spread, special, seed)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -104,8 +104,14 @@ class Thread:
         elif name == "atom" or "relaxed" in parts:
             place, old = self.address(args[1]), 0
             old = self.registers[args[0]] = self.memory.peek(place, size)
+
+            def add(value):
+                if parts[-1][0] != "f":
+                    return old + value
+                return to_bits(to_float(old, size) + to_float(value, size), size)
+
             change = {
-                "add": lambda value: old + value,
+                "add": add,
                 "or": lambda value: old | value,
                 "max": lambda value: max(old, value & MASKS[size]),
                 "exch": lambda value: value,
@@ -205,6 +211,8 @@ class Thread:
             a, b = signed(a, size), signed(b, size)
         else:
             a, b = a & MASKS[size], b & MASKS[size]
+        if how == "num":
+            return a == a and b == b
         if kind[0] == "f" and how.endswith("u"):
             # True for what cannot be compared.
             opposite = {"ltu": "ge", "leu": "gt", "gtu": "le", "geu": "lt", "neu": "eq"}

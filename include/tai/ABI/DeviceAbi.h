@@ -107,6 +107,17 @@ void tai_dev_fixed_round_f64(uint32_t *scale, uint64_t *sum, double *element);
 double tai_dev_fixed_take_f32(uint32_t *scale, uint64_t *sum);
 
 //===----------------------------------------------------------------------===//
+// Sums with twice the digits of their terms
+//===----------------------------------------------------------------------===//
+//
+// Zero before the first addition: a sum of terms of f32 or narrower, and a sum
+// of f64 with its rounding errors behind it. See
+// docs/decisions/0049-wide-scatters.md.
+
+void tai_dev_wide_add_f32(double *sum, double term);
+void tai_dev_wide_add_f64(double *sums, double term);
+
+//===----------------------------------------------------------------------===//
 // Memory of one thread, out of the heap of the device
 //===----------------------------------------------------------------------===//
 

@@ -14,8 +14,6 @@
 //===----------------------------------------------------------------------===//
 
 #include "ScatterBuffers.h"
-#include "tai/Dialect/Tai/IR/Modes.h"
-#include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;
@@ -72,15 +70,10 @@ void WideScatter::emitAddition(AtomicOp atomic, const ScatterBuffer &to) {
   Value number = emitSumNumber(builder, atomic, to);
   if (!term.getType().isF64())
     term = arith::ExtFOp::create(builder, loc, builder.getF64Type(), term);
-  Value before =
-      emitAtomicUpdate(builder, loc, AtomicKind::Add, term,
-                       emitPart(builder, loc, to, number, 0), AliasScopes());
-  if (getNumParts(to) == 2) {
-    Value sum = arith::AddFOp::create(builder, loc, before, term);
-    emitAtomicUpdate(builder, loc, AtomicKind::Add,
-                     emitError(builder, loc, before, term, sum),
-                     emitPart(builder, loc, to, number, 1), AliasScopes());
-  }
+  StringRef name =
+      getNumParts(to) == 2 ? "tai_dev_wide_add_f64" : "tai_dev_wide_add_f32";
+  lowering.device.runtime.call(builder, loc, name, Type(),
+                               {emitPart(builder, loc, to, number, 0), term});
   atomic.erase();
 }
 

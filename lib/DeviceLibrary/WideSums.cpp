@@ -1,0 +1,57 @@
+//===- WideSums.cpp - Sums with twice the digits of their terms -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A sum of f64 of narrower floats, or one of f64 with its rounding errors
+// beside it: an atomic addition returns what was there before, from which its
+// error follows exactly (Knuth, TAOCP 4.2.2, theorem B). The errors add up in
+// any order.
+//
+// Where all lanes of a warp add to one sum, they combine what they have first:
+// memory would do one after another.
+//
+//===----------------------------------------------------------------------===//
+
+#include "Warp.h"
+#include "tai/ABI/DeviceAbi.h"
+
+using namespace tai::device;
+
+/// The rounding error of a + b, which is `sum`.
+static double getError(double a, double b, double sum) {
+  double partB = sum - a;
+  return (a - (sum - partB)) + (b - partB);
+}
+
+void tai_dev_wide_add_f32(double *sum, double term) {
+  if (isSameInWarp(reinterpret_cast<uint64_t>(sum))) {
+    term = combineInWarp(term, [](double a, double b) { return a + b; });
+    if (getLane() != 0)
+      return;
+  }
+  if (term != 0)
+    atomicAdd(sum, term);
+}
+
+void tai_dev_wide_add_f64(double *sums, double term) {
+  double error = 0;
+  if (isSameInWarp(reinterpret_cast<uint64_t>(sums))) {
+#pragma unroll
+    for (unsigned offset = warpSize / 2; offset; offset /= 2) {
+      double other = exchange(term, getLane() ^ offset);
+      double otherError = exchange(error, getLane() ^ offset);
+      double both = term + other;
+      error += otherError + getError(term, other, both);
+      term = both;
+    }
+    if (getLane() != 0)
+      return;
+  }
+  if (term == 0 && error == 0)
+    return;
+  double before = atomicAdd(sums, term);
+  atomicAdd(sums + 1, error + getError(before, term, before + term));
+}
