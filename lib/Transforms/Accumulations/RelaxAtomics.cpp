@@ -82,7 +82,7 @@ private:
   bool isWorthPrivate(const AccumulationGroup &group);
   bool isWarpSum(AtomicOp atomic);
   bool isWorthWide(const AccumulationGroup &group);
-  bool hasCompensatedSums();
+  bool hasWideSums();
   bool canRunInWarp();
   bool useFixedPoint();
   LogicalResult checkCompensated();
@@ -140,6 +140,10 @@ bool LoopRelaxation::isIndependentOfTiming(AtomicOp atomic) {
          atomic.getKind() == AtomicKind::Max;
 }
 
+static bool is16Bits(Type type) {
+  return isa<FloatType>(type) && type.getIntOrFloatBitWidth() == 16;
+}
+
 /// The slice of the field that a group updates.
 static std::optional<FieldSlice> getSlice(const AccumulationGroup &group) {
   SmallVector<bool> fixed =
@@ -166,7 +170,8 @@ bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   int64_t elements = slice->numCells * field.numComponents;
   if (elements > kMaxPrivateElements)
     return false;
-  if (compensated)
+  // Sums of 16 bits would stop growing after some hundred additions.
+  if (compensated || is16Bits(field.scalarType))
     return true;
   // Where the number of iterations is known at run time only, so is what pays:
   // too few of them run in one partition, which needs no buffers.
@@ -218,7 +223,7 @@ bool LoopRelaxation::isWarpSum(AtomicOp atomic) {
 bool LoopRelaxation::isWorthWide(const AccumulationGroup &group) {
   Type scalar = group.field->scalarType;
   if (!onDevice || deterministic || !isa<FloatType>(scalar) ||
-      !(compensated || scalar.getIntOrFloatBitWidth() == 16))
+      !(compensated || is16Bits(scalar)))
     return false;
   // Host code that repeats the loop would have as many sums.
   for (Operation *at = loop->getParentOp(); !isa<FunctionOpInterface>(at);
@@ -324,15 +329,20 @@ static bool isFloatSum(AtomicOp atomic) {
           atomic.getKind() == AtomicKind::Sub);
 }
 
-/// True if the loop has float sums that are not those of one iteration.
-bool LoopRelaxation::hasCompensatedSums() {
-  return compensated && loop.walk([](AtomicOp atomic) {
-                              return isFloatSum(atomic) &&
-                                             !atomic.getExclusive()
-                                         ? WalkResult::interrupt()
-                                         : WalkResult::advance();
-                            })
-                            .wasInterrupted();
+/// True if the loop has float sums, not those of one iteration, that are kept
+/// with more digits than their field has.
+bool LoopRelaxation::hasWideSums() {
+  return loop
+      .walk([&](AtomicOp atomic) {
+        bool isWide =
+            compensated ||
+            (atomic.getStrategy() &&
+             is16Bits(getElementTypeOrSelf(atomic.getValue().getType())));
+        return isWide && isFloatSum(atomic) && !atomic.getExclusive()
+                   ? WalkResult::interrupt()
+                   : WalkResult::advance();
+      })
+      .wasInterrupted();
 }
 
 /// Fails at a float sum that would be rounded to its type at each addition.
@@ -424,7 +434,7 @@ bool LoopRelaxation::useFixedPoint() {
   for (const AccumulationGroup &group : groups) {
     if (!group.field->sparse.empty())
       return false;
-    hasHalves |= group.field->scalarType.getIntOrFloatBitWidth() == 16;
+    hasHalves |= is16Bits(group.field->scalarType);
     bytes += double(getNumAccumulators(group)) *
              getAccumulatorBytes(group.field->scalarType);
   }
@@ -505,7 +515,7 @@ LogicalResult LoopRelaxation::run() {
     return failure();
   std::optional<int64_t> iterations = getNumIterations(loop);
   bool isSmall =
-      !onDevice && iterations && !hasCompensatedSums() &&
+      !onDevice && iterations && !hasWideSums() &&
       !(oneOrder && hasFloatTotals(loop)) &&
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
   if (deterministic && dependsOnTiming && onDevice && useFixedPoint()) {

@@ -63,3 +63,30 @@ def test_gradients_through_scatters(dt):
         measure()
     assert loss[None] == nearest(np.array(n / 64), dt) * 3
     assert np.array_equal(x.grad.to_numpy(), 1.0 + np.arange(n) % 2)
+
+
+@pytest.mark.parametrize("dt", [ti.f16, ti.bf16])
+@pytest.mark.parametrize("cells", [3, 100_000])
+@pytest.mark.parametrize("n", [33, 600, 5000])
+@pytest.mark.parametrize("options", [{}, {"deterministic": True}, {"sums": "compensated"}], ids=str)
+def test_few_terms_of_loops_of_known_length(dt, cells, n, options):
+    """Such loops run on one thread, and their additions are not rounded one by one there."""
+    ti.init(arch=ti.cpu, **options)
+    x, at = ti.field(dt, n), ti.field(ti.i32, n)
+    grid, total = ti.field(dt, cells), ti.field(dt, ())
+    x.fill(1 / 8)
+
+    @ti.kernel
+    def scatter():
+        for i in x:
+            grid[at[i]] += x[i]
+
+    @ti.kernel
+    def add():
+        for i in x:
+            total[None] -= x[i]
+
+    scatter()
+    add()
+    assert grid.to_numpy().astype(np.float32)[0] == nearest(n / 8, dt)
+    assert np.float32(total[None]) == nearest(-n / 8, dt)
