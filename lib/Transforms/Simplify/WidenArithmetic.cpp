@@ -116,7 +116,9 @@ static Attribute widenNumber(Attribute attr, Type type, FloatType wide) {
 }
 
 void Widening::widenAttributes(Operation *op) {
-  if (auto constant = dyn_cast<arith::ConstantOp>(op))
+  // One of a wider type than `wide` stays what it is.
+  if (auto constant = dyn_cast<arith::ConstantOp>(op);
+      constant && getElementTypeOrSelf(constant.getType()) == wide)
     constant.setValueAttr(cast<TypedAttr>(
         widenNumber(constant.getValue(), constant.getType(), wide)));
 }

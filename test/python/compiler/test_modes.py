@@ -581,6 +581,24 @@ def test_precision_of_a_kernel():
     assert "arith.extf" in wide.mlir() and "f64" in wide.mlir()
 
 
+def test_f32_on_fields_of_f64():
+    """Their numbers stay f64, and so do constants beside them."""
+    ti.init(arch=ti.cpu, precision="f64")
+    x = ti.field(float, shape=4)
+    v = ti.Vector.field(2, float, shape=4)
+
+    @ti.kernel(precision="f32")
+    def move():
+        for i in x:
+            x[i] = x[i] * 2.0 + 1.0
+            v[i] = v[i] + ti.Vector([x[i], 0.5])
+
+    x.fill(1e-12)
+    move()
+    np.testing.assert_array_equal(x.to_numpy(), np.full(4, 1e-12) * 2 + 1)
+    np.testing.assert_array_equal(v.to_numpy()[:, 0], x.to_numpy())
+
+
 def test_precision_of_a_kernel_with_matrices_and_gradients():
     ti.init(arch=ti.cpu)
     n = 100
