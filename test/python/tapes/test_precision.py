@@ -282,6 +282,24 @@ def test_what_is_not_finite_is_named():
         tape.precision_report()
 
 
+def test_the_first_tape_names_what_is_not_finite():
+    """No kernel has used the field when the tape is entered."""
+    ti.init(default_fp=ti.f32)
+    heights = ti.field(ti.f32, shape=4, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def add():
+        for i in heights:
+            loss[None] += heights[i]
+
+    heights[2] = np.nan
+    with pytest.warns(ti.ad.TaiGradientWarning), ti.ad.Tape(loss, precision=True) as tape:
+        add()
+    with pytest.raises(ti.TaiAutodiffError, match=r"field 'heights' holds nan at the start"):
+        tape.precision_report()
+
+
 def test_misuse():
     ti.init(default_fp=ti.f32)
     run, loss = make(same_types(ti.f32))

@@ -170,7 +170,7 @@ def _relative(error: float | None, loss: float) -> str:
 
 
 def find_not_finite() -> dict[str, str]:
-    """The fields that hold NaN or an infinity, and what to say of each."""
+    """The fields that hold NaN or an infinity, and what to say of each behind its name."""
     found = {}
     for f in own_fields():
         array = Snapshot._take(f)
@@ -178,9 +178,8 @@ def find_not_finite() -> dict[str, str]:
         if len(bad):
             index = ", ".join(map(str, bad[0][: len(f.shape)])) or "None"
             found[f.symbol] = (
-                f"field '{owner_of(f).name}' holds {array[tuple(bad[0])]} at the start, at "
-                f"[{index}] ({len(bad)} of its numbers are not finite): nothing can be said of its "
-                "rounding"
+                f"holds {array[tuple(bad[0])]} at the start, at [{index}] ({len(bad)} of its "
+                "numbers are not finite): nothing can be said of its rounding"
             )
     return found
 
@@ -206,7 +205,11 @@ def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
     """
     for symbol, message in sweep.not_finite.items():
         if symbol in sweep.loaded:
-            raise TaiAutodiffError(message, "fill it before the tape is entered")
+            # A field has its name from the first kernel that uses it, which the tape may hold.
+            name = owner_of(get_program().fields[symbol]).name
+            raise TaiAutodiffError(
+                f"field '{name}' {message}", "fill it before the tape is entered"
+            )
     value = float(loss[None])
     lines = [
         LinePrecision(key[1], key[2], linecache.getline(key[1], key[2]).strip(), total)
