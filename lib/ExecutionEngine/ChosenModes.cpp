@@ -46,8 +46,10 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
                 "give it to ti.init, for all");
   if (modes.math)
     result.codegen.fastMath = modes.math == MathMode::Fast;
-  bool isStrict =
-      modes.math ? modes.math == MathMode::Strict : !options.codegen.contract;
+  // What is accurate is said of functions, and leaves a strict context strict.
+  bool isStrict = modes.math && !modes.isAccurate()
+                      ? modes.math == MathMode::Strict
+                      : !options.codegen.contract;
   // Loops are cut differently for other numbers of threads, and what is fused
   // may depend on where a vectorised loop ends.
   result.codegen.contract = !isStrict && !result.deterministic;

@@ -337,6 +337,36 @@ def test_math_of_one_kernel():
     assert not np.array_equal(out.to_numpy(), a * b + c)
 
 
+@pytest.mark.parametrize("where", ["context", "kernel"])
+def test_what_is_accurate_stays_strict(where):
+    """Of a strict context: operations are rounded by themselves, and functions are accurate."""
+    accurate = {"math": "accurate"}
+    ti.init(arch=ti.cpu, strict=True, **(accurate if where == "context" else {}))
+    n = 1000
+    a, b, c = (np.random.default_rng(i).standard_normal(n).astype(np.float32) for i in range(3))
+    x, y, z, out = (ti.field(ti.f32, shape=n) for _ in range(4))
+    for field, values in ((x, a), (y, b), (z, c)):
+        field.from_numpy(values)
+
+    @ti.kernel(**(accurate if where == "kernel" else {}))
+    def add():
+        for i in x:
+            out[i] = x[i] * y[i] + z[i]
+
+    @ti.kernel(**(accurate if where == "kernel" else {}))
+    def curve():
+        for i in x:
+            out[i] = ti.tanh(x[i])
+
+    add()
+    assert np.array_equal(out.to_numpy(), a * b + c)
+    curve()
+    exact = np.tanh(a.astype(np.float64))
+    assert (
+        np.abs(out.to_numpy() - exact) <= 0.501 * np.spacing(np.abs(exact.astype(np.float32)))
+    ).all()
+
+
 ONE_ULP = ("sin", "cos", "tan", "asin", "acos", "exp", "log", "tanh")
 
 
