@@ -11,10 +11,16 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Why `modes` cannot be had together in a context that is fast or not, or
+/// Why `modes` cannot be had together in a context with these options, or
 /// nothing.
-static std::string findContradiction(const Modes &modes, bool fastContext) {
-  bool isFast = modes.math ? modes.math == MathMode::Fast : fastContext;
+static std::string findContradiction(const Modes &modes,
+                                     const CompileOptions &options) {
+  bool isFast =
+      modes.math ? modes.math == MathMode::Fast : options.codegen.fastMath;
+  if (isFast && options.shadow)
+    return "'shadow' and 'math=\"fast\"' contradict one another: the first "
+           "rounds every operation by itself, the second reorders them; choose "
+           "one";
   if (!isFast || !modes.isCompensated())
     return "";
   std::string fast = modes.math ? "math=\"fast\"" : "fast_math=True";
@@ -30,7 +36,7 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
     return kernel.emitError()
            << "kernel '" << kernel.getSymName() << "': " << problem;
   };
-  std::string problem = findContradiction(modes, options.codegen.fastMath);
+  std::string problem = findContradiction(modes, options);
   if (!problem.empty())
     return fail(problem);
   if (options.interpret &&

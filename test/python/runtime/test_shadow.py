@@ -363,6 +363,14 @@ def test_two_contexts_of_reports_follow_one_another():
 def test_options_that_do_not_go_together():
     with pytest.raises(TaiError, match="'shadow' and 'fast_math' contradict"):
         ti.init(arch=ti.cpu, shadow=True, fast_math=True)
+    ti.init(arch=ti.cpu, shadow=True)
+
+    @ti.kernel(math="fast")
+    def run() -> float:
+        return 1.0
+
+    with pytest.raises(TaiError, match="'shadow' and 'math=\"fast\"' contradict"):
+        run()
     ti.init(arch=ti.python)
     ti.reset()
     with pytest.raises(TaiError, match="choose arch cpu"):

@@ -153,6 +153,11 @@ def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
         keeps = name not in own or (option == "deterministic" and own[name] == "compensated")
         together[option] = keeps and getattr(options, option)
     check_together(together, "modes")
+    if options.shadow and own.get("math") == "fast":
+        raise TaiRuntimeError(
+            "modes 'shadow' and 'math=\"fast\"' contradict one another: the first rounds every "
+            "operation by itself, the second reorders them; choose one"
+        )
     if together["strict"] or options.shadow:  # which implies it
         together["math"] = together["math"] if together["math"] == "accurate" else "strict"
     return {
