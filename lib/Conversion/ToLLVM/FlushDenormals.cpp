@@ -129,8 +129,9 @@ static Value createFlushed(OpBuilder &builder, Location loc, Value x) {
 /// Whether a library computes the function, and not an instruction that knows
 /// the mode.
 static bool isOfLibrary(Operation *op) {
-  if (isa<LLVM::ATan2Op, LLVM::LogOp, LLVM::Log2Op, LLVM::Log10Op, LLVM::PowOp>(
-          op))
+  if (isa<LLVM::ATan2Op, LLVM::LogOp, LLVM::Log2Op, LLVM::Log10Op, LLVM::PowOp,
+          LLVM::SinOp, LLVM::TanOp, LLVM::ASinOp, LLVM::ATanOp, LLVM::SinhOp,
+          LLVM::TanhOp>(op))
     return true;
   auto call = dyn_cast<LLVM::CallOp>(op);
   if (!call || !call.getCallee())
@@ -143,7 +144,7 @@ static bool isOfLibrary(Operation *op) {
 
 /// Library functions look at the bits of a denormal number and multiply it by a
 /// power of two, which is zero then: a logarithm is off, and no longer that of
-/// any number.
+/// any number. Others, such as sines, return it as it is.
 static void flushOperands(LLVM::LLVMFuncOp function) {
   function.walk([](Operation *op) {
     if (!isOfLibrary(op))

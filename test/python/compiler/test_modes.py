@@ -294,7 +294,7 @@ def test_ftz_of_a_context_and_its_gradients():
 def test_ftz_of_functions(dt, n):
     """Those of the library, which takes numbers apart, are of zero for a denormal number, too."""
     ti.init(arch=ti.cpu, default_fp=dt, ftz=True)
-    x, y = ti.field(dt, shape=n), ti.field(dt, shape=(7, n))
+    x, y = ti.field(dt, shape=n), ti.field(dt, shape=(11, n))
 
     @ti.kernel
     def evaluate():
@@ -306,10 +306,14 @@ def test_ftz_of_functions(dt, n):
             y[4, i] = ti.atan2(x[i], x[i] * 3.0)
             y[5, i] = ti.pow(2.0, x[i])
             y[6, i] = ti.rsqrt(x[i])
+            y[7, i] = ti.sin(x[i])
+            y[8, i] = ti.tan(x[i])
+            y[9, i] = ti.asin(x[i])
+            y[10, i] = ti.tanh(x[i])
 
     x.fill(float(np.finfo(NPT[dt]).tiny) / 3)
     evaluate()
-    expected = [-np.inf, -np.inf, np.inf, 0, 0, 1, np.inf]
+    expected = [-np.inf, -np.inf, np.inf, 0, 0, 1, np.inf, 0, 0, 0, 0]
     assert y.to_numpy().T.tolist() == [expected] * n
 
 
