@@ -584,6 +584,21 @@ def test_what_is_not_finite_says_so(value):
         assert not chain.solve("cg")
 
 
+@pytest.mark.filterwarnings("default")
+def test_a_field_that_no_kernel_has_named_is_named():
+    ti.init(arch=ti.cpu)
+    right, answer = ti.field(ti.f64, shape=3), ti.field(ti.f64, shape=3)
+
+    @ti.kernel
+    def apply(p: ti.template(), q: ti.template()):
+        for i in p:
+            q[i] = -p[i]
+
+    right.fill(1.0)
+    with pytest.warns(ti.linalg.TaiConvergenceWarning, match="field 'answer' has not converged"):
+        ti.linalg.cg(apply, right, answer)
+
+
 def test_arguments_that_make_no_sense():
     chain = Chain(10, ti.f64)
     c, b, x, apply = chain.c, chain.b, chain.x, chain.apply

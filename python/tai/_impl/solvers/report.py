@@ -6,10 +6,12 @@ import math
 import sys
 import warnings
 from dataclasses import dataclass
+from types import FrameType
 from typing import Any
 
 from ...errors import TaiAutodiffError, TaiConvergenceWarning, TaiRuntimeTypeError, shorten
 from ..base import state
+from ..fields.root import name_fields
 from .krylov import Progress
 from .operators import Operator
 
@@ -57,6 +59,14 @@ class SolveInfo:
         self.reason = _REASONS.get(progress.reason, progress.reason)
 
 
+def _get_caller() -> FrameType:
+    """The innermost frame of the program."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("tai."):
+        frame = frame.f_back
+    return frame
+
+
 class Caller:
     """The line of the program that called a solver.
 
@@ -65,9 +75,7 @@ class Caller:
     """
 
     def __init__(self, solver: str, tolerance: Any, limit: Any, dtype_name: str):
-        frame = sys._getframe(1)
-        while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("tai."):
-            frame = frame.f_back
+        frame = _get_caller()
         self.solver = solver
         self.filename, self.lineno = frame.f_code.co_filename, frame.f_lineno
         self.module = frame.f_globals.get("__name__", "")
@@ -97,6 +105,10 @@ class Caller:
         """Says that a solve did not converge."""
         if not progress.reason:
             return
+        # Only kernels name fields otherwise, and none of the program's may have read it yet.
+        frame = _get_caller()
+        name_fields(frame.f_locals)
+        name_fields(frame.f_globals)
         text = (
             f"{self.solver}: {what} '{operator.x.name}' has not converged: residual "
             f"{progress.residual:.1e} after {progress.iterations} iterations with kernel "
