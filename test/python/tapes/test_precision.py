@@ -256,6 +256,30 @@ def test_tune_makes_the_program_again():
     assert made.seconds_before > 0 and made.seconds_after > 0
 
 
+@pytest.mark.parametrize("where", ["fast_math", "context", "kernel"])
+def test_what_fast_programs_lose(where):
+    """Roundings are differences, which reordering would cancel."""
+    words = {"fast_math": {"fast_math": True}, "context": {"math": "fast"}, "kernel": {}}
+    ti.init(default_fp=ti.f32, **words[where])
+    x = ti.field(ti.f32, shape=100, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    values = np.linspace(0.1, 1, 100).astype(np.float32)
+    x.from_numpy(values)
+
+    @ti.kernel(**({"math": "fast"} if where == "kernel" else {}))
+    def add():
+        for i in x:
+            loss[None] += x[i] * x[i]
+
+    with ti.ad.Tape(loss, precision=True) as tape:
+        add()
+    [field] = [f for f in tape.precision_report().fields if f.name == "x"]
+    lost = abs(np.sum(2 * values * (values.astype(np.float16).astype(np.float64) - values)))
+    assert lost * 0.99 < field.errors["f16"] < 10 * lost
+    tuned = ti.ad.tune_precision(add, loss, error=1e-2, verbose=False)
+    assert tuned.gradient_error > 1e-5
+
+
 def test_an_error_that_cannot_be_met():
     ti.init(default_fp=ti.f32)
     run, loss = make(same_types(ti.f32))

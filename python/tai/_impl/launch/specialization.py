@@ -208,6 +208,10 @@ class Specializations:
             modes = modes_of(self._modes, program.options)
         except TaiRuntimeError as error:
             raise located(TaiCompilationError(error.message, error.hint), self._function) from None
+        is_fast = modes.get("math") == "fast" or ("math" not in modes and program.options.fast_math)
+        if state.rounding is not None and is_fast:
+            # What a rounding takes away is a difference that is zero if it is reordered.
+            modes["math"] = "default"
         symbol = program.unique_symbol(signature.kernel)
         program.kernel_functions[symbol] = self._function
         names = signature.names
