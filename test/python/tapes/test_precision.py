@@ -289,6 +289,20 @@ def test_an_error_that_cannot_be_met():
     assert "is the best that f32 can have here" in str(info.value)
 
 
+def test_a_loss_of_zero_has_no_relative_error():
+    ti.init(default_fp=ti.f32)
+    x = ti.field(ti.f32, shape=3, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def add():
+        for i in x:
+            loss[None] += x[i]
+
+    with pytest.raises(ti.TaiAutodiffError, match="the loss is 0"):
+        ti.ad.tune_precision(add, loss, error=1e-3, verbose=False)
+
+
 def test_what_is_not_finite_is_named():
     ti.init(default_fp=ti.f32)
     run, loss = make(same_types(ti.f32))

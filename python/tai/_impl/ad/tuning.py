@@ -275,6 +275,11 @@ def _refuse_impossible(report: PrecisionReport, base: tuple, error: float) -> No
         )
     if all(f.dtype == "f64" for f in report.fields):
         return  # what f32 would do is an offer, and need not be taken
+    if report.loss == 0:
+        raise TaiAutodiffError(
+            "the loss is 0, so that no error of it is a relative one",
+            "start from a point where it is not 0",
+        )
     if report.relative > error:
         worst = "; ".join(
             f"{shorten(line.filename)}:{line.lineno} ({abs(line.error / report.loss):.1e})"
