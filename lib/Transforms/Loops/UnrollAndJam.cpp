@@ -495,6 +495,11 @@ static void apply(const Candidate &candidate) {
   int64_t factor = kBits / std::max(candidate.sumBits, 32u);
   if (candidate.fewOps <= kFewOps && !candidate.isUneven)
     factor *= 2;
+  // Copies beyond the iterations there are would leave all of these to the
+  // rest.
+  std::optional<llvm::APInt> trips = loop.getStaticTripCount();
+  while (trips && factor > 2 && trips->ult(factor))
+    factor /= 2;
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   Type type = loop.getInductionVar().getType();

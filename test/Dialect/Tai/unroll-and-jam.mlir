@@ -50,6 +50,37 @@ func.func @sums(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) {
 // -----
 
 #group = #llvm.access_group<id = distinct[0]<>>
+#parallel = #llvm.loop_annotation<parallelAccesses = #group>
+
+// Of twelve iterations in f32 there is no vector of sixteen: eight, and a rest.
+// CHECK-LABEL: func.func @few(
+//       CHECK:   arith.andi %{{.+}}, %c-8
+//       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c8
+//       CHECK:     %{{.+}}:8 = scf.for
+func.func @few(%a: !llvm.ptr, %b: !llvm.ptr) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c12 = arith.constant 12 : index
+  %c1000 = arith.constant 1000 : index
+  %zero = arith.constant 0.0 : f32
+  scf.for %i = %c0 to %c12 step %c1 {
+    %i64 = arith.index_cast %i : index to i64
+    %sum = scf.for %j = %c0 to %c1000 step %c1 iter_args(%s = %zero) -> (f32) {
+      %j64 = arith.index_cast %j : index to i64
+      %p = llvm.getelementptr %a[%j64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+      %t = llvm.load %p {access_groups = [#group]} : !llvm.ptr -> f32
+      %u = arith.addf %s, %t : f32
+      scf.yield %u : f32
+    }
+    %q = llvm.getelementptr %b[%i64] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    llvm.store %sum, %q {access_groups = [#group]} : f32, !llvm.ptr
+  } {llvm.loop_annotation = #parallel}
+  return
+}
+
+// -----
+
+#group = #llvm.access_group<id = distinct[0]<>>
 #other = #llvm.access_group<id = distinct[1]<>>
 #parallel = #llvm.loop_annotation<parallelAccesses = #group>
 
