@@ -90,6 +90,10 @@ ABOUT = {
 }
 
 
+# What fronts of time and error do not show, and these modes are for.
+JUSTIFIED = {"f16 storage": "half the memory", "bf16 storage": "half the memory"}
+
+
 def find(system: str, name: str) -> Mode:
     """The mode of a system by its name."""
     return next(mode for mode in MODES[system] if mode.name == name)
