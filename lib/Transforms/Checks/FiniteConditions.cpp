@@ -220,6 +220,7 @@ bool FiniteConditions::requireSeeds(Value value, Block &block) {
 }
 
 bool FiniteConditions::require(arith::SelectOp guard, Block &block) {
+  scope = &block;
   return guard->hasAttr(kInfiniteGuard)
              ? requireSeeds(guard.getFalseValue(), block)
              : requirePartial(guard);
@@ -285,9 +286,10 @@ bool FiniteConditions::requireFinite(Value value, Operation *at) {
   }
   if (matchPattern(op, m_Constant()))
     return !facts.mayBeNonFinite(value);
-  // Where its own conditions hold, it is finite.
+  // Where its own conditions hold, it is finite if its seed is: a tangent may
+  // come from guards in front of this part.
   if (isGuard(op))
-    return true;
+    return requireSeeds(value, *scope);
   if (auto extract = dyn_cast<vector::ExtractOp>(op);
       extract && isLeaf(extract.getSource())) {
     finite.insert(value);

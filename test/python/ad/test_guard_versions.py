@@ -298,3 +298,29 @@ def test_forward_mode(name):
         return [program.loss.dual.to_numpy()]
 
     both(run, ti.f64)
+
+
+@pytest.mark.parametrize("real", REALS)
+def test_a_tangent_that_is_infinite_before_a_loop(real):
+    """The guards behind the loop have a test of their own, of the tangent as well."""
+
+    def run():
+        n = 4
+        x, z, out = (ti.field(real, shape=n, needs_dual=True) for _ in range(3))
+        loss = ti.field(real, shape=(), needs_dual=True)
+        trips = ti.field(ti.i32, shape=n)
+
+        @ti.kernel
+        def evaluate():
+            for i in range(n):
+                inner = 1.0 - 1.0 / z[i]
+                for _ in range(trips[i]):
+                    loss[None] += ti.tanh(x[i])
+                out[i] += ti.tanh(1.0 / inner)
+
+        z.from_numpy(np.array([0.0, 2.0, 0.5, 3.0]))
+        trips.fill(1)
+        return [ti.ad.jvp(evaluate, [z, x], [np.ones(n), np.ones(n)], out)]
+
+    [found] = both(run, real)
+    np.testing.assert_allclose(found, [0, -0.07065082, -1.67989737, -0.04517666], rtol=1e-5)
