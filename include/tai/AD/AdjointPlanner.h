@@ -52,6 +52,8 @@ public:
   void annotate(FunctionOpInterface adjoint) const;
 
 private:
+  LogicalResult checkBefore(ArrayRef<DifferentiableAccessInterface> reads,
+                            const PrimalDemands &demands);
   LogicalResult chooseVersion(ArrayRef<DifferentiableAccessInterface> reads);
   bool planReexecution(DifferentiableAccessInterface lost,
                        ArrayRef<DifferentiableAccessInterface> reads);

@@ -35,7 +35,8 @@ FailureOr<bool> AdjointPlanner::settle(const PrimalDemands &demands) {
           cast<DifferentiableAccessInterface>(op).getAccessedStorage().field);
   bool allChosen = true;
   for (auto &[storage, reads] : byStorage)
-    if (!chosen.contains(storage) && failed(chooseVersion(reads)))
+    if (failed(chosen.contains(storage) ? checkBefore(reads, demands)
+                                        : chooseVersion(reads)))
       allChosen = false;
   if (!allChosen)
     return failure();
@@ -64,6 +65,30 @@ bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {
       return !field || getFieldStorageKey(field) == getStorageKey(store);
     });
   });
+}
+
+/// Refuses reads of what this launch wrote, in a storage that other operations
+/// need as it was before.
+LogicalResult
+AdjointPlanner::checkBefore(ArrayRef<DifferentiableAccessInterface> reads,
+                            const PrimalDemands &demands) {
+  for (DifferentiableAccessInterface read : reads) {
+    if (demands.before.contains(read.getOperation()))
+      continue;
+    DifferentiableAccessInterface earlier =
+        plan.accesses.findEarlierWrite(read);
+    if (!earlier)
+      continue;
+    wantsParts = true;
+    InFlightDiagnostic diag =
+        read.emitError("the value read here is needed by the gradient, and "
+                       "another update of the field needs what stood there "
+                       "before the kernel");
+    diag.attachNote(earlier->getLoc()) << "the value is written here";
+    diag.attachNote() << "put the update into a kernel of its own";
+    return failure();
+  }
+  return success();
 }
 
 /// Decides which version of one storage holds what these reads need, or

@@ -410,3 +410,25 @@ def test_a_product_that_is_no_atomic_is_refused():
         with ti.ad.Tape(loss):
             run()
             run.grad()
+
+
+@pytest.mark.parametrize("kind", ["max", "min", "mul"])
+def test_a_value_written_beside_an_element_that_is_needed_as_it_was(kind):
+    """One field cannot be both as before and as the kernel left it: no gradient is a guess."""
+    ti.init(arch=ti.cpu)
+    x, y = (ti.field(ti.f64, shape=5, needs_grad=True) for _ in range(2))
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    update = getattr(ti, f"atomic_{kind}")
+
+    @ti.kernel
+    def step():
+        for _ in range(1):
+            y[0] += 0.5
+            loss[None] += ti.sin(y[0])
+            update(y[3], x[1])
+
+    with (
+        pytest.raises(ti.TaiAutodiffError, match="needs what stood there before the kernel"),
+        ti.ad.Tape(loss),
+    ):
+        step()
