@@ -20,15 +20,25 @@
 
 using namespace tai::device;
 
+/// a + b, rounded. An assembler that finds a product in `a` or `b` makes one
+/// operation of both otherwise, and memory adds the rounded product.
+static double add(double a, double b) {
+#ifdef __NVPTX__
+  return __nvvm_add_rn_d(a, b);
+#else
+  return a + b;
+#endif
+}
+
 /// The rounding error of a + b, which is `sum`.
 static double getError(double a, double b, double sum) {
-  double partB = sum - a;
-  return (a - (sum - partB)) + (b - partB);
+  double partB = add(sum, -a);
+  return add(add(a, -add(sum, -partB)), add(b, -partB));
 }
 
 void tai_dev_wide_add_f32(double *sum, double term) {
   if (isSameInWarp(reinterpret_cast<uint64_t>(sum))) {
-    term = combineInWarp(term, [](double a, double b) { return a + b; });
+    term = combineInWarp(term, add);
     if (getLane() != 0)
       return;
   }
@@ -43,8 +53,8 @@ void tai_dev_wide_add_f64(double *sums, double term) {
     for (unsigned offset = warpSize / 2; offset; offset /= 2) {
       double other = exchange(term, getLane() ^ offset);
       double otherError = exchange(error, getLane() ^ offset);
-      double both = term + other;
-      error += otherError + getError(term, other, both);
+      double both = add(term, other);
+      error = add(error, add(otherError, getError(term, other, both)));
       term = both;
     }
     if (getLane() != 0)
@@ -53,5 +63,5 @@ void tai_dev_wide_add_f64(double *sums, double term) {
   if (term == 0 && error == 0)
     return;
   double before = atomicAdd(sums, term);
-  atomicAdd(sums + 1, error + getError(before, term, before + term));
+  atomicAdd(sums + 1, add(error, getError(before, term, add(before, term))));
 }

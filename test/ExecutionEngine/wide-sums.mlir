@@ -18,7 +18,7 @@ tai.field @d = @t["d"] : f64, rank 1
 //   CHECK-LABEL: .entry single_0(
 //         CHECK:   match.all.sync.b64
 //     CHECK-DAG:   shfl.sync
-//     CHECK-DAG:   add.f64
+//     CHECK-DAG:   add.rn.f64
 //   CHECK-LABEL: .entry single_1(
 //         CHECK:   cvt.rn.f32.f64
 tai.kernel @single() attributes {modes = {sums = "compensated"}} {
@@ -31,11 +31,15 @@ tai.kernel @single() attributes {modes = {sums = "compensated"}} {
   tai.return
 }
 
-// The old value, and the error that follows from it.
+// The old value, and the error that follows from it. An assembler makes one
+// operation of a product and a sum without `rn`.
 //   CHECK-LABEL: .entry double_0(
+//     CHECK-NOT:   {{(add|sub)}}.f64
 //         CHECK:   atom.{{.*}}add.f64
-//         CHECK:   sub.{{.*}}f64
-//         CHECK:   add.f64
+// CHECK-COUNT-7:   {{(add|sub)}}.rn.f64
+//         CHECK:   atom.{{.*}}add.f64
+//     CHECK-NOT:   {{(add|sub)}}.f64
+//   CHECK-LABEL: .entry double_1(
 tai.kernel @double() attributes {modes = {sums = "compensated"}} {
   tai.parallel_for (%i) in @v {
     %w = tai.load @w[%i] : f64
