@@ -345,8 +345,9 @@ def test_misuse():
         run()
     with pytest.raises(ti.TaiAutodiffError, match="precision=True"):
         tape.precision_report()
-    with pytest.raises(ti.TaiRuntimeTypeError, match="between 0 and 1"):
-        ti.ad.tune_precision(run, loss, error=2)
+    for error in (2, "a", None):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="between 0 and 1"):
+            ti.ad.tune_precision(run, loss, error=error)
     with pytest.raises(ti.TaiRuntimeTypeError, match="returns"):
         ti.ad.tune_precision(lambda types: None)
     with ti.ad.Tape(loss):

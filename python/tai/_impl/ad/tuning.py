@@ -100,7 +100,7 @@ def tune_precision(
     """
     if state.tape is not None:
         raise TaiRuntimeError("precision cannot be tuned inside a tape", "leave the tape first")
-    if not 0 < error < 1:
+    if not isinstance(error, (int, float)) or not 0 < error < 1:
         raise TaiRuntimeTypeError(f"error is a relative error between 0 and 1, but got {error!r}")
     builds = loss is None
     build = run

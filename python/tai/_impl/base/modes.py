@@ -101,8 +101,14 @@ def choose(chosen: dict[str, Any]) -> None:
         TaiRuntimeError: the program chose another default type as well.
     """
     for option, (name, word) in _SHORT.items():
-        if chosen.get(name) == word:
-            chosen[option] = True
+        if chosen.get(name) != word:
+            continue
+        if chosen.get(option) is False:
+            raise TaiRuntimeError(
+                f"options '{name}=\"{word}\"' and '{option}=False' contradict one another: the "
+                "second is short for what the first is not; choose one"
+            )
+        chosen[option] = True
     precision = chosen.get("precision", "default")
     if precision == "default":
         return
