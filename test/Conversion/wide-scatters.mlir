@@ -9,7 +9,8 @@
 
 tai.tree @t : !tai.root<dense<[i: 100], {at: i32, v: f32, w: f64}>,
                         dense<[i: 7], {h: f16, s: f32, d: f64}>,
-                        dense<[i: 40000000], {large: f16}>>
+                        dense<[i: 40000000], {large: f16}>,
+                        dense<[i: 3], {few: f32}>>
 tai.tree @sparse : !tai.root<pointer<[i: 16], dense<[i: 16], {p: f16}>>>
 tai.field @at = @t["at"] : i32, rank 1
 tai.field @v = @t["v"] : f32, rank 1
@@ -18,6 +19,7 @@ tai.field @h = @t["h"] : f16, rank 1
 tai.field @s = @t["s"] : f32, rank 1
 tai.field @d = @t["d"] : f64, rank 1
 tai.field @large = @t["large"] : f16, rank 1
+tai.field @few = @t["few"] : f32, rank 1
 tai.field @p = @sparse["p"] : f16, rank 1
 
 // One number of f64 for each element.
@@ -60,6 +62,30 @@ tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
     tai.atomic add %w, @d[%j] : f64
     tai.atomic add %w, @d[%c1] : f64
     tai.atomic add %v, @s[%c0] : f32
+  }
+  tai.return
+}
+
+// Of f32, where there are more than 2^15 for each element.
+// RELAX-LABEL: tai.kernel @many
+//       RELAX: tai.atomic add {{.+}}, @few[{{.+}}] strategy private buffer 0 : f32
+//       RELAX: tai.atomic add {{.+}}, @few[{{[^ ]+}}] : f32
+tai.kernel @many() {
+  %c0 = arith.constant 0 : index
+  %c98304 = arith.constant 98304 : index
+  %c98305 = arith.constant 98305 : index
+  tai.parallel_for (%i) = (%c0) to (%c98305) {
+    %k = arith.remui %i, %c98304 : index
+    %j32 = tai.load @at[%k] : i32
+    %j = arith.index_cast %j32 : i32 to index
+    %v = tai.load @v[%k] : f32
+    tai.atomic add %v, @few[%j] : f32
+  }
+  tai.parallel_for (%i) = (%c0) to (%c98304) {
+    %j32 = tai.load @at[%i] : i32
+    %j = arith.index_cast %j32 : i32 to index
+    %v = tai.load @v[%i] : f32
+    tai.atomic add %v, @few[%j] : f32
   }
   tai.return
 }

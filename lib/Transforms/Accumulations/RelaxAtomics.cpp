@@ -53,6 +53,10 @@ constexpr double kWarpNanoseconds = 80, kPassesNanoseconds = 10000;
 constexpr double kNanosecondsPerByte = 1e-3;
 constexpr double kMaxAccumulatorBytes = int64_t(1) << 29;
 
+/// So many additions of f32 to an element of a GPU, one after another, are off
+/// by more than 1e-6 of their sum.
+constexpr double kManyTerms = 1 << 15;
+
 /// Local arrays up to this size are summed in registers: a matrix.
 constexpr int64_t kMaxLocalSums = 16;
 
@@ -218,19 +222,27 @@ bool LoopRelaxation::isWarpSum(AtomicOp atomic) {
 }
 
 /// True if the additions of a loop on a GPU are rounded once, from sums in f64
-/// beside the field: those of 16-bit floats, which stop growing at some
-/// thousand terms, and compensated ones.
+/// beside the field: compensated ones, those of 16-bit floats, which stop
+/// growing at some thousand terms, and those of f32 that are many for each
+/// element.
 bool LoopRelaxation::isWorthWide(const AccumulationGroup &group) {
   Type scalar = group.field->scalarType;
-  if (!onDevice || deterministic || !isa<FloatType>(scalar) ||
-      !(compensated || is16Bits(scalar)))
+  if (!onDevice || deterministic || !isa<FloatType>(scalar))
+    return false;
+  double elements = double(getNumAccumulators(group)), updates = 0;
+  for (AtomicOp atomic : group.atomics)
+    updates += estimateRuns(atomic, loop);
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  bool hasMany = scalar.isF32() && iterations &&
+                 double(*iterations) * updates > kManyTerms * elements;
+  if (!compensated && !is16Bits(scalar) && !hasMany)
     return false;
   // Host code that repeats the loop would have as many sums.
   for (Operation *at = loop->getParentOp(); !isa<FunctionOpInterface>(at);
        at = at->getParentOp())
     if (!isa<scf::IfOp>(at))
       return false;
-  return double(getNumAccumulators(group)) * 16 <= kMaxAccumulatorBytes &&
+  return elements * 16 <= kMaxAccumulatorBytes &&
          llvm::all_of(group.atomics, [](AtomicOp atomic) {
            return atomic.getKind() == AtomicKind::Add ||
                   atomic.getKind() == AtomicKind::Sub;

@@ -167,6 +167,27 @@ def test_gradients_of_a_lookup():
         np.testing.assert_allclose(x.grad.to_numpy(), exact, rtol=1e-13, atol=1e-12)
 
 
+@pytest.mark.parametrize("cells", [1, 3])
+def test_many_numbers_of_f32_into_few_cells(cells):
+    """Each addition to what is large already would be off by half a unit of that."""
+    ti.init()
+    n = 400_003
+    x, at, grid = ti.field(ti.f32, n), ti.field(ti.i32, n), ti.field(ti.f32, cells)
+    values = np.random.default_rng(1).uniform(0, 1, n).astype(np.float32)
+    where = np.random.default_rng(2).integers(0, cells, n).astype(np.int32)
+    x.from_numpy(values)
+    at.from_numpy(where)
+
+    @ti.kernel
+    def scatter():
+        for i in x:
+            grid[at[i]] += x[i]
+
+    scatter()
+    exact = exact_sums(values.astype(np.float64), where, cells)
+    np.testing.assert_array_equal(grid.to_numpy(), exact.astype(np.float32))
+
+
 def test_two_fields_and_other_effects():
     ti.init(sums="compensated", default_fp=ti.f64)
     n = 1000
