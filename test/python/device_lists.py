@@ -104,9 +104,6 @@ FAILS_ON_A_DEVICE = {
     "test_program_limits": {
         "test_reports_have_names_that_are_not_english": "counts launches of kernels on the CPU",
     },
-    "test_sum_accuracy": {
-        "test_many_into_cells_beside_others": "a device adds to an element of f32 by atomics",
-    },
     "test_sparse_errors": {
         "test_out_of_memory_in_a_kernel": "cells have their memory from the start on a device",
     },
