@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tai as ti
 
-from half_floats import nearest
+from half_floats import check_scatters, nearest
 
 
 @pytest.mark.parametrize("dt", [ti.f16, ti.bf16])
@@ -13,30 +13,7 @@ from half_floats import nearest
 @pytest.mark.parametrize("options", [{}, {"deterministic": True}, {"sums": "compensated"}], ids=str)
 def test_many_terms_of_few_cells(dt, cells, threads, options):
     ti.init(arch=ti.cpu, cpu_max_num_threads=threads, **options)
-    n = 100_003
-    x, at = ti.field(dt, n), ti.field(ti.i32, n)
-    plain, pairs = ti.field(dt, cells), ti.Vector.field(2, dt, cells)
-    mixed = ti.Struct.field({"left": dt, "right": ti.f32}, shape=cells)
-    where = np.random.default_rng(cells).integers(0, cells, n).astype(np.int32)
-    at.from_numpy(where)
-    x.fill(1 / 64)
-    plain.fill(2)
-
-    @ti.kernel
-    def scatter():
-        for i in x:
-            plain[at[i]] += x[i]
-            pairs[at[i]] -= ti.Vector([x[i], 2 * x[i]])
-            mixed[at[i]].left += x[i]
-
-    scatter()
-    sums = np.bincount(where, minlength=cells) / 64
-    np.testing.assert_array_equal(plain.to_numpy().astype(np.float32), nearest(sums + 2, dt))
-    found = pairs.to_numpy().astype(np.float32)
-    np.testing.assert_array_equal(found[:, 0], nearest(-sums, dt))
-    np.testing.assert_array_equal(found[:, 1], nearest(-2 * sums, dt))
-    np.testing.assert_array_equal(mixed.left.to_numpy().astype(np.float32), nearest(sums, dt))
-    assert not mixed.right.to_numpy().any()
+    check_scatters(dt, cells, 100_003)
 
 
 @pytest.mark.parametrize("dt", [ti.f16, ti.bf16])
