@@ -20,8 +20,8 @@
 
 using namespace tai::device;
 
-/// a + b, rounded. An assembler that finds a product in `a` or `b` makes one
-/// operation of both otherwise, and memory adds the rounded product.
+/// a + b, rounded. A compiler that finds a product in `a` or `b` makes one
+/// operation of both otherwise, while memory adds the rounded product.
 static double add(double a, double b) {
 #ifdef __NVPTX__
   return __nvvm_add_rn_d(a, b);

@@ -31,8 +31,7 @@ tai.kernel @single() attributes {modes = {sums = "compensated"}} {
   tai.return
 }
 
-// The old value, and the error that follows from it. An assembler makes one
-// operation of a product and a sum without `rn`.
+// The old value, and the error that follows from it.
 //   CHECK-LABEL: .entry double_0(
 //     CHECK-NOT:   {{(add|sub)}}.f64
 //         CHECK:   atom.{{.*}}add.f64
@@ -46,6 +45,25 @@ tai.kernel @double() attributes {modes = {sums = "compensated"}} {
     %at = tai.load @at[%i] : i32
     %j = arith.index_cast %at : i32 to index
     tai.atomic sub %w, @d[%j] : f64
+  }
+  tai.return
+}
+
+// The error is that of adding the rounded product, which memory adds.
+//   CHECK-LABEL: .entry product_0(
+//     CHECK-NOT:   fma
+//         CHECK:   mul.f64
+//     CHECK-NOT:   fma
+//         CHECK:   atom.{{.*}}add.f64
+//     CHECK-NOT:   fma
+//         CHECK:   ret;
+tai.kernel @product() attributes {modes = {sums = "compensated"}} {
+  tai.parallel_for (%i) in @v {
+    %w = tai.load @w[%i] : f64
+    %x = arith.mulf %w, %w : f64
+    %at = tai.load @at[%i] : i32
+    %j = arith.index_cast %at : i32 to index
+    tai.atomic add %x, @d[%j] : f64
   }
   tai.return
 }
