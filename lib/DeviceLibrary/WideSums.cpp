@@ -65,3 +65,11 @@ void tai_dev_wide_add_f64(double *sums, double term) {
   double before = atomicAdd(sums, term);
   atomicAdd(sums + 1, add(error, getError(before, term, add(before, term))));
 }
+
+double tai_dev_wide_take_f64(double *sums, double element) {
+  double sum = sums[0], total = add(element, sum);
+  double error = add(sums[1], getError(element, sum, total));
+  sums[0] = sums[1] = 0;
+  // The error of a sum that is not finite is none.
+  return total - total == 0 ? add(total, error) : total;
+}

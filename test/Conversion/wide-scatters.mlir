@@ -120,5 +120,6 @@ tai.kernel @plain() {
 //         GPU:   arith.truncf {{.+}} : f64 to f16
 //   GPU-LABEL: llvm.func @compensated_0(
 // GPU-COUNT-2:   llvm.call @tai_dev_wide_add_f64
-//   GPU-LABEL: llvm.func @compensated_1(
-//         GPU:   arith.select
+//   GPU-LABEL: llvm.func @compensated_2(
+//         GPU:   %[[TOTAL:.+]] = llvm.call @tai_dev_wide_take_f64
+//         GPU:   llvm.store %[[TOTAL]], {{.+}} : f64

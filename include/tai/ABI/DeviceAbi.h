@@ -116,6 +116,8 @@ double tai_dev_fixed_take_f32(uint32_t *scale, uint64_t *sum);
 
 void tai_dev_wide_add_f32(double *sum, double term);
 void tai_dev_wide_add_f64(double *sums, double term);
+/// The element and the sum, which is then zero, rounded once.
+double tai_dev_wide_take_f64(double *sums, double element);
 
 //===----------------------------------------------------------------------===//
 // Memory of one thread, out of the heap of the device

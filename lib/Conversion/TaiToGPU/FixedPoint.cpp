@@ -36,8 +36,9 @@ struct Accumulators : ScatterBuffer {
   }
 };
 
-/// One of the three passes.
-enum class Pass { Scale, Add, Round };
+/// One of the three passes, of which the last takes the sum by itself for
+/// elements of 16 bits.
+enum class Pass { Scale, Add, Round, Take };
 
 class Splitter {
 public:
@@ -48,12 +49,12 @@ public:
 private:
   Accumulators create(const AccumulationGroup &group);
   void emitPass(ParallelForOp in, Pass pass);
-  void emitCall(OpBuilder &builder, Location loc, Pass pass,
-                const Accumulators &to, Value number, Value operand);
+  Value emitCall(OpBuilder &builder, Location loc, Pass pass,
+                 const Accumulators &to, Value number, Value operand = {});
   void emitSum(OpBuilder &builder, const Accumulators &from, Value number,
                Value element);
   bool hasEffects();
-  bool isWorthVisiting(ArrayRef<AccumulationGroup> groups);
+  bool isWorthVisiting(ArrayRef<AccumulationGroup> groups, bool hasEffects);
 
   ParallelForOp loop;
   Value frame;
@@ -124,25 +125,17 @@ Accumulators Splitter::create(const AccumulationGroup &group) {
 void Splitter::emitSum(OpBuilder &builder, const Accumulators &from,
                        Value number, Value element) {
   Location loc = loop.getLoc();
-  if (!from.isOfHalves())
-    return emitCall(builder, loc, Pass::Round, from, number, element);
-  Type wide = builder.getF64Type(), type = from.field->scalarType;
-  Value scale =
-      emitPointer(builder, loc, builder.getI32Type(), from.scales, number);
-  Value integer =
-      emitPointer(builder, loc, builder.getI64Type(), from.sums, number);
-  Value sum = lowering.device.runtime.call(
-      builder, loc, "tai_dev_fixed_take_f32", wide, {scale, integer});
-  Value old = arith::ExtFOp::create(
-      builder, loc, wide, emitLoad(builder, loc, type, element, AliasScopes()));
-  Value total = arith::AddFOp::create(builder, loc, old, sum);
-  emitStore(builder, loc, arith::TruncFOp::create(builder, loc, type, total),
-            element, AliasScopes());
+  if (!from.isOfHalves()) {
+    emitCall(builder, loc, Pass::Round, from, number, element);
+    return;
+  }
+  Value sum = emitCall(builder, loc, Pass::Take, from, number);
+  emitRoundedAddition(builder, loc, from.field->scalarType, sum, element);
 }
 
 /// `operand` is the value, or the address of the element.
-void Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
-                        const Accumulators &to, Value number, Value operand) {
+Value Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
+                         const Accumulators &to, Value number, Value operand) {
   IndexMath math(builder, loc);
   Value scale =
       emitPointer(builder, loc, builder.getI32Type(), to.scales, number);
@@ -150,13 +143,16 @@ void Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
   if (pass != Pass::Scale)
     operands.push_back(emitPointer(builder, loc, builder.getI64Type(), to.sums,
                                    math.mul(number, to.getNumIntegers())));
-  operands.push_back(operand);
-  StringRef name = pass == Pass::Scale ? "tai_dev_fixed_scale_"
-                   : pass == Pass::Add ? "tai_dev_fixed_add_"
-                                       : "tai_dev_fixed_round_";
+  if (operand)
+    operands.push_back(operand);
+  StringRef name = pass == Pass::Scale  ? "tai_dev_fixed_scale_"
+                   : pass == Pass::Add  ? "tai_dev_fixed_add_"
+                   : pass == Pass::Take ? "tai_dev_fixed_take_"
+                                        : "tai_dev_fixed_round_";
   StringRef suffix = to.field->scalarType.isF64() ? "f64" : "f32";
-  lowering.device.runtime.call(builder, loc, (name + suffix).str(), Type(),
-                               operands);
+  Type result = pass == Pass::Take ? builder.getF64Type() : Type();
+  return lowering.device.runtime.call(builder, loc, (name + suffix).str(),
+                                      result, operands);
 }
 
 /// Replaces the additions of a copy of the loop.
@@ -200,10 +196,11 @@ bool Splitter::hasEffects() {
 
 /// True if a loop over the elements adds the sums: these are few against the
 /// additions, or the field is of 16-bit floats.
-bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups) {
+bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups,
+                               bool hasEffects) {
   if (llvm::any_of(all, [](const Accumulators &to) { return to.isOfHalves(); }))
     return true;
-  if (hasEffects())
+  if (hasEffects)
     return false;
   double elements = 0, updates = 0;
   for (const AccumulationGroup &group : groups) {
@@ -225,7 +222,8 @@ LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
     return failure();
   for (const AccumulationGroup &group : *groups)
     all.push_back(create(group));
-  bool visitsElements = isWorthVisiting(*groups);
+  bool keepsLoop = hasEffects();
+  bool visitsElements = isWorthVisiting(*groups, keepsLoop);
   for (auto [number, group] : llvm::enumerate(*groups))
     for (AtomicOp atomic : group.atomics)
       atomic.setBuffer(number);
@@ -246,7 +244,7 @@ LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
                     [&](OpBuilder &in, Value number, Value element) {
                       emitSum(in, to, number, element);
                     });
-  if (!hasEffects()) {
+  if (!keepsLoop) {
     loop.erase();
     return success();
   }
@@ -263,12 +261,8 @@ LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
 
 LogicalResult tai::splitFixedPointLoops(LLVM::LLVMFuncOp host, Value frame,
                                         DeviceLowering &lowering) {
-  auto atomics =
-      findInBuffers(host, [](Type type) { return isa<FloatType>(type); });
-  if (failed(atomics))
-    return failure();
-  for (auto &[loop, found] : *atomics)
-    if (failed(Splitter(cast<ParallelForOp>(loop), frame, lowering).run(found)))
-      return failure();
-  return success();
+  return splitBufferedLoops(
+      host, [&](ParallelForOp loop, ArrayRef<AtomicOp> atomics) {
+        return Splitter(loop, frame, lowering).run(atomics);
+      });
 }

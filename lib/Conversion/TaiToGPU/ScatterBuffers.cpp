@@ -16,15 +16,17 @@ bool tai::isInBuffer(Operation *op) {
   return atomic && atomic.getStrategy() == AccumulationStrategy::Private;
 }
 
-FailureOr<llvm::MapVector<Operation *, SmallVector<AtomicOp>>>
-tai::findInBuffers(LLVM::LLVMFuncOp host, function_ref<bool(Type)> isKnown) {
+LogicalResult tai::splitBufferedLoops(
+    LLVM::LLVMFuncOp host,
+    function_ref<LogicalResult(ParallelForOp, ArrayRef<AtomicOp>)> split) {
   llvm::MapVector<Operation *, SmallVector<AtomicOp>> atomics;
   WalkResult result = host.walk([&](AtomicOp atomic) {
     if (!isInBuffer(atomic))
       return WalkResult::advance();
     auto loop = atomic->getParentOfType<ParallelForOp>();
     if (loop && isDeviceLoop(loop) && atomic.getBuffer() &&
-        atomic.getOld().use_empty() && isKnown(atomic.getValue().getType()) &&
+        atomic.getOld().use_empty() &&
+        isa<FloatType>(atomic.getValue().getType()) &&
         (atomic.getKind() == AtomicKind::Add ||
          atomic.getKind() == AtomicKind::Sub)) {
       atomics[loop].push_back(atomic);
@@ -37,7 +39,10 @@ tai::findInBuffers(LLVM::LLVMFuncOp host, function_ref<bool(Type)> isKnown) {
   });
   if (result.wasInterrupted())
     return failure();
-  return atomics;
+  for (auto &[loop, found] : atomics)
+    if (failed(split(cast<ParallelForOp>(loop), found)))
+      return failure();
+  return success();
 }
 
 Value tai::emitTerm(OpBuilder &builder, AtomicOp atomic) {
@@ -95,4 +100,13 @@ void tai::emitElementLoop(
       builder, loc, getStorageType(field.scalarType), buffer.fieldBase,
       emitElementOffset(builder, loc, field, zeroBased, components));
   emit(builder, number, element);
+}
+
+void tai::emitRoundedAddition(OpBuilder &builder, Location loc, Type scalar,
+                              Value sum, Value element) {
+  Value old = emitLoad(builder, loc, scalar, element, AliasScopes());
+  old = arith::ExtFOp::create(builder, loc, sum.getType(), old);
+  Value total = arith::AddFOp::create(builder, loc, old, sum);
+  emitStore(builder, loc, arith::TruncFOp::create(builder, loc, scalar, total),
+            element, AliasScopes());
 }

@@ -35,10 +35,11 @@ struct ScatterBuffer {
 
 bool isInBuffer(Operation *op);
 
-/// The additions of a host function that have buffers, by their loops. Fails at
-/// one of a type that is not `isKnown`.
-FailureOr<llvm::MapVector<Operation *, SmallVector<AtomicOp>>>
-findInBuffers(LLVM::LLVMFuncOp host, function_ref<bool(Type)> isKnown);
+/// Calls `split` for each loop of a host function with additions that have
+/// buffers. Fails at one that is no addition of floats.
+LogicalResult splitBufferedLoops(
+    LLVM::LLVMFuncOp host,
+    function_ref<LogicalResult(ParallelForOp, ArrayRef<AtomicOp>)> split);
 
 /// What an addition adds, with the sign.
 Value emitTerm(OpBuilder &builder, AtomicOp atomic);
@@ -52,6 +53,10 @@ Value emitSumNumber(OpBuilder &builder, AtomicOp atomic,
 void emitElementLoop(
     OpBuilder &builder, Location loc, const ScatterBuffer &buffer,
     function_ref<void(OpBuilder &, Value number, Value element)> emit);
+
+/// Adds a sum of f64 to an element of a narrower type.
+void emitRoundedAddition(OpBuilder &builder, Location loc, Type scalar,
+                         Value sum, Value element);
 
 } // namespace mlir::tai
 

@@ -97,9 +97,6 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   return partials;
 }
 
-/// So many terms of f32, added up by blocks, are at most some hundred additions
-/// in f32.
-constexpr int64_t kFewTerms = 1 << 15;
 /// 16-bit floats keep their value when a two-thousandth of it is added.
 constexpr int64_t kFewTermsOf16Bits = 32;
 

@@ -5,11 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Additions of 16-bit floats, and those of kernels with compensated sums, go to
-// sums of f64 beside the field. A sum of f64 has its rounding error beside it:
-// an atomic addition returns what was there before, from which its error
-// follows exactly (Knuth, TAOCP 4.2.2, theorem B). The errors add up in any
-// order.
+// Additions of 16-bit floats, those of f32 that are many for each element, and
+// those of kernels with compensated sums go to sums of f64 beside the field
+// (lib/DeviceLibrary/WideSums.cpp). A loop over the elements adds them to it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -42,25 +40,11 @@ static int64_t getNumParts(const ScatterBuffer &buffer) {
   return buffer.field->scalarType.isF64() ? 2 : 1;
 }
 
-static Value emitPart(OpBuilder &builder, Location loc,
-                      const ScatterBuffer &buffer, Value number, int64_t part) {
+static Value emitSumAddress(OpBuilder &builder, Location loc,
+                            const ScatterBuffer &buffer, Value number) {
   IndexMath math(builder, loc);
-  return emitPointer(
-      builder, loc, builder.getF64Type(), buffer.sums,
-      math.add(math.mul(number, getNumParts(buffer)), math.constant(part)));
-}
-
-/// The rounding error of a + b, which is `sum`.
-static Value emitError(OpBuilder &builder, Location loc, Value a, Value b,
-                       Value sum) {
-  auto add = [&](Value x, Value y) -> Value {
-    return arith::AddFOp::create(builder, loc, x, y);
-  };
-  auto subtract = [&](Value x, Value y) -> Value {
-    return arith::SubFOp::create(builder, loc, x, y);
-  };
-  Value partB = subtract(sum, a);
-  return add(subtract(a, subtract(sum, partB)), subtract(b, partB));
+  return emitPointer(builder, loc, builder.getF64Type(), buffer.sums,
+                     math.mul(number, getNumParts(buffer)));
 }
 
 void WideScatter::emitAddition(AtomicOp atomic, const ScatterBuffer &to) {
@@ -72,8 +56,9 @@ void WideScatter::emitAddition(AtomicOp atomic, const ScatterBuffer &to) {
     term = arith::ExtFOp::create(builder, loc, builder.getF64Type(), term);
   StringRef name =
       getNumParts(to) == 2 ? "tai_dev_wide_add_f64" : "tai_dev_wide_add_f32";
-  lowering.device.runtime.call(builder, loc, name, Type(),
-                               {emitPart(builder, loc, to, number, 0), term});
+  lowering.device.runtime.call(
+      builder, loc, name, Type(),
+      {emitSumAddress(builder, loc, to, number), term});
   atomic.erase();
 }
 
@@ -82,32 +67,19 @@ void WideScatter::emitResult(OpBuilder &builder, const ScatterBuffer &from,
                              Value number, Value element) {
   Location loc = loop.getLoc();
   Type wide = builder.getF64Type(), type = from.field->scalarType;
+  Value address = emitSumAddress(builder, loc, from, number);
+  if (type.isF64()) {
+    Value old = emitLoad(builder, loc, type, element, AliasScopes());
+    Value total = lowering.device.runtime.call(
+        builder, loc, "tai_dev_wide_take_f64", wide, {address, old});
+    emitStore(builder, loc, total, element, AliasScopes());
+    return;
+  }
+  Value sum = emitLoad(builder, loc, wide, address, AliasScopes());
   Value zero =
       arith::ConstantOp::create(builder, loc, builder.getF64FloatAttr(0));
-  auto takePart = [&](int64_t part) {
-    Value address = emitPart(builder, loc, from, number, part);
-    Value found = emitLoad(builder, loc, wide, address, AliasScopes());
-    emitStore(builder, loc, zero, address, AliasScopes());
-    return found;
-  };
-  Value sum = takePart(0);
-  Value old = emitLoad(builder, loc, type, element, AliasScopes());
-  if (!type.isF64())
-    old = arith::ExtFOp::create(builder, loc, wide, old);
-  Value total = arith::AddFOp::create(builder, loc, old, sum);
-  if (getNumParts(from) == 2) {
-    // The error of a sum that is not finite is none.
-    Value error = arith::AddFOp::create(
-        builder, loc, takePart(1), emitError(builder, loc, old, sum, total));
-    Value exact = arith::AddFOp::create(builder, loc, total, error);
-    Value none = arith::MulFOp::create(builder, loc, total, zero);
-    Value isFinite = arith::CmpFOp::create(
-        builder, loc, arith::CmpFPredicate::ORD, none, none);
-    total = arith::SelectOp::create(builder, loc, isFinite, exact, total);
-  } else {
-    total = arith::TruncFOp::create(builder, loc, type, total);
-  }
-  emitStore(builder, loc, total, element, AliasScopes());
+  emitStore(builder, loc, zero, address, AliasScopes());
+  emitRoundedAddition(builder, loc, type, sum, element);
 }
 
 LogicalResult WideScatter::run(ArrayRef<AtomicOp> atomics) {
@@ -137,13 +109,8 @@ LogicalResult WideScatter::run(ArrayRef<AtomicOp> atomics) {
 
 LogicalResult tai::splitWideScatters(LLVM::LLVMFuncOp host, Value frame,
                                      DeviceLowering &lowering) {
-  auto atomics =
-      findInBuffers(host, [](Type type) { return isa<FloatType>(type); });
-  if (failed(atomics))
-    return failure();
-  for (auto &[loop, found] : *atomics)
-    if (failed(
-            WideScatter(cast<ParallelForOp>(loop), frame, lowering).run(found)))
-      return failure();
-  return success();
+  return splitBufferedLoops(
+      host, [&](ParallelForOp loop, ArrayRef<AtomicOp> atomics) {
+        return WideScatter(loop, frame, lowering).run(atomics);
+      });
 }

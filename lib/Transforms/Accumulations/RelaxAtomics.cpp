@@ -53,10 +53,6 @@ constexpr double kWarpNanoseconds = 80, kPassesNanoseconds = 10000;
 constexpr double kNanosecondsPerByte = 1e-3;
 constexpr double kMaxAccumulatorBytes = int64_t(1) << 29;
 
-/// So many additions of f32 to an element of a GPU, one after another, are off
-/// by more than 1e-6 of their sum.
-constexpr double kManyTerms = 1 << 15;
-
 /// Local arrays up to this size are summed in registers: a matrix.
 constexpr int64_t kMaxLocalSums = 16;
 
@@ -234,7 +230,7 @@ bool LoopRelaxation::isWorthWide(const AccumulationGroup &group) {
     updates += estimateRuns(atomic, loop);
   std::optional<int64_t> iterations = getNumIterations(loop);
   bool hasMany = scalar.isF32() && iterations &&
-                 double(*iterations) * updates > kManyTerms * elements;
+                 double(*iterations) * updates > double(kFewTerms) * elements;
   if (!compensated && !is16Bits(scalar) && !hasMany)
     return false;
   // Host code that repeats the loop would have as many sums.

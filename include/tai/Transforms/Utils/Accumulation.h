@@ -64,6 +64,10 @@ std::optional<int64_t> getNumIterations(ParallelForOp loop);
 /// private buffer. Measured: 5 ns against 0.5 ns.
 constexpr double kElementsPerUpdate = 10;
 
+/// So many terms of f32 for an element of a GPU, added up by warps or blocks,
+/// are at most some hundred to some thousand additions in f32. More go to f64.
+constexpr int64_t kFewTerms = 1 << 15;
+
 /// The neutral element of `kind`.
 TypedAttr getIdentity(AtomicKind kind, Type type);
 

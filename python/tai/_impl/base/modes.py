@@ -38,6 +38,8 @@ _SHORT = {
 _CONTRADICTIONS = (
     (("math", "strict"), ("math", "fast"),
      "rounds every operation by itself", "reorders them"),
+    (("shadow", "on"), ("math", "fast"),
+     "rounds every operation by itself", "reorders them"),
     (("math", "accurate"), ("math", "fast"),
      "wants every function right to one unit in the last place", "approximates them"),
     (("sums", "compensated"), ("math", "fast"),
@@ -55,6 +57,8 @@ def _words(chosen: dict[str, Any]) -> dict[tuple[str, str], str]:
     for option, word in _SHORT.items():
         if chosen.get(option):
             found[word] = option
+    if chosen.get("shadow"):
+        found["shadow", "on"] = "shadow"
     return found
 
 
@@ -153,17 +157,12 @@ def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
         TaiRuntimeError: these contradict one another.
     """
     context = {name: getattr(options, name) for name in OF_KERNELS}
-    together = {**context, **own}
+    together = {**context, **own, "shadow": options.shadow}
     for option, (name, _) in _SHORT.items():
         # What a kernel says goes first, but compensated sums may be deterministic as well.
         keeps = name not in own or (option == "deterministic" and own[name] == "compensated")
         together[option] = keeps and getattr(options, option)
     check_together(together, "modes")
-    if options.shadow and own.get("math") == "fast":
-        raise TaiRuntimeError(
-            "modes 'shadow' and 'math=\"fast\"' contradict one another: the first rounds every "
-            "operation by itself, the second reorders them; choose one"
-        )
     if together["strict"] or options.shadow:  # which implies it
         together["math"] = together["math"] if together["math"] == "accurate" else "strict"
     return {
