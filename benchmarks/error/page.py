@@ -261,6 +261,8 @@ def _draw_place(scenes: dict[str, list[dict]], path: Path, title: str) -> None:
     import matplotlib
     from matplotlib import pyplot
 
+    from studio.pictures import save_figure
+
     colours = _palette()
     paper, ink, soft = colours["PAPER"], colours["INK"], colours["SOFT"]
     series = [colours[name] for name in ("BLUE", "RED", "GOLD", "GREEN", "PLUM", "TEAL")]
@@ -304,7 +306,7 @@ def _draw_place(scenes: dict[str, list[dict]], path: Path, title: str) -> None:
         last.legend(handles.values(), handles.keys(), loc="center", ncols=2, fontsize=7)
         figure.suptitle(title, fontsize=9)
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=100)
+        save_figure(figure, path, dpi=100)
         pyplot.close(figure)
 
 

@@ -355,7 +355,8 @@ def test_pictures(tmp_path, capsys):
     studio.picture(args, np.full((3, 5, 3), 1.5), what="flat")
     assert Image.open(tmp_path / "toy.flat.png").getpixel((0, 0)) == (255, 255, 255)
     studio.plot(args, "two", {"a": [1, 2], "b": ([0, 2], [3, 1])}, x="time (s)", y="way (m)")
-    assert Image.open(tmp_path / "toy.two.png").size[0] > 500
+    plot = Image.open(tmp_path / "toy.two.png")
+    assert plot.mode == "P" and plot.size[0] > 500
     assert capsys.readouterr().out.count(str(tmp_path)) == 5
     args.picture = False
     for call in (studio.movie, studio.picture):
