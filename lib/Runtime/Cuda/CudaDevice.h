@@ -181,7 +181,6 @@ private:
   Status waitUntilReady(const Query &query, Result &result);
   /// Asks kernels with safepoints to stop, and waits briefly for that.
   template <typename Query> void stopLoops(const Query &query);
-  bool isStopWritten(uint32_t who, std::chrono::steady_clock::time_point end);
 
   /// The stop word in device memory, or 0; a separate stream to write it while
   /// kernels run; and the source of the copies: zero, and the number of the

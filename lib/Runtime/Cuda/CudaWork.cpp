@@ -313,33 +313,26 @@ void CudaDevice::setStopWord(DevicePtr word) {
     stopWord = word;
 }
 
-bool CudaDevice::isStopWritten(uint32_t who,
-                               std::chrono::steady_clock::time_point end) {
-  // Each value has a place of its own, since a copy may still read the other.
-  uint32_t *source = &stopSource[who != 0];
-  *source = who;
-  if (cu.memcpyHtoDAsync(stopWord, source, sizeof(who), stopStream) != kSuccess)
-    return false;
-  Result result;
-  while ((result = cu.streamQuery(stopStream)) == kNotReady &&
-         std::chrono::steady_clock::now() < end)
-    sched_yield();
-  return result == kSuccess;
-}
-
 template <typename Query> void CudaDevice::stopLoops(const Query &query) {
   std::lock_guard<std::mutex> lock(stopMutex);
   if (!stopWord)
     return;
-  // Whoever sees it ends soon. What does not is left to itself, as is a device
-  // that does not even copy.
+  // Zero and the number have a place each, since a copy may still read the
+  // other. The number goes past the kernels, on a stream of its own.
+  stopSource[0] = 0;
+  stopSource[1] = safepoint::threadNumber();
+  if (cu.memcpyHtoDAsync(stopWord, &stopSource[1], sizeof(uint32_t),
+                         stopStream) != kSuccess)
+    return;
+  // Kernels that are queued from now on shall go on. Zero is queued before
+  // them and behind all that shall end, however late that is: a GPU that other
+  // processes use, too, may not run it for seconds.
+  (void)cu.memcpyHtoDAsync(stopWord, &stopSource[0], sizeof(uint32_t), stream);
+  // Whoever sees the number ends soon. What does not is left to itself.
   constexpr std::chrono::milliseconds patience(500);
   auto end = std::chrono::steady_clock::now() + patience;
-  if (isStopWritten(safepoint::threadNumber(), end))
-    while (query() == kNotReady && std::chrono::steady_clock::now() < end)
-      sched_yield();
-  // Kernels that are queued from now on shall go on.
-  (void)isStopWritten(0, std::chrono::steady_clock::now() + patience);
+  while (query() == kNotReady && std::chrono::steady_clock::now() < end)
+    sched_yield();
 }
 
 /// An interrupted wait ends what looks at its word. What else is queued stays

@@ -88,11 +88,21 @@ TEST_F(DeviceInterrupts, EndLoopsThatAsk) {
 TEST_F(DeviceInterrupts, LeaveOtherLoopsToThemselves) {
   ASSERT_NO_FATAL_FAILURE(start(other));
   EXPECT_EQ(interruptedWait().code(), StatusCode::Interrupted);
-  EXPECT_EQ(at(told), 0u);
   EXPECT_EQ(at(other, 1), 0u);
   at(other) = 1;
   EXPECT_OK(queue->synchronize());
   EXPECT_EQ(at(other, 1), 1u);
+  EXPECT_EQ(at(told), 0u);
+}
+
+TEST_F(DeviceInterrupts, AreToldToLoopsThatLookLate) {
+  // As where other processes use the GPU: nothing of ours runs meanwhile.
+  ASSERT_NO_FATAL_FAILURE(start(other));
+  EXPECT_EQ(interruptedWait().code(), StatusCode::Interrupted);
+  EXPECT_EQ(at(told), safepoint::threadNumber());
+  at(other) = 1;
+  EXPECT_OK(queue->synchronize());
+  EXPECT_EQ(at(told), 0u) << "the next kernel would end, too";
 }
 
 TEST_F(DeviceInterrupts, TellNobodyWithoutAWord) {
