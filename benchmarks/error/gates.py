@@ -43,11 +43,11 @@ class Gate:
 
 
 class Table:
-    """Measured rows of tai by scene, mode and where they ran."""
+    """Measured rows of tai by scene, mode, where they ran, and on which machine."""
 
     def __init__(self, found: list[dict]):
         ours = [r for r in rows.measured(found) if r["system"] == modes.OURS]
-        self.rows = {(r["scene"], r["mode"], self.place(r)): r for r in ours}
+        self.rows = {(r["scene"], r["mode"], self.place(r), r["machine"]): r for r in ours}
 
     @staticmethod
     def place(row: dict) -> str:
@@ -55,14 +55,14 @@ class Table:
         return f"{row['arch']}{threads} {row['size']}"
 
     def of(self, mode: str, scene: str = "") -> Iterator[dict]:
-        for (here, name, _), row in self.rows.items():
+        for (here, name, *_), row in self.rows.items():
             if name == mode and scene in ("", here):
                 yield row
 
     def pairs(self, mode: str, base: str) -> Iterator[tuple[str, dict, dict]]:
-        """Rows of two modes, of the same scene at the same place."""
-        for (scene, name, place), row in self.rows.items():
-            other = self.rows.get((scene, base, place))
+        """Rows of two modes, of the same scene at the same place on one machine."""
+        for (scene, name, place, machine), row in self.rows.items():
+            other = self.rows.get((scene, base, place, machine))
             if name == mode and other is not None:
                 yield f"{scene} ({place})", row, other
 
@@ -115,7 +115,7 @@ def judge(found: list[dict]) -> list[Gate]:
         for row in table.of(mode.name) if mode.is_deterministic else ():
             same.note(f"{row['scene']} ({table.place(row)}) {mode.name}", row["distinct"], 1)
     finite = gate("finite in, finite out")
-    for (scene, name, place), row in table.rows.items():
+    for (scene, name, place, _), row in table.rows.items():
         finite.note(f"{scene} ({place}) {name}", row["nan_count"], 0)
     _judge_fronts(gate("each mode is on the front of some scene, or halves the memory"), table)
     _judge_failures(gate("no scene fails in a mode that this build has"), found)
@@ -124,9 +124,9 @@ def judge(found: list[dict]) -> list[Gate]:
 
 def _judge_fronts(gate: Gate, table: Table) -> None:
     groups: dict[tuple, list[dict]] = {}
-    for (scene, name, place), row in table.rows.items():
+    for (scene, name, *place), row in table.rows.items():
         if name != "f32 unguarded":  # nobody is asked to choose it
-            groups.setdefault((scene, place), []).append(row)
+            groups.setdefault((scene, *place), []).append(row)
     on_front = {row["mode"] for group in groups.values() for row in rows.front(group)}
     for name in sorted({row["mode"] for group in groups.values() for row in group}):
         if modes.find(modes.OURS, name).is_deterministic:

@@ -12,6 +12,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import gates
 import modes
 import rows
 
@@ -32,6 +33,29 @@ def groups_of(found: list[dict]) -> dict[tuple, list[dict]]:
         place = (row["machine"], row["size"], row["arch"], row["threads"])
         groups.setdefault((row["scene"], *place), []).append(row)
     return groups
+
+
+def merged(groups: dict[tuple, list[dict]]) -> dict[tuple, list[dict]]:
+    """The same with one group for each card, whatever machine it is in.
+
+    Of rows that two machines have, that of the machine with more of the scene is kept.
+    """
+    cards: dict[tuple, list[dict]] = {}
+    for key in sorted(groups, key=lambda key: -len(groups[key])):
+        scene, machine, size, arch, threads = key
+        where = (scene, card(machine) if arch == "cuda" else machine, size, arch, threads)
+        group = cards.setdefault(where, [])
+        known = {(row["system"], row["mode"]) for row in group}
+        group += [row for row in groups[key] if (row["system"], row["mode"]) not in known]
+    scenes = list(dict.fromkeys(key[0] for key in groups))
+    return dict(
+        sorted(cards.items(), key=lambda item: (item[0][3:], item[0][1], scenes.index(item[0][0])))
+    )
+
+
+def card(machine: str) -> str:
+    """A GPU's name, which stands last: "processor, cores, card"."""
+    return machine.rsplit(", ", 1)[-1]
 
 
 def split(group: list[dict]) -> tuple[list[dict], list[dict]]:
@@ -83,8 +107,6 @@ def table(group: list[dict]) -> list[str]:
 def verdict(group: list[dict]) -> str:
     """Whether some mode is faster and more exact than all that the peers have."""
     ours, peers = split(group)
-    if not peers:
-        return "No peer was measured."
     best = [row for row in ours if rows.beats_all(row, peers)]
     if best:
         names = ", ".join(row["mode"] for row in best)
@@ -146,6 +168,21 @@ def trouble(found: list[dict]) -> list[str]:
     return lines
 
 
+def bars(found: list[dict]) -> list[str]:
+    """The gates' outcomes for CPUs and for each card, and all that breaks one."""
+    places: dict[str, list[dict]] = {}
+    for row in found:
+        where = card(row["machine"]) if row["arch"] == "cuda" else row["machine"]
+        places.setdefault(where, []).append(row)
+    lines = ["| bar | where | measured | outcome |", "|---|---|---|---|"]
+    for where, mine in places.items():
+        for gate in gates.judge(mine):
+            broken = "; ".join(gate.broken)
+            outcome = f"fails: {broken}" if broken else gate.outcome
+            lines.append(f"| {gate.name} | {where} | {len(gate.found)} | {outcome} |")
+    return lines
+
+
 INTRODUCTION = """
     How long an iteration takes (forward and backward) and how far its loss and its gradient are
     off, for each mode of numbers, on the examples at small sizes and on single kernels. This page
@@ -159,6 +196,14 @@ HINT = """
     Rows of a size other than full were measured in a hurry, several at a time: their errors hold,
     their times are a hint, and the marks that rest on them as well."""
 
+BARS = """
+    What `benchmarks/error/gates.py` asks of the figures. Times are the least of the runs, and each
+    is compared with the other mode's of the same run."""
+
+CARDS = """
+    Rows of one card may be of several machines that have it; what a mode costs next to another
+    is compared on one machine alone."""
+
 LEGEND = """
     *Loss* and *gradient* are relative errors (L2), *cosine* is between the gradient and the true
     one, *results* how many different ones there were in how many runs, *after descent* the loss
@@ -169,7 +214,8 @@ LEGEND = """
 
 
 def text_of(found: list[dict], pictures: Iterable[Path]) -> str:
-    groups = groups_of(found)
+    apart = groups_of(found)
+    groups = merged(apart)
     lines = ["# Run time against error", "", *_wrapped(INTRODUCTION), ""]
     for machine in dict.fromkeys(row["machine"] for row in found):
         mine = [row for row in found if row["machine"] == machine]
@@ -180,16 +226,26 @@ def text_of(found: list[dict], pictures: Iterable[Path]) -> str:
         lines += textwrap.wrap(text, 110, subsequent_indent="  ")
     if any(row["size"] != "full" for row in found):
         lines += ["", *_wrapped(HINT)]
-    lines += ["", "## Which mode for what", "", *prices(groups), ""]
+    if any(row["arch"] == "cuda" for row in found):
+        lines += ["", *_wrapped(CARDS)]
+    lines += ["", "## Which mode for what", "", *prices(apart), ""]
     lines += _wrapped("The fastest mode of tai whose error stays below a bound:")
     lines += ["", f"| scene | {' | '.join(f'{t:.0e}' for t in TARGETS)} |"]
     lines += [f"|---|{'---|' * len(TARGETS)}"]
     for (scene, *place), group in groups.items():
         lines.append(f"| {scene} ({_place(place)}) | {' | '.join(choice(group))} |")
     lines += ["", "## Against peers", ""]
+    alone = []
     for (scene, *place), group in groups.items():
-        lines += textwrap.wrap(f"- {scene} ({_place(place)}): {verdict(group)}", 110,
-                               subsequent_indent="  ")  # fmt: skip
+        where = f"{scene} ({_place(place)})"
+        if split(group)[1]:
+            lines += textwrap.wrap(f"- {where}: {verdict(group)}", 110, subsequent_indent="  ")
+        else:
+            alone.append(where)
+    if alone:
+        text = f"- No peer was measured: {', '.join(alone)}."
+        lines += textwrap.wrap(text, 110, subsequent_indent="  ")
+    lines += ["", "## Bars", "", *_wrapped(BARS), "", *bars(found)]
     fast = speed_and_digits(groups)
     if fast:
         lines += ["", "## What fast maths buys, and what it loses", "", *fast]
@@ -227,7 +283,7 @@ def speed_and_digits(groups: dict[tuple, list[dict]]) -> list[str]:
 def _place(place: Iterable[str]) -> str:
     machine, _, arch, threads = place
     if arch == "cuda":
-        return machine.rsplit(", ", 1)[-1]
+        return card(machine)
     return "one thread" if threads == "1" else "all threads"
 
 
@@ -246,11 +302,11 @@ def draw(found: list[dict], folder: Path) -> list[Path]:
         return []
     matplotlib.use("Agg")
     places: dict[tuple, dict[str, list[dict]]] = {}
-    for (scene, *place), group in groups_of(found).items():
+    for (scene, *place), group in merged(groups_of(found)).items():
         places.setdefault(tuple(place), {})[scene] = group
     written = []
     for (machine, size, arch, threads), scenes in places.items():
-        where = machine.rsplit(", ", 1)[-1].lower() if arch == "cuda" else f"cpu-{threads}"
+        where = machine.lower() if arch == "cuda" else f"cpu-{threads}"
         path = folder / f"accuracy-{where}{'' if size == 'full' else '-' + size}.png"
         _draw_place(scenes, path, f"{machine}; size {size}; threads {threads}")
         written.append(path)

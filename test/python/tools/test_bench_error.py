@@ -12,6 +12,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks" / "err
 
 import gates
 import modes
+import page
+import rows as table
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "benchmarks" / "error"
@@ -67,7 +69,8 @@ def test_the_page_says_what_was_measured(run):
     for row in rows:
         assert f"| tai, {row['mode']} | {float(row['ms']):.3g} |" in text
     assert "| f32 strict | not measured | |" in text
-    assert "No peer was measured." in text
+    assert "No peer was measured: sin (one thread)." in text
+    assert "| finite in, finite out | " in text
     picture = folder / "work" / "accuracy-cpu-1-tiny.png"
     assert picture.read_bytes().startswith(b"\x89PNG") or "no pictures" in text
 
@@ -95,6 +98,24 @@ def test_a_mode_that_is_missing_loses_no_other(tmp_path):
     assert found["jax", "f32"]["status"] == "missing"
     assert "no environment of peers" in found["jax", "f32"]["reason"]
     assert found["tai", "f32"]["status"] == "ok"
+
+
+def test_rows_of_a_card_from_two_machines(run):
+    """One table for a card; what modes cost is compared on one machine alone."""
+    (base, *_) = table.read(run[0] / "rows.csv")
+    base |= {"arch": "cuda", "threads": "all"}
+    found = []
+    several = ["f32", "f64", "f64 compensated"]
+    for cores, ms, names in ((16, 1.0, several), (32, 5.0, ["f32", "f16 storage"])):
+        for name in names:
+            machine = f"A processor, {cores} cores, H200"
+            found.append(dict(base, mode=name, ms=ms, least=ms, machine=machine))
+    ((where, group),) = page.merged(page.groups_of(found)).items()
+    assert where[1] == "H200"
+    times = {row["mode"]: row["ms"] for row in group}
+    assert times == {"f32": 1.0, "f64": 1.0, "f64 compensated": 1.0, "f16 storage": 5.0}
+    outcome = {gate.name: gate.found for gate in gates.judge(found)}
+    assert len(outcome["compensated sums cost at most 30 %"]) == 1
 
 
 # Gates
