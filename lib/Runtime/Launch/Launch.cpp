@@ -35,7 +35,7 @@ bool Arena::map(int64_t bytes, Block &block) {
            MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (memory == MAP_FAILED)
     return false;
-  block = {static_cast<char *>(memory), bytes, 0, 0};
+  block = {static_cast<char *>(memory), bytes, 0, 0, {}};
   return true;
 }
 
@@ -58,10 +58,43 @@ char *Arena::allocate(int64_t bytes, int64_t &dirtyBytes) {
   Block &block = blocks.back();
   char *address = block.address + block.used;
   dirtyBytes = std::clamp<int64_t>(block.touched - block.used, 0, bytes);
-  block.used += bytes;
+  int64_t begin = block.used, end = begin + bytes;
+  // What is taken now is no longer known to be zero.
+  std::vector<std::pair<int64_t, int64_t>> others;
+  for (auto [first, last] : block.zeros) {
+    if (first <= begin && last >= std::min(end, block.touched))
+      dirtyBytes = 0;
+    if (first < std::min(begin, last))
+      others.emplace_back(first, std::min(begin, last));
+    if (last > std::max(end, first))
+      others.emplace_back(std::max(end, first), last);
+  }
+  block.zeros = std::move(others);
+  block.used = end;
   block.touched = std::max(block.touched, block.used);
   anyUsed = true;
   return address;
+}
+
+void Arena::markZero(const char *address, int64_t bytes) {
+  std::lock_guard<std::mutex> lock(mutex);
+  for (Block &block : blocks) {
+    int64_t begin = address - block.address, end = begin + bytes;
+    if (begin < 0 || end > block.used)
+      continue;
+    // What it touches becomes one with it.
+    std::vector<std::pair<int64_t, int64_t>> others;
+    for (auto [first, last] : block.zeros)
+      if (first <= end && last >= begin) {
+        begin = std::min(begin, first);
+        end = std::max(end, last);
+      } else {
+        others.emplace_back(first, last);
+      }
+    others.emplace_back(begin, end);
+    block.zeros = std::move(others);
+    return;
+  }
 }
 
 void Arena::reset() {

@@ -33,6 +33,9 @@ public:
   /// Allocates `bytes` bytes (a multiple of 64) aligned to 64, or returns null.
   /// The first `dirtyBytes` of them may be non-zero. Thread-safe.
   char *allocate(int64_t bytes, int64_t &dirtyBytes);
+  /// Bytes that were allocated are zero, and stay so until they are allocated
+  /// again: those are not dirty then. Thread-safe.
+  void markZero(const char *address, int64_t bytes);
   /// Frees everything. One block of the total size is kept for the next launch.
   void reset();
   bool used() const { return anyUsed; }
@@ -43,6 +46,8 @@ private:
     int64_t size;
     int64_t used;
     int64_t touched; // bytes that have ever been allocated
+    // Of those, [first, second) that are zero again, apart from one another.
+    std::vector<std::pair<int64_t, int64_t>> zeros;
   };
   static bool map(int64_t bytes, Block &block);
   static void unmap(const Block &block);

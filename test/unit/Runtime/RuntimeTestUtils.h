@@ -156,6 +156,19 @@ inline KernelPtr makeKernel(Runtime &runtime, std::string name,
   return runtime.createKernel(std::move(info));
 }
 
+inline Options withThreads(int threads) {
+  Options options;
+  options.threads = threads;
+  return options;
+}
+
+/// Launches a function as a kernel without fields.
+inline Status launchOnce(Runtime &runtime, TaiKernelFn function,
+                         const uint64_t *args = nullptr, int64_t slots = 0) {
+  return runtime.launch(*makeKernel(runtime, "k", function, {}, slots), args,
+                        slots, nullptr);
+}
+
 inline uint64_t slotOf(double value) {
   uint64_t slot;
   std::memcpy(&slot, &value, sizeof(slot));

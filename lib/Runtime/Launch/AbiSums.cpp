@@ -1,0 +1,382 @@
+//===- AbiSums.cpp - Adding private buffers to fields ---------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// What compiled kernels call when the partitions of a loop have added to
+// buffers of their own. Elements that no iteration added to cost one look: a
+// grid around particles is mostly such.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Storage/Scalars.h"
+#include "Launch.h"
+#include "tai/ABI/Abi.h"
+#include "tai/ABI/SumModes.h"
+#include "tai/Runtime/Launch/ShadowLog.h"
+#include "tai/Runtime/Threads/FixedParts.h"
+#include <algorithm>
+#include <cmath>
+
+using namespace mlir::tai::runtime;
+
+namespace {
+/// `count`: of the elements of a buffer.
+using AddBuffers = void (*)(void *target, char *buffers, int64_t begin,
+                            int64_t end, int64_t parts, int64_t stride,
+                            int64_t count);
+
+struct Combining {
+  void *target;
+  char *buffers;
+  int64_t count, parts, stride, cuts;
+  AddBuffers add;
+};
+} // namespace
+
+namespace {
+/// A 16-bit float in memory.
+template <double (*extend)(uint16_t), uint16_t (*truncate)(double)>
+struct Float16Bits {
+  uint16_t bits;
+  explicit Float16Bits(double value) : bits(truncate(value)) {}
+  operator double() const { return extend(bits); }
+};
+using Half = Float16Bits<doubleFromHalf, halfFromDouble>;
+using Bfloat = Float16Bits<doubleFromBfloat, bfloatFromDouble>;
+} // namespace
+
+/// Adds a block of a buffer to `sums`, which hold nothing yet if it is the
+/// first, and leaves zeros. Returns false if there was nothing to add.
+template <typename T>
+__attribute__((always_inline)) static inline bool
+moveBlock(T *from, int64_t count, T *sums, bool isFirst) {
+  // Without a branch for each element, so that they are compared in vectors.
+  bool isAny = false;
+  for (int64_t e = 0; e < count; ++e)
+    isAny |= from[e] != 0;
+  if (!isAny)
+    return false;
+  if (isFirst)
+    std::copy_n(from, count, sums);
+  else
+    for (int64_t e = 0; e < count; ++e)
+      sums[e] += from[e];
+  std::fill_n(from, count, T(0));
+  return true;
+}
+
+/// What a number is after a sum was added. Nothing is nothing: -0 stays, as it
+/// does in blocks that are skipped.
+template <typename Target, typename T>
+__attribute__((always_inline)) static inline Target added(Target to, T sum) {
+  return sum == 0 ? to : static_cast<Target>(to + sum);
+}
+
+/// Adds elements [begin, end) of all buffers. The sum of the buffers is formed
+/// first, in their order, in blocks that stay in the first-level cache.
+template <typename Target, typename T>
+__attribute__((always_inline)) static inline void
+addBuffers(void *targetBytes, char *buffers, int64_t begin, int64_t end,
+           int64_t parts, int64_t stride, int64_t) {
+  constexpr int64_t block = 1024;
+  T sums[block];
+  Target *target = static_cast<Target *>(targetBytes);
+  for (int64_t at = begin; at < end; at += block) {
+    int64_t count = std::min(block, end - at);
+    bool isAny = false;
+    for (int64_t p = 0; p < parts; ++p)
+      isAny |= moveBlock(reinterpret_cast<T *>(buffers + p * stride) + at,
+                         count, sums, !isAny);
+    if (isAny)
+      for (int64_t e = 0; e < count; ++e)
+        target[at + e] = added(target[at + e], sums[e]);
+  }
+}
+
+/// Adds elements [begin, end) of all buffers of pairs, each rounded once. A
+/// buffer holds `count` sums, and then what each of them has rounded away.
+__attribute__((always_inline)) static inline void
+addPairs(void *targetBytes, char *buffers, int64_t begin, int64_t end,
+         int64_t parts, int64_t stride, int64_t count) {
+  constexpr int64_t block = 512;
+  double sums[block], rests[block];
+  auto add = [&](int64_t e, double x, double rest) {
+    double next = sums[e] + x, taken = next - sums[e];
+    rests[e] += (sums[e] - (next - taken)) + (x - taken) + rest;
+    sums[e] = next;
+  };
+  double *target = static_cast<double *>(targetBytes);
+  for (int64_t at = begin; at < end; at += block) {
+    int64_t length = std::min(block, end - at);
+    bool isAny = false;
+    for (int64_t p = 0; p < parts; ++p) {
+      double *from = reinterpret_cast<double *>(buffers + p * stride) + at;
+      double *lost = from + count;
+      bool isAnyHere = false;
+      for (int64_t e = 0; e < length; ++e)
+        isAnyHere |= (from[e] != 0) | (lost[e] != 0);
+      if (!isAnyHere)
+        continue;
+      for (int64_t e = 0; e < length; ++e)
+        if (!isAny) {
+          sums[e] = from[e];
+          rests[e] = lost[e];
+        } else {
+          add(e, from[e], lost[e]);
+        }
+      std::fill_n(from, length, 0.0);
+      std::fill_n(lost, length, 0.0);
+      isAny = true;
+    }
+    if (!isAny)
+      continue;
+    for (int64_t e = 0; e < length; ++e) {
+      bool isNothing = sums[e] == 0 && rests[e] == 0;
+      double old = target[at + e];
+      add(e, old, 0);
+      // Nothing is left of what an infinite sum has rounded away.
+      double sum = sums[e] + (std::isnan(rests[e]) ? 0 : rests[e]);
+      target[at + e] = isNothing ? old : sum;
+    }
+  }
+}
+
+/// Bytes of an element of the field.
+static int64_t sizeOfTarget(int32_t kind) {
+  switch (kind) {
+  case kSumsF16:
+  case kSumsBF16:
+    return 2;
+  case kSumsF64:
+  case kSumsPairs:
+    return sizeof(double);
+  default:
+    return sizeof(float);
+  }
+}
+
+/// Bytes of an element of a buffer.
+static int64_t sizeOfSums(int32_t kind) {
+  switch (kind) {
+  case kSumsF32:
+    return sizeof(float);
+  case kSumsPairs:
+    return 2 * sizeof(double);
+  default:
+    return sizeof(double);
+  }
+}
+
+// Compiled for the vector units that there may be; the sums are the same.
+#if defined(__x86_64__)
+#define TAI_ADD_BUFFERS(name, target_type, type, unit)                         \
+  __attribute__((target(unit))) static void name(                              \
+      void *to, char *buffers, int64_t begin, int64_t end, int64_t parts,      \
+      int64_t stride, int64_t count) {                                         \
+    addBuffers<target_type, type>(to, buffers, begin, end, parts, stride,      \
+                                  count);                                      \
+  }
+TAI_ADD_BUFFERS(addF32Avx2, float, float, "avx2")
+TAI_ADD_BUFFERS(addF64Avx2, double, double, "avx2")
+TAI_ADD_BUFFERS(addWideAvx2, float, double, "avx2")
+#undef TAI_ADD_BUFFERS
+__attribute__((target("avx2"))) static void
+addPairsAvx2(void *to, char *buffers, int64_t begin, int64_t end, int64_t parts,
+             int64_t stride, int64_t count) {
+  addPairs(to, buffers, begin, end, parts, stride, count);
+}
+#endif
+
+/// Does `add`, which adds `parts` buffers to `count` numbers, the numbers of
+/// the buffers one after another; shadows follow.
+template <typename Target, typename T, typename AddressOf, typename Add>
+static void addWithShadows(int64_t count, int64_t parts, char *buffers,
+                           int64_t stride, AddressOf addressOf, Add add) {
+  std::vector<long double> sums(static_cast<size_t>(count));
+  for (int64_t e = 0; e < count; ++e) {
+    auto *target = reinterpret_cast<Target *>(addressOf(e));
+    long double sum = shadow::read(target, *target);
+    for (int64_t p = 0; p < parts; ++p) {
+      const T *from = reinterpret_cast<const T *>(buffers + p * stride) + e;
+      sum += shadow::read(from, *from);
+    }
+    sums[static_cast<size_t>(e)] = sum;
+  }
+  add();
+  for (int64_t e = 0; e < count; ++e) {
+    auto *target = reinterpret_cast<Target *>(addressOf(e));
+    shadow::write(target, *target, sums[static_cast<size_t>(e)]);
+  }
+}
+
+/// The same for the types of `kind`, where the kernels of the context have
+/// shadows.
+template <typename AddressOf, typename Add>
+static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
+                         int64_t parts, char *buffers, int64_t stride,
+                         AddressOf addressOf, Add add) {
+  // Compensated sums are pairs in memory, and have no shadows there; nor have
+  // fields of 16 bits.
+  if (__builtin_expect(!launch.owner().options().shadow, true) ||
+      kind == kSumsPairs || sizeOfTarget(kind) == 2)
+    return add();
+  if (kind == kSumsF32)
+    return addWithShadows<float, float>(count, parts, buffers, stride,
+                                        addressOf, add);
+  if (kind == kSumsF64)
+    return addWithShadows<double, double>(count, parts, buffers, stride,
+                                          addressOf, add);
+  addWithShadows<float, double>(count, parts, buffers, stride, addressOf, add);
+}
+
+static AddBuffers chooseAdd(int32_t kind) {
+  if (kind == kSumsF16)
+    return addBuffers<Half, double>;
+  if (kind == kSumsBF16)
+    return addBuffers<Bfloat, double>;
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx2"))
+    return kind == kSumsF32     ? addF32Avx2
+           : kind == kSumsF64   ? addF64Avx2
+           : kind == kSumsPairs ? addPairsAvx2
+                                : addWideAvx2;
+#endif
+  return kind == kSumsF32     ? addBuffers<float, float>
+         : kind == kSumsF64   ? addBuffers<double, double>
+         : kind == kSumsPairs ? addPairs
+                              : addBuffers<float, double>;
+}
+
+/// Buffers that were added hold zeros, which the next launch need not write.
+/// Where there are shadows, they are forgotten when memory is taken.
+static void left(Launch &launch, const void *buffers, int64_t bytes) {
+  if (!launch.owner().options().shadow)
+    launch.arena.markZero(static_cast<const char *>(buffers), bytes);
+}
+
+extern "C" void tai_rt_combine(TaiFrame *frame, void *target, void *buffers,
+                               int64_t count, int64_t parts, int32_t kind) {
+  Launch &launch = launchOf(frame);
+  // After a failure the buffers may not be what the code believes.
+  if (count <= 0 || parts <= 0 || launch.hasFailed())
+    return;
+  int64_t size = sizeOfSums(kind);
+  int64_t targetBytes = sizeOfTarget(kind);
+  int64_t stride = (count * size + 63) / 64 * 64;
+  // Bytes read by one worker that repay its fork.
+  constexpr int64_t cutBytes = 64 << 10;
+  int64_t cuts = std::clamp<int64_t>(count * size / cutBytes * parts, 1,
+                                     launch.owner().threads());
+  Combining combining{
+      target,         static_cast<char *>(buffers), count, parts, stride, cuts,
+      chooseAdd(kind)};
+  auto run = [](void *context, int64_t cut) {
+    Combining &c = *static_cast<Combining *>(context);
+    c.add(c.target, c.buffers, boundOf(c.count, cut, c.cuts),
+          boundOf(c.count, cut + 1, c.cuts), c.parts, c.stride, c.count);
+  };
+  addBuffersOf(
+      launch, kind, count, parts, combining.buffers, stride,
+      [&](int64_t e) { return static_cast<char *>(target) + e * targetBytes; },
+      [&] {
+        if (cuts == 1)
+          run(&combining, 0);
+        else
+          launch.owner().parallel(cuts, run, &combining);
+      });
+  left(launch, buffers, stride * parts);
+}
+
+namespace {
+struct StridedCombining {
+  char *target;
+  char *buffers;
+  int64_t cells, components, targetStride, parts, bufferStride, cuts;
+};
+} // namespace
+
+/// Adds cells [begin, end) of all buffers, summed in their order.
+template <typename Target, typename T>
+static void addStrided(void *context, int64_t cut) {
+  const auto &c = *static_cast<StridedCombining *>(context);
+  int64_t begin = boundOf(c.cells, cut, c.cuts);
+  int64_t end = boundOf(c.cells, cut + 1, c.cuts);
+  constexpr int64_t block = 1024;
+  T sums[block];
+  // Whole cells, as many as fit; a matrix has at most 16 components.
+  int64_t cellsInBlock = std::max<int64_t>(block / c.components, 1);
+  for (int64_t at = begin; at < end; at += cellsInBlock) {
+    int64_t cells = std::min(cellsInBlock, end - at);
+    for (int64_t first = 0; first < c.components; first += block) {
+      int64_t width = std::min(c.components - first, block);
+      int64_t count = cells * width;
+      bool isAny = false;
+      for (int64_t p = 0; p < c.parts; ++p)
+        isAny |=
+            moveBlock(reinterpret_cast<T *>(c.buffers + p * c.bufferStride) +
+                          at * c.components + first,
+                      count, sums, !isAny);
+      for (int64_t cell = 0; isAny && cell < cells; ++cell) {
+        Target *to = reinterpret_cast<Target *>(c.target +
+                                                (at + cell) * c.targetStride) +
+                     first;
+        for (int64_t e = 0; e < width; ++e)
+          to[e] = added(to[e], sums[cell * width + e]);
+      }
+    }
+  }
+}
+
+static void addStridedPairs(void *context, int64_t cut) {
+  const auto &c = *static_cast<StridedCombining *>(context);
+  int64_t end = boundOf(c.cells, cut + 1, c.cuts);
+  for (int64_t cell = boundOf(c.cells, cut, c.cuts); cell < end; ++cell)
+    addPairs(c.target + cell * c.targetStride,
+             c.buffers + cell * c.components * sizeof(double), 0, c.components,
+             c.parts, c.bufferStride, c.cells * c.components);
+}
+
+extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
+                                       void *buffers, int64_t cells,
+                                       int64_t components, int64_t stride,
+                                       int64_t parts, int32_t kind) {
+  Launch &launch = launchOf(frame);
+  if (cells <= 0 || components <= 0 || parts <= 0 || launch.hasFailed())
+    return;
+  int64_t bytes = cells * components * sizeOfSums(kind);
+  constexpr int64_t cutBytes = 64 << 10;
+  int64_t cuts = std::clamp<int64_t>(bytes / cutBytes * parts, 1,
+                                     launch.owner().threads());
+  StridedCombining combining{static_cast<char *>(target),
+                             static_cast<char *>(buffers),
+                             cells,
+                             components,
+                             stride,
+                             parts,
+                             (bytes + 63) / 64 * 64,
+                             cuts};
+  auto run = kind == kSumsF32     ? addStrided<float, float>
+             : kind == kSumsF64   ? addStrided<double, double>
+             : kind == kSumsPairs ? addStridedPairs
+             : kind == kSumsF16   ? addStrided<Half, double>
+             : kind == kSumsBF16  ? addStrided<Bfloat, double>
+                                  : addStrided<float, double>;
+  int64_t targetBytes = sizeOfTarget(kind);
+  addBuffersOf(
+      launch, kind, cells * components, parts, combining.buffers,
+      combining.bufferStride,
+      [&](int64_t e) {
+        return combining.target + e / components * stride +
+               e % components * targetBytes;
+      },
+      [&] {
+        if (cuts == 1)
+          run(&combining, 0);
+        else
+          launch.owner().parallel(cuts, run, &combining);
+      });
+  left(launch, buffers, combining.bufferStride * parts);
+}
