@@ -75,23 +75,41 @@ __attribute__((always_inline)) static inline Target added(Target to, T sum) {
   return sum == 0 ? to : static_cast<Target>(to + sum);
 }
 
+/// Buffers of so many bytes are zeroed by the next launch: that takes less than
+/// to look for numbers in them.
+static constexpr int64_t kFewBytes = 8 << 10;
+
+/// Adds all elements of few, and leaves them as they are.
+template <typename Target, typename T>
+static void addFew(Target *target, const char *buffers, int64_t count,
+                   int64_t parts, int64_t stride) {
+  for (int64_t e = 0; e < count; ++e) {
+    T sum = reinterpret_cast<const T *>(buffers)[e];
+    for (int64_t p = 1; p < parts; ++p)
+      sum += reinterpret_cast<const T *>(buffers + p * stride)[e];
+    target[e] = added(target[e], sum);
+  }
+}
+
 /// Adds elements [begin, end) of all buffers. The sum of the buffers is formed
 /// first, in their order, in blocks that stay in the first-level cache.
 template <typename Target, typename T>
 __attribute__((always_inline)) static inline void
 addBuffers(void *targetBytes, char *buffers, int64_t begin, int64_t end,
-           int64_t parts, int64_t stride, int64_t) {
+           int64_t parts, int64_t stride, int64_t count) {
   constexpr int64_t block = 1024;
   T sums[block];
   Target *target = static_cast<Target *>(targetBytes);
+  if (stride * parts <= kFewBytes)
+    return addFew<Target, T>(target, buffers, count, parts, stride);
   for (int64_t at = begin; at < end; at += block) {
-    int64_t count = std::min(block, end - at);
+    int64_t length = std::min(block, end - at);
     bool isAny = false;
     for (int64_t p = 0; p < parts; ++p)
       isAny |= moveBlock(reinterpret_cast<T *>(buffers + p * stride) + at,
-                         count, sums, !isAny);
+                         length, sums, !isAny);
     if (isAny)
-      for (int64_t e = 0; e < count; ++e)
+      for (int64_t e = 0; e < length; ++e)
         target[at + e] = added(target[at + e], sums[e]);
   }
 }
@@ -253,7 +271,7 @@ static AddBuffers chooseAdd(int32_t kind) {
 /// Buffers that were added hold zeros, which the next launch need not write.
 /// Where there are shadows, they are forgotten when memory is taken.
 static void left(Launch &launch, const void *buffers, int64_t bytes) {
-  if (!launch.owner().options().shadow)
+  if (!launch.owner().options().shadow && bytes > kFewBytes)
     launch.arena.markZero(static_cast<const char *>(buffers), bytes);
 }
 

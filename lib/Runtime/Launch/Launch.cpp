@@ -35,7 +35,7 @@ bool Arena::map(int64_t bytes, Block &block) {
            MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (memory == MAP_FAILED)
     return false;
-  block = {static_cast<char *>(memory), bytes, 0, 0, {}};
+  block = {static_cast<char *>(memory), bytes, 0, 0, 0, 0};
   return true;
 }
 
@@ -59,17 +59,10 @@ char *Arena::allocate(int64_t bytes, int64_t &dirtyBytes) {
   char *address = block.address + block.used;
   dirtyBytes = std::clamp<int64_t>(block.touched - block.used, 0, bytes);
   int64_t begin = block.used, end = begin + bytes;
-  // What is taken now is no longer known to be zero.
-  std::vector<std::pair<int64_t, int64_t>> others;
-  for (auto [first, last] : block.zeros) {
-    if (first <= begin && last >= std::min(end, block.touched))
-      dirtyBytes = 0;
-    if (first < std::min(begin, last))
-      others.emplace_back(first, std::min(begin, last));
-    if (last > std::max(end, first))
-      others.emplace_back(std::max(end, first), last);
-  }
-  block.zeros = std::move(others);
+  if (block.zeroBegin <= begin && block.zeroEnd >= std::min(end, block.touched))
+    dirtyBytes = 0;
+  // What is taken now is no longer known to be zero, nor is what is before it.
+  block.zeroBegin = std::max(block.zeroBegin, end);
   block.used = end;
   block.touched = std::max(block.touched, block.used);
   anyUsed = true;
@@ -82,17 +75,9 @@ void Arena::markZero(const char *address, int64_t bytes) {
     int64_t begin = address - block.address, end = begin + bytes;
     if (begin < 0 || end > block.used)
       continue;
-    // What it touches becomes one with it.
-    std::vector<std::pair<int64_t, int64_t>> others;
-    for (auto [first, last] : block.zeros)
-      if (first <= end && last >= begin) {
-        begin = std::min(begin, first);
-        end = std::max(end, last);
-      } else {
-        others.emplace_back(first, last);
-      }
-    others.emplace_back(begin, end);
-    block.zeros = std::move(others);
+    bool touches = block.zeroBegin <= end && block.zeroEnd >= begin;
+    block.zeroBegin = touches ? std::min(block.zeroBegin, begin) : begin;
+    block.zeroEnd = touches ? std::max(block.zeroEnd, end) : end;
     return;
   }
 }

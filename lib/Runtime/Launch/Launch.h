@@ -45,9 +45,8 @@ private:
     char *address;
     int64_t size;
     int64_t used;
-    int64_t touched; // bytes that have ever been allocated
-    // Of those, [first, second) that are zero again, apart from one another.
-    std::vector<std::pair<int64_t, int64_t>> zeros;
+    int64_t touched;            // bytes that have ever been allocated
+    int64_t zeroBegin, zeroEnd; // of those, what is known to be zero again
   };
   static bool map(int64_t bytes, Block &block);
   static void unmap(const Block &block);
