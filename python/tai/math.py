@@ -153,7 +153,7 @@ def eye(n: int) -> Any:
 
 def mod(x: Any, y: Any) -> Any:
     """x - y floor(x / y), which has the sign of y."""
-    return x - y * floor(x / y)
+    return x % y
 
 
 def vdir(angle: Any) -> Any:

@@ -125,3 +125,22 @@ tai.kernel @remainder() {
   }
   tai.return
 }
+
+// The same of one operation.
+// FORWARD-LABEL: tai.kernel @rest_fwd(
+//       FORWARD:   %[[C:.+]] = math.floor
+//       FORWARD:   %[[SLOPE:.+]] = arith.addf %[[C]],
+//       FORWARD:   arith.mulf %{{.+}}, %[[SLOPE]]
+//       FORWARD:   arith.cmpf oeq, %[[SLOPE]],
+//       FORWARD:   tai.store %{{.+}}, @r_dual
+tai.kernel @rest() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @z[%i] : f32
+    %2 = math.acos %0 : f32
+    %3 = math.floor %1 : f32
+    %4 = math.fma %3, %2, %2 : f32
+    tai.store %4, @r[%i] : f32
+  }
+  tai.return
+}

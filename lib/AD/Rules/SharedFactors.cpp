@@ -12,10 +12,11 @@
 using namespace mlir;
 using namespace mlir::tai;
 
+using Ways = SmallVector<std::pair<Value, Value>, 3>;
+
 /// The ways to write an operand as a factor and a rest, of the same block.
-static SmallVector<std::pair<Value, Value>, 3> split(Value value,
-                                                     Operation *user) {
-  SmallVector<std::pair<Value, Value>, 3> ways = {{value, Value()}};
+static Ways split(Value value, Operation *user) {
+  Ways ways = {{value, Value()}};
   if (auto product = value.getDefiningOp<arith::MulFOp>();
       product && product->getBlock() == user->getBlock()) {
     ways.push_back({product.getLhs(), product.getRhs()});
@@ -25,8 +26,16 @@ static SmallVector<std::pair<Value, Value>, 3> split(Value value,
 }
 
 static std::optional<SharedFactor> findShared(Operation *op) {
-  for (auto [first, left] : split(op->getOperand(0), op))
-    for (auto [second, right] : split(op->getOperand(1), op))
+  Ways lefts, rights;
+  if (auto fma = dyn_cast<math::FmaOp>(op)) {
+    lefts = {{fma.getA(), fma.getB()}, {fma.getB(), fma.getA()}};
+    rights = split(fma.getC(), op);
+  } else {
+    lefts = split(op->getOperand(0), op);
+    rights = split(op->getOperand(1), op);
+  }
+  for (auto [first, left] : lefts)
+    for (auto [second, right] : rights)
       if (first == second)
         return SharedFactor{first, {left, right}};
   return std::nullopt;
@@ -39,7 +48,7 @@ std::optional<SharedFactor> mlir::tai::findFactorOfRatio(Operation *op) {
 }
 
 bool mlir::tai::extendSharedSum(Operation *op, TangentBuilder &b) {
-  if (!isa<arith::AddFOp, arith::SubFOp>(op))
+  if (!isa<arith::AddFOp, arith::SubFOp, math::FmaOp>(op))
     return false;
   std::optional<SharedFactor> shared = findShared(op);
   if (!shared)
@@ -50,7 +59,7 @@ bool mlir::tai::extendSharedSum(Operation *op, TangentBuilder &b) {
   if (!tangent || !b.mayBeNonFinite(factor) || hasTangent(rest[0]) ||
       hasTangent(rest[1]))
     return false;
-  bool isSum = isa<arith::AddFOp>(op);
+  bool isSum = !isa<arith::SubFOp>(op);
   // Nothing is left of s - s.
   if (!rest[0] && !rest[1] && !isSum)
     return true;

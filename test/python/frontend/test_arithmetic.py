@@ -95,6 +95,32 @@ def test_float_division_and_remainder_as_python(a, b):
     assert kernel(a, b).to_list() == pytest.approx([a // b, a % b])
 
 
+@pytest.mark.parametrize("mode", [{}, {"math": "strict"}, {"sums": "deterministic"}])
+@pytest.mark.parametrize("dt, np_dt", [(ti.f32, np.float32), (ti.f64, np.float64)])
+def test_remainders_of_rounded_quotients(dt, np_dt, mode):
+    """10.2 / 0.1 rounds to 102 in f32, and 10.2 is less than 102 times that number."""
+    ti.init(arch=ti.cpu, default_fp=dt, **mode)
+    a = (np.arange(-4000, 4000) * np_dt(0.1)).astype(np_dt)
+    x, y = ti.field(dt, shape=a.size), ti.field(dt, shape=a.size)
+    out = ti.Vector.field(7, dt, shape=a.size)
+    tenth = float(np_dt(0.1))
+
+    @ti.kernel
+    def run():
+        for i in x:
+            pair = ti.Vector([x[i], -x[i]]) % ti.Vector([y[i], tenth])
+            out[i] = ti.Vector([x[i] // y[i], x[i] % y[i], x[i] // tenth, x[i] % -tenth,
+                                pair[0], pair[1], ti.math.mod(x[i], y[i])])  # fmt: skip
+
+    x.from_numpy(a)
+    for b in [np_dt(0.1), np_dt(-0.3)]:
+        y.fill(b)
+        run()
+        t = np_dt(0.1)
+        expected = [a // b, a % b, a // t, a % -t, a % b, -a % t, a % b]
+        np.testing.assert_array_equal(out.to_numpy(), np.stack(expected, axis=1))
+
+
 def test_powers():
     @ti.kernel
     def whole(p: ti.i32, q: ti.i32) -> ti.i32:

@@ -609,8 +609,7 @@ class Emitter:
             return self.matrix([self._divide_whole(op, p, q) for p, q in pairs], dt, a.shape)
         check_division(a, b, dt)
         if dt.is_float:
-            whole = self.unary("floor", self.binary("/", a, b))
-            return whole if op == "//" else self.binary("-", a, self.binary("*", whole, b))
+            return self._divide_floats(op, a, b)
         if dt.kind == "u":
             name = "arith.divui" if op == "//" else "arith.remui"
             return self.elementwise(name, [a, b], dt)
@@ -628,6 +627,20 @@ class Emitter:
             return self.select(wrong, self.binary("+", rest, b), rest)
         quotient = self.elementwise("arith.divsi", [a, b], dt)
         return self.select(wrong, self.binary("-", quotient, 1), quotient)
+
+    def _divide_floats(self, op: str, a: Value, b: Value) -> Value:
+        """The same of floats. A quotient just below a whole number is rounded to it; the rest
+        tells, which is exact if it is rounded once.
+        """
+        whole = self.unary("floor", self.binary("/", a, b))
+        rest = self.elementwise("math.fma", [self.unary("neg", whole), b, a], a.dt)
+        wrong = self.compare("<", rest, 0.0)
+        if b.const is None or b.const < 0:
+            above = self.compare(">", rest, 0.0)
+            wrong = self.select(self.compare("<", b, 0.0), above, wrong)
+        if op == "%":
+            return self.select(wrong, self.binary("+", rest, b), rest)
+        return self.select(wrong, self.binary("-", whole, 1.0), whole)
 
     def power(self, a: Any, b: Any) -> Any:
         """`a ** b`: whole powers by multiplication."""
