@@ -17,6 +17,8 @@ import tai as ti
         ("max(0, x)", -2.0, 0.0, 0.0),
         ("max(x, 0)", math.nan, 0.0, 0.0),
         ("max(0, x)", math.nan, 0.0, 0.0),
+        ("max(x, nan)", -2.0, -2.0, 1.0),
+        ("min(nan, x)", -2.0, -2.0, 1.0),
         ("clamp", 0.0, 0.0, 1.0),
         ("clamp", 1.0, 1.0, 1.0),
         ("clamp", 1.5, 1.0, 0.0),
@@ -37,6 +39,10 @@ def test_constant_operand(case: str, at: float, value: float, slope: float):
             loss[None] += ti.min(x[None], 0.0)
         elif ti.static(case == "min(0, x)"):
             loss[None] += ti.min(0.0, x[None])
+        elif ti.static(case == "max(x, nan)"):
+            loss[None] += ti.max(x[None], math.nan)
+        elif ti.static(case == "min(nan, x)"):
+            loss[None] += ti.min(math.nan, x[None])
         else:
             loss[None] += ti.math.clamp(x[None], 0.0, 1.0)
 

@@ -553,7 +553,8 @@ class Emitter:
             dt = computed_in(dtypes.default_fp())
         if dt.is_bool and op not in "&|^" and op not in ("max", "min"):
             dt = state.options.default_ip
-        is_constant = a.const is not None, b.const is not None
+        # A constant NaN is a number as little as any other.
+        is_constant = [v.const is not None and v.const == v.const for v in (a, b)]
         if op in ("<<", ">>") and not dt.is_float:
             check_shift(op, a, b, dt)
         a, b = self.unify(a, b, dt)
