@@ -16,7 +16,6 @@
 #include "FloatOptions.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
-#include "llvm/ADT/StringExtras.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -92,25 +91,23 @@ private:
 /// calls: polls, which are inserted late, know functions by their type, and the
 /// frame by its place.
 static void keepArguments(LLVM::LLVMFuncOp function) {
-  SmallVector<Value> kept;
+  OpBuilder builder = OpBuilder::atBlockBegin(&function.getBody().front());
+  // One after another: there may be more of them than registers.
   for (Value argument : function.getBody().getArguments())
     if (isa<LLVM::LLVMPointerType, IntegerType>(argument.getType()))
-      kept.push_back(argument);
-  std::string constraints =
-      llvm::join(SmallVector<StringRef>(kept.size(), "r"), ",");
-  OpBuilder builder = OpBuilder::atBlockBegin(&function.getBody().front());
-  LLVM::InlineAsmOp::create(
-      builder, function.getLoc(), /*resultTypes=*/TypeRange(), kept,
-      /*asm_string=*/"", constraints, /*has_side_effects=*/true,
-      /*is_align_stack=*/false, LLVM::TailCallKind::None,
-      /*asm_dialect=*/LLVM::AsmDialectAttr(), /*operand_attrs=*/ArrayAttr());
+      LLVM::InlineAsmOp::create(
+          builder, function.getLoc(), /*resultTypes=*/TypeRange(), argument,
+          /*asm_string=*/"", /*constraints=*/"r", /*has_side_effects=*/true,
+          /*is_align_stack=*/false, LLVM::TailCallKind::None,
+          /*asm_dialect=*/LLVM::AsmDialectAttr(),
+          /*operand_attrs=*/ArrayAttr());
 }
 
 /// Zero of the same sign for a denormal number, else the number.
 static Value createFlushed(OpBuilder &builder, Location loc, Value x) {
   Type type = x.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(type));
-  auto constant = [&](APFloat number) {
+  auto constant = [&](const APFloat &number) {
     TypedAttr value = builder.getFloatAttr(element, number);
     if (auto vector = dyn_cast<VectorType>(type))
       value = DenseElementsAttr::get(vector, Attribute(value));

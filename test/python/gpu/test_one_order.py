@@ -295,6 +295,30 @@ def test_scatters(cells, dtype, monkeypatch):
     assert_same(lambda dtype: scatter(dtype, cells), dtype, monkeypatch)
 
 
+def test_more_fields_than_registers(monkeypatch):
+    """With denormal numbers that are zero, functions of many arguments keep these as they are."""
+    monkeypatch.setenv("TI_ARCH", "cuda")
+    monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    ti.init(math="strict", deterministic=True, ftz=True, offline_cache=False)
+    count, n = 24, 65
+    x = [ti.field(ti.f32, shape=n) for _ in range(count)]
+    y = ti.field(ti.f32, shape=7)
+    at = targets(n, 7)
+
+    @ti.kernel
+    def run():
+        for i in at:
+            for k in ti.static(range(count)):
+                y[at[i]] += x[k][i] * x[(k + 1) % count][i]
+
+    for k in range(count):
+        x[k].fill(1e-30 if k == 3 else 0.5)
+    run()
+    run()
+    expected = 2 * (count - 2) * 0.25 * np.bincount(at.to_numpy(), minlength=7)
+    np.testing.assert_array_equal(y.to_numpy(), expected.astype(np.float32))
+
+
 @pytest.mark.parametrize("n", [1, 255, 257, 65_537])
 def test_sizes(n, monkeypatch):
     assert_same(lambda dtype: [*total(dtype, n), *scatter(dtype, 31, n)], "f64", monkeypatch)
