@@ -120,6 +120,9 @@ static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
 /// Runs the loop on one thread, where every update is plain.
 void LoopRelaxation::serialize() {
   loop.setSerialize(true);
+  // tai-split-index-sets would run the borders after the interior.
+  if (oneOrder)
+    loop.walk([](scf::IfOp branch) { branch->removeAttr("tai.interior"); });
   loop.walk([](AtomicOp atomic) {
     atomic.removeStrategyAttr();
     atomic.removeBufferAttr();

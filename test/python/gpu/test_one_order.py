@@ -185,6 +185,29 @@ def particles(dtype):
     return [f.to_numpy() for f in (v, m, mass)]
 
 
+def borders(dtype):
+    """The first and the last iterations, whose neighbours lie elsewhere, take their turns."""
+    (x,) = fields(dtype, 1, 317)
+    (y,) = fields(dtype, 1, (40, 60))
+    (row, grid) = fields(dtype, 2, 7)
+    (mass,) = fields(dtype, 1, ())
+    at, to = targets(317, 7), targets(40 * 60, 7, 1)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            row[at[i]] += x[i] * x[i - 1 if i > 0 else 316] + x[(i + 1) % 317]
+            mass[None] += x[(i + 1) % 317]
+        for i, j in y:
+            left = y[i, j - 1] if j > 0 else 0.5
+            grid[to[i * 60 + j]] += y[i, j] * y[i, (j + 1) % 60] - left
+
+    x.from_numpy(numbers(317, dtype))
+    y.from_numpy(numbers(40 * 60, dtype, 1).reshape(40, 60))
+    run()
+    return [f.to_numpy() for f in (row, grid, mass)]
+
+
 def old_values(dtype):
     """What was there before an addition is used, and reads of what is added to."""
     x, y = fields(dtype, 2)
@@ -270,7 +293,7 @@ def adjoints_that_meet(dtype):
 
 
 PROGRAMS = [
-    total, totals, nothing_to_add, run_time_sizes, boxes, particles, old_values,
+    total, totals, nothing_to_add, run_time_sizes, boxes, particles, borders, old_values,
 ]  # fmt: skip
 
 
