@@ -281,9 +281,16 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
     ++forwardLaunches;
   int64_t count = static_cast<int64_t>(numSlots);
   bool hasResults = !spec.grad && spec.result.count;
-  uint64_t results[16];
-  if (hasResults)
-    std::memset(results, 0, sizeof results);
+  // Up to a matrix of 4x4 costs no allocation.
+  uint64_t few[16];
+  std::vector<uint64_t> many;
+  uint64_t *results = few;
+  if (hasResults && spec.result.count > 16) {
+    many.resize(spec.result.count);
+    results = many.data();
+  } else if (hasResults) {
+    std::memset(few, 0, sizeof few);
+  }
   TaiStatus status = spec.grad
                          ? taiKernelLaunchGrad(spec.handle, slots, count)
                          : taiKernelLaunch(spec.handle, slots, count,

@@ -126,15 +126,49 @@ def test_a_vector_whose_gradient_would_be_lost():
     assert find().distance == 2.0
 
 
+def test_more_numbers_than_a_matrix_of_4x4_has():
+    numbers = np.linspace(0.0, 1.0, 9)
+    x = ti.field(ti.f64, shape=9, needs_grad=True)
+    x.from_numpy(numbers)
+    table = ti.types.struct(
+        count=ti.i64, moments=ti.types.vector(20, ti.f64), last=ti.types.matrix(5, 5, ti.f32)
+    )
+
+    @ti.kernel
+    def moments() -> ti.types.vector(20, ti.f64):
+        total = ti.Vector.zero(ti.f64, 20)
+        for i in x:
+            for k in ti.static(range(20)):
+                total[k] += k * x[i] ** 2
+        return total
+
+    @ti.kernel
+    def tabulate(count: ti.i64) -> table:
+        made = table(count=count, last=ti.types.matrix(5, 5, ti.f32)(2))
+        made.moments[19], made.last[4, 4] = 0.1, 7
+        return made
+
+    with ti.ad.Tape() as tape:
+        found = moments()
+    tape.backward((found, np.arange(20.0)))
+    np.testing.assert_allclose(found.to_numpy(), np.arange(20) * (numbers**2).sum())
+    np.testing.assert_allclose(x.grad.to_numpy(), 2 * numbers * (np.arange(20) ** 2).sum())
+    # The second launch takes the path of those that are known.
+    for count in (2**60 + 1, 3):
+        made = tabulate(count)
+        assert made.count == count and made.moments[19] == 0.1
+        assert made.last.to_numpy().sum() == 24 * 2 + 7
+
+
 def test_results_that_are_refused():
-    long = ti.types.struct(m=ti.types.matrix(4, 4, ti.f32), n=ti.f32)
+    long = ti.types.struct(m=ti.types.matrix(32, 32, ti.f32), n=ti.f32)
     pair, other = ti.types.struct(a=ti.f32, b=ti.f32), ti.types.struct(a=ti.f32, c=ti.f32)
 
     @ti.kernel
     def many() -> long:
         return long()
 
-    with pytest.raises(ti.TaiSyntaxError, match="at most 16 numbers"):
+    with pytest.raises(ti.TaiSyntaxError, match="at most 1024 numbers"):
         many()
 
     @ti.kernel

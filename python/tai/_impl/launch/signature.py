@@ -145,8 +145,8 @@ def _parse(
             ),
             function,
         )
-    if int(np.prod(result.shape, dtype=int)) > 16:
-        raise located(TaiSyntaxError("a kernel returns at most 16 numbers"), function)
+    if int(np.prod(result.shape, dtype=int)) > 1024:
+        raise located(TaiSyntaxError("a kernel returns at most 1024 numbers"), function)
     return parameters, result
 
 
