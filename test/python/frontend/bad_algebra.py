@@ -437,3 +437,60 @@ def matrix_product_of_numbers():
         b = a @ a  # BAD
 
     kernel(1.0)
+
+
+@bad(
+    ti.TaiTypeError,
+    "fill takes one number, but got a vector of 2 f32",
+    "assign it: v = …",
+)
+def fill_with_a_vector():
+    @ti.kernel
+    def kernel():
+        v = ti.Vector([1.0, 2.0])
+        v.fill(v)  # BAD
+
+    kernel()
+
+
+@bad(
+    ti.TaiTypeError,
+    "fill() missing 1 required positional argument: 'value'",
+    "help(fill) says what it takes",
+)
+def fill_with_nothing():
+    @ti.kernel
+    def kernel():
+        v = ti.Vector([1.0, 2.0])
+        v.fill()  # BAD
+
+    kernel()
+
+
+@bad(
+    ti.TaiTypeError,
+    "a vector of 2 f32 without a place cannot be filled",
+    "give it a name: b = …; b.fill(…)",
+)
+def fill_of_a_sum():
+    @ti.kernel
+    def kernel():
+        v = ti.Vector([1.0, 2.0])
+        (v + 1).fill(0)  # BAD
+
+    kernel()
+
+
+@bad(
+    ti.TaiSyntaxError,
+    "a vector or matrix from outside the kernel is a constant in it",
+    "copy it first: v = …; v.fill(…)",
+)
+def fill_of_a_constant():
+    gravity = ti.Vector([0.0, -9.8])
+
+    @ti.kernel
+    def kernel():
+        gravity.fill(0)  # BAD
+
+    kernel()

@@ -211,6 +211,35 @@ def test_swizzle_assignment():
     assert y.to_numpy().tolist() == [[2, 8, 9], [3, 8, 9]]
 
 
+def test_fill():
+    y = ti.Matrix.field(2, 2, ti.f64, shape=3)
+
+    @ti.func
+    def halve(v: ti.template(), w):
+        v.fill(0.5)
+        w.fill(9)
+
+    @ti.kernel
+    def kernel(n: ti.i32) -> ti.types.vector(5, ti.f64):
+        for i in y:
+            y[i].fill(i)
+            y[i][0, :].fill(7)
+        v, w = ti.Vector([1.0, 2.0, 3.0]), ti.Vector([4.0, 5.0])
+        u = w
+        halve(v, w)
+        ti.loop_config(serialize=True)
+        for i in range(n):
+            if i == 2:
+                v.fill(i)
+            else:
+                v[0] += 1
+        v.yz.fill(-1)
+        return ti.Vector([v.x, v.y, v.z, w.x, u.y])
+
+    assert [kernel(n).to_list() for n in (1, 4)] == [[1.5, -1, -1, 4, 5], [3, -1, -1, 4, 5]]
+    assert y.to_numpy().tolist() == [[[7, 7], [i, i]] for i in range(3)]
+
+
 def test_vectors_carried_by_loops():
     @ti.kernel
     def kernel(n: ti.i32) -> ti.types.vector(2, ti.f64):

@@ -16,6 +16,7 @@ from ..base.dtypes import DataType
 from ..fields.arrays import Ndarray
 from ..fields.field import Field
 from ..fields.snode import SNode
+from ..values.matrix import Matrix
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
 from .compile_time import CompileTime
@@ -161,6 +162,11 @@ class Checks(Part):
 
     def _check_own(self, function: Any, receiver: Any, name: str) -> None:
         """Refuses functions of this package that make or move data."""
+        if isinstance(receiver, Matrix) and name == "fill":
+            raise TaiSyntaxError(
+                "a vector or matrix from outside the kernel is a constant in it",
+                "copy it first: v = …; v.fill(…)",
+            )
         is_data = isinstance(receiver, (Field, Ndarray, SNode)) and name in _MOVES
         module = getattr(function, "__module__", None) or ""
         if is_data or (module.startswith("tai.") and name in _ACTS):

@@ -61,6 +61,8 @@ class Diagnostics:
         kind = next((k for e, k in kinds.items() if isinstance(error, e)), TaiCompilationError)
         text = str(error) or type(error).__name__
         text = re.sub(r"'(\w+)'", lambda found: f"'{KINDS.get(found[1], found[1])}'", text)
+        # "MatrixValue.dot() missing …": the program has no class of that name.
+        text = re.sub(r"^(\w+)\.(?=\w+\(\))", lambda f: "" if f[1] in KINDS else f[0], text)
         if isinstance(error, KeyError):
             text = f"no item {text}"
         elif isinstance(error, RecursionError):

@@ -88,6 +88,8 @@ class Expressions(Part):
                     if len(found) == 1:
                         return base.component(found[0])
                     return SomeComponents(base, found, (len(found),))
+            if name == "fill" and base.shape:
+                return base.fill
             base = base.load()
         if isinstance(base, Field) and name != "dtype" and not hasattr(type(base), name):
             found = list_method(self.levels, base, name)

@@ -56,6 +56,15 @@ class Place:
         self.store(self.convert(self.emitter.binary(op, old, value)))
         return old
 
+    def fill(self, value: Any) -> None:
+        """`v.fill(1)`: gives all components of a matrix one number."""
+        number = self.emitter.as_value(value)
+        if number.shape:
+            raise TaiTypeError(
+                f"fill takes one number, but got a {number.kind_name}", "assign it: v = …"
+            )
+        self.store(self.convert(value))
+
     def at(self, key: Any) -> Place:
         """A component of a matrix."""
         component = self.emitter.component_of(_Shape(self), key)

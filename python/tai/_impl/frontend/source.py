@@ -141,4 +141,6 @@ class AssignedNames(ast.NodeVisitor):
         if self._takes_reference(node):
             for argument in [*node.args, *(k.value for k in node.keywords)]:
                 self._target(argument)
+        if isinstance(node.func, ast.Attribute) and node.func.attr == "fill":
+            self._target(node.func.value)
         self.generic_visit(node)

@@ -234,6 +234,13 @@ class MatrixValue(Value):
             return self.emitter.extract(self, found[0])
         return self.emitter.vector([self.emitter.extract(self, c) for c in found], self.dt)
 
+    def fill(self, value: Any) -> None:
+        # Of what has a place, `Place.fill` is taken.
+        raise TaiTypeError(
+            f"a {self.kind_name} without a place cannot be filled",
+            "give it a name: b = …; b.fill(…)",
+        )
+
     # Algebra
 
     def _like(self, other: Any, what: str) -> MatrixValue:
