@@ -141,6 +141,13 @@ def test_offset():
         _ = x[2, 10]
 
 
+def test_one_extent_holds_for_all_axes():
+    for extent in (4, (4,), [4]):
+        x = ti.field(ti.f32)
+        ti.root.pointer(ti.ij, extent).dense(ti.ij, extent).place(x)
+        assert x.shape == (16, 16)
+
+
 def test_components_placed_one_by_one():
     v = ti.Vector.field(2, ti.f64)
     for i in range(2):

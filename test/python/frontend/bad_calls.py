@@ -324,6 +324,23 @@ def keyword_parameters():
 
 @bad(
     ti.TaiSyntaxError,
+    "function 'total' cannot have *args or **kwargs",
+    "name each parameter, or pass a tuple as a ti.template()",
+)
+def any_number_of_arguments_of_a_function():
+    @ti.func
+    def total(*parts):  # BAD
+        return parts[0]
+
+    @ti.kernel
+    def kernel() -> ti.i32:
+        return total(1, 2)
+
+    kernel()
+
+
+@bad(
+    ti.TaiSyntaxError,
     "parameter 'b' of kernel 'kernel' has no type",
     "annotate it: b: ti.f32, b: ti.template(), …",
 )

@@ -222,3 +222,16 @@ def test_lists_of_two_names_do_not_change():
         return a[0] * 100 + b[0] * 10 + first_is_nine(list(a))
 
     assert copies(2) == 61
+
+
+def test_parameters_by_keyword_alone():
+    @ti.func
+    def digits(a=1, *, b, c=3):
+        return a * 100 + b * 10 + c
+
+    @ti.kernel
+    def twice(a: ti.i32 = 1, *, b: ti.i32, c: ti.i32 = 3) -> ti.i32:
+        return digits(b=b) + digits(a, c=c, b=2) * 1000
+
+    assert twice(b=5) == 153 + 123_000
+    assert twice(4, c=9, b=5) == 153 + 429_000

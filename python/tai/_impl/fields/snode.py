@@ -105,7 +105,9 @@ class SNode:
         if len(set(axes)) != len(axes):
             raise TaiRuntimeTypeError("an axis stands twice in one level")
         if not isinstance(dimensions, (tuple, list)):
-            dimensions = (dimensions,) * len(axes)
+            dimensions = (dimensions,)
+        if len(dimensions) == 1:
+            dimensions = tuple(dimensions) * len(axes)
         if len(dimensions) != len(axes):
             raise TaiRuntimeTypeError(
                 f"{len(axes)} axes need {len(axes)} extents, but got {len(dimensions)}"

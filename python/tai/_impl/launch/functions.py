@@ -9,7 +9,7 @@ from typing import Any
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..base import state
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
-from .signature import names_of, parse_type, resolve
+from .signature import check_no_rest, defaults_of, names_of, parse_type, resolve
 
 
 class FunctionInfo:
@@ -19,9 +19,7 @@ class FunctionInfo:
         self.function, self.name = function, function.__name__
         self.names = names_of(function)
         self._kinds: dict[str, Any] | None = None
-        self._defaults = dict(
-            zip(reversed(self.names), reversed(function.__defaults__ or ()), strict=False)
-        )
+        self._defaults = defaults_of(function)
 
     @property
     def kinds(self) -> dict[str, Any]:
@@ -88,6 +86,7 @@ real_func = func
 def _make_function(function: Callable[..., Any], in_python: bool) -> Callable[..., Any]:
     if not hasattr(function, "__code__"):
         raise TaiTypeError(f"@ti.func takes a function, but got {function!r}")
+    check_no_rest(function, "function")
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any, get_args, get_origin
 
@@ -32,6 +33,17 @@ def names_of(function: Callable[..., Any]) -> list[str]:
     return list(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
 
 
+def defaults_of(function: Callable[..., Any]) -> dict[str, Any]:
+    """What parameters are where a call leaves them out."""
+    code = function.__code__
+    positional = code.co_varnames[: code.co_argcount]
+    defaults = function.__defaults__ or ()
+    return {
+        **dict(zip(reversed(positional), reversed(defaults), strict=False)),
+        **(function.__kwdefaults__ or {}),
+    }
+
+
 def located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiCompilationError:
     """Places an error at the `def` line of a function."""
     code = function.__code__
@@ -44,17 +56,21 @@ def located(error: TaiCompilationError, function: Callable[..., Any]) -> TaiComp
     return error
 
 
-def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
-    """Refuses parameters of a kernel without a type."""
-    code = function.__code__
-    if code.co_flags & 0x0C:
+def check_no_rest(function: Callable[..., Any], what: str) -> None:
+    """Refuses parameters that take any number of arguments."""
+    if function.__code__.co_flags & (inspect.CO_VARARGS | inspect.CO_VARKEYWORDS):
         raise located(
             TaiSyntaxError(
-                f"kernel '{function.__name__}' cannot have *args or **kwargs",
+                f"{what} '{function.__name__}' cannot have *args or **kwargs",
                 "name each parameter, or pass a tuple as a ti.template()",
             ),
             function,
         )
+
+
+def check_annotations(function: Callable[..., Any], is_method: bool) -> None:
+    """Refuses parameters of a kernel without a type."""
+    check_no_rest(function, "kernel")
     for name in names_of(function)[1 if is_method else 0 :]:
         if name not in function.__annotations__:
             raise located(
@@ -117,8 +133,7 @@ def _parse(
     function: Callable[..., Any], is_method: bool
 ) -> tuple[list[Parameter], ResultType | None]:
     """The parameters of a kernel and the type of its result."""
-    defaults = dict(zip(reversed(names_of(function)), reversed(function.__defaults__ or ()),
-                        strict=False))  # fmt: skip
+    defaults = defaults_of(function)
     parameters = []
     for number, name in enumerate(names_of(function)):
         if number == 0 and is_method and name not in function.__annotations__:
