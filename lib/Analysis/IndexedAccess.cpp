@@ -26,13 +26,22 @@ std::string tai::describeField(const FieldLayout &layout) {
   return text;
 }
 
+std::string tai::describeElement(FieldOp field) {
+  std::string text;
+  llvm::raw_string_ostream os(text);
+  os << "an element of shape [";
+  llvm::interleaveComma(cast<VectorType>(field.getType()).getShape(), os);
+  os << "] of field '@" << field.getSymName() << "'";
+  return text;
+}
+
 std::string tai::describeArray(MemRefType type) {
   std::string text;
   llvm::raw_string_ostream os(text);
   os << "an array of " << type.getElementType() << " of shape [";
   llvm::interleaveComma(type.getShape(), os, [&](int64_t extent) {
     if (ShapedType::isDynamic(extent))
-      os << '?';
+      os << "{}";
     else
       os << extent;
   });

@@ -299,7 +299,8 @@ static FailureOr<char *> locate(Run &run, Operation *op,
     if (index < 0 || index >= extent)
       return run.fail(op,
                       "index " + describeIndices(at) +
-                          " is out of range for an element of field '@" +
+                          " is out of range for an element of shape " +
+                          describeIndices(field.elementShape) + " of field '@" +
                           FieldOp(field.layout.field).getSymName() + "'",
                       TAI_FAIL_INDEX);
     component = component * extent + index;

@@ -31,7 +31,7 @@ tai.kernel @read(%i: index, %j: index) -> f32 {
 // A component that is not constant is checked too; a store outside is skipped.
 // CHECK-LABEL: tai.kernel @write(
 //       CHECK:   tai.assert {{.+}} for field '@v' of shape [4, 8]"
-//       CHECK:   tai.assert {{.+}} for an element of field '@v'"
+//       CHECK:   tai.assert {{.+}} for an element of shape [3] of field '@v'"
 //       CHECK:   scf.if
 //       CHECK:     llvm.store
 tai.kernel @write(%i: index, %c: index, %x: f32) {
@@ -40,7 +40,9 @@ tai.kernel @write(%i: index, %c: index, %x: f32) {
 }
 
 // CHECK-LABEL: tai.kernel @array(
-//       CHECK:   tai.assert {{.+}} for an array of f32 of shape [?]"
+//  CHECK-SAME:     %[[M:[^:]+]]: memref<?xf32>, %[[I:[^:]+]]: index
+//       CHECK:   %[[N:.+]] = memref.dim %[[M]]
+//       CHECK:   tai.assert {{.+}} for an array of f32 of shape [{}]"(%[[I]], %[[N]])
 tai.kernel @array(%m: memref<?xf32>, %i: index, %x: f32) {
   memref.store %x, %m[%i] : memref<?xf32>
   tai.return
@@ -58,13 +60,14 @@ tai.kernel @known(%m: memref<?xf32>, %i: index, %c: index, %x: f32) {
 
 // Of a float that no integer stands for, the cast may make anything.
 // CHECK-LABEL: tai.kernel @float(
-//  CHECK-SAME:     %{{[^:]+}}: memref<?xf32>, %[[F:[^:]+]]: f32
+//  CHECK-SAME:     %[[M:[^:]+]]: memref<?xf32>, %[[F:[^:]+]]: f32
+//       CHECK:   %[[N:.+]] = memref.dim %[[M]]
 //       CHECK:   %[[LOW:.+]] = arith.constant -2.14748365E+9 : f32
 //       CHECK:   %[[A:.+]] = arith.cmpf oge, %[[F]], %[[LOW]]
 //       CHECK:   %[[HIGH:.+]] = arith.constant 2.14748365E+9 : f32
 //       CHECK:   %[[B:.+]] = arith.cmpf olt, %[[F]], %[[HIGH]]
 //       CHECK:   %[[OK:.+]] = arith.andi %[[A]], %[[B]]
-//       CHECK:   tai.assert %[[OK]], "{} is no index: as an integer it is out of range for an array of f32 of shape [?]"(%[[F]])
+//       CHECK:   tai.assert %[[OK]], "{} is no index: as an integer it is out of range for an array of f32 of shape [{}]"(%[[F]], %[[N]])
 tai.kernel @float(%m: memref<?xf32>, %f: f32, %x: f32) {
   %one = arith.constant 1 : i32
   %w = arith.fptosi %f : f32 to i32

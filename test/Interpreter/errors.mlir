@@ -32,7 +32,7 @@ func.func @main() {
 tai.tree @s : !tai.root<dense<[i: 4], {v: vector<3xf32>}>>
 tai.field @v = @s["v"] : vector<3xf32>, rank 1
 tai.kernel @k(%c: index) {
-  // CHECK: component.mlir:[[#@LINE + 1]]:8: error: index [3] is out of range for an element of field '@v'
+  // CHECK: component.mlir:[[#@LINE + 1]]:8: error: index [3] is out of range for an element of shape [3] of field '@v'
   %x = tai.load @v[%c] component [%c] : f32
   tai.return
 }

@@ -24,7 +24,7 @@ struct Extent {
 /// An access with its indices, their first values and extents.
 struct IndexedAccess {
   Operation *op;
-  /// "field '@x' of shape [4, 8]".
+  /// "field '@x' of shape [4, 8]"; see `describeArray` for that of an array.
   std::string what;
   /// As the program gives them. Those of components of an element follow those
   /// of the element.
@@ -41,7 +41,9 @@ struct IndexedAccess {
 
 /// "field '@x' of shape [4, 8]", with the first index where it is not zero.
 std::string describeField(const FieldLayout &layout);
-/// "an array of f32 of shape [?, 3]".
+/// "an element of shape [3] of field '@v'".
+std::string describeElement(FieldOp field);
+/// "an array of f32 of shape [{}, 3]"; what the launch decides is left open.
 std::string describeArray(MemRefType type);
 
 } // namespace mlir::tai

@@ -73,7 +73,8 @@ static SmallVector<Operation *> findCasts(ValueRange indices) {
 /// An assertion that the floats in the indices stand for integers: of others
 /// casts make some number, which may lie in range. Null where there are none.
 Value AccessLowering::checkCasts(OpBuilder &builder, Location loc,
-                                 ValueRange indices, const Twine &what) {
+                                 ValueRange indices, const Twine &what,
+                                 ValueRange whatShows) {
   Value all;
   for (Operation *op : findCasts(indices)) {
     Value value = op->getOperand(0);
@@ -97,12 +98,14 @@ Value AccessLowering::checkCasts(OpBuilder &builder, Location loc,
     Value below =
         arith::CmpFOp::create(builder, loc, Predicate::OLT, value, limit(high));
     Value holds = arith::AndIOp::create(builder, loc, above, below);
+    SmallVector<Value> shown{value};
+    llvm::append_range(shown, whatShows);
     AssertOp::create(
         builder, loc, holds,
         builder.getStringAttr("{} is no index: as an integer it is out of "
                               "range for " +
                               what),
-        value, builder.getI32IntegerAttr(TAI_FAIL_INDEX));
+        shown, builder.getI32IntegerAttr(TAI_FAIL_INDEX));
     all = all ? arith::AndIOp::create(builder, loc, all, holds).getResult()
               : holds;
   }
@@ -116,7 +119,12 @@ Value AccessLowering::checkRange(Operation *op, ValueRange zeroBased,
     return {};
   OpBuilder builder(op);
   Location loc = op->getLoc();
-  Value inRange = checkCasts(builder, loc, shown, what);
+  // Of an array, `what` shows those that the launch decides.
+  SmallVector<Value> whatShows;
+  for (OpFoldResult extent : extents)
+    if (Value value = dyn_cast<Value>(extent))
+      whatShows.push_back(value);
+  Value inRange = checkCasts(builder, loc, shown, what, whatShows);
   for (auto [index, extent] : llvm::zip(zeroBased, extents)) {
     Value bound = getValueOrCreateConstantIndexOp(builder, loc, extent);
     Value holds = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::ult,
@@ -132,7 +140,9 @@ Value AccessLowering::checkRange(Operation *op, ValueRange zeroBased,
   llvm::raw_string_ostream os(message);
   llvm::interleaveComma(shown, os, [&](Value) { os << "{}"; });
   os << "] is out of range for " << what;
-  AssertOp::create(builder, loc, inRange, builder.getStringAttr(message), shown,
+  SmallVector<Value> all = llvm::to_vector(shown);
+  llvm::append_range(all, whatShows);
+  AssertOp::create(builder, loc, inRange, builder.getStringAttr(message), all,
                    builder.getI32IntegerAttr(TAI_FAIL_INDEX));
   return inRange;
 }
@@ -154,8 +164,7 @@ Value AccessLowering::checkElement(FieldAccessOpInterface op,
   extents = getAsIndexOpFoldResult(builder.getContext(), field.elementShape);
   Value inElement =
       checkRange(op, components, extents,
-                 "an element of field '@" + getNamedField(op).getValue() + "'",
-                 components);
+                 describeElement(FieldOp(field.layout.field)), components);
   return inRange
              ? arith::AndIOp::create(builder, op->getLoc(), inRange, inElement)
                    .getResult()

@@ -115,7 +115,7 @@ public:
 
 private:
   Value checkCasts(OpBuilder &builder, Location loc, ValueRange indices,
-                   const Twine &what);
+                   const Twine &what, ValueRange whatShows);
 
   FunctionOpInterface function;
   FieldTable &fields;

@@ -34,7 +34,9 @@ public:
       : bounds(bounds),
         builder(OpBuilder::atBlockBegin(&kernel.getBody().front())) {}
 
-  void refuse(const IndexedAccess &access, const Violation &violation);
+  /// Refuses launches in which index `number` of the access is out of range.
+  void refuse(const IndexedAccess &access, size_t number,
+              const Violation &violation);
 
 private:
   Value constant(int64_t value) {
@@ -146,7 +148,7 @@ Value PreconditionWriter::emitLeast(const Violation::Step &step) {
   return least ? least : constant(0);
 }
 
-void PreconditionWriter::refuse(const IndexedAccess &access,
+void PreconditionWriter::refuse(const IndexedAccess &access, size_t number,
                                 const Violation &violation) {
   auto isSame = [&](const LinearSystem &other) {
     return other.getRows() == violation.launch.getRows();
@@ -186,15 +188,29 @@ void PreconditionWriter::refuse(const IndexedAccess &access,
   // What depends on data is not known before.
   std::string message = "index [";
   SmallVector<Value> shown;
-  for (size_t i = 0; i != access.rank; ++i) {
+  bool isOfElement = number < access.rank;
+  size_t first = isOfElement ? 0 : access.rank;
+  size_t end = isOfElement ? access.rank : access.indices.size();
+  for (size_t i = first; i != end; ++i) {
     std::optional<LinearSum> sum = bounds.getSum(access.indices[i]->get());
     bool known = sum && isKnown(isKnown, *sum);
-    message += i ? ", " : "";
+    message += i != first ? ", " : "";
     message += known ? "{}" : "?";
     if (known)
       shown.push_back(emit(*sum));
   }
-  message += "] is out of range for " + access.what;
+  message += "] is out of range for ";
+  if (isOfElement) {
+    message += access.what;
+  } else {
+    auto op = cast<FieldAccessOpInterface>(access.op);
+    message += describeElement(lookupField(op, op.getFieldAttr()));
+  }
+  for (const Extent &extent : access.extents)
+    if (extent.array)
+      shown.push_back(arith::IndexCastOp::create(
+          builder, loc, builder.getI64Type(),
+          memref::DimOp::create(builder, loc, extent.array, extent.number)));
   PreconditionOp::create(builder, loc, isFine, builder.getStringAttr(message),
                          shown);
 }
@@ -251,7 +267,7 @@ private:
           continue;
         }
         for (const Violation &violation : answer.violations)
-          writer.refuse(access, violation);
+          writer.refuse(access, i, violation);
       }
       access.op->removeAttr(kInRangeAttrName);
       if (bounds != BoundsMode::Check)

@@ -1,10 +1,11 @@
 // RUN: tai-opt %s --tai-check-bounds --canonicalize --cse | FileCheck %s
 
-tai.tree @t : !tai.root<dense<[i: 8], {x: f32, k: i32}>, dense<[i: 4, j: 8], {m: f32}>, dense<[i: 16], {o: f32}>, dense<[i: 1], {one: f32}>>
+tai.tree @t : !tai.root<dense<[i: 8], {x: f32, k: i32}>, dense<[i: 4, j: 8], {m: f32}>, dense<[i: 16], {o: f32}>, dense<[i: 1], {one: f32}>, dense<[i: 8], {v: vector<3xf32>}>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.field @k = @t["k"] : i32, rank 1
 tai.field @one = @t["one"] : f32, rank 1
 tai.field @m = @t["m"] : f32, rank 2
+tai.field @v = @t["v"] : vector<3xf32>, rank 1
 // From 10 to 25.
 tai.field @o = @t["o"] : f32, rank 1, offset [10]
 
@@ -354,12 +355,27 @@ tai.kernel @switch(%on: i1) {
   tai.return
 }
 
+// The component is out of range, and not the index of the element.
+// CHECK-LABEL: tai.kernel @component(
+//  CHECK-SAME:     %[[C:.+]]: i32)
+//       CHECK:   %[[N:.+]] = arith.extsi %[[C]] : i32 to i64
+//       CHECK:   tai.precondition %{{.+}}, "index [{}] is out of range for an element of shape [3] of field '@v'"(%[[N]])
+//       CHECK:   tai.parallel_for
+tai.kernel @component(%c: i32) {
+  %zero = arith.constant 0.0 : f32
+  %n = arith.index_cast %c : i32 to index
+  tai.parallel_for (%i) in @v {
+    tai.store %zero, @v[%i] component [%n] : f32
+  }
+  tai.return
+}
+
 // Extents of arrays that the launch brings.
 // CHECK-LABEL: tai.kernel @array(
 //  CHECK-SAME:     %[[A:.+]]: memref<?xf32>, %[[B:.+]]: memref<?xf32>)
 //   CHECK-DAG:   memref.dim %[[A]]
 //   CHECK-DAG:   memref.dim %[[B]]
-//       CHECK:   tai.precondition %{{.+}}, "index [{}] is out of range for an array of f32 of shape [?]"
+//       CHECK:   tai.precondition %{{.+}}, "index [{}] is out of range for an array of f32 of shape [{}]"
 //   CHECK-NOT:   tai.precondition
 //       CHECK:   tai.return
 tai.kernel @array(%a: memref<?xf32>, %b: memref<?xf32>) {
