@@ -59,6 +59,50 @@ def test_there_are_many():
     assert len(bad_register.CASES) >= 150
 
 
+def test_carets_point_at_the_part_that_is_wrong():
+    v = ti.Vector.field(2, ti.i32, shape=3)
+
+    @ti.kernel
+    def condition():
+        for i in v:
+            if v[i] > 1:
+                v[i] = 0
+
+    @ti.kernel
+    def variables():
+        for i, j in v:
+            v[i] = j
+
+    @ti.kernel
+    def bound(n: ti.f32):
+        for i in range(n):
+            v[i] = 0
+
+    @ti.kernel
+    def wait():
+        while v[0]:
+            v[0] = 0
+
+    calls = {"v[i] > 1": condition, "i, j": variables, "range(n)": lambda: bound(2.0), "v[0]": wait}
+    for code, call in calls.items():
+        with pytest.raises(ti.TaiTypeError) as caught:
+            call()
+        line, carets = str(caught.value).splitlines()[2:4]
+        assert line[carets.index("^") : carets.rindex("^") + 1] == code
+
+
+def test_no_warning_of_digits_before_an_error_of_shapes(recwarn):
+    @ti.kernel
+    def kernel():
+        a = 1
+        a = ti.Vector([1.5, 2.0])
+        print(a)
+
+    with pytest.raises(ti.TaiTypeError, match="one number of type i32"):
+        kernel()
+    assert not recwarn.list
+
+
 def test_functions_are_named_on_the_way():
     @ti.func
     def inner(a):

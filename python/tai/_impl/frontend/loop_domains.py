@@ -157,7 +157,9 @@ class LoopDomains(Part):
 
     def targets(self, node: ast.For, rank: int, grouped: bool) -> list[str]:
         """The names that the indices go to; one name for all where they are grouped."""
-        target = node.target
+        return self.guarded(lambda target: self._names_in(target, rank, grouped), node.target)
+
+    def _names_in(self, target: ast.expr, rank: int, grouped: bool) -> list[str]:
         if grouped:
             if not isinstance(target, ast.Name):
                 raise TaiSyntaxError("a loop over ti.grouped(…) has one variable, a vector")

@@ -42,7 +42,7 @@ class Loops(Part):
         if static is not None:
             self._static_for(node, self.compile_time.visit_static(static))
             return
-        domain, grouped = self.domains.domain(node.iter)
+        domain, grouped = self.guarded(self.domains.domain, node.iter)
         self.at(node)
         top = self.context.depth == self.context.top_depth and not options.get("serialize", False)
         if isinstance(domain, Bounds):

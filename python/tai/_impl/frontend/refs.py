@@ -78,16 +78,17 @@ class Place:
     def convert(self, value: Any) -> Any:
         """`value` in the type of this place."""
         emitter = self.emitter
-        emitter.check_fraction(value, self.dt, self._what())
         if isinstance(value, (bool, int, float)) and not self.shape:
+            emitter.check_fraction(value, self.dt, self._what())
             return emitter.constant(value, self.dt)
-        value = emitter.as_value(value)
+        value, given = emitter.as_value(value), value
         if value.shape and not self.shape:
             raise TaiTypeError(
                 f"a {value.kind_name} cannot be stored where one number of type {self.dt} is"
             )
         if value.shape and value.shape != self.shape:
             raise TaiTypeError(f"a {value.kind_name} cannot be stored in {self._kind()}")
+        emitter.check_fraction(given, self.dt, self._what())
         return emitter.broadcast(emitter.cast(value, self.dt), self.shape)
 
     def _what(self) -> str:

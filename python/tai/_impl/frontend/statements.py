@@ -143,7 +143,7 @@ class Statements(Part):
                 "the condition of 'if ti.static(…)' is known only when the kernel runs",
                 "drop ti.static",
             )
-        refuse_condition(condition)
+        self.guarded(lambda _: refuse_condition(condition), node.test)
         orelse = [*node.orelse, *(rest or [])]
         compile_else: Callable[[], None] | None = None
         if rest:
@@ -154,9 +154,8 @@ class Statements(Part):
             self.block(node.body if condition else orelse)
             return
         self.at(node)
-        condition = self.emitter.to_bool(condition)
         self.regions.branch(
-            condition,
+            self.guarded(lambda _: self.emitter.to_bool(condition), node.test),
             lambda: self.block(node.body),
             compile_else,
             [*node.body, *orelse],
@@ -189,6 +188,6 @@ class Statements(Part):
         elif not isinstance(text, str):
             raise TaiTypeError("the message of an assertion must be a string")
         self.at(node)
-        condition = self.emitter.to_bool(condition)
+        condition = self.guarded(lambda _: self.emitter.to_bool(condition), node.test)
         shown = [self.printing.printable(v).handle for v in values]
         self.builder.assert_(condition.handle, text, shown)

@@ -40,7 +40,7 @@ class WhileLoops(Part):
             value = self.visit(node.test)
             self.guarded(lambda _: refuse_condition(value), node.test)
             if isinstance(value, Value):
-                return emitter.to_bool(value)
+                return self.guarded(lambda _: emitter.to_bool(value), node.test)
             return None if value else emitter.constant(False, u1)
 
         self.frame.loops.append(loop)
