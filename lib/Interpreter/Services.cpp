@@ -69,10 +69,11 @@ static LogicalResult runPrint(Run &run, Operation *op) {
 
 static LogicalResult runAssert(Run &run, Operation *op) {
   auto assertion = cast<AssertOp>(op);
-  if (run.program.getOptions().debug &&
+  std::optional<uint32_t> failure = assertion.getFailure();
+  if ((failure || run.program.getOptions().debug) &&
       !isTrue(run.getNumber(assertion.getCondition())))
     run.report(op, assertion.getMessage(), assertion.getArgs(),
-               TAI_FAIL_ASSERT);
+               failure.value_or(TAI_FAIL_ASSERT));
   return success();
 }
 

@@ -25,45 +25,6 @@ def refused(call, *args, index, line=""):
     assert line in str(caught.value), str(caught.value)
 
 
-# What is said of it
-
-
-@pytest.mark.parametrize("options", [{}, {"bounds": "check"}, {"debug": True}], ids=str)
-def test_components_and_arrays_have_extents_of_their_own(options):
-    ti.init(offline_cache=False, **options)
-    v = ti.Vector.field(3, ti.f32, shape=8, name="speed")
-    n = ti.field(ti.i32, shape=8)
-    n.fill(5)
-
-    @ti.kernel
-    def component(j: ti.i32):
-        for i in v:
-            v[i][j] = 1
-
-    @ti.kernel
-    def element(a: ti.types.ndarray(ndim=2), j: ti.i32):
-        for i in v:
-            a[j, 0] = i
-
-    @ti.kernel
-    def by_data(a: ti.types.ndarray(ndim=2)):
-        for i in v:
-            a[n[i], 0] = i
-
-    array = np.zeros((5, 2), np.float32)
-    calls = {
-        "an element of shape [3] of field 'speed'": lambda: component(3),
-        "an array of f32 of shape [5, 2]": lambda: element(array, 5),
-    }
-    if options:
-        calls["an array of f32 of shape [5, 2] "] = lambda: by_data(array)
-    for what, call in calls.items():
-        with pytest.raises(ti.TaiAssertionError, match="is out of range for") as caught:
-            call()
-            ti.sync()
-        assert f"is out of range for {what.strip()}\n" in str(caught.value)
-
-
 # Axes
 
 

@@ -175,6 +175,67 @@ def test_dynamic_index():
     assert y.to_numpy().tolist() == [[100, 0, 0], [10, 111, 0], [20, 21, 122]]
 
 
+@pytest.mark.parametrize("shape", [(20,), (5, 7)], ids=str)
+def test_dynamic_index_of_many_components(shape):
+    columns = shape[1] if len(shape) == 2 else 1
+    count = int(np.prod(shape))
+    kind = ti.types.vector(count, ti.f64) if columns == 1 else ti.types.matrix(*shape, ti.f64)
+    x = kind.field(shape=(), needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    order = ti.field(ti.i32, shape=12)
+    rng = np.random.default_rng(0)
+    numbers, places = rng.standard_normal(shape), rng.integers(0, count, 12)
+    x.from_numpy(numbers)
+    order.from_numpy(places.astype(np.int32))
+
+    @ti.func
+    def at(n):
+        return ti.Vector([n]) if ti.static(columns == 1) else ti.Vector([n // columns, n % columns])
+
+    @ti.kernel
+    def mix():
+        v, used = x[None], ti.Vector([0 for _ in range(count)])
+        ti.loop_config(serialize=True)
+        for n in range(11):
+            a, b = order[n], order[n + 1]
+            v[at(a)] = v[at(a)] * v[at(b)] + ti.sin(v[at(b)])
+            used[a] += 1
+        loss[None] = v.norm_sqr() + used[order[0]]
+
+    def expected(numbers):
+        v = numbers.ravel().copy()
+        for a, b in zip(places, places[1:], strict=False):
+            v[a] = v[a] * v[b] + np.sin(v[b])
+        return (v**2).sum() + (places[:11] == places[0]).sum()
+
+    with ti.ad.Tape(loss):
+        mix()
+    assert loss[None] == pytest.approx(expected(numbers), rel=1e-12)
+    for place in places[:4]:
+        step = np.zeros(count)
+        step[place] = 1e-6
+        step = step.reshape(shape)
+        slope = (expected(numbers + step) - expected(numbers - step)) / 2e-6
+        assert x.grad.to_numpy().ravel()[place] == pytest.approx(slope, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("count", [5, 20])
+def test_dynamic_index_out_of_range(count):
+    """Nothing is stored, and the last component is read, however many there are."""
+
+    @ti.kernel
+    def kernel(j: ti.i32) -> ti.types.vector(2, ti.f64):
+        v = ti.Vector([1.0 * i for i in range(count)])
+        last = v[j]
+        v[j] = 100
+        return ti.Vector([v.sum(), last])
+
+    total = count * (count - 1) / 2
+    for j in (count, -1, 2**31 - 1, -(2**31)):
+        assert kernel(j).to_list() == [total, count - 1]
+    assert kernel(count - 1).to_list() == [total - (count - 1) + 100, count - 1]
+
+
 def test_component_assignment():
     y = ti.Matrix.field(2, 2, ti.f64, shape=2)
 

@@ -11,6 +11,7 @@ from ..fields.field import Field
 from ..fields.matrix_field import MatrixField
 from ..fields.scalar import ComponentField, ScalarField
 from ..values.emitter import Emitter
+from ..values.positions import flat, in_range, read
 from ..values.value import MatrixValue, Value, stop_gradient
 
 # Kinds of `tai.atomic` by operator.
@@ -162,15 +163,16 @@ class Component(Place):
     """One component of a matrix that is stored as a whole."""
 
     def __init__(self, base: Place, component: Any):
-        self.emitter, self.base, self.number = base.emitter, base, component
+        self.emitter, self.base = base.emitter, base
         self.dt, self.shape = base.dt, ()
+        component = in_range(self.emitter, component, _Shape(base))
+        self.number = flat(self.emitter, component, base.shape)
 
     def load(self) -> Value:
         whole = self.base.load()
         if isinstance(self.number, int):
             return self.emitter.extract(whole, self.number)
-        flat = self.emitter.matrix(whole.scalars(), whole.dt, (len(whole.scalars()),))
-        return self.emitter.subscript_matrix(flat, self.number)
+        return read(self.emitter, whole, self.number)
 
     def store(self, value: Value) -> None:
         whole = self.base.load()
@@ -257,12 +259,9 @@ class FieldElement(Place):
         emitter = self.emitter
         if len(shape) == 1:
             parts = [emitter.to_index(component)]
-        elif isinstance(component, int):
-            parts = [emitter.index(i) for i in divmod(component, shape[1])]
         else:
-            row = emitter.binary("//", component, shape[1])
-            col = emitter.binary("%", component, shape[1])
-            parts = [emitter.to_index(row), emitter.to_index(col)]
+            pair = component if isinstance(component, tuple) else divmod(component, shape[1])
+            parts = [emitter.to_index(i) for i in pair]
         return FieldElement(emitter, self.field, self.indices, parts)
 
 
@@ -345,12 +344,9 @@ class ArrayElement(Place):
         emitter, shape = self.emitter, self.array.element_shape
         if len(shape) == 1:
             extra = [emitter.to_index(component)]
-        elif isinstance(component, int):
-            extra = [emitter.index(i) for i in divmod(component, shape[1])]
         else:
-            row = emitter.binary("//", component, shape[1])
-            extra = [emitter.to_index(row),
-                     emitter.to_index(emitter.binary("%", component, shape[1]))]  # fmt: skip
+            pair = component if isinstance(component, tuple) else divmod(component, shape[1])
+            extra = [emitter.to_index(i) for i in pair]
         return ArrayElement(emitter, self.array, [*self.indices, *extra])
 
 

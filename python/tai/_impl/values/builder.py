@@ -24,6 +24,12 @@ IS_NAN = 14
 SIGNED = {"==": 0, "!=": 1, "<": 2, "<=": 3, ">": 4, ">=": 5}
 UNSIGNED = {"==": 0, "!=": 1, "<": 6, "<=": 7, ">": 8, ">=": 9}
 
+# `TAI_FAIL_INDEX` of the ABI.
+FAIL_INDEX = 2
+
+# In `static_position`, the place of an index that is an operand.
+_DYNAMIC = -(2**63)
+
 # How `memref.atomic_rmw` combines, by number.
 _ARRAY_ATOMICS = {
     "addf": 0, "addi": 1, "andi": 2, "assign": 3, "maximumf": 4, "maxnumf": 5, "maxs": 6, "maxu": 7,
@@ -104,6 +110,15 @@ class Builder:
     ) -> Handle:
         """The matrix with another component."""
         return self._op("vector.insert", [value, matrix], [type_], self._position(position))
+
+    def extract_at(self, vector: Handle, index: Handle, type_: Type) -> Handle:
+        """The component at an index that is known when the kernel runs, and in range."""
+        return self._op("vector.extract", [vector, index], [type_], self._position([_DYNAMIC]))
+
+    def insert_at(self, value: Handle, vector: Handle, index: Handle, type_: Type) -> Handle:
+        """The vector with another component at such an index."""
+        operands = [value, vector, index]
+        return self._op("vector.insert", operands, [type_], self._position([_DYNAMIC]))
 
     def broadcast(self, value: Handle, type_: Type) -> Handle:
         """The matrix of which all components are the number."""
@@ -321,9 +336,19 @@ class Builder:
 
     # What a kernel says
 
-    def assert_(self, condition: Handle, message: str, values: Iterable[Handle] = ()) -> None:
-        """Ends the program unless the condition holds; `{}` in the message are the values."""
-        self._op("tai.assert", [condition, *values], [], {"message": self._string(message)})
+    def assert_(
+        self, condition: Handle, message: str, values: Iterable[Handle] = (),
+        failure: int | None = None,
+    ) -> None:  # fmt: skip
+        """Ends the program unless the condition holds; `{}` in the message are the values.
+
+        Args:
+            failure: what kind it is, such as `FAIL_INDEX`. Others are for debug mode.
+        """
+        attributes = {"message": self._string(message)}
+        if failure is not None:
+            attributes["failure"] = self._attribute(f"{failure} : i32")
+        self._op("tai.assert", [condition, *values], [], attributes)
 
     def print(self, format: str, values: Sequence[Handle], ends_line: bool = True) -> None:
         """Prints a text; `{}` in it are the values."""

@@ -57,6 +57,12 @@ def _compare(emitter: Emitter, predicate: int, value: Value, bound: float) -> Va
 
 
 def _require(emitter: Emitter, holds: Value, value: Value, what: str) -> None:
+    require(emitter, holds, f"{what} does not exist", [value])
+
+
+def require(
+    emitter: Emitter, holds: Value, message: str, values: list[Value], failure: int | None = None
+) -> None:
     """Fails unless it holds, or the arm of a select that it stands in is not taken."""
     for condition, wanted in emitter.arms:
         if not isinstance(condition, Value):
@@ -65,4 +71,4 @@ def _require(emitter: Emitter, holds: Value, value: Value, what: str) -> None:
             return
         taken = emitter.to_bool(condition)
         holds = emitter.binary("|", holds, emitter.unary("not", taken) if wanted else taken)
-    emitter.builder.assert_(holds.handle, f"{what} does not exist", [value.handle])
+    emitter.builder.assert_(holds.handle, message, [value.handle for value in values], failure)

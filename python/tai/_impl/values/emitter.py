@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import TaiCompilationError, TaiIndexError, TaiTypeError
 from ..base import dtypes, state
 from ..base.dtypes import DataType, computed_in, dtype_of, i32, promote, u1
+from . import positions
 from .builder import IS_NAN, ORDERED, SIGNED, UNORDERED, UNSIGNED, Builder
 from .compile_time import PYTHON, compute
 from .division import check_division
@@ -46,9 +47,6 @@ _MATH = {
         "log1p", "expm1",
     )
 }  # fmt: skip
-
-# Components of a matrix up to which a dynamic index is a chain of selects.
-_MAX_SELECTS = 16
 
 
 class Emitter:
@@ -284,20 +282,17 @@ class Emitter:
 
     def with_component(self, matrix: MatrixValue, component: Any, value: Value) -> MatrixValue:
         """The matrix with one component replaced; the component is a number or a value."""
+        if isinstance(component, Value):
+            return positions.replace(self, matrix, component, value)
+        shape = matrix.shape
+        if matrix.elements is None and matrix.dt.is_float:
+            position = (component,) if len(shape) == 1 else divmod(component, shape[1])
+            handle = self.builder.insert(
+                value.handle, matrix.handle, position, self.type_of(matrix.dt, shape)
+            )
+            return MatrixValue(self, handle, matrix.dt, shape)
         scalars = list(matrix.scalars())
-        if isinstance(component, int):
-            if matrix.elements is None and matrix.dt.is_float:
-                shape = matrix.shape
-                position = (component,) if len(shape) == 1 else divmod(component, shape[1])
-                handle = self.builder.insert(
-                    value.handle, matrix.handle, position, self.type_of(matrix.dt, shape)
-                )
-                return MatrixValue(self, handle, matrix.dt, shape)
-            scalars[component] = value
-        else:
-            for number, old in enumerate(scalars):
-                here = self.compare("==", component, number)
-                scalars[number] = self.select(here, value, old)
+        scalars[component] = value
         return self.matrix(scalars, matrix.dt, matrix.shape)
 
     def subscript_matrix(self, matrix: MatrixValue, key: Any) -> Any:
@@ -308,19 +303,16 @@ class Emitter:
             return self.matrix(parts, matrix.dt, component[1])
         if isinstance(component, int):
             return self.extract(matrix, component)
-        scalars = matrix.scalars()
-        if len(scalars) > _MAX_SELECTS:
-            raise TaiTypeError(
-                f"a {matrix.kind_name} is too large for an index known only at run time",
-                "use ti.static(range(…)) for the index, or a field",
-            )
-        result = scalars[-1]
-        for number in range(len(scalars) - 2, -1, -1):
-            result = self.select(self.compare("==", component, number), scalars[number], result)
-        return result
+        component = positions.in_range(self, component, matrix)
+        return positions.read(self, matrix, positions.flat(self, component, matrix.shape))
 
     def component_of(self, matrix: Any, key: Any) -> Any:
-        """Which component `key` names: its number, a value, or `[[(number, …)], shape]`."""
+        """Which component `key` names.
+
+        Returns:
+            Its number, a value that is its index, the pair of its row and column of which one is a
+            value, or `[[(number, …)], shape]` of several.
+        """
         shape = matrix.shape
         keys = list(key) if isinstance(key, (tuple, list)) else [key]
         if len(keys) == 1 and isinstance(keys[0], MatrixValue):
@@ -372,7 +364,7 @@ class Emitter:
             return numbers[0]
         row, col = numbers
         if isinstance(row, Value) or isinstance(col, Value):
-            return self.binary("+", self.binary("*", row, shape[1]), col)
+            return row, col
         return int(row) * shape[1] + int(col)
 
     # Types of operands
