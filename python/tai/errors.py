@@ -167,6 +167,35 @@ _BY_STATUS = {
 SPELLINGS: dict[str, str] = {}
 
 
+# Variables that the iterations of a parallel loop share, by the field of the IR that holds them.
+SHARED_VARIABLES: dict[str, str] = {}
+
+# What the IR calls things that a program writes otherwise.
+_IN_PYTHON = {
+    "accumulate with 'tai.atomic add', or store to an element for each iteration": (
+        "accumulate by +=, store to an element for each iteration, or run this loop on one thread: "
+        "ti.loop_config(serialize=True)"
+    ),
+    "accumulate with 'tai.atomic add'": "accumulate by +=",
+    "a field with 'tai.atomic add'": "a field by +=",
+    "on one thread ('serialize')": "on one thread: ti.loop_config(serialize=True)",
+}
+
+
+def in_python(text: str) -> str:
+    """A message of the compiler in the words of the program."""
+    for ours, theirs in _IN_PYTHON.items():
+        text = text.replace(ours, theirs)
+    if SHARED_VARIABLES:
+        text = re.sub(r"(?:an element of )?field '@?(\w+)'", _name_variable, text)
+    return text
+
+
+def _name_variable(found: re.Match) -> str:
+    name = SHARED_VARIABLES.get(found[1])
+    return found[0] if name is None else f"variable '{name}', which all iterations share,"
+
+
 def spelled(name: str) -> str:
     """A name of the IR, or one that the compiler made of it, as the program has it."""
     base = name.removesuffix("_grad")
@@ -180,6 +209,7 @@ def from_core(
     kind = _BY_STATUS.get(status, TaiRuntimeError)
     if status == 4 and file:  # what fails at a line of a kernel is an assertion or an index
         kind = TaiAssertionError
+    message = in_python(message)
     # Fields have no such sign in Python.
     message = re.sub(r"'@(\"?)([^'\"]+)\1'", r"'\2'", message)
     if SPELLINGS:
@@ -213,7 +243,7 @@ def warn_from_core(
 def _notes(diagnostics: str) -> str | None:
     """The notes of a diagnostic, each with the line that it points to."""
     shown = []
-    for line in diagnostics.splitlines():
+    for line in in_python(diagnostics).splitlines():
         place, mark, text = line.partition(": note: ")
         if not mark:
             continue

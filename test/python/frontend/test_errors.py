@@ -103,6 +103,33 @@ def test_no_warning_of_digits_before_an_error_of_shapes(recwarn):
     assert not recwarn.list
 
 
+def test_the_compiler_speaks_of_what_the_program_has():
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def repeat():
+        v = x[0]
+        for _ in range(9):
+            v = v * 1.5 + ti.sin(v)
+        loss[None] = v
+
+    @ti.kernel
+    def neighbours():
+        for i in range(3):
+            x[i] = x[i + 1] * 2
+        loss[None] = x[0]
+
+    found = {}
+    for kernel in (repeat, neighbours):
+        with pytest.raises(ti.TaiAutodiffError) as caught, ti.ad.Tape(loss):
+            kernel()
+        found[kernel] = str(caught.value)
+    assert "variable 'v', which all iterations share, is overwritten" in found[repeat]
+    for text in found.values():
+        assert "ti.loop_config(serialize=True)" in text and "tai." not in text
+
+
 def test_functions_are_named_on_the_way():
     @ti.func
     def inner(a):

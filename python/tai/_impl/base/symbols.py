@@ -94,6 +94,7 @@ class Symbols:
             self._forget(symbol)
             (base,) = self._taken.pop(symbol)
             errors.SPELLINGS.pop(symbol, None)
+            errors.SHARED_VARIABLES.pop(symbol, None)
             self._free.setdefault(base, []).append(symbol)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from typing import Any
 
+from ...errors import SHARED_VARIABLES
 from ..base.dtypes import DataType
 from ..fields.matrix_field import MatrixField
 from ..fields.scalar import ComponentField, ScalarField
@@ -120,6 +121,8 @@ class ParallelLoops(Part):
         for variable in variables:
             value = variable.value
             field = self._shared_memory(variable.name, value.dt, value.shape)
+            assert field.symbol is not None
+            SHARED_VARIABLES[field.symbol] = variable.name
             place = FieldElement(self.emitter, field, [])
             place.store(value)
             variable.hidden = place
