@@ -219,6 +219,38 @@ def test_dynamic_index_of_many_components(shape):
         assert x.grad.to_numpy().ravel()[place] == pytest.approx(slope, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.parametrize("columns", [3, 9])
+def test_rows_and_columns_by_a_dynamic_index(columns):
+    numbers = np.arange(2.0 * columns).reshape(2, columns)
+    f = ti.Matrix.field(2, columns, ti.f64, shape=2, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    f.from_numpy(np.stack([numbers, numbers]))
+
+    @ti.kernel
+    def kernel(i: ti.i32, j: ti.i32) -> ti.types.vector(columns, ti.f64):
+        m = f[0]
+        m[i, :] = m[1 - i, :] * 2
+        m[:, j] += ti.Vector([100.0, 200.0])
+        f[1][i, 1:3] = ti.Vector([-1.0, -2.0])
+        return m[i, :]
+
+    @ti.kernel
+    def energy(i: ti.i32, j: ti.i32):
+        loss[None] = f[0][i, :].norm_sqr() + f[0][:, j].sum()
+
+    for i, j in ((0, 2), (1, 0)):
+        expected = 2 * numbers[1 - i]
+        expected[j] += 100 * (i + 1)
+        assert kernel(i, j).to_list() == expected.tolist()
+    assert f[1].to_list()[1][:3] == [numbers[1, 0], -1, -2]
+    with ti.ad.Tape(loss):
+        energy(1, 2)
+    slope = np.zeros((2, columns))
+    slope[1] = 2 * numbers[1]
+    slope[:, 2] += 1
+    assert f.grad.to_numpy()[0].tolist() == slope.tolist()
+
+
 @pytest.mark.parametrize("count", [5, 20])
 def test_dynamic_index_out_of_range(count):
     """Nothing is stored, and the last component is read, however many there are."""

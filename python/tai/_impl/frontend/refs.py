@@ -70,7 +70,7 @@ class Place:
         """A component of a matrix."""
         component = self.emitter.component_of(_Shape(self), key)
         if isinstance(component, list):
-            return Part(self, [c for c, _ in component[0]], component[1])
+            return Part(self, *component)
         return self.component(component)
 
     def component(self, component: Any) -> Place:
@@ -184,7 +184,7 @@ class Component(Place):
 class Part(Place):
     """Some components of a matrix: a swizzle or a row."""
 
-    def __init__(self, base: Place, components: list[int], shape: tuple[int, ...]):
+    def __init__(self, base: Place, components: list[Any], shape: tuple[int, ...]):
         self.emitter, self.base, self.numbers = base.emitter, base, components
         self.dt, self.shape = base.dt, shape
 

@@ -299,8 +299,11 @@ class Emitter:
         """`matrix[key]`: a component, a row, or a part by slices."""
         component = self.component_of(matrix, key)
         if isinstance(component, list):
-            parts = [self.extract(matrix, c) for c, _ in component[0]]
+            parts = [self._component(matrix, c) for c in component[0]]
             return self.matrix(parts, matrix.dt, component[1])
+        return self._component(matrix, component)
+
+    def _component(self, matrix: MatrixValue, component: Any) -> Value:
         if isinstance(component, int):
             return self.extract(matrix, component)
         component = positions.in_range(self, component, matrix)
@@ -311,7 +314,7 @@ class Emitter:
 
         Returns:
             Its number, a value that is its index, the pair of its row and column of which one is a
-            value, or `[[(number, …)], shape]` of several.
+            value, or `[[component, …], shape]` of several.
         """
         shape = matrix.shape
         keys = list(key) if isinstance(key, (tuple, list)) else [key]
@@ -348,18 +351,15 @@ class Emitter:
                 )
             numbers.append(k)
         if any(isinstance(k, list) for k in numbers):
-            if any(isinstance(k, Value) for k in numbers):
-                raise TaiTypeError(
-                    "a row or column must be named by a number known at compile time"
-                )
+            is_known = not any(isinstance(k, Value) for k in numbers)
             lists = [k if isinstance(k, list) else [k] for k in numbers]
             kept = tuple(len(k) for k in numbers if isinstance(k, list))
             if not all(kept):
                 raise TaiIndexError("the slice is empty")
-            flat = [(i,) for i in lists[0]] if len(shape) == 1 else [
-                (i * shape[1] + j,) for i in lists[0] for j in lists[1]
-            ]  # fmt: skip
-            return [[(c[0], None) for c in flat], kept]
+            if len(shape) == 1:
+                return [lists[0], kept]
+            pairs = [(i, j) for i in lists[0] for j in lists[1]]
+            return [[i * shape[1] + j for i, j in pairs] if is_known else pairs, kept]
         if len(numbers) == 1:
             return numbers[0]
         row, col = numbers
