@@ -375,6 +375,35 @@ def test_vector_sums_are_atomic():
     assert total[None].to_list() == [1000, 499500]
 
 
+def test_sums_into_parts_of_vectors_are_atomic():
+    """Iterations on other threads add to the same elements, at indices from data."""
+    count = 100_000
+    place = ti.field(ti.i32, shape=count)
+    place.from_numpy((np.arange(count) % 7).astype(np.int32))
+    v = ti.Vector.field(3, ti.i32, shape=7)
+    m = ti.Matrix.field(2, 3, ti.i32, shape=7)
+
+    @ti.kernel
+    def scatter(a: ti.types.ndarray(dtype=ti.types.vector(3, ti.i32), ndim=1)):
+        for i in place:
+            j = place[i]
+            v[j].zx += ti.Vector([1, 2])
+            m[j][1, :] += ti.Vector([1, 2, 3])
+            m[j][i % 2, :2] -= ti.Vector([1, 1])
+            ti.atomic_max(v[j].yz, ti.Vector([i, 0]))
+            a[j].xy += ti.Vector([1, 2])
+
+    array = np.zeros((7, 3), np.int32)
+    scatter(array)
+    times = np.bincount(np.arange(count) % 7)
+    odd = np.bincount(np.arange(1, count, 2) % 7)
+    last = count - 1 - (count - 1 - np.arange(7)) % 7
+    assert v.to_numpy().tolist() == np.stack([2 * times, last, times], 1).tolist()
+    rows = [[odd - times, odd - times, 0 * odd], [times - odd, 2 * times - odd, 3 * times]]
+    assert m.to_numpy().tolist() == np.moveaxis(np.array(rows), 2, 0).tolist()
+    assert array.tolist() == np.stack([times, 2 * times, 0 * times], 1).tolist()
+
+
 def test_python_matrices():
     v = ti.Vector([1, 2, 3])
     v[1] = 5

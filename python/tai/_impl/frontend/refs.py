@@ -196,6 +196,11 @@ class Part(Place):
         for number, scalar in zip(self.numbers, value.scalars(), strict=True):
             self.base.component(number).store(scalar)
 
+    def atomic(self, op: str, value: MatrixValue) -> Value:
+        parts = zip(self.numbers, value.scalars(), strict=True)
+        old = [self.base.component(number).atomic(op, scalar) for number, scalar in parts]
+        return self.emitter.matrix(old, old[0].dt, self.shape)
+
     def component(self, component: Any) -> Place:
         if not isinstance(component, int):
             raise TaiTypeError("a component of a part must be known at compile time")
