@@ -127,6 +127,10 @@ Number interpreter::combine(AtomicKind kind, const Number &a, const Number &b) {
   case AtomicKind::Max:
     return isFloat ? Number(llvm::maximum(real(a), real(b)))
                    : Number(llvm::APIntOps::smax(whole(a), whole(b)));
+  case AtomicKind::MinU:
+    return Number(llvm::APIntOps::umin(whole(a), whole(b)));
+  case AtomicKind::MaxU:
+    return Number(llvm::APIntOps::umax(whole(a), whole(b)));
   case AtomicKind::And:
     return whole(a) & whole(b);
   case AtomicKind::Or:

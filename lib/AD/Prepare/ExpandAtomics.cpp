@@ -69,6 +69,10 @@ static Value combine(OpBuilder &b, AtomicOp atomic, Value old, Value value) {
       return choose(b, loc, arith::CmpFPredicate::OGT, old, value);
     return isFloat ? arith::MaximumFOp::create(b, loc, old, value).getResult()
                    : arith::MaxSIOp::create(b, loc, old, value).getResult();
+  case AtomicKind::MinU:
+    return arith::MinUIOp::create(b, loc, old, value);
+  case AtomicKind::MaxU:
+    return arith::MaxUIOp::create(b, loc, old, value);
   case AtomicKind::And:
     return arith::AndIOp::create(b, loc, old, value);
   case AtomicKind::Or:

@@ -72,6 +72,10 @@ Value tai::emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,
     if (isFloat)
       return arith::MaximumFOp::create(builder, loc, a, b);
     return arith::MaxSIOp::create(builder, loc, a, b);
+  case AtomicKind::MinU:
+    return arith::MinUIOp::create(builder, loc, a, b);
+  case AtomicKind::MaxU:
+    return arith::MaxUIOp::create(builder, loc, a, b);
   case AtomicKind::And:
     return arith::AndIOp::create(builder, loc, a, b);
   case AtomicKind::Or:
@@ -104,6 +108,10 @@ static std::optional<LLVM::AtomicBinOp> getBinOp(AtomicKind kind,
     return isFloat ? LLVM::AtomicBinOp::fminimum : LLVM::AtomicBinOp::min;
   case AtomicKind::Max:
     return isFloat ? LLVM::AtomicBinOp::fmaximum : LLVM::AtomicBinOp::max;
+  case AtomicKind::MinU:
+    return LLVM::AtomicBinOp::umin;
+  case AtomicKind::MaxU:
+    return LLVM::AtomicBinOp::umax;
   case AtomicKind::And:
     return LLVM::AtomicBinOp::_and;
   case AtomicKind::Or:

@@ -152,6 +152,7 @@ TypedAttr tai::getIdentity(AtomicKind kind, Type type) {
   case AtomicKind::Max:
     return builder.getIntegerAttr(type, llvm::APInt::getSignedMinValue(width));
   case AtomicKind::And:
+  case AtomicKind::MinU:
     return builder.getIntegerAttr(type, llvm::APInt::getAllOnes(width));
   default:
     return builder.getIntegerAttr(type, llvm::APInt::getZero(width));

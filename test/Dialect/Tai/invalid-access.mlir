@@ -69,6 +69,17 @@ tai.kernel @atomic(%i: index, %f: f32) {
 // -----
 
 tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.kernel @unsigned(%i: index, %f: f32) {
+  // (atomic_c5)
+  // expected-error @+1 {{'tai.atomic' op 'minu' expects integers, but got 'f32'}}
+  %0 = tai.atomic minu %f, @x[%i] : f32
+  tai.return
+}
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
 // expected-note @+1 {{field defined here}}
 tai.field @x = @t["x"] : f32, rank 1
 tai.kernel @activate(%i: index) {

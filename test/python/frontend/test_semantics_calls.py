@@ -235,3 +235,30 @@ def test_parameters_by_keyword_alone():
 
     assert twice(b=5) == 153 + 123_000
     assert twice(4, c=9, b=5) == 153 + 429_000
+
+
+@pytest.mark.parametrize("name", ["u8", "u16", "u32", "u64"])
+def test_least_and_greatest_of_unsigned_numbers(name):
+    """Of numbers that are negative as signed ones, from many threads, at places from data."""
+    dtype, count = getattr(ti, name), 60_000
+    top = int(dtype.max)
+    place = ti.field(ti.i32, shape=count)
+    place.from_numpy((np.arange(count) % 3).astype(np.int32))
+    least, greatest = ti.field(dtype, shape=3), ti.Vector.field(2, dtype, shape=3)
+    whole = ti.field(dtype, shape=2)
+    least.fill(top)
+    whole[0] = top
+
+    @ti.kernel
+    def scatter():
+        for i in place:
+            n = ti.cast(i % 200, dtype)
+            ti.atomic_min(least[place[i]], ti.cast(top, dtype) - n)
+            ti.atomic_max(greatest[place[i]][i % 2], n)
+            ti.atomic_min(whole[0], ti.cast(top, dtype) - n)
+            ti.atomic_max(whole[1], ti.cast(top, dtype) - n)
+
+    scatter()
+    assert least.to_numpy().tolist() == 3 * [top - 199]
+    assert greatest.to_numpy().tolist() == 3 * [[198, 199]]
+    assert whole.to_numpy().tolist() == [top - 199, top]

@@ -288,9 +288,11 @@ LogicalResult AtomicOp::verifySymbolUses(SymbolTableCollection &symbols) {
 LogicalResult AtomicOp::verify() {
   // (atomic_c5)
   Type element = getElementTypeOrSelf(getValue().getType());
-  bool isBitwise = llvm::is_contained(
-      {AtomicKind::And, AtomicKind::Or, AtomicKind::Xor}, getKind());
-  if (isBitwise && !element.isInteger())
+  bool isOfIntegers =
+      llvm::is_contained({AtomicKind::And, AtomicKind::Or, AtomicKind::Xor,
+                          AtomicKind::MinU, AtomicKind::MaxU},
+                         getKind());
+  if (isOfIntegers && !element.isInteger())
     return emitOpError() << "'" << stringifyAtomicKind(getKind())
                          << "' expects integers, but got " << element;
   return success();

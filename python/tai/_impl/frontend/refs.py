@@ -249,7 +249,7 @@ class FieldElement(Place):
     def atomic(self, op: str, value: Value) -> Value:
         kind = ATOMIC_KINDS[op]
         if self.dt.kind == "u" and op in ("min", "max"):
-            return super().atomic(op, value)
+            kind += "u"
         self.emitter.accumulated.add(self.field)
         if op in ("+", "-"):
             value = self.emitter.added(self.field, value)

@@ -122,7 +122,8 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", "Combine", "Value", [
     the loop; without it the update is atomic.
 
     1. (atomic_c1) to (atomic_c4): those of `tai.load`.
-    2. (atomic_c5) `and`, `or` and `xor` combine integers.
+    2. (atomic_c5) `and`, `or`, `xor`, `minu` and `maxu` combine integers; the last two
+       take them as unsigned, `min` and `max` as signed.
 
     Example:
 

@@ -16,7 +16,8 @@ def Tai_AtomicKind : I32EnumAttr<"AtomicKind", "read-modify-write operation", [
     I32EnumAttrCase<"Add", 0, "add">, I32EnumAttrCase<"Sub", 1, "sub">,
     I32EnumAttrCase<"Mul", 2, "mul">, I32EnumAttrCase<"Min", 3, "min">,
     I32EnumAttrCase<"Max", 4, "max">, I32EnumAttrCase<"And", 5, "and">,
-    I32EnumAttrCase<"Or", 6, "or">, I32EnumAttrCase<"Xor", 7, "xor">]> {
+    I32EnumAttrCase<"Or", 6, "or">, I32EnumAttrCase<"Xor", 7, "xor">,
+    I32EnumAttrCase<"MinU", 8, "minu">, I32EnumAttrCase<"MaxU", 9, "maxu">]> {
   let cppNamespace = "::mlir::tai";
   let genSpecializedAttr = 0;
 }
