@@ -88,8 +88,9 @@ tai.kernel @sum(%n: index) {
 //  CHECK-SAME:     %[[A:.+]]: index, %[[B:.+]]: index)
 //   CHECK-DAG:   %[[C3:.+]] = arith.constant 3 : index
 //   CHECK-DAG:   %[[C1:.+]] = arith.constant 1 : index
-//       CHECK:   %[[DIFF:.+]] = arith.subi %[[B]], %[[A]]
-//       CHECK:   %[[N:.+]] = arith.ceildivsi %[[DIFF]], %[[C3]]
+//       CHECK:   %[[END:.+]] = arith.maxsi %[[B]], %[[A]]
+//       CHECK:   %[[DIFF:.+]] = arith.subi %[[END]], %[[A]]
+//       CHECK:   %[[N:.+]] = arith.ceildivui %[[DIFF]], %[[C3]]
 //       CHECK:   scf.for %[[K:.+]] = %{{.+}} to %[[N]] step %[[C1]]
 //       CHECK:     %[[ORDINAL:.+]] = arith.subi %{{.+}}, %[[K]]
 //       CHECK:     %[[SCALED:.+]] = arith.muli %[[ORDINAL]], %[[C3]]

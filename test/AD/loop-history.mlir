@@ -123,7 +123,7 @@ tai.kernel @dynamic(%n: index) {
 //       TIGHT:     %[[UPPER:.+]] = arith.select %{{.+}}, %[[B]], %{{.+}} : i32
 //       TIGHT:     scf.for %[[J:.+]] = %[[LOWER]] to %[[UPPER]] step %[[C3]] iter_args({{.*}}) -> (f32) : i32 {
 //       TIGHT:       %[[DIFF:.+]] = arith.subi %[[J]], %[[LOWER]] : i32
-//       TIGHT:       arith.divsi %[[DIFF]], %[[C3]]
+//       TIGHT:       arith.divui %[[DIFF]], %[[C3]]
 tai.kernel @bounds(%a: i32, %b: i32) {
   %c3 = arith.constant 3 : i32
   tai.parallel_for (%i) in @x {

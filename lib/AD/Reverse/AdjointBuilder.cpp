@@ -115,17 +115,34 @@ bool AdjointBuilder::isSeedUndefined() const {
 }
 
 Value AdjointBuilder::createTripCount(scf::ForOp loop) {
+  auto toIndex = [&](Value value) -> Value {
+    return value.getType().isIndex()
+               ? value
+               : createOrFold<arith::IndexCastOp>(getIndexType(), value);
+  };
+  // The distance of two bounds may be beyond their signed type: of narrow ones
+  // it is taken in the wider index, of wide ones without a sign.
   Value lower = getPrimal(loop.getLowerBound());
   Value upper = getPrimal(loop.getUpperBound());
   Value step = getPrimal(loop.getStep());
+  bool startsAtZero = matchPattern(lower, m_Zero());
+  auto type = dyn_cast<IntegerType>(step.getType());
+  bool isNarrow = type && type.getWidth() < 64;
+  if (isNarrow) {
+    lower = toIndex(lower);
+    upper = toIndex(upper);
+    step = toIndex(step);
+  } else if (!startsAtZero) {
+    upper = createOrFold<arith::MaxSIOp>(upper, lower);
+  }
   Value count = upper;
-  if (!matchPattern(lower, m_Zero()))
+  if (!startsAtZero)
     count = createOrFold<arith::SubIOp>(upper, lower);
-  if (!matchPattern(step, m_One()))
-    count = createOrFold<arith::CeilDivSIOp>(count, step);
-  if (!count.getType().isIndex())
-    count = createOrFold<arith::IndexCastOp>(getIndexType(), count);
-  return count;
+  if (matchPattern(step, m_One()))
+    return toIndex(count);
+  if (startsAtZero || isNarrow)
+    return toIndex(createOrFold<arith::CeilDivSIOp>(count, step));
+  return toIndex(createOrFold<arith::CeilDivUIOp>(count, step));
 }
 
 InFlightDiagnostic AdjointBuilder::emitError(Operation *op,

@@ -119,15 +119,16 @@ static CountedLoop countLoop(AdjointBuilder &b, Value iv, Value lower,
                : b.createOrFold<arith::IndexCastOp>(b.getIndexType(), value);
   };
   lower = toIndex(lower);
-  Value zero = arith::ConstantIndexOp::create(b, 0);
-  Value extent = b.createOrFold<arith::SubIOp>(toIndex(upper), lower);
+  // The distance may be beyond what has a sign.
+  Value extent = b.createOrFold<arith::SubIOp>(
+      b.createOrFold<arith::MaxSIOp>(toIndex(upper), lower), lower);
   if (step && matchPattern(step, m_One()))
     step = {};
   if (step) {
     step = toIndex(step);
-    extent = b.createOrFold<arith::CeilDivSIOp>(extent, step);
+    extent = b.createOrFold<arith::CeilDivUIOp>(extent, step);
   }
-  return {iv, lower, step, b.createOrFold<arith::MaxSIOp>(extent, zero)};
+  return {iv, lower, step, extent};
 }
 
 // Fails where the number of times that the atomic runs is not known before.
@@ -191,7 +192,7 @@ static Value createRun(AdjointBuilder &b, const KeptValues &kept,
       index = arith::IndexCastOp::create(b, b.getIndexType(), index);
     index = b.createOrFold<arith::SubIOp>(index, loop.lower);
     if (loop.step)
-      index = arith::DivSIOp::create(b, index, loop.step);
+      index = arith::DivUIOp::create(b, index, loop.step);
     run = b.createOrFold<arith::AddIOp>(
         b.createOrFold<arith::MulIOp>(run, loop.extent), index);
   }

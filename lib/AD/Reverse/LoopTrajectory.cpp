@@ -111,16 +111,17 @@ int64_t LoopTrajectory::getBytesPerIteration() {
 }
 
 /// Stores what is recorded at the beginning of the body of `recorder`, at the
-/// position of the iteration among those of `recorder`.
+/// position of the iteration among those of `recorder`. The distance from the
+/// lower bound has no sign: it may be beyond the signed numbers of the type.
 void LoopTrajectory::storeRecorded(scf::ForOp recorder) {
   b.setInsertionPointToStart(recorder.getBody());
   Value position = recorder.getInductionVar();
   if (!matchPattern(recorder.getLowerBound(), m_Zero()))
     position = arith::SubIOp::create(b, position, recorder.getLowerBound());
   if (!matchPattern(recorder.getStep(), m_One()))
-    position = arith::DivSIOp::create(b, position, recorder.getStep());
+    position = arith::DivUIOp::create(b, position, recorder.getStep());
   if (!position.getType().isIndex())
-    position = arith::IndexCastOp::create(b, b.getIndexType(), position);
+    position = arith::IndexCastUIOp::create(b, b.getIndexType(), position);
   for (auto [index, buffer] : histories)
     storeState(b, recorder.getRegionIterArg(index), buffer, position);
 }
