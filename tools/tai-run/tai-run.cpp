@@ -86,7 +86,7 @@ struct Options {
   cl::opt<std::string> printIR{
       "print-ir",
       cl::desc("Print the IR of each kernel that is compiled: all, or "
-               "some of tai,autodiff,scf,llvm,llvmir,asm"),
+               "some of tai,autodiff,scf,llvm,nvvm,ptx,llvmir,asm"),
       cl::value_desc("stages")};
   cl::opt<bool> noFuseLaunches{
       "no-fuse-launches",
@@ -284,6 +284,11 @@ int main(int argc, char **argv) {
   llvm::InitLLVM initialize(argc, argv);
   cl::ResetCommandLineParser();
   Options options;
+  // The help shows categories, and that of options without one is gone, too.
+  cl::OptionCategory category("Options of tai-run");
+  for (auto &[name, option] : cl::getRegisteredOptions())
+    if (llvm::is_contained(option->Categories, &cl::getGeneralCategory()))
+      option->addCategory(category);
   cl::ParseCommandLineOptions(argc, argv,
                               "Runs the program in an .mlir file.\n");
   Session session;
