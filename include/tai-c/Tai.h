@@ -11,7 +11,10 @@
 //
 // Every function that can fail returns a TaiStatus; on failure
 // `taiContextLastError` holds the diagnostic of the calling thread. Nothing
-// aborts the process. Calls of several threads on one context follow one
+// aborts the process, given handles that exist and pointers to memory: they may
+// be null only where that is said, also where a handle is destroyed. Text that
+// is null is empty. The handles of a context are destroyed with it, at the
+// latest. Calls of several threads on one context follow one
 // another, but for launches and reads of single elements on the CPU, which run
 // side by side; contexts are independent.
 //

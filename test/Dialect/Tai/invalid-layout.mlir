@@ -35,6 +35,22 @@ tai.tree @t : !tai.root<hash<[i: 9223372036854775807, j: 2], {x: f32}>>
 
 // -----
 
+// Its size would be 8 as a 64-bit number.
+// expected-error @+1 {{has more bytes than can be addressed}}
+tai.tree @t : !tai.root<dense<[i: 2305843009213693953], {x: f64}>>
+
+// -----
+
+// expected-error @+1 {{has more bytes than can be addressed}}
+tai.tree @t : !tai.root<{x: i8}, pointer<[i: 4294967296], dense<[i: 4294967296], {x: f32}>>>
+
+// -----
+
+// expected-error @+1 {{has more bytes than can be addressed}}
+tai.tree @t : !tai.root<{x: vector<4294967296x4294967296xf32>}>
+
+// -----
+
 // expected-error @+1 {{expects at least one place}}
 tai.tree @t : !tai.root<{}>
 

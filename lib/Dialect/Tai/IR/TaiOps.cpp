@@ -13,6 +13,7 @@
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/StringSet.h"
+#include "llvm/Support/MathExtras.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -87,6 +88,28 @@ static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
 // TreeOp, FieldOp
 //===----------------------------------------------------------------------===//
 
+/// The bytes of what the cells of a tree hold, without what aligns it; more
+/// than a number counts are the greatest number.
+static uint64_t countBytes(Type type, const DataLayout &layout) {
+  uint64_t bytes = 0;
+  if (auto places = dyn_cast<PlacesType>(type)) {
+    for (Type place : places.getTypes()) {
+      uint64_t size = getValueSize(getElementTypeOrSelf(place), layout);
+      if (auto vector = dyn_cast<VectorType>(place))
+        for (int64_t extent : vector.getShape())
+          size = llvm::SaturatingMultiply<uint64_t>(size, extent);
+      bytes = llvm::SaturatingAdd(bytes, size);
+    }
+    return bytes;
+  }
+  auto level = cast<SNodeTypeInterface>(type);
+  for (Type child : level.getChildren())
+    bytes = llvm::SaturatingAdd(bytes, countBytes(child, layout));
+  for (int64_t extent : level.getShape())
+    bytes = llvm::SaturatingMultiply<uint64_t>(bytes, extent);
+  return bytes;
+}
+
 /// Checks what a kind of level says of its cells: each has room and alignment.
 static LogicalResult verifyCells(TreeOp tree, ArrayRef<Type> children,
                                  const DataLayout &layout) {
@@ -116,8 +139,15 @@ static LogicalResult verifyCells(TreeOp tree, ArrayRef<Type> children,
 
 LogicalResult TreeOp::verify() {
   auto root = cast<RootType>(getLayout());
-  if (failed(
-          verifyCells(*this, root.getChildren(), DataLayout::closest(*this))))
+  DataLayout layout = DataLayout::closest(*this);
+  // Offsets are 64-bit numbers; half of these leave room for alignment and for
+  // what sparse levels keep beside their cells.
+  uint64_t bytes = 0;
+  for (Type child : root.getChildren())
+    bytes = llvm::SaturatingAdd(bytes, countBytes(child, layout));
+  if (bytes > uint64_t(1) << 62)
+    return emitOpError("has more bytes than can be addressed");
+  if (failed(verifyCells(*this, root.getChildren(), layout)))
     return failure();
   llvm::StringSet<> names;
   LogicalResult result = success();
