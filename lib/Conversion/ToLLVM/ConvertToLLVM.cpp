@@ -17,12 +17,14 @@
 #include "mlir/Conversion/UBToLLVM/UBToLLVM.h"
 #include "mlir/Dialect/Arith/Transforms/Passes.h"
 #include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
+#include "mlir/Dialect/ControlFlow/IR/ControlFlowOps.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/Math/Transforms/Passes.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Utils/Accumulate.h"
@@ -128,6 +130,44 @@ struct ExpandIsNormal : OpRewritePattern<math::IsNormalOp> {
   }
 };
 
+/// scf.index_switch  ->  cf.switch of i64. Upstream's has 32 bits of the index
+/// and of the cases, so that 2^32 is 0.
+struct LowerIndexSwitch : OpRewritePattern<scf::IndexSwitchOp> {
+  using OpRewritePattern::OpRewritePattern;
+  LogicalResult matchAndRewrite(scf::IndexSwitchOp op,
+                                PatternRewriter &rewriter) const override {
+    Location loc = op.getLoc();
+    Block *before = rewriter.getInsertionBlock();
+    Block *after = rewriter.splitBlock(before, Block::iterator(op));
+    for (Type type : op.getResultTypes())
+      after->addArgument(type, loc);
+    auto inlineRegion = [&](Region &region) {
+      Block *block = &region.front();
+      auto yield = cast<scf::YieldOp>(block->getTerminator());
+      rewriter.setInsertionPoint(yield);
+      rewriter.replaceOpWithNewOp<cf::BranchOp>(yield, after,
+                                                yield.getOperands());
+      rewriter.inlineRegionBefore(region, after);
+      return block;
+    };
+    SmallVector<Block *> blocks;
+    for (Region &region : op.getCaseRegions())
+      blocks.push_back(inlineRegion(region));
+    Block *otherwise = inlineRegion(op.getDefaultRegion());
+    SmallVector<APInt> cases;
+    for (int64_t value : op.getCases())
+      cases.emplace_back(64, value, /*isSigned=*/true);
+
+    rewriter.setInsertionPointToEnd(before);
+    Value flag = arith::IndexCastOp::create(rewriter, loc,
+                                            rewriter.getI64Type(), op.getArg());
+    cf::SwitchOp::create(rewriter, loc, flag, otherwise, ValueRange(), cases,
+                         blocks, SmallVector<ValueRange>(blocks.size()));
+    rewriter.replaceOp(op, after->getArguments());
+    return success();
+  }
+};
+
 /// Casts a float to an integer as the hardware does, also where none stands for
 /// it: LLVM takes the result to be whatever suits it then, a different number
 /// each time it is used.
@@ -225,6 +265,7 @@ void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
                                        /*approximateLog1p=*/false);
   populateExpansionFixes(patterns);
   // Before those of upstream.
+  patterns.add<LowerIndexSwitch>(patterns.getContext(), /*benefit=*/2);
   patterns.add<CastFloat<arith::FPToSIOp, LLVM::FPToSIOp>,
                CastFloat<arith::FPToUIOp, LLVM::FPToUIOp>>(
       converter, patterns.getContext(), /*benefit=*/2);
