@@ -24,6 +24,16 @@ tai.kernel @atomic(%n: index, %x: f32) {
 
 // -----
 
+tai.tree @t : !tai.root<dense<[i: 8], {x: f32}>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.kernel @load(%i: index) -> f32 {
+  // expected-error @+1 {{'tai.load' op still names a field; expects tai-lower-struct-for and tai-lower-layout to lower it first}}
+  %0 = tai.load @x[%i] : f32
+  tai.return %0 : f32
+}
+
+// -----
+
 tai.kernel @captured_vector(%v: vector<2xf32>, %n: index) {
   %c0 = arith.constant 0 : index
   // expected-error @below {{'vector.extract' op uses 'vector<2xf32>'; expects scalars, as tai-scalarize makes them}}

@@ -115,6 +115,16 @@ LogicalResult tai::finishModule(ModuleLowering &lowering) {
     if (failed(lowerHostFunction(function, lowering)))
       return failure();
   // Storage is the runtime's from here on.
+  WalkResult accesses = module.walk([](Operation *op) {
+    if (!isa_and_present<TaiDialect>(op->getDialect()) ||
+        !op->getAttrOfType<FlatSymbolRefAttr>("field"))
+      return WalkResult::advance();
+    op->emitOpError("still names a field; expects tai-lower-struct-for and "
+                    "tai-lower-layout to lower it first");
+    return WalkResult::interrupt();
+  });
+  if (accesses.wasInterrupted())
+    return failure();
   for (Operation &op : llvm::make_early_inc_range(*module.getBody()))
     if (isa<FieldOp, TreeOp>(op))
       op.erase();
