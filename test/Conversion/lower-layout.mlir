@@ -104,6 +104,24 @@ tai.kernel @array(%m: memref<?x?xf32>, %i: index) -> f32 {
   tai.return %0 : f32
 }
 
+// Functions of others may have arrays of any kind: they are not read as if they
+// were row-major, without an offset, and of numbers.
+// CHECK-LABEL: func.func @foreign(
+//  CHECK-NEXT:   memref.load
+//  CHECK-NEXT:   memref.load
+//  CHECK-NEXT:   memref.store
+//  CHECK-NEXT:   memref.load
+//  CHECK-NEXT:   return
+func.func @foreign(%strided: memref<4xf64, strided<[2], offset: 1>>,
+                   %complex: memref<4xcomplex<f64>>, %shared: memref<4xf64, 3>,
+                   %i: index) -> (f64, f64) {
+  %0 = memref.load %strided[%i] : memref<4xf64, strided<[2], offset: 1>>
+  %1 = memref.load %complex[%i] : memref<4xcomplex<f64>>
+  memref.store %1, %complex[%i] : memref<4xcomplex<f64>>
+  %2 = memref.load %shared[%i] : memref<4xf64, 3>
+  return %0, %2 : f64, f64
+}
+
 // What tai-relax-atomics took out of memory is left to convert-tai-to-scf.
 // CHECK-LABEL: tai.kernel @kept
 //       CHECK:   tai.atomic add %{{.+}}, @x[{{.+}}] strategy private

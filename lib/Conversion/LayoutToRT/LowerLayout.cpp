@@ -386,6 +386,17 @@ template <typename Op> struct LowerArrayElement final : AccessPattern<Op> {
 // The pass
 //===----------------------------------------------------------------------===//
 
+/// True for arrays like those that kernels take. Others can only be those of a
+/// function that is not tai's, and stay as they are.
+static bool isRowMajor(Value array) {
+  auto type = cast<MemRefType>(array.getType());
+  Type element = type.getElementType();
+  if (auto vector = dyn_cast<VectorType>(element))
+    element = vector.getElementType();
+  return type.getLayout().isIdentity() && !type.getMemorySpace() &&
+         element.isIntOrIndexOrFloat();
+}
+
 static LogicalResult lowerAccesses(FunctionOpInterface function,
                                    FieldTable &fields,
                                    AccessLowering &lowering) {
@@ -399,9 +410,15 @@ static LogicalResult lowerAccesses(FunctionOpInterface function,
       accesses.push_back(op);
       if (failed(lowering.getField(op)))
         return WalkResult::interrupt();
-    } else if (isa<memref::LoadOp, memref::StoreOp>(op)) {
-      arrays.push_back(op);
+    } else if (auto load = dyn_cast<memref::LoadOp>(op)) {
+      if (isRowMajor(load.getMemref()))
+        arrays.push_back(op);
+    } else if (auto store = dyn_cast<memref::StoreOp>(op)) {
+      if (isRowMajor(store.getMemref()))
+        arrays.push_back(op);
     } else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op)) {
+      if (!isRowMajor(atomic.getMemref()))
+        return WalkResult::advance();
       if (!toAtomicBinOp(atomic.getKind())) {
         op->emitOpError("of kind '")
             << arith::stringifyAtomicRMWKind(atomic.getKind())

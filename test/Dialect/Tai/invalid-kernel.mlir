@@ -8,6 +8,22 @@ tai.kernel @k(%a: tensor<2xf32>) {
 
 // -----
 
+// (kernel_c2)
+// expected-error @+1 {{'tai.kernel' op argument 0 has type 'memref<2xmemref<2xf32>>'}}
+tai.kernel @k(%a: memref<2xmemref<2xf32>>) {
+  tai.return
+}
+
+// -----
+
+// (kernel_c2)
+// expected-error @+1 {{'tai.kernel' op argument 0 has type 'vector<[4]xf32>'}}
+tai.kernel @k(%a: vector<[4]xf32>) {
+  tai.return
+}
+
+// -----
+
 // (kernel_c3)
 // expected-error @+1 {{'tai.kernel' op expects at most one result, but got 2}}
 tai.kernel @k(%a: f32) -> (f32, f32) {

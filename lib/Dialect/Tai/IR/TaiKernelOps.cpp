@@ -74,15 +74,21 @@ void KernelOp::print(OpAsmPrinter &printer) {
       getArgAttrsAttrName(), getResAttrsAttrName());
 }
 
+/// True for scalars, and vectors of a known length.
+static bool isKernelValueType(Type type) {
+  if (auto vector = dyn_cast<VectorType>(type))
+    return !vector.isScalable() &&
+           vector.getElementType().isIntOrIndexOrFloat();
+  return type.isIntOrIndexOrFloat();
+}
+
 /// True for the types a kernel can take: scalars, small vectors, memrefs of
 /// them.
 static bool isKernelArgumentType(Type type) {
   if (auto memref = dyn_cast<MemRefType>(type))
     return memref.getLayout().isIdentity() &&
-           isKernelArgumentType(memref.getElementType());
-  Type element = getElementTypeOrSelf(type);
-  return element.isIntOrIndexOrFloat() &&
-         (!isa<ShapedType>(type) || isa<VectorType>(type));
+           isKernelValueType(memref.getElementType());
+  return isKernelValueType(type);
 }
 
 LogicalResult KernelOp::verify() {
@@ -102,7 +108,7 @@ LogicalResult KernelOp::verify() {
     return emitOpError("expects at most one result, but got ")
            << type.getNumResults();
   for (Type result : type.getResults())
-    if (isa<MemRefType>(result) || !isKernelArgumentType(result))
+    if (!isKernelValueType(result))
       return emitOpError("returns ")
              << result << "; expects a scalar or a vector";
   // (kernel_c4)
