@@ -243,6 +243,8 @@ BoundsAnswer IndexBounds::check(const IndexedAccess &access, size_t number,
   checkSide(domain, LinearSum::of(first - 1).plus(form.sum, -1), answer,
             isExact);
   checkSide(domain, form.sum.plus(size.sum, -1).plus(-first), answer, isExact);
+  for (Violation &violation : answer.violations)
+    violation.launch = forms.dropAssumptions(violation.launch, form.sum);
   answer.isInRange &= domain.isComplete;
   answer.isDecided =
       answer.isInRange || (domain.isComplete && domain.isCertain && isExact);

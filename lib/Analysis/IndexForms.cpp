@@ -261,6 +261,34 @@ LinearForm IndexForms::makeLaunchForm(const LaunchValue &launch,
   return form;
 }
 
+/// a <= b or a < b, which no difference need be computed for.
+static bool isComparison(const LinearSum &row) {
+  return row.terms.size() == 2 && row.terms[0].second == -row.terms[1].second &&
+         (row.constant == 0 || row.constant == -1);
+}
+
+LinearSystem IndexForms::dropAssumptions(const LinearSystem &system,
+                                         const LinearSum &index) const {
+  auto isUnit = [](auto term) { return std::abs(term.second) == 1; };
+  LinearSystem rest;
+  bool isExact = true;
+  for (const LinearSum &row : system.getRows()) {
+    if (!llvm::all_of(row.terms, isUnit))
+      return system;
+    if (row.terms.size() == 1 && row.constant == kLargest &&
+        getLaunchValue(row.terms.front().first))
+      continue;
+    rest.require(row);
+    isExact &= row.terms.size() == 1 || isComparison(row);
+  }
+  // A multiple may wrap around to an index in range, and a sum that is not the
+  // index itself to one of the other sign.
+  for (auto term : index.terms)
+    if (getLaunchValue(term.first) && !isUnit(term))
+      return system;
+  return isExact || rest.getRows().size() == 1 ? rest : system;
+}
+
 LinearForm LinearForm::plus(const LinearForm &other, int64_t scale) const {
   LinearForm form = *this;
   form.sum.add(other.sum, scale);

@@ -80,6 +80,11 @@ public:
     return variables[variable].factors;
   }
   bool isOfLaunch(const LinearSum &sum) const;
+  /// What goes out of range with `index` in launches for which `system` holds,
+  /// without the assumption that numbers of the launch are as small as those of
+  /// storage, where it does so for all others too.
+  LinearSystem dropAssumptions(const LinearSystem &system,
+                               const LinearSum &index) const;
   bool hasProduct(const LinearSum &sum) const;
   /// The product of two sums of launch values as a launch value. Adds to
   /// `facts` the conditions for it not to overflow.

@@ -46,6 +46,7 @@ private:
   Value emitLaunchValue(const LaunchValue &launch);
   Value emit(unsigned variable);
   Value emit(const LinearSum &sum);
+  Value emitHolds(const LinearSum &row);
   Value emitLeast(const Violation::Step &step);
 
   IndexBounds &bounds;
@@ -124,6 +125,29 @@ Value PreconditionWriter::emit(const LinearSum &sum) {
   return result;
 }
 
+/// row >= 0. One or two numbers are compared as they are: what is computed from
+/// them might wrap around.
+Value PreconditionWriter::emitHolds(const LinearSum &row) {
+  auto compare = [&](arith::CmpIPredicate predicate, Value a, Value b) {
+    return arith::CmpIOp::create(builder, loc, predicate, a, b).getResult();
+  };
+  auto [variable, factor] = row.terms.front();
+  if (row.terms.size() == 1 && factor == 1)
+    return compare(arith::CmpIPredicate::sge, emit(variable),
+                   constant(-row.constant));
+  if (row.terms.size() == 1 && factor == -1)
+    return compare(arith::CmpIPredicate::sle, emit(variable),
+                   constant(row.constant));
+  auto [second, otherFactor] = row.terms.back();
+  if (row.terms.size() == 2 && factor == -otherFactor &&
+      std::abs(factor) == 1 && (row.constant == 0 || row.constant == -1))
+    return compare(row.constant == 0 ? arith::CmpIPredicate::sge
+                                     : arith::CmpIPredicate::sgt,
+                   emit(factor == 1 ? variable : second),
+                   emit(factor == 1 ? second : variable));
+  return compare(arith::CmpIPredicate::sge, emit(row), constant(0));
+}
+
 /// The least number for which the system can hold.
 Value PreconditionWriter::emitLeast(const Violation::Step &step) {
   Value least;
@@ -160,8 +184,7 @@ void PreconditionWriter::refuse(const IndexedAccess &access, size_t number,
   loc = access.op->getLoc();
   Value happens;
   for (const LinearSum &row : violation.launch.getRows()) {
-    Value holds = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::sge,
-                                        emit(row), constant(0));
+    Value holds = emitHolds(row);
     happens =
         happens
             ? arith::AndIOp::create(builder, loc, happens, holds).getResult()

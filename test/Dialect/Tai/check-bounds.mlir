@@ -35,10 +35,9 @@ tai.kernel @proven() {
 // CHECK-LABEL: tai.kernel @argument(
 //  CHECK-SAME:     %[[N:.+]]: i32)
 //   CHECK-DAG:   %[[C8:.+]] = arith.constant 8 : i64
-//   CHECK-DAG:   %[[LAST:.+]] = arith.constant -9 : i64
+//   CHECK-DAG:   %[[C9:.+]] = arith.constant 9 : i64
 //       CHECK:   %[[W:.+]] = arith.extsi %[[N]] : i32 to i64
-//       CHECK:   %[[D:.+]] = arith.addi %[[W]], %[[LAST]]
-//       CHECK:   %[[OK:.+]] = arith.cmpi slt, %[[D]], %{{.+}}
+//       CHECK:   %[[OK:.+]] = arith.cmpi slt, %[[W]], %[[C9]]
 //       CHECK:   tai.precondition %[[OK]], "index [{}] is out of range for field '@x' of shape [8]"(%[[C8]]) : i64
 //   CHECK-NOT:   tai.precondition
 //       CHECK:   tai.parallel_for
@@ -59,6 +58,20 @@ tai.kernel @argument(%n: i32) {
 tai.kernel @direct(%n: i32) -> f32 {
   %i = arith.index_cast %n : i32 to index
   %a = tai.load @o[%i] : f32
+  tai.return %a : f32
+}
+
+// Of 64 bits, all numbers beyond the range are refused, however large.
+// CHECK-LABEL: tai.kernel @wide(
+//   CHECK-NOT:   arith.addi
+//       CHECK:   arith.cmpi s{{gt|ge|lt|le}}, %{{.+}}, %{{.+}} : i64
+//   CHECK-NOT:   arith.cmpi
+//       CHECK:   tai.precondition
+//       CHECK:   arith.cmpi s{{gt|ge|lt|le}}, %{{.+}}, %{{.+}} : i64
+//   CHECK-NOT:   arith.cmpi
+//       CHECK:   tai.precondition
+tai.kernel @wide(%i: index) -> f32 {
+  %a = tai.load @x[%i] : f32
   tai.return %a : f32
 }
 
