@@ -31,6 +31,10 @@ LLVM::AliasScopeAttr FieldTable::makeScope(StringRef id) {
 
 FailureOr<const FieldInfo *> FieldTable::lookup(Operation *user,
                                                 FlatSymbolRefAttr name) {
+  // A module inside may have another field of the name.
+  if (SymbolTable::getNearestSymbolTable(user) != symbols.getOp())
+    return user->emitOpError("stands in a nested module, whose fields are not "
+                             "lowered with those outside");
   std::unique_ptr<FieldInfo> &slot = fields[name.getAttr()];
   if (slot)
     return const_cast<const FieldInfo *>(slot.get());
