@@ -301,6 +301,13 @@ namespace {
 struct InstrumentAccesses
     : tai::impl::InstrumentAccessesBase<InstrumentAccesses> {
   void runOnOperation() override {
+    WalkResult launches = getOperation().walk([](LaunchOp launch) {
+      launch.emitOpError("of a kernel that would take more arguments then; "
+                         "instruments modules without host programs");
+      return WalkResult::interrupt();
+    });
+    if (launches.wasInterrupted())
+      return signalPassFailure();
     SmallVector<FieldOp> fields = getShadowedFields(getOperation());
     for (KernelOp kernel : getOperation().getOps<KernelOp>()) {
       if (kernel.getCheckedAccesses()) {

@@ -59,3 +59,15 @@ tai.kernel @vectors() {
 tai.kernel @checked() attributes {checked_accesses = []} {
   tai.return
 }
+
+// -----
+
+// Who launches it would have to pass the new arguments.
+tai.kernel @launched() {
+  tai.return
+}
+func.func @host() {
+  // expected-error @+1 {{'tai.launch' op of a kernel that would take more arguments then; instruments modules without host programs}}
+  tai.launch @launched() : () -> ()
+  return
+}
