@@ -27,6 +27,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "llvm/ADT/StringSet.h"
 
@@ -318,6 +319,17 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   void runOnOperation() override {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
+    // Their regions have one block, and a loop inside becomes several.
+    WalkResult result = module.walk([](Operation *op) {
+      if (op->getNumRegions() == 0 ||
+          !isa_and_present<TaiDialect>(op->getDialect()))
+        return WalkResult::advance();
+      op->emitOpError("reaches the last conversion; expects convert-tai-to-scf "
+                      "to run before");
+      return WalkResult::interrupt();
+    });
+    if (result.wasInterrupted())
+      return signalPassFailure();
     for (Operation &op : *module.getBody()) {
       if (failed(verifyPassedModes(&op)))
         return signalPassFailure();
