@@ -404,6 +404,70 @@ def test_sums_into_parts_of_vectors_are_atomic():
     assert array.tolist() == np.stack([times, 2 * times, 0 * times], 1).tolist()
 
 
+@pytest.mark.parametrize("order", [ti.Layout.AOS, ti.Layout.SOA], ids=["aos", "soa"])
+@pytest.mark.parametrize("dt", [ti.i32, ti.u8, ti.f16, ti.f64], ids=str)
+def test_components_known_when_the_kernel_runs(dt, order):
+    """Other iterations may change the others meanwhile: only the one is written."""
+    count = 30_000
+    place = ti.field(ti.i32, shape=count)
+    place.from_numpy((np.arange(count) % 70).astype(np.int32))
+    v = ti.Vector.field(3, dt, shape=(70, 70), layout=order)
+    m = ti.Matrix.field(2, 2, dt, shape=70, layout=order)
+    before = ti.field(ti.i32, shape=())
+
+    @ti.kernel
+    def scatter():
+        for i in place:
+            j = place[i]
+            if i < 7000:
+                v[j, j][i % 3] += ti.cast(1, dt)
+            m[j][i % 2, (i // 2) % 2] = ti.cast(i % 4, dt)
+        for _ in range(1):
+            old = ti.atomic_add(v[3, 3][before[None] + 1], ti.cast(5, dt))
+            before[None] = ti.cast(old, ti.i32)
+
+    scatter()
+    expected = np.zeros((70, 3), int)
+    np.add.at(expected, (np.arange(7000) % 70, np.arange(7000) % 3), 1)
+    assert before[None] == expected[3, 1]
+    expected[3, 1] += 5
+    found = v.to_numpy().astype(int)
+    assert (found[np.arange(70), np.arange(70)] == expected).all()
+    assert found.sum() == expected.sum()
+    i = np.arange(count - 140, count)
+    odd = m.to_numpy().astype(int)
+    assert (odd[i % 70, i % 2, i // 2 % 2] == i % 4).all()
+
+
+def test_gradients_of_components_in_arrays_of_their_own():
+    n = 40
+    x = ti.field(ti.f64, shape=n, needs_grad=True)
+    at = ti.field(ti.i32, shape=n)
+    v = ti.Vector.field(3, ti.f64, shape=5, layout=ti.Layout.SOA, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    x.from_numpy(np.linspace(-1, 2, n))
+    at.from_numpy((np.arange(n) % 7 % 5).astype(np.int32))
+
+    @ti.kernel
+    def scatter():
+        for i in x:
+            v[at[i]][i % 3] += x[i] * x[i]
+
+    @ti.kernel
+    def total():
+        for i in v:
+            loss[None] += v[i].norm_sqr()
+
+    with ti.ad.Tape(loss):
+        scatter()
+        total()
+    i = np.arange(n)
+    sums = np.zeros((5, 3))
+    np.add.at(sums, (i % 7 % 5, i % 3), x.to_numpy() ** 2)
+    assert loss[None] == pytest.approx((sums**2).sum())
+    assert x.grad.to_numpy() == pytest.approx(4 * sums[i % 7 % 5, i % 3] * x.to_numpy())
+
+
 def test_python_matrices():
     v = ti.Vector([1, 2, 3])
     v[1] = 5

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiAutodiffError, TaiIndexError, TaiRuntimeError, TaiSyntaxError, TaiTypeError
@@ -296,7 +298,50 @@ class SplitElement(Place):
     def component(self, component: Any) -> Place:
         if isinstance(component, int):
             return self._part(component)
-        return Component(self, component)
+        return SplitComponent(self, component)
+
+    def parts(self) -> list[FieldElement]:
+        return [self._part(c) for c in range(len(self.field.components))]
+
+
+class SplitComponent(Component):
+    """A component of a `SplitElement` that is known when the kernel runs.
+
+    Each is stored elsewhere, and the others must stay as they are: another iteration may be
+    changing them.
+    """
+
+    def __init__(self, base: SplitElement, component: Any):
+        super().__init__(base, component)
+        self.parts = base.parts()
+
+    def _only(self, number: int, change: Callable[[], Value | None], old: Value | None) -> Any:
+        """Does it if this is the component; gives what it gives, or `old`."""
+        emitter, builder = self.emitter, self.emitter.builder
+        holds = emitter.compare("==", self.number, number)
+        outer = builder.get_block()
+        regions = [builder.region(), builder.region()]
+        builder.set_block(builder.block(regions[0], []))
+        found = change()
+        builder.yield_([] if found is None else [found.handle])
+        builder.set_block(builder.block(regions[1], []))
+        if found is not None and old is None:
+            old = emitter.constant(0, found.dt)
+        builder.yield_([] if old is None else [old.handle])
+        builder.set_block(outer)
+        types = [] if found is None else [emitter.type_of(found.dt)]
+        handle = builder.if_(holds.handle, types, *regions)
+        return None if found is None else emitter.value(handle, found.dt)
+
+    def store(self, value: Value) -> None:
+        for number, part in enumerate(self.parts):
+            self._only(number, functools.partial(part.store, value), None)
+
+    def atomic(self, op: str, value: Value) -> Value:
+        old: Any = None
+        for number, part in enumerate(self.parts):
+            old = self._only(number, functools.partial(part.atomic, op, value), old)
+        return old
 
 
 class ArrayElement(Place):
