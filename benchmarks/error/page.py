@@ -43,7 +43,7 @@ def merged(groups: dict[tuple, list[dict]]) -> dict[tuple, list[dict]]:
     cards: dict[tuple, list[dict]] = {}
     for key in sorted(groups, key=lambda key: -len(groups[key])):
         scene, machine, size, arch, threads = key
-        where = (scene, card(machine) if arch == "cuda" else machine, size, arch, threads)
+        where = (scene, place_of(machine, arch), size, arch, threads)
         group = cards.setdefault(where, [])
         known = {(row["system"], row["mode"]) for row in group}
         group += [row for row in groups[key] if (row["system"], row["mode"]) not in known]
@@ -53,9 +53,9 @@ def merged(groups: dict[tuple, list[dict]]) -> dict[tuple, list[dict]]:
     )
 
 
-def card(machine: str) -> str:
-    """A GPU's name, which stands last: "processor, cores, card"."""
-    return machine.rsplit(", ", 1)[-1]
+def place_of(machine: str, arch: str) -> str:
+    """The machine, or the card of one: its name stands last, "processor, cores, card"."""
+    return machine.rsplit(", ", 1)[-1] if arch == "cuda" else machine
 
 
 def split(group: list[dict]) -> tuple[list[dict], list[dict]]:
@@ -172,7 +172,7 @@ def bars(found: list[dict]) -> list[str]:
     """The gates' outcomes for CPUs and for each card, and all that breaks one."""
     places: dict[str, list[dict]] = {}
     for row in found:
-        where = card(row["machine"]) if row["arch"] == "cuda" else row["machine"]
+        where = place_of(row["machine"], row["arch"])
         places.setdefault(where, []).append(row)
     lines = ["| bar | where | measured | outcome |", "|---|---|---|---|"]
     for where, mine in places.items():
@@ -283,7 +283,7 @@ def speed_and_digits(groups: dict[tuple, list[dict]]) -> list[str]:
 def _place(place: Iterable[str]) -> str:
     machine, _, arch, threads = place
     if arch == "cuda":
-        return card(machine)
+        return machine
     return "one thread" if threads == "1" else "all threads"
 
 

@@ -282,10 +282,11 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
   int64_t count = static_cast<int64_t>(numSlots);
   bool hasResults = !spec.grad && spec.result.count;
   // Up to a matrix of 4x4 costs no allocation.
-  uint64_t few[16];
+  constexpr int mostFew = 16;
+  uint64_t few[mostFew];
   std::vector<uint64_t> many;
   uint64_t *results = few;
-  if (hasResults && spec.result.count > 16) {
+  if (hasResults && spec.result.count > mostFew) {
     many.resize(spec.result.count);
     results = many.data();
   } else if (hasResults) {

@@ -19,7 +19,6 @@
 #include "RepeatedLaunch.h"
 #include "tai/Runtime/Device/Device.h"
 #include "tai/Runtime/Threads/Section.h"
-#include <chrono>
 #include <map>
 #include <mutex>
 #include <set>

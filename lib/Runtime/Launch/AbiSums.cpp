@@ -48,16 +48,22 @@ using Half = Float16Bits<doubleFromHalf, halfFromDouble>;
 using Bfloat = Float16Bits<doubleFromBfloat, bfloatFromDouble>;
 } // namespace
 
+/// Without a branch for each element, so that they are compared in vectors.
+template <typename T>
+__attribute__((always_inline)) static inline bool isAnyNonZero(const T *from,
+                                                               int64_t count) {
+  bool isAny = false;
+  for (int64_t e = 0; e < count; ++e)
+    isAny |= from[e] != 0;
+  return isAny;
+}
+
 /// Adds a block of a buffer to `sums`, which hold nothing yet if it is the
 /// first, and leaves zeros. Returns false if there was nothing to add.
 template <typename T>
 __attribute__((always_inline)) static inline bool
 moveBlock(T *from, int64_t count, T *sums, bool isFirst) {
-  // Without a branch for each element, so that they are compared in vectors.
-  bool isAny = false;
-  for (int64_t e = 0; e < count; ++e)
-    isAny |= from[e] != 0;
-  if (!isAny)
+  if (!isAnyNonZero(from, count))
     return false;
   if (isFirst)
     std::copy_n(from, count, sums);
@@ -77,7 +83,7 @@ __attribute__((always_inline)) static inline Target added(Target to, T sum) {
 
 /// Buffers of so many bytes are zeroed by the next launch: that takes less than
 /// to look for numbers in them.
-static constexpr int64_t kFewBytes = 8 << 10;
+static bool areFew(int64_t bytes) { return bytes <= 8 << 10; }
 
 /// Adds all elements of few, and leaves them as they are.
 template <typename Target, typename T>
@@ -100,7 +106,7 @@ addBuffers(void *targetBytes, char *buffers, int64_t begin, int64_t end,
   constexpr int64_t block = 1024;
   T sums[block];
   Target *target = static_cast<Target *>(targetBytes);
-  if (stride * parts <= kFewBytes)
+  if (areFew(stride * parts))
     return addFew<Target, T>(target, buffers, count, parts, stride);
   for (int64_t at = begin; at < end; at += block) {
     int64_t length = std::min(block, end - at);
@@ -133,10 +139,7 @@ addPairs(void *targetBytes, char *buffers, int64_t begin, int64_t end,
     for (int64_t p = 0; p < parts; ++p) {
       double *from = reinterpret_cast<double *>(buffers + p * stride) + at;
       double *lost = from + count;
-      bool isAnyHere = false;
-      for (int64_t e = 0; e < length; ++e)
-        isAnyHere |= (from[e] != 0) | (lost[e] != 0);
-      if (!isAnyHere)
+      if (!isAnyNonZero(from, length) && !isAnyNonZero(lost, length))
         continue;
       for (int64_t e = 0; e < length; ++e)
         if (!isAny) {
@@ -271,7 +274,7 @@ static AddBuffers chooseAdd(int32_t kind) {
 /// Buffers that were added hold zeros, which the next launch need not write.
 /// Where there are shadows, they are forgotten when memory is taken.
 static void left(Launch &launch, const void *buffers, int64_t bytes) {
-  if (!launch.owner().options().shadow && bytes > kFewBytes)
+  if (!launch.owner().options().shadow && !areFew(bytes))
     launch.arena.markZero(static_cast<const char *>(buffers), bytes);
 }
 

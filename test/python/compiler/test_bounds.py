@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import tai as ti
 
+from refused_indices import refused
+
 AXES = (ti.i, ti.ij, ti.ijk)
 
 
@@ -14,15 +16,6 @@ def fields(*shapes, dtype=None, **options):
     for field, shape in zip(made, shapes, strict=True):
         ti.root.dense(AXES[len(shape) - 1], shape).place(field)
     return made
-
-
-def refused(call, *args, index, line=""):
-    """The launch fails with this index, at a line of the kernel that holds `line`."""
-    with pytest.raises(ti.TaiAssertionError, match="out of range") as caught:
-        call(*args)
-        ti.sync()
-    assert f"index [{index}]" in str(caught.value), str(caught.value)
-    assert line in str(caught.value), str(caught.value)
 
 
 # Axes

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 import tai as ti
 
-
-def refused(call, *args, index, line=""):
-    """The launch fails with this index, at a line of the kernel that holds `line`."""
-    with pytest.raises(ti.TaiAssertionError, match="out of range") as caught:
-        call(*args)
-        ti.sync()
-    assert f"index [{index}]" in str(caught.value), str(caught.value)
-    assert line in str(caught.value), str(caught.value)
+from refused_indices import refused
 
 
 @pytest.mark.parametrize("options", [{}, {"bounds": "check"}, {"debug": True}], ids=str)

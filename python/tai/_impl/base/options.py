@@ -177,10 +177,15 @@ def texts_of(options: Options, rows: Iterable[Row] = ROWS) -> dict[str, str]:
     return first | texts
 
 
+def bounds_of(options: Options) -> str:
+    """What is done about indices, whichever option says it."""
+    return "check" if options.debug or options.check_out_of_bound else options.bounds
+
+
 # Where the text is not that of the value; None leaves an option as it is.
 _TEXTS: dict[str, Callable[[Options], Any]] = {
     "arch": lambda o: "interpreter" if o.arch == python else o.arch,
-    "bounds": lambda o: "check" if o.debug or o.check_out_of_bound else o.bounds,
+    "bounds": bounds_of,
     "cache_dir": lambda o: (o.offline_cache_file_path or None) if o.offline_cache else "",
     "max_block_dim": lambda o: o.max_block_dim if o.arch == cuda else 0,
     "print_ir": lambda o: "all" if o.print_ir is True else o.print_ir or "",

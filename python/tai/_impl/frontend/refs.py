@@ -283,16 +283,16 @@ class SplitElement(Place):
         return FieldElement(self.emitter, self.field.components[component], self.indices)
 
     def load(self) -> Value:
-        count = len(self.field.components)
-        parts = [self._part(c).load() for c in range(count)]
+        parts = [part.load() for part in self.parts()]
         return self.emitter.matrix(parts, parts[0].dt, self.shape)
 
     def store(self, value: MatrixValue) -> None:
-        for number, scalar in enumerate(value.scalars()):
-            self._part(number).store(scalar)
+        for part, scalar in zip(self.parts(), value.scalars(), strict=True):
+            part.store(scalar)
 
     def atomic(self, op: str, value: MatrixValue) -> Value:
-        old = [self._part(c).atomic(op, v) for c, v in enumerate(value.scalars())]
+        pairs = zip(self.parts(), value.scalars(), strict=True)
+        old = [part.atomic(op, scalar) for part, scalar in pairs]
         return self.emitter.matrix(old, old[0].dt, self.shape)
 
     def component(self, component: Any) -> Place:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..base import state
 from ..base.dtypes import i32, promote
+from ..base.options import bounds_of
 from .builder import FAIL_INDEX, UNSIGNED
 from .domains import require
 from .value import MatrixValue, Value
@@ -31,8 +32,7 @@ def in_range(emitter: Emitter, component: Any, matrix: Any) -> Any:
 
     Elements of fields and of arrays are checked as their indices are.
     """
-    options = state.options
-    bounds = "check" if options.debug or options.check_out_of_bound else options.bounds
+    bounds = bounds_of(state.options)
     if bounds == "off" or isinstance(component, int):
         return component
     keys = component if isinstance(component, tuple) else (component,)

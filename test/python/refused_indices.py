@@ -1,0 +1,13 @@
+"""What a launch says of an index that is out of range."""
+
+import pytest
+import tai as ti
+
+
+def refused(call, *args, index, line=""):
+    """The launch fails with this index, at a line of the kernel that holds `line`."""
+    with pytest.raises(ti.TaiAssertionError, match="out of range") as caught:
+        call(*args)
+        ti.sync()
+    assert f"index [{index}]" in str(caught.value), str(caught.value)
+    assert line in str(caught.value), str(caught.value)
