@@ -86,6 +86,32 @@ def test_a_lock_in_a_forked_child(holder):
     assert ends(lambda: lock.__enter__())
 
 
+def test_a_lock_whose_block_is_interrupted_is_free():
+    """At any step: before its block, in it and behind it."""
+    lock = Lock()
+
+    class Stop(Exception):
+        pass
+
+    def interrupt(*_):
+        raise Stop
+
+    def use_until_interrupted():
+        with pytest.raises(Stop):
+            signal.setitimer(signal.ITIMER_REAL, 2e-5)
+            while True:
+                with lock:
+                    pass
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        for _ in range(300):
+            use_until_interrupted()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert ends(lambda: lock.__enter__())
+
+
 @pytest.mark.parametrize("at", ["tracked.begin", "native.set_tape"])
 def test_a_tape_that_is_interrupted_while_it_begins(at, monkeypatch):
     """Its `__exit__` is never called, and the next tape records."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import _thread
 import os
-import threading
 import weakref
 from collections.abc import Iterable
 from typing import Any, TypeVar
@@ -11,27 +11,25 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-class Lock:
+class Lock(_thread.RLock):  # type: ignore[misc]  # typeshed calls it final; CPython does not
     """A lock that a thread may take again, and that nobody holds in a forked child.
 
     Python calls a signal handler between any two of its steps, and the garbage collector what
     hangs on an object: with a plain lock either would wait for the thread that it runs on. What
     they find in the middle of a change must be usable. In a child the thread that held it is gone.
+
+    `with` calls the interpreter's own `__enter__` and `__exit__`. Were they written in Python, a
+    Ctrl-C between the lock and their return would leave it held for ever.
     """
 
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
-        _all.add(self)
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-
-    def __exit__(self, *_: Any) -> None:
-        self._lock.release()
+    def __new__(cls) -> Lock:
+        lock: Any = super().__new__(cls)
+        _all.add(lock)
+        return lock
 
     def _begin_in_child(self) -> None:
-        if not self._lock._is_owned():  # type: ignore[attr-defined]
-            self._lock = threading.RLock()
+        if not self._is_owned():  # type: ignore[attr-defined]
+            self._at_fork_reinit()  # type: ignore[attr-defined]
 
 
 def snapshot(things: Iterable[T]) -> list[T]:
