@@ -9,6 +9,7 @@
 #include "CodegenErrors.h"
 #include "CodegenPasses.h"
 #include "Passes/ExpandBfloat.h"
+#include "Passes/ExtremeAtomics.h"
 #include "Passes/HalfAtomics.h"
 #include "Passes/HugeBodies.h"
 #include "Passes/InsertSafepoints.h"
@@ -284,6 +285,8 @@ void ObjectCompiler::runPasses(Module &module) {
   ModulePassManager passes = builder.buildPerModuleDefaultPipeline(
       levels[std::min(options.optLevel, 3u)]);
   passes.run(module, modules);
+  if (options.optLevel > 0)
+    testExtremeAtomics(module);
   expandHalfAtomics(module);
   if (keepsDenormals)
     expandBfloat(module);

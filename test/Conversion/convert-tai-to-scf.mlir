@@ -197,16 +197,17 @@ tai.kernel @checks(%c: i1, %x: f32) {
 //       CHECK:     scf.for
 //       CHECK:       %[[AT:.+]] = arith.index_cast %{{.+}} : index to i64
 //       CHECK:       %[[STREAM:.+]] = arith.constant 3 : i32
-//       CHECK:       llvm.call @tai_rt_random_u32(%{{.+}}, %{{.+}}, %[[AT]], %[[STREAM]], %{{.+}})
+//       CHECK:       arith.extui %[[STREAM]]
+// CHECK-COUNT-18:      arith.muli
 //       CHECK:       arith.shrui
-//       CHECK:       arith.uitofp
+//       CHECK:       arith.sitofp
 //       CHECK:       arith.mulf
 //       CHECK:       scf.for
 //       CHECK:         %[[COUNT:.+]] = llvm.load %[[COUNTER:.+]] : !llvm.ptr -> i32
 //       CHECK:         %[[NEXT:.+]] = arith.addi %[[COUNT]]
 //       CHECK:         llvm.store %[[NEXT]], %[[COUNTER]]
-//       CHECK:         llvm.call @tai_rt_random_u32(%{{.+}}, %{{.+}}, %[[AT]], %{{.+}}, %[[COUNT]])
-//       CHECK:         llvm.call @tai_rt_random_u32
+//       CHECK:         arith.shrui %[[COUNT]]
+//       CHECK:         arith.sitofp
 tai.kernel @random(%n: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index

@@ -129,7 +129,7 @@ void KernelOffload::replaceDrawKeys() {
   RuntimeCalls &runtime = lowering.host.runtime;
   SmallVector<UnrealizedConversionCastOp> draws;
   host.walk([&](UnrealizedConversionCastOp op) {
-    if (op->hasAttr("stream"))
+    if (isDraw(op))
       draws.push_back(op);
   });
   if (draws.empty())

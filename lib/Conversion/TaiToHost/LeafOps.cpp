@@ -98,135 +98,6 @@ struct LowerStack final : LeafPattern<StackCreateOp> {
 // Random numbers
 //===----------------------------------------------------------------------===//
 
-/// Operand names would need an op of its own; the numbers travel as operands of
-/// this placeholder: (iteration, sequence[, seed, launch]) -> bits.
-constexpr llvm::StringLiteral kIterationFunction = "tai_rt_random_u32";
-
-void tai::numberDraws(Operation *root, ParallelForOp loop) {
-  SmallVector<RandomOp> draws;
-  root->walk<WalkOrder::PreOrder>([&](Operation *op) {
-    if (op != root && isa<ParallelForOp>(op))
-      return WalkResult::skip();
-    if (auto draw = dyn_cast<RandomOp>(op))
-      draws.push_back(draw);
-    return WalkResult::advance();
-  });
-  if (draws.empty())
-    return;
-
-  // The number of the iteration: the position in the box, row-major.
-  OpBuilder builder(root->getContext());
-  Value iteration;
-  Block *start = loop ? &loop.getBody().front() : &root->getRegion(0).front();
-  builder.setInsertionPointToStart(start);
-  Location loc = root->getLoc();
-  IndexMath math(builder, loc);
-  iteration = math.constant(0);
-  if (loop) {
-    for (auto [iv, lower, upper] :
-         llvm::zip(loop.getInductionVars(), loop.getLowerBounds(),
-                   loop.getUpperBounds()))
-      iteration = math.add(math.mul(iteration, math.extent(lower, upper)),
-                           math.sub(iv, lower));
-  }
-  iteration = math.toI64(iteration);
-
-  for (RandomOp draw : draws) {
-    bool repeats = draw->getBlock() != start && [&] {
-      for (Operation *parent = draw->getParentOp(); parent != root;
-           parent = parent->getParentOp())
-        if (isa<LoopLikeOpInterface>(parent))
-          return true;
-      return false;
-    }();
-    Type i32 = builder.getI32Type();
-    bool isDouble = draw.getValue().getType().getIntOrFloatBitWidth() > 32;
-    Value counter;
-    if (repeats) {
-      builder.setInsertionPointToStart(start);
-      counter = AllocaOp::create(builder, loc,
-                                 LocalType::get(root->getContext(), i32));
-    }
-    builder.setInsertionPoint(draw);
-    auto constant = [&](int64_t value) -> Value {
-      return arith::ConstantIntOp::create(builder, draw.getLoc(), value, 32);
-    };
-    Value sequence =
-        repeats ? LocalLoadOp::create(builder, draw.getLoc(), i32, counter)
-                      .getResult()
-                : constant(0);
-    if (repeats) {
-      Value next = arith::AddIOp::create(builder, draw.getLoc(), sequence,
-                                         constant(isDouble ? 2 : 1));
-      LocalStoreOp::create(builder, draw.getLoc(), next, counter);
-    }
-    // Handed over as operands, which closures capture like all others.
-    auto carrier = UnrealizedConversionCastOp::create(
-        builder, draw.getLoc(), draw.getValue().getType(),
-        ValueRange{iteration, sequence});
-    carrier->setAttr("stream", draw.getStreamAttr());
-    draw.replaceAllUsesWith(carrier.getResult(0));
-    draw.erase();
-  }
-}
-
-/// Random bits as the type asks: all bits for an integer, [0, 1) for a float.
-static Value emitDraw(OpBuilder &builder, UnrealizedConversionCastOp op,
-                      Value frame, RuntimeCalls &runtime) {
-  Location loc = op.getLoc();
-  Type type = op.getResult(0).getType();
-  Type i32 = builder.getI32Type(), i64 = builder.getI64Type();
-  Value iteration = op.getOperand(0), sequence = op.getOperand(1);
-  // A device function is given them, the host's has them in its frame.
-  auto key = [&](unsigned number, size_t offset) {
-    return op->getNumOperands() > 2
-               ? op.getOperand(2 + number)
-               : runtime.frameMember(builder, loc, frame, offset, i64);
-  };
-  Value seed = key(0, offsetof(TaiFrame, seed));
-  Value launch = key(1, offsetof(TaiFrame, launch));
-  Value stream = runtime.i32(builder, loc,
-                             cast<IntegerAttr>(op->getAttr("stream")).getInt());
-  auto draw = [&](Value at) {
-    return runtime.call(builder, loc, kIterationFunction, i32,
-                        {seed, launch, iteration, stream, at}, /*pure=*/true);
-  };
-
-  Value bits = draw(sequence);
-  unsigned width = type.getIntOrFloatBitWidth();
-  if (width > 32) {
-    Value next = arith::AddIOp::create(builder, loc, sequence,
-                                       runtime.i32(builder, loc, 1));
-    Value high = arith::ExtUIOp::create(builder, loc, i64, bits);
-    Value low = arith::ExtUIOp::create(builder, loc, i64, draw(next));
-    high = arith::ShLIOp::create(builder, loc, high,
-                                 runtime.i64(builder, loc, 32));
-    bits = arith::OrIOp::create(builder, loc, high, low);
-  }
-  if (isa<IntegerType>(type))
-    return width < 32 ? arith::TruncIOp::create(builder, loc, type, bits)
-                      : bits;
-
-  // As many bits as the significand holds, so that 1 is never reached by
-  // rounding.
-  auto floatType = cast<FloatType>(type);
-  unsigned kept =
-      llvm::APFloat::semanticsPrecision(floatType.getFloatSemantics());
-  unsigned available = width > 32 ? 64 : 32;
-  Value shift =
-      arith::ConstantIntOp::create(builder, loc, available - kept, available);
-  bits = arith::ShRUIOp::create(builder, loc, bits, shift);
-  Value number = arith::UIToFPOp::create(builder, loc, type, bits);
-  Value scale = arith::ConstantOp::create(
-      builder, loc, builder.getFloatAttr(type, std::ldexp(1.0, -int(kept))));
-  return arith::MulFOp::create(builder, loc, number, scale);
-}
-
-/// Whether the cast is the placeholder of a random number.
-static bool isDraw(UnrealizedConversionCastOp op) {
-  return op->hasAttr("stream");
-}
-
 namespace {
 struct LowerDraw final : LeafPattern<UnrealizedConversionCastOp> {
   using LeafPattern::LeafPattern;
@@ -235,7 +106,7 @@ struct LowerDraw final : LeafPattern<UnrealizedConversionCastOp> {
                                 PatternRewriter &rewriter) const override {
     if (!isDraw(op))
       return failure();
-    rewriter.replaceOp(op, emitDraw(rewriter, op, leaf.frame, leaf.runtime));
+    rewriter.replaceOp(op, emitDraw(op, leaf.frame, rewriter, leaf.runtime));
     return success();
   }
 };

@@ -111,6 +111,11 @@ LogicalResult lowerStack(StackCreateOp op, Value frame, RuntimeCalls &runtime);
 /// counter to those that may draw more than once in an iteration; `loop` is
 /// null for the serial code of a kernel.
 void numberDraws(Operation *root, ParallelForOp loop);
+/// Whether the cast is the placeholder of a random number that is numbered.
+bool isDraw(UnrealizedConversionCastOp op);
+/// The number: all bits are random for an integer, in [0, 1) for a float.
+Value emitDraw(UnrealizedConversionCastOp op, Value frame, OpBuilder &builder,
+               RuntimeCalls &runtime);
 
 } // namespace mlir::tai
 

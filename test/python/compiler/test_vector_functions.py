@@ -117,3 +117,21 @@ def test_both_kinds_of_kernel_in_one_program():
     np.testing.assert_array_equal(y.to_numpy()[0], by_libm)
     np.testing.assert_array_equal(x.grad.to_numpy(), [math.cos(v) for v in values])
     np.testing.assert_allclose(y.to_numpy()[1], by_libm, rtol=3e-16)
+
+
+@pytest.mark.parametrize("dt", [ti.f32, ti.f64, ti.i32], ids=str)
+def test_loops_that_draw_are_vectors(dt):
+    if platform.machine() != "x86_64":
+        pytest.skip("names an x86 processor")
+    ti.init(arch=ti.cpu, target_cpu="x86-64-v3")
+    x = ti.field(dt, shape=1000)
+
+    @ti.kernel
+    def draw():
+        for i in x:
+            x[i] = ti.random(dt)
+
+    draw()
+    code = draw.mlir(stage="llvmir")
+    assert "tai_rt_random" not in code
+    assert re.search(r"mul nuw <\d+ x i64>", code)

@@ -262,3 +262,44 @@ def test_least_and_greatest_of_unsigned_numbers(name):
     assert least.to_numpy().tolist() == 3 * [top - 199]
     assert greatest.to_numpy().tolist() == 3 * [[198, 199]]
     assert whole.to_numpy().tolist() == [top - 199, top]
+
+
+@pytest.mark.parametrize("dtype", [ti.f16, ti.f32, ti.f64], ids=str)
+def test_atomic_extremes_of_special_values(dtype):
+    """A NaN stays, and the zeros have an order. The old value is returned."""
+    ti.init()
+    nan, inf = np.nan, np.inf
+    cases = [
+        (there, given)
+        for there in (-inf, -1.5, -0.0, 0.0, 2.0, inf, nan)
+        for given in (-inf, -1.5, -0.0, 0.0, 2.0, inf, nan)
+    ]
+    count = len(cases)
+    x, old = ti.field(dtype, shape=(2, count)), ti.field(dtype, shape=(2, count))
+    given, place = ti.field(dtype, shape=count), ti.field(ti.i32, shape=count)
+    there_values, given_values = np.array(cases).T.astype(dtype.numpy)
+    x.from_numpy(np.stack([there_values, there_values]))
+    given.from_numpy(given_values)
+    place.from_numpy(np.random.default_rng(0).permutation(count).astype(np.int32))
+
+    @ti.kernel
+    def update():
+        for i in place:
+            at = place[i]
+            old[0, at] = ti.atomic_max(x[0, at], given[at])
+            old[1, at] = ti.atomic_min(x[1, at], given[at])
+
+    def key(v):
+        return (v, not np.signbit(v))
+
+    for _ in range(2):
+        before = x.to_numpy()
+        update()
+        after, returned = x.to_numpy(), old.to_numpy()
+        np.testing.assert_array_equal(returned, before)
+        for row, choose in enumerate((max, min)):
+            for i in range(count):
+                pair = (before[row, i], given_values[i])
+                wanted = nan if np.isnan(pair).any() else choose(pair, key=key)
+                np.testing.assert_array_equal(after[row, i], wanted)
+                assert np.isnan(wanted) or np.signbit(after[row, i]) == np.signbit(wanted)
