@@ -36,6 +36,9 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     // assume that all of them succeed.
     if (fast && !options.fastMath)
       function.addPass(createVersionGuards());
+    // Memory has no shadow.
+    if (fast && !options.shadow)
+      function.addPass(createVectorsToMemory());
     // From here on values are scalars, and loops run over boxes.
     function.addPass(createScalarize());
   });

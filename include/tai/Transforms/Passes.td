@@ -411,6 +411,40 @@ def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
   let dependentDialects = ["::mlir::arith::ArithDialect"];
 }
 
+def VectorsToMemory : Pass<"tai-vectors-to-memory"> {
+  let summary = "put vectors that are indexed at run time into memory";
+  let description = [{
+    Vectors whose components `vector.extract` and `vector.insert` name by
+    numbers that are known when the code runs become arrays on the stack: an
+    access is a load or a store there, and as scalars, which `tai-scalarize`
+    makes of the others, a select for each component. Selects are kept for up to
+    6 components in loops and 16 elsewhere.
+
+    Vectors that loops and branches connect share an array if none is needed
+    after another is written. Where one is, upstream's one-shot bufferization
+    makes arrays and copies, of up to 200 accesses in a function. A vector that
+    comes from outside of a parallel loop is copied for each iteration. All
+    others stay vectors, as do those of a function beyond 32 KiB.
+
+    ```mlir
+    %v = scf.for %i = %c0 to %n step %c1 iter_args(%w = %u) -> vector<64xf32> {
+      %x = vector.insert %a, %w[%i] : f32 into vector<64xf32>
+      scf.yield %x : vector<64xf32>
+    }
+    // becomes
+    %v = memref.alloca() : memref<64xf32>
+    scf.for %i = %c0 to %n step %c1 {
+      memref.store %a, %v[%i] : memref<64xf32>
+    }
+    ```
+  }];
+  let dependentDialects = [
+    "::mlir::arith::ArithDialect",
+    "::mlir::bufferization::BufferizationDialect",
+    "::mlir::memref::MemRefDialect", "::mlir::scf::SCFDialect",
+    "::mlir::tensor::TensorDialect", "::mlir::vector::VectorDialect"];
+}
+
 def Scalarize : Pass<"tai-scalarize"> {
   let summary = "turn small vectors and matrices into scalars";
   let description = [{

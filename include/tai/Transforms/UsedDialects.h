@@ -17,6 +17,9 @@ class ModuleOp;
 namespace arith {
 class ArithDialect;
 } // namespace arith
+namespace bufferization {
+class BufferizationDialect;
+} // namespace bufferization
 namespace cf {
 class ControlFlowDialect;
 } // namespace cf
@@ -44,6 +47,9 @@ class SCFDialect;
 namespace tai {
 class TaiRTDialect;
 } // namespace tai
+namespace tensor {
+class TensorDialect;
+} // namespace tensor
 namespace vector {
 class VectorDialect;
 } // namespace vector

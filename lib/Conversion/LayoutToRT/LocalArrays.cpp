@@ -39,9 +39,9 @@ namespace {
 /// Lowers one array.
 class ArrayLowering {
 public:
-  ArrayLowering(FunctionOpInterface function, Operation *alloc)
-      : function(function), alloc(alloc), array(alloc->getResult(0)),
-        type(cast<MemRefType>(array.getType())) {}
+  ArrayLowering(FunctionOpInterface function, Operation *alloc, bool onDevice)
+      : function(function), alloc(alloc), onDevice(onDevice),
+        array(alloc->getResult(0)), type(cast<MemRefType>(array.getType())) {}
 
   LogicalResult run() {
     for (Operation *user : array.getUsers()) {
@@ -56,8 +56,9 @@ public:
         !type.getElementType().isIntOrIndexOrFloat())
       return alloc->emitOpError("makes an array of a type that cannot be "
                                 "lowered");
+    bool isInLoop = alloc->getParentOfType<ParallelForOp>() != nullptr;
     if (isa<memref::AllocaOp>(alloc) &&
-        (alloc->getParentOfType<ParallelForOp>() || !type.hasStaticShape()))
+        ((onDevice && isInLoop) || !type.hasStaticShape()))
       return alloc->emitOpError("cannot be lowered here; use 'memref.alloc'");
     allocate();
     for (Operation *user : llvm::make_early_inc_range(array.getUsers()))
@@ -81,8 +82,11 @@ private:
     }
     auto pointer = LLVM::LLVMPointerType::get(builder.getContext());
     if (isa<memref::AllocaOp>(alloc)) {
-      // Once for the kernel, wherever it stands: the stack does not grow.
-      builder.setInsertionPointToStart(&function.getFunctionBody().front());
+      // Once for the kernel, wherever it stands: the stack does not grow. That
+      // of an iteration of a parallel loop becomes one of the loop's function,
+      // where its other local variables are.
+      if (!alloc->getParentOfType<ParallelForOp>())
+        builder.setInsertionPointToStart(&function.getFunctionBody().front());
       Value size = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(),
                                             type.getNumElements());
       base = LLVM::AllocaOp::create(builder, loc, pointer, storage, size);
@@ -163,6 +167,7 @@ private:
 
   FunctionOpInterface function;
   Operation *alloc;
+  bool onDevice;
   Value array;
   MemRefType type;
   Type storage;
@@ -171,14 +176,15 @@ private:
 };
 } // namespace
 
-LogicalResult mlir::tai::lowerLocalArrays(FunctionOpInterface function) {
+LogicalResult mlir::tai::lowerLocalArrays(FunctionOpInterface function,
+                                          bool onDevice) {
   SmallVector<Operation *> allocs;
   function.walk([&](Operation *op) {
     if (isa<memref::AllocOp, memref::AllocaOp>(op))
       allocs.push_back(op);
   });
   for (Operation *alloc : allocs)
-    if (failed(ArrayLowering(function, alloc).run()))
+    if (failed(ArrayLowering(function, alloc, onDevice).run()))
       return failure();
   return success();
 }

@@ -14,8 +14,9 @@ namespace mlir::tai {
 
 /// Lowers the memrefs that a kernel allocates, such as the history of a loop in
 /// an adjoint, with all accesses to them: `memref.alloc` to `malloc`,
-/// `memref.alloca` outside of loops to the stack of the kernel.
-LogicalResult lowerLocalArrays(FunctionOpInterface function);
+/// `memref.alloca` to the stack of the kernel, or, on the host, to that of the
+/// function of a parallel loop.
+LogicalResult lowerLocalArrays(FunctionOpInterface function, bool onDevice);
 
 } // namespace mlir::tai
 

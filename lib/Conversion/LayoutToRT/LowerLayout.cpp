@@ -398,9 +398,9 @@ static bool isRowMajor(Value array) {
 }
 
 static LogicalResult lowerAccesses(FunctionOpInterface function,
-                                   FieldTable &fields,
-                                   AccessLowering &lowering) {
-  if (failed(lowerLocalArrays(function)))
+                                   FieldTable &fields, AccessLowering &lowering,
+                                   bool onDevice) {
+  if (failed(lowerLocalArrays(function, onDevice)))
     return failure();
   SmallVector<Operation *> accesses, arrays, cells;
   // All fields of the function are looked up first: an access names the scopes
@@ -475,7 +475,7 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
       if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function))
         return WalkResult::skip();
       AccessLowering lowering(function, fields, groups, boundsCheck, onDevice);
-      return failed(lowerAccesses(function, fields, lowering))
+      return failed(lowerAccesses(function, fields, lowering, onDevice))
                  ? WalkResult::interrupt()
                  : WalkResult::skip();
     });

@@ -285,8 +285,24 @@ template <typename Op> struct LowerCells final : LeafPattern<Op> {
 };
 } // namespace
 
+/// Makes room on the stack once for all iterations of a loop.
+static void hoistArrays(LLVM::LLVMFuncOp function) {
+  Block *entry = &function.getBody().front();
+  function.walk([&](LLVM::AllocaOp op) {
+    Operation *size = op.getArraySize().getDefiningOp();
+    if (op->getBlock() == entry || !size ||
+        !size->hasTrait<OpTrait::ConstantLike>())
+      return;
+    OpBuilder builder = OpBuilder::atBlockBegin(entry);
+    Operation *copy = builder.clone(*size);
+    op->moveAfter(copy);
+    op.getArraySizeMutable().assign(copy->getResult(0));
+  });
+}
+
 LogicalResult tai::lowerLeafOps(LLVM::LLVMFuncOp function,
                                 ModuleLowering &lowering) {
+  hoistArrays(function);
   LeafLowering leaf(function, lowering);
   RewritePatternSet patterns(function.getContext());
   patterns.add<LowerLocal, LowerStack, LowerDraw, LowerAssert, LowerPrint,

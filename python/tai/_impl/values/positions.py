@@ -15,8 +15,9 @@ from .value import MatrixValue, Value
 if TYPE_CHECKING:
     from .emitter import Emitter
 
-# Components of a matrix up to which such an index is a chain of selects.
-_MAX_SELECTS = 16
+# Components of a matrix up to which such an index is a chain of selects. `tai-vectors-to-memory`
+# decides about larger ones.
+_MAX_SELECTS = 6
 
 
 def flat(emitter: Emitter, component: Any, shape: tuple[int, ...]) -> Any:
@@ -80,8 +81,13 @@ def replace(emitter: Emitter, matrix: MatrixValue, component: Value, value: Valu
     scalars = list(matrix.scalars())
     for number, old in enumerate(scalars):
         here = emitter.compare("==", component, number)
-        scalars[number] = emitter.select(here, value, old)
+        scalars[number] = _choose(emitter, here, value, old, matrix)
     return emitter.matrix(scalars, matrix.dt, matrix.shape)
+
+
+def _choose(emitter: Emitter, holds: Value, new: Value, old: Value, matrix: MatrixValue) -> Any:
+    """One of two components, in the type that the matrix stores: a select computes in f32."""
+    return emitter.cast(emitter.select(holds, new, old), matrix.dt)
 
 
 def _locate(emitter: Emitter, matrix: MatrixValue, component: Value) -> tuple[Any, Any, Value]:
@@ -104,7 +110,7 @@ def _extract(emitter: Emitter, vector: Any, index: Any, matrix: MatrixValue) -> 
 def _insert(emitter: Emitter, matrix: MatrixValue, component: Value, value: Value) -> MatrixValue:
     vector, index, holds = _locate(emitter, matrix, component)
     # The component that stands in for one out of range keeps what it has.
-    kept = emitter.select(holds, value, _extract(emitter, vector, index, matrix))
+    kept = _choose(emitter, holds, value, _extract(emitter, vector, index, matrix), matrix)
     flat_type = emitter.type_of(matrix.dt, (math.prod(matrix.shape),))
     vector = emitter.builder.insert_at(kept.handle, vector, index, flat_type)
     if len(matrix.shape) == 2:

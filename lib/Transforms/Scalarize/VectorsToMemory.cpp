@@ -1,0 +1,744 @@
+//===- VectorsToMemory.cpp - Vectors that are indexed at run time ---------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// As scalars, a vector costs a select for each of its components wherever an
+// index says at run time which of them is meant: stacks of a tree search, rows
+// of a matrix that is eliminated. In memory it is one load or store.
+//
+// A vector is a value, memory is not: an old vector may still be needed when a
+// component of the new one is written. Vectors that loops and branches connect
+// share one buffer if none of them lives where another is written. Where one
+// does, they become tensors, of which upstream's bufferization makes buffers,
+// with copies.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Arith/Transforms/BufferizableOpInterfaceImpl.h"
+#include "mlir/Dialect/Bufferization/IR/Bufferization.h"
+#include "mlir/Dialect/Bufferization/Transforms/OneShotAnalysis.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/SCF/Transforms/BufferizableOpInterfaceImpl.h"
+#include "mlir/Dialect/Tensor/IR/Tensor.h"
+#include "mlir/Dialect/Tensor/Transforms/BufferizableOpInterfaceImpl.h"
+#include "mlir/Dialect/UB/IR/UBOps.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Dominance.h"
+#include "mlir/IR/ImplicitLocOpBuilder.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "mlir/Transforms/GreedyPatternRewriteDriver.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Transforms/Passes.h"
+#include "llvm/ADT/EquivalenceClasses.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_VECTORSTOMEMORY
+#include "tai/Transforms/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Up to how many components selects are faster: in a loop, where they would be
+/// carried in as many registers and nothing becomes vectors of iterations, and
+/// elsewhere.
+static constexpr int64_t kMaxInLoop = 6, kMaxElsewhere = 16;
+/// What a function may put on the stack, which threads have little of.
+static constexpr int64_t kMaxBytes = 1 << 15;
+/// Accesses to vectors in a function that need copies: the time in which
+/// upstream finds these grows with the third power of their number.
+static constexpr int64_t kMaxAccesses = 200;
+/// Pairs of a vector and a write to one that it is connected with.
+static constexpr int64_t kMaxPairs = 1 << 22;
+
+//===----------------------------------------------------------------------===//
+// Vectors that share a buffer
+//===----------------------------------------------------------------------===//
+
+/// Whether the op only says which of its regions run.
+static bool isControlFlow(Operation *op) {
+  return isa<scf::ForOp, scf::WhileOp, scf::IfOp, scf::IndexSwitchOp>(op);
+}
+
+/// The op around the op, or around the loops and branches that it is in.
+static Operation *getScope(Operation *op) {
+  do
+    op = op->getParentOp();
+  while (isControlFlow(op));
+  return op;
+}
+
+/// Whether the op is in a loop of its scope.
+static bool isInLoop(Operation *op) {
+  for (op = op->getParentOp(); isControlFlow(op); op = op->getParentOp())
+    if (isa<LoopLikeOpInterface>(op))
+      return true;
+  return false;
+}
+
+static Operation *getScope(Value value) {
+  if (Operation *op = value.getDefiningOp())
+    return getScope(op);
+  Operation *parent = cast<BlockArgument>(value).getOwner()->getParentOp();
+  return isControlFlow(parent) ? getScope(parent) : parent;
+}
+
+/// Makes vectors from outside anew where ops use them that may keep them: the
+/// iterations of a parallel loop would otherwise share a buffer.
+static void copyFromOutside(FunctionOpInterface function) {
+  SmallVector<OpOperand *> uses;
+  function.walk([&](Operation *op) {
+    if (!isControlFlow(op) && !isa<scf::YieldOp, scf::ConditionOp>(op) &&
+        !isa<vector::ExtractOp, vector::InsertOp, vector::ShapeCastOp>(op))
+      return;
+    for (OpOperand &operand : op->getOpOperands())
+      if (isa<VectorType>(operand.get().getType()) &&
+          getScope(operand.get()) != getScope(op))
+        uses.push_back(&operand);
+  });
+  for (OpOperand *use : uses) {
+    Value vector = use->get();
+    ImplicitLocOpBuilder b(use->getOwner()->getLoc(), use->getOwner());
+    if (Operation *op = vector.getDefiningOp();
+        op && op->hasTrait<OpTrait::ConstantLike>()) {
+      use->set(b.clone(*op)->getResult(0));
+      continue;
+    }
+    auto elements = vector::ToElementsOp::create(b, vector);
+    use->set(vector::FromElementsOp::create(b, vector.getType(),
+                                            elements->getResults()));
+  }
+}
+
+/// Whether the op reads or writes one component, whose position is given in
+/// full.
+template <typename Op> static bool isOfOneComponent(Op op, VectorType type) {
+  return static_cast<int64_t>(op.getMixedPosition().size()) == type.getRank();
+}
+static bool isComponentRead(Operation *op) {
+  auto extract = dyn_cast<vector::ExtractOp>(op);
+  return extract && isOfOneComponent(extract, extract.getSourceVectorType());
+}
+static bool isComponentWrite(Operation *op) {
+  auto insert = dyn_cast<vector::InsertOp>(op);
+  return insert && isOfOneComponent(insert, insert.getDestVectorType());
+}
+
+/// Whether the op is one of these and says so at run time.
+static bool isAtRunTime(Operation *op) {
+  if (isComponentRead(op))
+    return !cast<vector::ExtractOp>(op).getDynamicPosition().empty();
+  return isComponentWrite(op) &&
+         !cast<vector::InsertOp>(op).getDynamicPosition().empty();
+}
+static bool hasPositionAtRunTime(FunctionOpInterface function) {
+  return function
+      .walk([](Operation *op) { return WalkResult(failure(isAtRunTime(op))); })
+      .wasInterrupted();
+}
+
+namespace {
+/// The vectors of a function that go to memory.
+class MemoryVectors {
+public:
+  /// With those that need copies, or without.
+  MemoryVectors(FunctionOpInterface function, bool withCopies);
+
+  bool empty() const { return chosen.empty(); }
+  bool needCopies() const { return accesses > 0; }
+  bool contains(Value value) const { return chosen.contains(value); }
+  /// Of a vector that shares a buffer, a number for all that share it.
+  std::optional<unsigned> getBuffer(Value value) const {
+    auto found = chosen.find(value);
+    return found == chosen.end() ? std::nullopt : found->second;
+  }
+
+private:
+  void join(Value a, Value b) {
+    if (isa<VectorType>(a.getType()))
+      classes.unionSets(a, b);
+  }
+  template <typename... Ranges> void joinAll(Ranges... ranges) {
+    for (auto values : llvm::zip_equal(ranges...))
+      std::apply(
+          [&](Value first, auto... others) { (join(first, others), ...); },
+          values);
+  }
+  void joinValuesOf(Operation *op);
+  void choose(ArrayRef<Value> members, DominanceInfo &dominance);
+
+  llvm::EquivalenceClasses<Value> classes;
+  llvm::DenseMap<Value, std::optional<unsigned>> chosen;
+  bool withCopies;
+  unsigned numBuffers = 0;
+  int64_t bytes = 0, pairs = 0;
+  /// To vectors that need copies.
+  int64_t accesses = 0;
+};
+} // namespace
+
+/// Joins values that are the same vector at different times.
+void MemoryVectors::joinValuesOf(Operation *op) {
+  auto yielded = [](Region &region) {
+    return region.front().getTerminator()->getOperands();
+  };
+  if (auto loop = dyn_cast<scf::ForOp>(op)) {
+    joinAll(loop.getInits(), loop.getRegionIterArgs(), loop.getYieldedValues(),
+            loop.getResults());
+  } else if (auto loop = dyn_cast<scf::WhileOp>(op)) {
+    joinAll(loop.getInits(), loop.getBeforeArguments(),
+            loop.getYieldOp().getOperands());
+    joinAll(loop.getConditionOp().getArgs(), loop.getAfterArguments(),
+            loop.getResults());
+  } else if (isControlFlow(op)) {
+    for (Region &region : op->getRegions())
+      if (!region.empty())
+        joinAll(op->getResults(), yielded(region));
+  } else if (isComponentWrite(op)) {
+    auto insert = cast<vector::InsertOp>(op);
+    join(insert.getDest(), insert.getResult());
+  } else if (auto cast = dyn_cast<vector::ShapeCastOp>(op)) {
+    join(cast.getSource(), cast.getResult());
+  }
+}
+
+static bool mayBeInMemory(Value value) {
+  auto type = dyn_cast<VectorType>(value.getType());
+  if (!type || type.isScalable() ||
+      !type.getElementType().isIntOrIndexOrFloat())
+    return false;
+  // Iterations of a parallel loop would write the same buffer.
+  Operation *scope = getScope(value);
+  return llvm::all_of(value.getUsers(),
+                      [&](Operation *user) { return getScope(user) == scope; });
+}
+
+/// The op that writes the components of a vector into its buffer, or null if
+/// the vector is there already.
+static Operation *getWriter(Value vector) {
+  Operation *op = vector.getDefiningOp();
+  return op && !isControlFlow(op) && !isa<vector::ShapeCastOp>(op) ? op
+                                                                   : nullptr;
+}
+
+/// Whether the use may come after `writer`, which the vector dominates, without
+/// the vector having been computed again.
+static bool mayFollow(OpOperand &use, Operation *writer) {
+  Operation *user = use.getOwner();
+  Value vector = use.get();
+  Region *region = vector.getParentRegion();
+  // In the next iteration of a loop around both.
+  for (Operation *op = writer->getParentOp(); op; op = op->getParentOp()) {
+    if (op->isAncestor(region->getParentOp()))
+      break;
+    if (isa<LoopLikeOpInterface>(op) && op->isProperAncestor(user))
+      return true;
+  }
+  if (user == writer)
+    return false;
+  // In the regions of an op that is around both.
+  Operation *common = writer->getParentOp();
+  while (!common->isAncestor(user))
+    common = common->getParentOp();
+  if (common == user)
+    return false;
+  auto childOf = [&](Operation *op) {
+    while (op->getParentOp() != common)
+      op = op->getParentOp();
+    return op;
+  };
+  Operation *first = childOf(writer), *second = childOf(user);
+  if (first->getBlock() == second->getBlock())
+    return first->isBeforeInBlock(second);
+  // Of branches one runs.
+  return !isa<scf::IfOp, scf::IndexSwitchOp>(common);
+}
+
+/// Whether no vector lives where another one is written.
+static bool canShareBuffer(ArrayRef<Value> members, DominanceInfo &dominance) {
+  // Those that come with a block are all written where it starts.
+  if (llvm::count_if(members, [](Value member) {
+        return isa<BlockArgument>(member) &&
+               !isControlFlow(member.getParentBlock()->getParentOp());
+      }) > 1)
+    return false;
+  for (Value written : members) {
+    Operation *writer = getWriter(written);
+    if (!writer)
+      continue;
+    for (Value other : members) {
+      if (other == written || !dominance.properlyDominates(other, writer))
+        continue;
+      for (OpOperand &use : other.getUses())
+        if (mayFollow(use, writer))
+          return false;
+    }
+  }
+  return true;
+}
+
+void MemoryVectors::choose(ArrayRef<Value> members, DominanceInfo &dominance) {
+  auto type = cast<VectorType>(members.front().getType());
+  if (!llvm::all_of(members, mayBeInMemory))
+    return;
+  int64_t width =
+      type.getElementType().isIndex() ? 64 : type.getElementTypeBitWidth();
+  int64_t own = type.getNumElements() * llvm::divideCeil(width, 8);
+  if (bytes + own > kMaxBytes)
+    return;
+  int64_t uses = 0;
+  for (Value member : members)
+    uses += llvm::count_if(member.getUsers(), [](Operation *user) {
+      return isComponentRead(user) || isComponentWrite(user);
+    });
+  int64_t ownPairs =
+      int64_t(members.size()) *
+      llvm::count_if(members, [](Value v) { return getWriter(v) != nullptr; });
+  std::optional<unsigned> buffer;
+  if (pairs + ownPairs <= kMaxPairs && canShareBuffer(members, dominance))
+    buffer = numBuffers++;
+  else if (!withCopies || accesses + uses > kMaxAccesses)
+    return;
+  else
+    accesses += uses;
+  pairs += ownPairs;
+  bytes += own;
+  for (Value member : members)
+    chosen[member] = buffer;
+}
+
+MemoryVectors::MemoryVectors(FunctionOpInterface function, bool withCopies)
+    : withCopies(withCopies) {
+  // By the largest of them that stays a vector of scalars.
+  SmallVector<std::pair<Value, int64_t>> roots;
+  function.walk([&](Operation *op) {
+    joinValuesOf(op);
+    if (isAtRunTime(op))
+      roots.emplace_back(isComponentRead(op)
+                             ? cast<vector::ExtractOp>(op).getSource()
+                             : cast<vector::InsertOp>(op).getDest(),
+                         isInLoop(op) ? kMaxInLoop : kMaxElsewhere);
+  });
+  DominanceInfo dominance(function);
+  llvm::DenseSet<Value> seen;
+  for (auto [root, most] : roots) {
+    auto type = cast<VectorType>(root.getType());
+    if (type.getNumElements() <= most || seen.contains(root))
+      continue;
+    SmallVector<Value> members{root};
+    if (auto found = classes.findLeader(root); found != classes.member_end())
+      members.assign(found, classes.member_end());
+    seen.insert(members.begin(), members.end());
+    choose(members, dominance);
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// Buffers and tensors in the place of vectors
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// Replaces the chosen vectors of a function by tensors of one dimension, or,
+/// if they share one, by their buffer.
+class VectorReplacer {
+public:
+  VectorReplacer(FunctionOpInterface function, const MemoryVectors &vectors);
+  void run();
+
+private:
+  enum class Kind { Read, Write, Cast, Other };
+  /// An op that touches vectors, with the types that their definitions lose.
+  struct Access {
+    Operation *op;
+    Kind kind;
+    SmallVector<std::pair<unsigned, VectorType>, 2> operands;
+    SmallVector<Value, 1> results;
+  };
+  void collect(Operation *op, const MemoryVectors &vectors);
+  /// The buffer, or null for a tensor.
+  Value getBuffer(Value vector);
+  void replaceRead(const Access &access);
+  void replaceWrite(const Access &access);
+  void replaceOther(const Access &access);
+  void replaceDefinition(Value vector);
+
+  const MemoryVectors &vectors;
+  llvm::DenseMap<unsigned, Value> buffers;
+  SmallVector<Access> accesses;
+  /// What loops and branches carry, and what comes from elsewhere.
+  SmallVector<Value> carried, given;
+};
+} // namespace
+
+static RankedTensorType getTensorType(Value vector) {
+  auto type = cast<VectorType>(vector.getType());
+  return RankedTensorType::get({type.getNumElements()}, type.getElementType());
+}
+
+/// On a buffer of this pass, while it runs.
+static constexpr llvm::StringLiteral kBufferAttrName = "tai.of_vector";
+
+static memref::AllocaOp createBuffer(OpBuilder &builder, Location loc,
+                                     MemRefType type) {
+  auto buffer = memref::AllocaOp::create(builder, loc, type);
+  buffer->setAttr(kBufferAttrName, builder.getUnitAttr());
+  return buffer;
+}
+
+static Value createRead(ImplicitLocOpBuilder &b, Value from, Value number) {
+  if (isa<MemRefType>(from.getType()))
+    return memref::LoadOp::create(b, from, number);
+  return tensor::ExtractOp::create(b, from, number);
+}
+
+static Value createWrite(ImplicitLocOpBuilder &b, Value value, Value to,
+                         Value number) {
+  if (!isa<MemRefType>(to.getType()))
+    return tensor::InsertOp::create(b, value, to, number);
+  memref::StoreOp::create(b, value, to, number);
+  return to;
+}
+
+Value VectorReplacer::getBuffer(Value vector) {
+  std::optional<unsigned> number = vectors.getBuffer(vector);
+  if (!number)
+    return Value();
+  Value &buffer = buffers[*number];
+  if (!buffer) {
+    auto builder =
+        OpBuilder::atBlockBegin(&getScope(vector)->getRegion(0).front());
+    RankedTensorType type = getTensorType(vector);
+    buffer =
+        createBuffer(builder, vector.getLoc(),
+                     MemRefType::get(type.getShape(), type.getElementType()));
+  }
+  return buffer;
+}
+
+VectorReplacer::VectorReplacer(FunctionOpInterface function,
+                               const MemoryVectors &vectors)
+    : vectors(vectors) {
+  function.walk<WalkOrder::PreOrder>(
+      [&](Operation *op) { collect(op, vectors); });
+}
+
+void VectorReplacer::collect(Operation *op, const MemoryVectors &vectors) {
+  bool carries = isControlFlow(op);
+  for (Region &region : op->getRegions())
+    for (Block &block : region)
+      for (BlockArgument argument : block.getArguments())
+        if (vectors.contains(argument))
+          (carries ? carried : given).push_back(argument);
+  for (OpResult result : op->getResults())
+    if (vectors.contains(result) && carries)
+      carried.push_back(result);
+  if (carries || (op->hasTrait<OpTrait::IsTerminator>() &&
+                  isControlFlow(op->getParentOp())))
+    return;
+
+  Access access{op, Kind::Other, {}, {}};
+  for (OpOperand &operand : op->getOpOperands())
+    if (vectors.contains(operand.get()))
+      access.operands.emplace_back(operand.getOperandNumber(),
+                                   cast<VectorType>(operand.get().getType()));
+  for (Value result : op->getResults())
+    if (vectors.contains(result))
+      access.results.push_back(result);
+  if (access.operands.empty() && access.results.empty())
+    return;
+  if (isComponentRead(op))
+    access.kind = Kind::Read;
+  else if (isComponentWrite(op))
+    access.kind = Kind::Write;
+  else if (isa<vector::ShapeCastOp>(op))
+    access.kind = Kind::Cast;
+  accesses.push_back(std::move(access));
+}
+
+/// Whether the index, as the frontend makes it, is below `count`: a select that
+/// tests it, as an unsigned number.
+static bool isKnownBelow(Value index, int64_t count) {
+  if (std::optional<int64_t> constant = getConstantIntValue(index))
+    return *constant >= 0 && *constant < count;
+  while (Operation *op = index.getDefiningOp()) {
+    if (!isa<arith::IndexCastOp, arith::IndexCastUIOp>(op))
+      break;
+    index = op->getOperand(0);
+  }
+  auto select = index.getDefiningOp<arith::SelectOp>();
+  auto test = select ? select.getCondition().getDefiningOp<arith::CmpIOp>()
+                     : arith::CmpIOp();
+  if (!test || test.getPredicate() != arith::CmpIPredicate::ult ||
+      test.getLhs() != select.getTrueValue())
+    return false;
+  std::optional<int64_t> limit = getConstantIntValue(test.getRhs());
+  std::optional<int64_t> other = getConstantIntValue(select.getFalseValue());
+  return limit && *limit >= 0 && *limit <= count && other && *other >= 0 &&
+         *other < count;
+}
+
+/// The number of a component, counted row by row; `isInRange` is null where it
+/// is known to be there.
+static Value getNumber(ImplicitLocOpBuilder &b, ArrayRef<OpFoldResult> position,
+                       VectorType type, Value &isInRange) {
+  Value number;
+  for (auto [at, extent] : llvm::zip_equal(position, type.getShape())) {
+    Value index = getValueOrCreateConstantIndexOp(b, b.getLoc(), at);
+    if (!isKnownBelow(index, extent)) {
+      Value count = arith::ConstantIndexOp::create(b, extent);
+      Value holds =
+          arith::CmpIOp::create(b, arith::CmpIPredicate::ult, index, count);
+      Value zero = arith::ConstantIndexOp::create(b, 0);
+      index = arith::SelectOp::create(b, holds, index, zero);
+      isInRange =
+          isInRange ? arith::AndIOp::create(b, isInRange, holds) : holds;
+    }
+    if (!number) {
+      number = index;
+      continue;
+    }
+    Value row = arith::ConstantIndexOp::create(b, extent);
+    row = arith::MulIOp::create(b, number, row);
+    number = arith::AddIOp::create(b, row, index);
+  }
+  return number;
+}
+
+/// A position that is not there takes the first component, as in tai-scalarize.
+void VectorReplacer::replaceRead(const Access &access) {
+  auto op = cast<vector::ExtractOp>(access.op);
+  ImplicitLocOpBuilder b(op.getLoc(), op);
+  Value isInRange;
+  Value number = getNumber(b, op.getMixedPosition(),
+                           access.operands.front().second, isInRange);
+  op.getResult().replaceAllUsesWith(createRead(b, op.getSource(), number));
+  op.erase();
+}
+
+/// One that is not there changes nothing.
+void VectorReplacer::replaceWrite(const Access &access) {
+  auto op = cast<vector::InsertOp>(access.op);
+  ImplicitLocOpBuilder b(op.getLoc(), op);
+  Value isInRange;
+  Value number = getNumber(b, op.getMixedPosition(),
+                           access.operands.front().second, isInRange);
+  Value value = op.getValueToStore();
+  if (isInRange) {
+    Value old = createRead(b, op.getDest(), number);
+    value = arith::SelectOp::create(b, isInRange, value, old);
+  }
+  op.getResult().replaceAllUsesWith(
+      createWrite(b, value, op.getDest(), number));
+  op.erase();
+}
+
+/// An op that wants a vector, or makes one.
+void VectorReplacer::replaceOther(const Access &access) {
+  ImplicitLocOpBuilder b(access.op->getLoc(), access.op);
+  for (auto [number, type] : access.operands) {
+    SmallVector<Value> components;
+    for (int64_t i = 0; i != type.getNumElements(); ++i)
+      components.push_back(createRead(b, access.op->getOperand(number),
+                                      arith::ConstantIndexOp::create(b, i)));
+    access.op->setOperand(number,
+                          vector::FromElementsOp::create(b, type, components));
+  }
+}
+
+/// Uses a tensor or a buffer in the place of a vector that some other op makes.
+void VectorReplacer::replaceDefinition(Value vector) {
+  ImplicitLocOpBuilder b(vector.getLoc(), vector.getContext());
+  b.setInsertionPointAfterValue(vector);
+  auto type = cast<VectorType>(vector.getType());
+  RankedTensorType tensorType = getTensorType(vector);
+  SmallVector<Value> components;
+  Operation *reader = nullptr;
+  DenseElementsAttr constant;
+  auto broadcast = vector.getDefiningOp<vector::BroadcastOp>();
+  Value buffer = getBuffer(vector);
+  if (vector.getDefiningOp<ub::PoisonOp>()) {
+    Value empty = buffer;
+    if (!buffer)
+      empty = tensor::EmptyOp::create(b, tensorType.getShape(),
+                                      tensorType.getElementType());
+    vector.replaceAllUsesWith(empty);
+    return;
+  }
+  if (auto elements = vector.getDefiningOp<vector::FromElementsOp>()) {
+    components = llvm::to_vector(elements.getElements());
+  } else if (broadcast && !isa<VectorType>(broadcast.getSourceType())) {
+    components.assign(type.getNumElements(), broadcast.getSource());
+  } else if (matchPattern(vector, m_Constant(&constant))) {
+    for (Attribute value : constant.getValues<Attribute>())
+      components.push_back(
+          arith::ConstantOp::create(b, cast<TypedAttr>(value)));
+  } else {
+    auto elements = vector::ToElementsOp::create(b, vector);
+    llvm::append_range(components, elements->getResults());
+    reader = elements;
+  }
+  if (buffer) {
+    for (auto [i, component] : llvm::enumerate(components))
+      createWrite(b, component, buffer, arith::ConstantIndexOp::create(b, i));
+    vector.replaceAllUsesExcept(buffer, reader);
+    return;
+  }
+  Value tensor = tensor::FromElementsOp::create(b, tensorType, components);
+  vector.replaceAllUsesExcept(tensor, reader);
+}
+
+void VectorReplacer::run() {
+  for (Value value : given)
+    replaceDefinition(value);
+  // Carried buffers are dead: what is carried is the one.
+  for (Value value : carried) {
+    if (Value buffer = getBuffer(value)) {
+      value.setType(buffer.getType());
+      value.replaceAllUsesWith(buffer);
+    } else {
+      value.setType(getTensorType(value));
+    }
+  }
+  // Operands come before their users.
+  for (const Access &access : accesses) {
+    switch (access.kind) {
+    case Kind::Read:
+      replaceRead(access);
+      break;
+    case Kind::Write:
+      replaceWrite(access);
+      break;
+    case Kind::Cast:
+      access.op->getResult(0).replaceAllUsesWith(access.op->getOperand(0));
+      access.op->erase();
+      break;
+    case Kind::Other:
+      replaceOther(access);
+      for (Value result : access.results)
+        replaceDefinition(result);
+      break;
+    }
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// Buffers in the place of tensors
+//===----------------------------------------------------------------------===//
+
+static LogicalResult copyBuffer(OpBuilder &builder, Location loc, Value from,
+                                Value to) {
+  ImplicitLocOpBuilder b(loc, builder);
+  auto type = cast<MemRefType>(from.getType());
+  Value zero = arith::ConstantIndexOp::create(b, 0);
+  Value one = arith::ConstantIndexOp::create(b, 1);
+  Value count = arith::ConstantIndexOp::create(b, type.getNumElements());
+  scf::ForOp::create(b, zero, count, one, ValueRange(),
+                     [&](OpBuilder &inner, Location, Value i, ValueRange) {
+                       Value element =
+                           memref::LoadOp::create(inner, loc, from, i);
+                       memref::StoreOp::create(inner, loc, element, to, i);
+                       scf::YieldOp::create(inner, loc);
+                     });
+  return success();
+}
+
+/// Fails where upstream's analysis leaves a tensor.
+static LogicalResult bufferizeTensors(FunctionOpInterface function) {
+  bufferization::OneShotBufferizationOptions options;
+  options.allowUnknownOps = true;
+  // What that gives is looked at below.
+  options.allowReturnAllocsFromLoops = true;
+  options.allocationFn = [](OpBuilder &builder, Location loc, MemRefType type,
+                            ValueRange, unsigned) -> FailureOr<Value> {
+    return createBuffer(builder, loc, type).getResult();
+  };
+  options.memCpyFn = copyBuffer;
+  bufferization::BufferizationState state;
+  return bufferization::runOneShotBufferize(function, options, state);
+}
+
+/// Buffers that loops and branches hand on unchanged are theirs no more.
+static LogicalResult simplifyControlFlow(FunctionOpInterface function) {
+  MLIRContext *context = function.getContext();
+  RewritePatternSet patterns(context);
+  scf::ForOp::getCanonicalizationPatterns(patterns, context);
+  scf::WhileOp::getCanonicalizationPatterns(patterns, context);
+  scf::IfOp::getCanonicalizationPatterns(patterns, context);
+  scf::IndexSwitchOp::getCanonicalizationPatterns(patterns, context);
+  return applyPatternsGreedily(function.getFunctionBody(), std::move(patterns));
+}
+
+/// Whether the buffers of this pass are only loaded from and stored to.
+static bool isOfPlainAccesses(FunctionOpInterface function) {
+  auto isTensor = [](Type type) { return isa<TensorType>(type); };
+  WalkResult result = function.walk([&](Operation *op) {
+    if (llvm::any_of(op->getResultTypes(), isTensor))
+      return WalkResult::interrupt();
+    if (op->hasAttr(kBufferAttrName))
+      for (Operation *user : op->getUsers())
+        if (!isa<memref::LoadOp, memref::StoreOp>(user))
+          return WalkResult::interrupt();
+    return WalkResult::advance();
+  });
+  return !result.wasInterrupted();
+}
+
+/// Memory of the stack that an iteration of a loop takes is that of the next
+/// one: what it holds at the beginning is undefined.
+static void hoistBuffers(FunctionOpInterface function) {
+  SmallVector<Operation *> buffers;
+  function.walk([&](memref::AllocaOp op) {
+    if (op->hasAttr(kBufferAttrName))
+      buffers.push_back(op);
+  });
+  for (Operation *buffer : buffers) {
+    buffer->removeAttr(kBufferAttrName);
+    Operation *top = buffer;
+    while (isControlFlow(top->getParentOp()))
+      top = top->getParentOp();
+    Block &start = top->getParentRegion()->front();
+    buffer->moveBefore(&start, start.begin());
+  }
+}
+
+namespace {
+struct VectorsToMemory : tai::impl::VectorsToMemoryBase<VectorsToMemory> {
+  using Base::Base;
+
+  void getDependentDialects(DialectRegistry &registry) const override {
+    Base::getDependentDialects(registry);
+    arith::registerBufferizableOpInterfaceExternalModels(registry);
+    scf::registerBufferizableOpInterfaceExternalModels(registry);
+    tensor::registerBufferizableOpInterfaceExternalModels(registry);
+  }
+
+  void runOnOperation() override {
+    getOperation()->walk([](FunctionOpInterface function) {
+      if (!hasPositionAtRunTime(function))
+        return;
+      copyFromOutside(function);
+      for (bool withCopies : {true, false}) {
+        MemoryVectors vectors(function, withCopies);
+        if (vectors.empty())
+          return;
+        OwningOpRef<Operation *> before(function->clone());
+        VectorReplacer(function, vectors).run();
+        if ((!vectors.needCopies() || succeeded(bufferizeTensors(function))) &&
+            succeeded(simplifyControlFlow(function)) &&
+            isOfPlainAccesses(function))
+          return hoistBuffers(function);
+        // Without those that need copies, or as scalars.
+        auto kept = cast<FunctionOpInterface>(*before);
+        function.getFunctionBody().takeBody(kept.getFunctionBody());
+      }
+    });
+  }
+};
+} // namespace
