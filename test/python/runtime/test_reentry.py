@@ -8,6 +8,7 @@ import pytest
 import tai as ti
 from tai._impl.base.locks import Lock, snapshot
 from tai._impl.base.symbols import Symbols
+from tai._impl.fields.snode import Root
 
 
 def ends(work):
@@ -84,6 +85,36 @@ def test_a_lock_in_a_forked_child(holder):
         thread.join()
     assert status == 0
     assert ends(lambda: lock.__enter__())
+
+
+def test_a_forked_child_of_a_process_that_allocates(monkeypatch):
+    """Another thread of the parent was at it: the child has fields of its own."""
+    ti.init(arch=ti.cpu)
+    x = ti.field(ti.f32, shape=3)
+    begun, over = threading.Event(), threading.Event()
+    allocate = Root._allocate_all
+
+    def wait(root, program):
+        begun.set()
+        over.wait()
+        allocate(root, program)
+
+    monkeypatch.setattr(Root, "_allocate_all", wait)
+    thread = threading.Thread(target=x.fill, args=(1.0,))
+    thread.start()
+    begun.wait()
+    monkeypatch.undo()
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(60)
+        y = ti.field(ti.f32, shape=3)
+        y.fill(2.0)
+        os._exit(0 if y[1] == 2.0 else 1)
+    assert os.waitpid(child, 0)[1] == 0
+    over.set()
+    thread.join()
+    assert x[1] == 1.0
 
 
 def test_a_lock_whose_block_is_interrupted_is_free():

@@ -27,6 +27,8 @@ class Program:
         self.context = native.Context()
         # The tree that is being laid out under `ti.root`; see `fields.root`.
         self.root: Any = None
+        # The roots of those that were, until they are allocated.
+        self.laid_out: list[Any] = []
         # Held while fields are placed under `ti.root`, so that no other thread allocates half of
         # them.
         self.layout = Lock()

@@ -98,15 +98,19 @@ class MatrixField(Field):
         return None
 
     def put_into(self, node: SNode, offset: Any = None) -> None:
-        if self._single is not None or self.is_split:
-            raise TaiRuntimeError(f"field '{self.name}' is placed already")
         primal = self.primal
-        if isinstance(primal, MatrixField) and primal.is_split:
+        splits = isinstance(primal, MatrixField) and primal.is_split
+        if self.level is not None or (self.is_split and not splits):
+            raise TaiRuntimeError(f"field '{self.name}' is placed already")
+        # Ctrl-C may have come when half of this was done.
+        if splits:
             # A gradient is stored as its field is: one array for each component.
             for component in self.components:
-                component.put_into(node, offset)
+                if component._level is None:
+                    component.put_into(node, offset)
             return
-        self._single = WholeElements(self)
+        if self._single is None:
+            self._single = WholeElements(self)
         self._single.put_into(node, offset)
 
     def materialize(self, frame: Any = None) -> None:

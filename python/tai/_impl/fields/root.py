@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Any
 
@@ -30,15 +31,29 @@ def materialize(program: Program, namespace: dict[str, Any] | None = None) -> No
     """
     with program.layout:
         root = open_root(program)
-        if not root.children:
-            return
-        if namespace is not None:
-            name_fields(namespace)
-        program.root, root.allocator = Root(), state.thread
-    try:
+        if root.children:
+            if namespace is not None:
+                name_fields(namespace)
+            # What Ctrl-C interrupts here or in the allocation is done at the next use of a field.
+            fresh = Root()
+            program.laid_out = [*program.laid_out, root]
+            program.root = fresh
+    for root in program.laid_out:
         root.allocate(program)
-    finally:
-        root.ready.set()
+        if root.allocated and root.tree is None and root.refused is None:
+            continue  # A signal handler calls this in the middle of it.
+        with program.layout:
+            program.laid_out = [other for other in program.laid_out if other is not root]
+
+
+def begin_in_child() -> None:
+    """A forked child does not wait for trees that another thread of its parent allocated."""
+    for root in state.program.laid_out if state.program is not None else ():
+        if not root.lock._is_owned():
+            root.lock._at_fork_reinit()
+
+
+os.register_at_fork(after_in_child=begin_in_child)
 
 
 def name_fields(namespace: dict[str, Any]) -> None:

@@ -50,8 +50,6 @@ class ScalarField(Field):
         """Becomes a place of the cells of `node`."""
         if self._level is not None:
             raise TaiRuntimeError(f"field '{self.name}' is placed already")
-        self._level = node
-        node.children.append(self)
         if offset is not None:
             rank = len(node.shape)
             values = offset if isinstance(offset, (tuple, list)) else (offset,) * rank
@@ -60,6 +58,8 @@ class ScalarField(Field):
                     f"the offset has {len(values)} numbers, but the field has {rank} dimensions"
                 )
             self.offset = fitting.offsets(values, self)
+        self._level = node
+        node.children.append(self)
 
     def place_missing_grad(self) -> None:
         """Places a gradient or dual that was asked for and not placed, beside the field."""
@@ -146,13 +146,10 @@ class ScalarField(Field):
             raise TaiRuntimeError(
                 f"field '{self.name}' is not there, as its tree was refused: {root.refused}"
             )
-        if root.allocator is not None and root.allocator is not state.thread:
-            root.ready.wait()
-        if root is program.root:
+        if root is program.root or any(root is other for other in program.laid_out):
+            # Another thread may be at it: then this waits.
             materialize(program)
         elif not root.allocated:
-            if any(root is r for r in (program.root,)):
-                return
             raise TaiRuntimeError(
                 f"field '{self.name}' belongs to a tree that is not in use",
                 "make fields after ti.init, and finalize() a FieldsBuilder before using its fields",

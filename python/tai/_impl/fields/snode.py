@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import weakref
@@ -509,17 +510,34 @@ class Root(SNode):
         super().__init__("root", None)
         self.allocated = self.is_destroyed = False
         self.tree: str | None = None
+        # What the context is to call it.
+        self._symbol: str | None = None
         self.number: int | None = None
         # Why there is no such tree.
         self.refused: str | None = None
-        # The thread that allocates it, and whether that is done.
-        self.allocator: object = None
-        self.ready = threading.Event()
+        # Of the thread that allocates it. No `Lock`: roots come and go, and Python loses a Ctrl-C
+        # that comes as the set of all locks forgets one. See `root.begin_in_child`.
+        self.lock: Any = threading.RLock()
         # What kernels were compiled to that use it; they go when it goes.
         self.users: weakref.WeakSet[Any] = weakref.WeakSet()
 
     def allocate(self, program: Program) -> None:
-        """Makes the tree in the program's context and declares its fields."""
+        """Makes the tree in the program's context and declares its fields, once."""
+        with self.lock:
+            if self.allocated:
+                return
+            try:
+                self._allocate_all(program)
+            except TaiError as error:
+                if self.tree is None:
+                    self.refused, self.allocated = error.message, True
+                raise
+            except BaseException:
+                # Ctrl-C, say: the fields are there as soon as they are used again.
+                self._undo(program)
+                raise
+
+    def _allocate_all(self, program: Program) -> None:
         for field in list(self.places()):
             field.place_missing_grad()
         fields = list(self.places())
@@ -528,12 +546,11 @@ class Root(SNode):
         self.allocated = True
         for field in fields:
             field.choose_symbol(program)
-        tree = program.unique_symbol("tree")
+        tree = self._symbol = program.unique_symbol("tree")
         try:
             _check_size(fields)
             program.context.add_tree(tree, self.layout())
         except TaiError as error:
-            self.refused = error.message
             if isinstance(error, TaiMemoryError) and not error.hint:
                 error.hint = "make the extents smaller"
             for field in fields:
@@ -548,6 +565,22 @@ class Root(SNode):
         # Adjoints first, so that they exist when a primal names them.
         for field in sorted(fields, key=lambda f: f.role == "primal"):
             field.declare(program, self.tree)
+
+    def _undo(self, program: Program) -> None:
+        """As if nobody had begun to allocate it."""
+        for field in self.places():
+            field.release()
+            if field.symbol is not None:
+                program.fields.pop(field.symbol, None)
+                program.symbols.give_back(field.symbol)
+                field.symbol = None
+        if self._symbol is not None:
+            with contextlib.suppress(TaiError):  # it may not be there yet
+                program.context.destroy_tree(self._symbol)
+            program.trees.pop(self._symbol, None)
+            program.symbols.give_back(self._symbol)
+        self.tree = self.number = self._symbol = None
+        self.allocated = False
 
     def __eq__(self, other: Any) -> bool:
         # All roots are `ti.root`, as programs compare parents with it.

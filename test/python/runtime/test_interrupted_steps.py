@@ -1,0 +1,191 @@
+"""Ctrl-C at every step of the package: what a program does next is right."""
+
+import dis
+import functools
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+import tai as ti
+from tai._impl.base import locks, state
+
+HERE = Path(ti.__file__).parent / "_impl"
+
+
+def calls_handlers(frame):
+    """Whether the interpreter looks for signals at the end of the step that comes."""
+    name = dis.opname[frame.f_code.co_code[frame.f_lasti]]
+    return name.startswith("CALL") or "JUMP_BACKWARD" in name
+
+
+@functools.cache
+def entries(code):
+    return dis.Bytecode(code).exception_entries
+
+
+def catcher(code, offset):
+    """Where an exception at an instruction is caught."""
+    found = [entry for entry in entries(code) if entry.start <= offset < entry.end]
+    return found[-1].target if found else None
+
+
+class Steps:
+    """Goes through the steps of some files at which Python may call a signal handler."""
+
+    def __init__(self, files):
+        self.files = {str(HERE / file) for file in files}
+        # Each once: where it is in the code, and where that was called.
+        self.seen = set()
+        self.wanted = None
+
+    def run(self, work, wanted=None):
+        """Interrupts the step with that number, if there are so many; says whether it did."""
+        self.seen.clear()
+        self.wanted = wanted
+        outer = sys.gettrace()
+        sys.settrace(self._begin)
+        try:
+            work()
+        except KeyboardInterrupt as error:
+            # As in a notebook, which keeps the last one, and with it the variables of all frames.
+            return error
+        finally:
+            sys.settrace(outer)
+        return None
+
+    def _begin(self, frame, event, _):
+        # Python itself loses what is raised in `__del__`.
+        if frame.f_code.co_filename not in self.files or frame.f_code.co_name == "__del__":
+            return None
+        frame.f_trace_opcodes, frame.f_trace_lines = True, False
+        # The instruction before, if handlers are called after it: at the start of a function, too.
+        last = frame.f_lasti
+
+        def follow(frame, event, _):
+            nonlocal last
+            if event != "opcode":
+                return follow
+            code, here = frame.f_code, frame.f_lasti
+            # What is raised here must be caught where that of a handler is.
+            looked = last is not None and catcher(code, last) == catcher(code, here)
+            last = here if calls_handlers(frame) else None
+            step = (code, here, frame.f_back.f_code, frame.f_back.f_lasti)
+            if looked and step not in self.seen:
+                self.seen.add(step)
+                if len(self.seen) - 1 == self.wanted:
+                    raise KeyboardInterrupt
+            return follow
+
+        return follow
+
+
+class Program:
+    """Fields and kernels, and what comes of them."""
+
+    def __init__(self):
+        self.x = ti.field(ti.f64, shape=3, needs_grad=True, needs_dual=True)
+        self.loss = ti.field(ti.f64, shape=(), needs_grad=True, needs_dual=True)
+        x, loss = self.x, self.loss
+
+        @ti.kernel
+        def total():
+            for i in x:
+                loss[None] += x[i] ** 2
+
+        self.total = total
+
+    def tape(self, **options):
+        self.x.fill(2.0)
+        with ti.ad.Tape(self.loss, **options):
+            self.total()
+        return self.x.grad.to_numpy()
+
+    def forward(self):
+        self.x.fill(2.0)
+        self.loss[None] = 0.0
+        with ti.ad.FwdMode(loss=self.loss, param=self.x, seed=[1.0, 0.0, 0.0]):
+            self.total()
+        return self.loss.dual[None]
+
+    def check(self):
+        assert self.tape().tolist() == [4.0, 4.0, 4.0]
+        assert self.loss[None] == 12.0
+        assert self.forward() == 4.0
+
+
+def check_state(program):
+    """Nothing is left over, neither on this thread nor for another one."""
+    assert state.tape is state.emitter is state.fp is state.rounding is None
+    assert not state.forward
+    assert not [lock for lock in locks.snapshot(locks._all) if lock._is_owned()]
+    program.check()
+    failures = []
+
+    def work():
+        try:
+            program.check()
+        except BaseException as error:  # noqa: BLE001
+            failures.append(error)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(60)
+    assert not thread.is_alive() and not failures
+
+
+def interrupt_everywhere(files, make, program):
+    """Interrupts work at each of its steps in the files, and does it again.
+
+    Args:
+        make: gives new work, and what checks its result.
+    """
+    steps, number, limit = Steps(files), 0, sys.getrecursionlimit()
+    while True:
+        work, check = make()
+        error = steps.run(work, number)
+        if error is None:
+            break
+        assert sys.getrecursionlimit() == limit
+        check_state(program)
+        work()
+        check()
+        number += 1
+    assert number > 10
+    check()
+
+
+@pytest.fixture
+def program():
+    ti.init(arch=ti.cpu, default_fp=ti.f64)
+    made = Program()
+    made.check()
+    return made
+
+
+def test_fields_that_are_allocated(program):
+    """What was placed before is there afterwards."""
+
+    def make():
+        x = ti.field(ti.f64, shape=3, needs_grad=True)
+        y = ti.Vector.field(2, ti.f32, needs_grad=True)
+        z = ti.Vector.field(2, ti.f32, needs_grad=True)
+        ti.root.pointer(ti.i, 4).place(y)
+        ti.root.dense(ti.i, 4).place(*z.components)
+
+        def work():
+            x.fill(2.0)
+            y[1] = [3.0, 4.0]
+            z[1] = [3.0, 4.0]
+
+        def check():
+            assert x.to_numpy().tolist() == [2.0, 2.0, 2.0]
+            assert x.grad.to_numpy().tolist() == [0.0, 0.0, 0.0]
+            for field in (y, z):
+                assert field.to_numpy().tolist() == [[0, 0], [3, 4], [0, 0], [0, 0]]
+                assert not field.grad.to_numpy().any()
+
+        return work, check
+
+    files = ["fields/matrix_field.py", "fields/root.py", "fields/scalar.py", "fields/snode.py"]
+    interrupt_everywhere(files, make, program)
