@@ -189,3 +189,34 @@ def test_fields_that_are_allocated(program):
 
     files = ["fields/matrix_field.py", "fields/root.py", "fields/scalar.py", "fields/snode.py"]
     interrupt_everywhere(files, make, program)
+
+
+def test_a_tree_that_is_freed(program):
+    """It is gone, or can be freed by another call."""
+
+    def make():
+        x = ti.field(ti.f64)
+        builder = ti.FieldsBuilder()
+        builder.dense(ti.i, 3).place(x)
+        tree = builder.finalize()
+
+        @ti.kernel
+        def fill():
+            for i in x:
+                x[i] = 1.0
+
+        fill()
+
+        def work():
+            if not tree._root.is_destroyed:
+                tree.destroy()
+
+        def check():
+            with pytest.raises(ti.TaiRuntimeError, match="freed already"):
+                tree.destroy()
+            with pytest.raises(ti.TaiRuntimeError, match="destroyed"):
+                x.to_numpy()
+
+        return work, check
+
+    interrupt_everywhere(["fields/snode.py", "launch/specialization.py"], make, program)

@@ -666,13 +666,26 @@ class SNodeTree:
         if self._root.tree is None or state.program is None:
             raise TaiRuntimeError("the tree is freed already")
         program, symbol = state.program, self._root.tree
-        program.context.destroy_tree(symbol)
+        try:
+            program.context.destroy_tree(symbol)
+            self._forget(program, symbol)
+        except TaiError:
+            raise
+        except BaseException:
+            # Ctrl-C, say: what has begun is done. The tree may be gone already.
+            with contextlib.suppress(TaiError):
+                program.context.destroy_tree(symbol)
+            self._forget(program, symbol)
+            raise
+
+    def _forget(self, program: Program, tree: str) -> None:
         for field in self._root.places():
             field.forget()
-            program.fields.pop(field.symbol, None)
-            program.symbols.give_back(field.symbol)
-        del program.trees[symbol]
-        program.symbols.give_back(symbol)
+            assert field.symbol is not None  # it was allocated
+            if program.fields.pop(field.symbol, None) is not None:
+                program.symbols.give_back(field.symbol)
+        if program.trees.pop(tree, None) is not None:
+            program.symbols.give_back(tree)
         self._root.tree, self._root.is_destroyed = None, True
         for user in list(self._root.users):
             user.drop()
