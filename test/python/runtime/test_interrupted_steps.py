@@ -1,11 +1,13 @@
 """Ctrl-C at every step of the package: what a program does next is right."""
 
+import _weakrefset
 import dis
 import functools
 import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tai as ti
 from tai._impl.base import locks, state
@@ -220,3 +222,34 @@ def test_a_tree_that_is_freed(program):
         return work, check
 
     interrupt_everywhere(["fields/snode.py", "launch/specialization.py"], make, program)
+
+
+def test_a_kernel_of_a_program_that_is_over(program):
+    """Whatever interrupted its first launch, the next program does not find its code."""
+
+    def make():
+        array = np.zeros(1)
+
+        @ti.kernel
+        def third(a: ti.types.ndarray(dtype=ti.f64, ndim=1)):
+            s = 1.0
+            for _ in range(1):
+                s /= 3.0
+            a[0] = s
+
+        def work():
+            third(array)
+
+        def check():
+            third(array)
+            assert array[0] == 1.0 / 3.0
+            ti.init(arch=ti.cpu, default_fp=ti.f32)
+            third(array)
+            assert array[0] == np.float32(1.0) / np.float32(3.0)
+            ti.init(arch=ti.cpu, default_fp=ti.f64)
+            program.__init__()
+
+        return work, check
+
+    files = ["launch/kernels.py", "launch/launch.py", _weakrefset.__file__]
+    interrupt_everywhere(files, make, program)

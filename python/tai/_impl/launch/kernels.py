@@ -118,9 +118,10 @@ class Kernel(native.Launcher):
         """The compiled kernel for these arguments; see `Specializations.get`."""
         program = get_program()
         if self._program is not program:
-            self._program = program
+            # Before anything is compiled for it, which the program must make the kernel forget.
             program.kernels.add(self)
             self._signature = None  # default types may be others now
+            self._program = program
         return self._specializations.get(program, self._get_signature(), values, tracks)
 
     def forget_launches(self) -> None:

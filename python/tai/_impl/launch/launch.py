@@ -104,10 +104,10 @@ def launch(
         and not isinstance(signature.result, StructResult)
         and not (grad and result is not None and result.has_gradient)
     ):
-        found.registered.add(grad)
         native.add_specialization(
             launcher, found.core, grad, descriptions, found.result, found.tracking, found.reads
         )
+        found.registered.add(grad)
     others = [held.array for held in kept if isinstance(held.array, device_arrays.DeviceArray)]
     streams = device_arrays.order_before(others) if others else None
     tape: Any = tracked.recording()

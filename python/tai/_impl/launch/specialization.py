@@ -134,8 +134,9 @@ class Specializations:
                 program, signature, specs, list(zip(followed, inputs, strict=True)), pool,
                 self.find_constants(values),
             )  # fmt: skip
-            variants.append(found)
+            # First what drops it: Ctrl-C may come in between.
             self._note_users(program, found, tuple(key))
+            variants.append(found)
             if found.reads:
                 same = [one for one in variants if one.is_for(specs)]
                 templates.warn_of_many(signature.kernel, same)
