@@ -88,6 +88,7 @@ struct Kernel {
 
 void bindRuntime(py::module_ &module);
 void bindBuilder(py::module_ &module);
+void bindWithBlock(py::module_ &module);
 void bindLauncher(py::module_ &module);
 void bindInterop(py::module_ &module);
 

@@ -13,6 +13,7 @@ PYBIND11_MODULE(_core, module) {
   taipy::bindSafepoints();
   taipy::bindRuntime(module);
   taipy::bindBuilder(module);
+  taipy::bindWithBlock(module);
   taipy::bindLauncher(module);
   taipy::bindInterop(module);
 }

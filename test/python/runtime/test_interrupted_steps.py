@@ -165,6 +165,43 @@ def program():
     return made
 
 
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"checkpoint": 2}, {"validation": True}, {"health": True}],
+    ids=str,
+)
+def test_a_tape(options, program):
+    def make():
+        def work():
+            program.tape(**options)
+
+        return work, program.check
+
+    files = ["ad/tape.py", "tracking/tracked.py", "tracking/tape_arrays.py", "ad/snapshot.py"]
+    interrupt_everywhere(files, make, program)
+
+
+def test_a_function_with_a_gradient_of_its_own(program):
+    @ti.ad.grad_replaced
+    def outer():
+        program.total()
+
+    @ti.ad.grad_for(outer)
+    def outer_gradient():
+        program.total.grad()
+
+    def make():
+        def work():
+            program.x.fill(2.0)
+            with ti.ad.Tape(program.loss):
+                outer()
+            assert program.x.grad.to_numpy().tolist() == [4.0, 4.0, 4.0]
+
+        return work, program.check
+
+    interrupt_everywhere(["ad/tape.py"], make, program)
+
+
 def test_fields_that_are_allocated(program):
     """What was placed before is there afterwards."""
 

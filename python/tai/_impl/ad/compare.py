@@ -219,12 +219,12 @@ def recording(loss: Any = None) -> Iterator[Any]:
     if state.tape is not None:
         raise TaiRuntimeError("a gradient cannot be checked inside a tape", "leave the tape first")
     core = get_program().context.tape(None if loss is None else loss.core, True)
-    state.tape = core
+    state.of_thread.tape = core
     native.set_tape(core)
     try:
         yield core
     finally:
-        state.tape = None
+        state.of_thread.tape = None
         native.set_tape(None)
         tracked.end()
         core.end()

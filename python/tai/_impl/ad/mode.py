@@ -117,12 +117,12 @@ def forward_mode() -> Iterator[None]:
 def _forward_mode() -> Iterator[None]:
     program = get_program()
     program.context.set_option("forward_mode", "true")
-    state.forward = True
+    state.of_thread.forward = True
     native.set_forward_mode(True)
     try:
         yield
     finally:
-        state.forward = False
+        state.of_thread.forward = False
         native.set_forward_mode(False)
         if state.tape is None:
             origins.end()

@@ -266,14 +266,14 @@ def begin(program: Program, not_finite: dict[str, str]) -> Probes:
     probes = probes_of(program)
     probes.clear()
     probes.sweep.not_finite = not_finite
-    state.rounding = probes
+    state.of_thread.rounding = probes
     _forget_launches(program)
     return probes
 
 
 def end(program: Program) -> None:
     """From now on they have none."""
-    state.rounding = None
+    state.of_thread.rounding = None
     _forget_launches(program)
 
 

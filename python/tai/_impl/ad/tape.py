@@ -12,11 +12,12 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import native, state
-from ..base.program import Program, get_program
+from ..base.program import get_program
 from ..fields.arrays import Ndarray
 from ..fields.root import materialize
 from ..history import gradients
 from ..tracking import tracked
+from ..tracking.tape_arrays import Ordered
 from . import library as library
 from . import rounding
 from .compare import GradCheck
@@ -27,7 +28,7 @@ from .seeds import as_losses, as_seed, as_seeds, is_number, parts_of, require_gr
 from .validation import LIMIT, raise_violations
 
 
-class Tape:
+class Tape(native.WithBlock):
     """Records the kernels that run in its block, and then runs their gradients in reverse.
 
     ```python
@@ -92,7 +93,7 @@ class Tape:
         self.loss, self.clear_gradients = loss, clear_gradients
         self._core: Any = None
         self._values: Any = None
-        self._is_recording = False
+        self._is_open = self._is_recording = False
         self._was_seeded = False
         self._check = GradCheck(grad_check) if grad_check else None
         self._watches = health
@@ -105,7 +106,7 @@ class Tape:
         ):
             raise TaiAutodiffError("grad_check, health and precision need a loss of one number")
 
-    def __enter__(self) -> Tape:
+    def _enter(self) -> Tape:
         if state.tape is not None:
             raise TaiRuntimeError("tapes do not nest", "close the outer ti.ad.Tape first")
         program = get_program()
@@ -119,78 +120,67 @@ class Tape:
             self._outer_loss.fill(0)
         if self.clear_gradients:
             gradients.clear_gradients(all_threads=False)
+        was_seeded = (seeds is not None or self._outer_loss is not None) or (
+            bool(self._losses) and all(map(is_number, self._losses))
+        )
+        # Until it records, it has no gradient that anybody could miss.
+        self._is_open = self._was_seeded = True
         if self._looks_at_rounding:
             self._probes = rounding.begin(program, find_not_finite())
-        # Ctrl-C may come at any call: `__exit__` is not reached if it does before the end.
-        try:
-            self._core = program.context.tape(None, self.clear_gradients)
-            if self._checkpoint[0] != 0:
-                self._core.set_checkpoint(*self._checkpoint)
-            self._values = tracked.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
-            for field in self._losses:
-                for part, _ in parts_of(field):
-                    self._core.add_loss(part.core)
-            if seeds is not None:
-                set_seeds(self._core, self._losses, seeds)
-            was_seeded = (seeds is not None or self._outer_loss is not None) or (
-                bool(self._losses) and all(map(is_number, self._losses))
-            )
-            self._core.watch_health(self._watches)
-            self._checks = self._validates or program.options.debug
-            if self._checks:
-                self._core.check_accesses(LIMIT, not self._validates)
-            state.tape = self._core
-            native.set_tape(self._core)
-            self._was_seeded = was_seeded
-            self._is_recording = True
-        except BaseException:
-            # It has no gradient that anybody could miss.
-            self._was_seeded = True
-            self._end(program)
-            raise
+        self._core = program.context.tape(None, self.clear_gradients)
+        if self._checkpoint[0] != 0:
+            self._core.set_checkpoint(*self._checkpoint)
+        self._values = tracked.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
+        for field in self._losses:
+            for part, _ in parts_of(field):
+                self._core.add_loss(part.core)
+        if seeds is not None:
+            set_seeds(self._core, self._losses, seeds)
+        self._core.watch_health(self._watches)
+        self._checks = self._validates or program.options.debug
+        if self._checks:
+            self._core.check_accesses(LIMIT, not self._validates)
+        state.of_thread.tape = self._core
+        native.set_tape(self._core)
+        self._was_seeded = was_seeded
+        self._is_recording = True
         return self
 
-    def _stop(self, is_swept: bool = False) -> None:
-        # The other half comes even where Ctrl-C does in the first.
-        try:
-            self._forget()
-        finally:
-            if self._core is not None:
-                self._core.end(is_swept)
-
     def _forget(self) -> None:
-        state.tape = None
+        """Nothing is recorded any more."""
+        native.set_tape(None)
+        tracked.end()
+        state.of_thread.tape = None
         self._is_recording = False
-        try:
-            native.set_tape(None)
-        finally:
-            tracked.end()
 
-    def _end(self, program: Program) -> None:
-        try:
-            self._stop()
-        finally:
-            if self._values is not None:
-                self._values.end_work()
-            if self._probes is not None:
-                rounding.end(program)
+    def _end(self) -> None:
+        """Other threads may go on, also where there was no sweep."""
+        if not self._is_open:
+            return
+        self._forget()
+        if self._core is not None:
+            self._core.end(False)
+        if self._values is not None:
+            self._values.end_work()
+        if self._looks_at_rounding:
+            rounding.end(get_program())
+        self._is_open = False
 
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+    def _leave(self, kind: Any, error: Any, trace: Any) -> None:
+        is_swept = kind is None and self._was_seeded
+        self._forget()
+        self._core.end(is_swept and not self._checks)
         try:
-            self._stop(is_swept=kind is None and self._was_seeded and not self._checks)
             if kind is None and self._checks:
                 raise_violations(self._core)
-            if kind is None and self._was_seeded:
-                with self._values.sweep(self._outer_seeds()):
+            if is_swept:
+                with tracked.ValueSweep(self._values, self._outer_seeds()):
                     self._core.backward()
         finally:
-            # Where there was no sweep, other threads may go on as after one.
-            try:
-                if self._probes is not None:
-                    self._rounding = self._probes.take()
-            finally:
-                self._end(get_program())
-        if kind is None and self._was_seeded:
+            if self._probes is not None:
+                self._rounding = self._probes.take()
+        self._end()
+        if is_swept:
             warn(self._core, 2)
             program = get_program()
             program.sweeps += 1
@@ -296,7 +286,8 @@ class Tape:
     def _sweep(self, clear: bool, losses: tuple | None = None) -> None:
         if clear:
             self._clear()
-        with self._values.sweep(self._outer_seeds() if losses is None else losses):
+        losses = self._outer_seeds() if losses is None else losses
+        with tracked.ValueSweep(self._values, losses):
             self._core.backward()
         warn(self._core, 3)
 
@@ -332,13 +323,13 @@ class Tape:
         if forward and (not backward or arrays.restores):
             # The sweep leaves the arrays as the kernels leave them now.
             arrays.take_versions()
-            with arrays.ordered():
+            with Ordered(arrays):
                 self._core.replay(True, False)
             arrays.renew_digests()
             forward = False
         if not backward:
             return
-        with self._values.sweep(losses, forward):
+        with tracked.ValueSweep(self._values, losses, forward):
             self._core.replay(forward, True)
         if forward:
             arrays.renew_digests()
@@ -355,7 +346,7 @@ class Tape:
         once more, and the gradients are restored.
         """
         self._need_record()
-        with self._values.arrays.ordered():
+        with Ordered(self._values.arrays):
             return take_health(self._core, self.loss, self._watches)
 
     def precision_report(self, error: float = 1e-4) -> PrecisionReport:
@@ -452,15 +443,28 @@ def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def run_unrecorded(tape: Any, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
     """Calls a function; the launches that it makes are parts of the next record of the tape."""
-    tape.suspend()
-    state.tape = None
-    native.set_tape(None)
-    try:
+    with _Unrecorded(tape):
         return function(*args, **kwargs)
-    finally:
-        state.tape = tape
-        native.set_tape(tape)
-        tape.resume()
+
+
+class _Unrecorded(native.WithBlock):
+    """While it lasts, no launch is recorded by itself."""
+
+    def __init__(self, tape: Any):
+        self._tape, self._is_suspended = tape, False
+
+    def _enter(self) -> None:
+        self._is_suspended = True
+        self._tape.suspend()
+        state.of_thread.tape = None
+        native.set_tape(None)
+
+    def _end(self) -> None:
+        state.of_thread.tape = self._tape
+        native.set_tape(self._tape)
+        if self._is_suspended:
+            self._is_suspended = False
+            self._tape.resume()
 
 
 def grad_for(primal: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -188,8 +188,8 @@ def computing_in(modes: dict[str, Any]) -> Iterator[None]:
     """Within it, `float` is what the kernel computes in."""
     precision = modes.get("precision", "default")
     outer = state.fp
-    state.fp = {"f64": dtypes.f64, "f32": dtypes.f32}.get(precision)
+    state.of_thread.fp = {"f64": dtypes.f64, "f32": dtypes.f32}.get(precision)
     try:
         yield
     finally:
-        state.fp = outer
+        state.of_thread.fp = outer

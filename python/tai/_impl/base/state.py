@@ -41,61 +41,45 @@ class _OfThread(threading.local):
         self.token = object()
 
 
-_of_thread = _OfThread()
+of_thread = _OfThread()
 
 
 class _State(types.ModuleType):
-    """The module itself: some of its variables are another one in each thread."""
+    """The module itself: some of its variables are another one in each thread.
+
+    They are set in `of_thread`, in one step of the interpreter: at the first step of a function
+    that sets them a signal handler might raise, and in a `finally` what it sets would stay.
+    """
 
     @property
     def emitter(self) -> Any:
         """The emitter of the kernel that is being compiled, or None in Python scope."""
-        return _of_thread.emitter
-
-    @emitter.setter
-    def emitter(self, value: Any) -> None:
-        _of_thread.emitter = value
+        return of_thread.emitter
 
     @property
     def forward(self) -> bool:
         """Whether kernels are launched with their tangents."""
-        return _of_thread.forward
-
-    @forward.setter
-    def forward(self, value: bool) -> None:
-        _of_thread.forward = value
+        return of_thread.forward
 
     @property
     def fp(self) -> Any:
         """What `float` is in the kernel that is being compiled, where it says so; else None."""
-        return _of_thread.fp
-
-    @fp.setter
-    def fp(self, value: Any) -> None:
-        _of_thread.fp = value
+        return of_thread.fp
 
     @property
     def rounding(self) -> Any:
         """What makes the emitters of kernels that look at their rounding, or None."""
-        return _of_thread.rounding
-
-    @rounding.setter
-    def rounding(self, value: Any) -> None:
-        _of_thread.rounding = value
+        return of_thread.rounding
 
     @property
     def thread(self) -> object:
         """Stands for the calling thread."""
-        return _of_thread.token
+        return of_thread.token
 
     @property
     def tape(self) -> Any:
         """The tape that is recording, or None."""
-        return _of_thread.tape
-
-    @tape.setter
-    def tape(self, value: Any) -> None:
-        _of_thread.tape = value
+        return of_thread.tape
 
 
 sys.modules[__name__].__class__ = _State

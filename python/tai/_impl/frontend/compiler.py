@@ -157,7 +157,7 @@ class Compiler:
             TaiError: with the place in the program.
         """
         context, diagnostics = self.context, self.context.diagnostics
-        outer, state.emitter = state.emitter, context.emitter
+        outer, state.of_thread.emitter = state.emitter, context.emitter
         try:
             with _deep_recursion():
                 self._build()
@@ -166,7 +166,7 @@ class Compiler:
             error.hint = error.hint or hint_for(error, error is diagnostics.from_python)
             raise
         finally:
-            state.emitter = outer
+            state.of_thread.emitter = outer
         return context.builder.finish(context.kernel.symbol)
 
     def _build(self) -> None:

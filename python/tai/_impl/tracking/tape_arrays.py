@@ -12,10 +12,9 @@ itself: a digest detects changes by others.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import weakref
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -240,6 +239,40 @@ def _version(tensor: Any) -> int | None:
         return None
 
 
+class Ordered(native.WithBlock):
+    """What is queued meanwhile comes after what the libraries of a tape's arrays have queued, and
+    before what they queue then."""
+
+    def __init__(self, arrays: TapeArrays):
+        self._arrays = arrays
+        self._streams: Any = None
+
+    def _enter(self) -> None:
+        self._streams = device_arrays.order_before(list(self._arrays.streams.values()))
+
+    def _end(self) -> None:
+        if self._streams is not None:
+            device_arrays.order_after(self._streams)
+            self._streams = None
+
+
+class ArraySweep(Ordered):
+    """Around a reverse sweep: puts arrays back afterwards."""
+
+    _final: Sequence[Any] = ()
+
+    def _enter(self) -> None:
+        self._arrays.check_gradients()
+        super()._enter()
+        self._final = self._arrays.copy_restored()
+
+    def _end(self) -> None:
+        for copy in self._final:
+            copy.restore()
+        self._final = ()
+        super()._end()
+
+
 class TapeArrays:
     """What a tape knows of the arrays of its launches."""
 
@@ -260,7 +293,7 @@ class TapeArrays:
         self._staged: list[HeldArray] = []
         self._changing: list[HeldArray] = []
         # Arrays of a GPU, one for each library that says on which stream it works.
-        self._streams: dict[Any, device_arrays.DeviceArray] = {}
+        self.streams: dict[Any, device_arrays.DeviceArray] = {}
         # Tensors with their versions, and those with a gradient.
         self._tensors: dict[int, list] = {}
         self._gradients: dict[int, tuple[Any, Any]] = {}
@@ -278,7 +311,7 @@ class TapeArrays:
         value, array = held.value, held.array
         self._core.keep(array)
         if isinstance(array, device_arrays.DeviceArray):
-            self._streams.setdefault(array.library, array)
+            self.streams.setdefault(array.library, array)
         version = self._check_version(value)
         strides = getattr(array, "strides", None)
         key = (array.ctypes.data, array.nbytes, strides)
@@ -419,27 +452,9 @@ class TapeArrays:
         """Whether a sweep puts back contents of arrays."""
         return bool(self._restored)
 
-    @contextlib.contextmanager
-    def ordered(self) -> Iterator[None]:
-        """What is queued meanwhile comes after what the libraries of the arrays have queued, and
-        before what they queue then."""
-        streams = device_arrays.order_before(list(self._streams.values()))
-        try:
-            yield
-        finally:
-            device_arrays.order_after(streams)
-
-    @contextlib.contextmanager
-    def sweep(self) -> Iterator[None]:
-        """Around a reverse sweep: puts arrays back afterwards."""
-        self._check_gradients()
-        with self.ordered():
-            final = [_copy_of(array) for array in self._restored.values()]
-            try:
-                yield
-            finally:
-                for copy in final:
-                    copy.restore()
+    def copy_restored(self) -> list[Any]:
+        """Copies of the arrays whose contents a sweep puts back."""
+        return [_copy_of(array) for array in self._restored.values()]
 
     def check_versions(self) -> None:
         """Before a sweep over what was recorded: tensors, and arrays that kernels have
@@ -470,7 +485,7 @@ class TapeArrays:
         for watched in self._watched.values():
             watched.renew()
 
-    def _check_gradients(self) -> None:
+    def check_gradients(self) -> None:
         """Each tensor must still have the gradient that the launches add to.
 
         One that torch has forgotten, as its optimisers do, begins with zeros again.

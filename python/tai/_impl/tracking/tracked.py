@@ -7,12 +7,10 @@ module clears it before a sweep and collects it afterwards.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import math
 import operator
 import weakref
-from collections.abc import Iterator
 from types import FunctionType
 from typing import Any
 
@@ -27,7 +25,7 @@ from ..history.gradients import ArrayGradient, Gradient, note_variable
 from ..interop import device_arrays
 from ..values.matrix import Matrix, Vector, swizzle
 from . import tangents
-from .tape_arrays import TapeArrays
+from .tape_arrays import ArraySweep, TapeArrays
 
 # Values
 
@@ -410,33 +408,26 @@ class TapeValues:
         self.core.keep(buffer)
         return gradient, buffer
 
-    @contextlib.contextmanager
-    def sweep(self, losses: tuple = (), forward: bool = False) -> Iterator[None]:
-        """Around a reverse sweep: sets its seeds, and puts arrays back afterwards.
-
-        Args:
-            losses: pairs of values and seeds.
-            forward: whether the launches run forward again before.
-        """
+    def begin_work(self, losses: tuple, forward: bool) -> None:
+        """Before a sweep; see `ValueSweep`."""
         if self.worker is not state.thread:
             taken, self._taken = self._taken, []
             self.worker = state.thread
-            for thing in taken:
-                thing.user = None if thing.user is None or thing.user() is self else thing.user
-                self.take(thing)
-        try:
-            if forward:
-                self.arrays.take_versions()
-            else:
-                self.arrays.check_versions()
-            for gradient in self._gradients:
-                gradient.clear()
-            for value, amount in losses:
-                _seed(value, amount)
-            with self.arrays.sweep():
-                yield
-        finally:
-            self.end_work()
+            try:
+                for thing in taken:
+                    thing.user = None if thing.user is None or thing.user() is self else thing.user
+                    self.take(thing)
+            except BaseException:
+                self._taken = taken
+                raise
+        if forward:
+            self.arrays.take_versions()
+        else:
+            self.arrays.check_versions()
+        for gradient in self._gradients:
+            gradient.clear()
+        for value, amount in losses:
+            _seed(value, amount)
 
     def check_replay(self) -> None:
         """A forward replay calls kernels with the arguments that were recorded."""
@@ -445,6 +436,27 @@ class TapeValues:
                 "the tape cannot run forward again: a kernel took what another had returned",
                 "pass it on in a field",
             )
+
+
+class ValueSweep(ArraySweep):
+    """Around a reverse sweep: sets its seeds, and puts arrays back afterwards.
+
+    Args:
+        losses: pairs of values and seeds.
+        forward: whether the launches run forward again before.
+    """
+
+    def __init__(self, values: TapeValues, losses: tuple = (), forward: bool = False):
+        super().__init__(values.arrays)
+        self._values, self._losses, self._forward = values, losses, forward
+
+    def _enter(self) -> None:
+        self._values.begin_work(self._losses, self._forward)
+        super()._enter()
+
+    def _end(self) -> None:
+        super()._end()
+        self._values.end_work()
 
 
 def _nothing() -> None:
