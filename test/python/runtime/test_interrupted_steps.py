@@ -181,6 +181,28 @@ def test_a_tape(options, program):
     interrupt_everywhere(files, make, program)
 
 
+def test_forward_mode(program):
+    def make():
+        return program.forward, program.check
+
+    interrupt_everywhere(["ad/mode.py", "ad/forward.py", "history/origins.py"], make, program)
+
+
+def test_a_mode_that_the_program_keeps(program):
+    """Its object lives on, so that nothing ends the mode but its `with` block."""
+    kept = []
+
+    def make():
+        def work():
+            kept.append(ti.ad.FwdMode(loss=program.loss, param=program.x, seed=[1.0, 0.0, 0.0]))
+            with kept[-1]:
+                program.total()
+
+        return work, program.check
+
+    interrupt_everywhere(["ad/mode.py", "ad/forward.py"], make, program)
+
+
 def test_a_function_with_a_gradient_of_its_own(program):
     @ti.ad.grad_replaced
     def outer():

@@ -19,7 +19,7 @@ from ..base import native, state
 from ..base.program import get_program
 from ..fields.field import Field
 from ..tracking import tracked
-from .mode import clear_duals, forward_mode
+from .mode import ForwardMode, clear_duals
 from .probe import FORWARD_TOLERANCE, Probe, climb, direction, relative_error
 from .snapshot import Snapshot, storage
 from .source import Place
@@ -489,7 +489,7 @@ def forward_derivative(
     if any(not _has_dual(known) for known in differentiable_fields().values()):
         return None
     program.start.restore(only_primal=True)
-    with forward_mode():
+    with ForwardMode():
         clear_duals()
         f._companions["dual"].core.copy_from(np.ascontiguousarray(along, f.dtype.numpy))
         program.values()

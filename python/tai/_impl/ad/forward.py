@@ -17,13 +17,13 @@ from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base.program import get_program
 from ..fields.root import materialize
 from .mode import (
+    ForwardMode,
     caller_names,
     check_dual,
     check_tangent,
     clear_duals,
     find_lost,
     follow,
-    forward_mode,
     one_thread,
     prepare,
     warn_of_lost,
@@ -62,7 +62,7 @@ def run_forward(
             clear_duals()
         for field, tangent in pairs:
             field.dual.from_numpy(tangent)
-        with forward_mode():
+        with ForwardMode():
             follow([field for field, _ in pairs], not clear)
             if isinstance(function, Tape):
                 function.replay(forward=True, backward=False)
@@ -94,7 +94,7 @@ def hessian_product(
             if field.grad is None or field.grad.snode is None:
                 field.grad._placed_node()  # raises
             field.dual.from_numpy(tangent)
-        with forward_mode():
+        with ForwardMode():
             if isinstance(function, Tape):
                 function.replay(forward=True, backward=True)
             else:
@@ -172,7 +172,7 @@ def hvp(function: Callable[[], Any] | Any, loss: Any, inputs: Any, directions: A
     return results if isinstance(inputs, (list, tuple)) else results[0]
 
 
-class FwdMode:
+class FwdMode(ForwardMode):
     """Runs the kernels of its block in forward mode.
 
     ```python
@@ -198,6 +198,7 @@ class FwdMode:
     """
 
     def __init__(self, loss: Any, param: Any, seed: Any = None, clear_gradients: bool = True):
+        super().__init__()
         self.loss = _as_list(loss)
         if not self.loss:
             raise TaiRuntimeTypeError("ti.ad.FwdMode needs the field of the loss")
@@ -214,22 +215,26 @@ class FwdMode:
             seed = 1.0
         self.seed = check_tangent(param, seed)
         self.clear_gradients = clear_gradients
-        self._mode: Any = None
+        # Whether the dual of the parameter is to be zero again.
+        self._is_seeded = False
 
-    def __enter__(self) -> FwdMode:
+    def _enter(self) -> FwdMode:  # type: ignore[override]
         materialize(get_program(), caller_names())
-        mode = forward_mode()
-        mode.__enter__()
-        self._mode = mode
+        super()._enter()
         if self.clear_gradients:
             clear_duals()
+        self._is_seeded = True
         self.param.dual.from_numpy(self.seed)
         follow([self.param], not self.clear_gradients)
         return self
 
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        mode, self._mode = self._mode, None
+    def _leave(self, kind: Any, error: Any, trace: Any) -> None:
         lost = [] if kind is not None else find_lost(self.loss)
-        mode.__exit__(None, None, None)
-        self.param.dual.fill(0.0)
+        self._end()
         warn_of_lost(lost, 2)
+
+    def _end(self) -> None:
+        super()._end()
+        if self._is_seeded:
+            self.param.dual.fill(0.0)
+            self._is_seeded = False

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import native, state
-from ..base.locks import snapshot
+from ..base.locks import Lock, snapshot
 from ..base.program import get_program
 from ..fields.field import Field
 from ..fields.root import materialize
@@ -72,7 +70,7 @@ def clear_duals() -> None:
 
 # Threads are in forward mode one after the other: the duals of a field that two of them use are
 # those of one run.
-one_thread = threading.RLock()
+one_thread = Lock()
 
 
 def _cores_of(fields: Sequence[Any]) -> list[Any]:
@@ -99,8 +97,7 @@ def warn_of_lost(lines: list[str], stacklevel: int) -> None:
         warnings.warn(line, TaiGradientWarning, stacklevel=stacklevel + 1)
 
 
-@contextlib.contextmanager
-def forward_mode() -> Iterator[None]:
+class ForwardMode(native.WithBlock):
     """Launches kernels with their tangents while its block runs.
 
     Another thread that wants that waits for the end of the block.
@@ -108,25 +105,29 @@ def forward_mode() -> Iterator[None]:
     Raises:
         TaiRuntimeError: forward mode is on already.
     """
-    if state.forward:
-        raise TaiRuntimeError("forward mode is on already", "leave its `with` block first")
-    with one_thread:
-        yield from _forward_mode()
 
+    _lock = one_thread
 
-def _forward_mode() -> Iterator[None]:
-    program = get_program()
-    program.context.set_option("forward_mode", "true")
-    state.of_thread.forward = True
-    native.set_forward_mode(True)
-    try:
-        yield
-    finally:
+    def __init__(self) -> None:
+        self._program: Any = None
+
+    def _enter(self) -> None:
+        if state.forward:
+            raise TaiRuntimeError("forward mode is on already", "leave its `with` block first")
+        self._program = get_program()
+        self._program.context.set_option("forward_mode", "true")
+        state.of_thread.forward = True
+        native.set_forward_mode(True)
+
+    def _end(self) -> None:
+        if self._program is None:
+            return
         state.of_thread.forward = False
         native.set_forward_mode(False)
         if state.tape is None:
             origins.end()
-        program.context.set_option("forward_mode", "false")
+        self._program.context.set_option("forward_mode", "false")
+        self._program = None
 
 
 def prepare(pairs: Sequence[tuple[Any, Any]], what: str) -> list[tuple[Any, np.ndarray]]:

@@ -6,7 +6,7 @@ import functools
 import math
 from typing import Any
 
-from ..ad.mode import forward_mode
+from ..ad.mode import ForwardMode
 from . import recorded
 from .krylov import (
     Progress,
@@ -140,7 +140,7 @@ def newton(
 
         def push(v: Any, result: Any) -> None:
             k.copy(point.dual, v)
-            with forward_mode():
+            with ForwardMode():
                 operator.push(point)
             k.copy(result, operator.image.dual)
 
