@@ -224,6 +224,26 @@ def test_a_function_with_a_gradient_of_its_own(program):
     interrupt_everywhere(["ad/tape.py"], make, program)
 
 
+def test_a_compilation(program):
+    def make():
+        x, answers = program.x, []
+
+        @ti.kernel(precision="f64")
+        def first() -> ti.f64:
+            return x[0]
+
+        def work():
+            x.fill(2.0)
+            answers.append(first())
+
+        def check():
+            assert answers == [2.0]
+
+        return work, check
+
+    interrupt_everywhere(["base/state.py", "frontend/compiler.py"], make, program)
+
+
 def test_fields_that_are_allocated(program):
     """What was placed before is there afterwards."""
 

@@ -119,7 +119,7 @@ def test_errors_pass(watcher, monkeypatch):
     monkeypatch.setattr(sys, "stderr", Stream())
     with pytest.raises(KeyboardInterrupt), watcher.compiling("a"):
         raise KeyboardInterrupt
-    assert watcher._names == []
+    assert watcher._compilations == []
 
 
 @pytest.mark.parametrize("stream", [None, object()])

@@ -9,10 +9,9 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from typing import Any
 
-from . import state
+from . import native, state
 from .locks import Lock
 
 PATIENCE = 1.0  # seconds without a line
@@ -25,46 +24,47 @@ class Watcher:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._names: list[str] = []  # being compiled; threads may compile side by side
+        # What is compiled; threads may do so side by side.
+        self._compilations: list[_Compilation] = []
         self._begin = self._end = 0.0
         self._done = 0
         self._is_shown = False
         self._thread: threading.Thread | None = None
-        self._wakes = threading.Event()
 
-    @contextlib.contextmanager
-    def compiling(self, name: str) -> Iterator[None]:
+    def compiling(self, name: str) -> _Compilation:
         """While this lasts, the kernel is in the compiler."""
+        return _Compilation(self, name)
+
+    def begin(self, compilation: _Compilation) -> None:
         with self._lock:
             now = time.monotonic()
-            if not self._names and now - self._end > GAP:
+            if not self._compilations and now - self._end > GAP:
                 self._begin, self._done = now, 0
-            self._names.append(name)
+            self._compilations.append(compilation)
             if self._thread is None or not self._thread.is_alive():
                 self._thread = threading.Thread(target=self._run, name="tai-progress", daemon=True)
                 self._thread.start()
-        self._wakes.set()
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._names.remove(name)
+
+    def end(self, compilation: _Compilation) -> None:
+        with self._lock:
+            if compilation in self._compilations:
+                self._compilations.remove(compilation)
                 self._done += 1
                 self._end = time.monotonic()
-                if not self._names:
-                    self._wakes.clear()
-                    if self._is_shown:
-                        self._write(CLEAR)
-                        self._is_shown = False
+            if not self._compilations and self._is_shown:
+                self._write(CLEAR)
+                self._is_shown = False
 
     def _run(self) -> None:
         while True:
-            self._wakes.wait()
             time.sleep(0.1)
             with self._lock:
+                if not self._compilations:
+                    self._thread = None
+                    return
                 seconds = time.monotonic() - self._begin
-                if self._names and seconds > PATIENCE:
-                    self._show(self._names[-1], seconds)
+                if seconds > PATIENCE:
+                    self._show(self._compilations[-1].name, seconds)
 
     def _show(self, name: str, seconds: float) -> None:
         text = f"compiling kernel '{name}'"
@@ -86,6 +86,19 @@ class Watcher:
         with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, say
             stream.write(text)
             stream.flush()
+
+
+class _Compilation(native.WithBlock):
+    """One kernel in the compiler."""
+
+    def __init__(self, watcher: Watcher, name: str):
+        self._watcher, self.name = watcher, name
+
+    def _enter(self) -> None:
+        self._watcher.begin(self)
+
+    def _end(self) -> None:
+        self._watcher.end(self)
 
 
 _watcher = Watcher()

@@ -5,12 +5,10 @@ See docs/precision.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from ...errors import TaiRuntimeError, TaiSyntaxError, did_you_mean
-from . import dtypes, state
+from . import dtypes
 
 # For each mode its words, the first one where nothing is said.
 MODES: dict[str, tuple[Any, ...]] = {
@@ -183,13 +181,6 @@ def attribute_of(modes: dict[str, Any]) -> str:
     return "{" + ", ".join(texts) + "}"
 
 
-@contextmanager
-def computing_in(modes: dict[str, Any]) -> Iterator[None]:
-    """Within it, `float` is what the kernel computes in."""
-    precision = modes.get("precision", "default")
-    outer = state.fp
-    state.of_thread.fp = {"f64": dtypes.f64, "f32": dtypes.f32}.get(precision)
-    try:
-        yield
-    finally:
-        state.of_thread.fp = outer
+def float_of(modes: dict[str, Any]) -> Any:
+    """What `float` is in a kernel with these modes, or None where they do not say."""
+    return {"f64": dtypes.f64, "f32": dtypes.f32}.get(modes.get("precision", "default"))

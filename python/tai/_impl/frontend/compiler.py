@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ast
-import contextlib
 import functools
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
 from ...errors import TaiError, TaiSyntaxError
-from ..base import state
+from ..base import native, state
 from ..base.locks import Lock
 from ..base.modes import attribute_of
 from ..base.options import Options
@@ -46,27 +45,31 @@ from .while_loops import WhileLoops
 
 # Calls of Python that the compiler may need: some thirty for each statement inside of another.
 _RECURSION = 20000
-# The limit is one for all threads: how many of them need it, and what it was before.
-_deep_lock = Lock()
-_deep_threads = 0
-_limit_before = 0
 
 
-@contextlib.contextmanager
-def _deep_recursion() -> Iterator[None]:
-    global _deep_threads, _limit_before
-    with _deep_lock:
-        _deep_threads += 1
-        if _deep_threads == 1:
-            _limit_before = sys.getrecursionlimit()
-            sys.setrecursionlimit(max(_limit_before, _RECURSION))
-    try:
-        yield
-    finally:
-        with _deep_lock:
-            _deep_threads -= 1
-            if _deep_threads == 0:
-                sys.setrecursionlimit(_limit_before)
+class _DeepRecursion(native.WithBlock):
+    """While one lasts, functions may call one another so deeply."""
+
+    # The limit is one for all threads: those that need it, and what it was before.
+    _change = Lock()
+    _all: ClassVar[set[_DeepRecursion]] = set()
+    _before: ClassVar[int | None] = None
+
+    def _enter(self) -> None:
+        kind = _DeepRecursion
+        with kind._change:
+            if kind._before is None:
+                kind._before = sys.getrecursionlimit()
+            kind._all.add(self)
+            sys.setrecursionlimit(max(kind._before, _RECURSION))
+
+    def _end(self) -> None:
+        kind = _DeepRecursion
+        with kind._change:
+            kind._all.discard(self)
+            if not kind._all and kind._before is not None:
+                sys.setrecursionlimit(kind._before)
+                kind._before = None
 
 
 class Compiler:
@@ -159,7 +162,7 @@ class Compiler:
         context, diagnostics = self.context, self.context.diagnostics
         outer, state.of_thread.emitter = state.emitter, context.emitter
         try:
-            with _deep_recursion():
+            with _DeepRecursion():
                 self._build()
         except TaiError as error:
             error.trail = error.trail or diagnostics.trail()

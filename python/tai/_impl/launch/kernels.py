@@ -9,7 +9,7 @@ from typing import Any, overload
 
 from ...errors import SHOW_TRACEBACK, TaiAutodiffError, TaiError, TaiSyntaxError, TaiTypeError
 from ..base import compiling, native, state
-from ..base.modes import check_kernel, computing_in
+from ..base.modes import check_kernel, float_of
 from ..base.program import get_program
 from ..fields.arrays import Ndarray
 from ..history import origins
@@ -105,8 +105,11 @@ class Kernel(native.Launcher):
 
     def _get_signature(self) -> Signature:
         if self._signature is None:
-            with computing_in(self._modes):
+            outer, state.of_thread.fp = state.fp, float_of(self._modes)
+            try:
                 self._signature = Signature(self._function, self._is_method)
+            finally:
+                state.of_thread.fp = outer
         return self._signature
 
     @property

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...errors import TaiCompilationError, TaiRuntimeError, TaiTypeError
 from ..base import native, state
-from ..base.modes import computing_in, modes_of
+from ..base.modes import float_of, modes_of
 from ..fields.root import materialize, name_fields
 from ..frontend import templates
 from ..frontend.compiler import Compiler
@@ -224,12 +224,14 @@ class Specializations:
             program, self._function, symbol, parameters, result, cells, signature.structs, modes
         )
         compiler.context.emitter.stopped = {id(place) for place in constants}
+        outer, state.of_thread.fp = state.fp, float_of(modes)
         try:
-            with computing_in(modes):
-                core = compiler.compile()
+            core = compiler.compile()
         except BaseException:
             program.symbols.give_back(symbol)
             raise
+        finally:
+            state.of_thread.fp = outer
         found = Specialization(core, specs, result, compiler.reads.all())
         weakref.finalize(found, program.symbols.give_back, symbol).atexit = False
         found.followed, found.result_pool = [number for number, _ in followed], pool
