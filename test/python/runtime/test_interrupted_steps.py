@@ -332,3 +332,21 @@ def test_a_kernel_of_a_program_that_is_over(program):
 
     files = ["launch/kernels.py", "launch/launch.py", _weakrefset.__file__]
     interrupt_everywhere(files, make, program)
+
+
+def test_a_check_of_gradients(program):
+    """It puts back what fields held."""
+    held = np.array([1.0, 2.0, 3.0])
+
+    def make():
+        program.x.from_numpy(held)
+
+        def work():
+            program.x.from_numpy(held)
+            program.loss[None] = 0.0
+            assert ti.ad.check(program.total, loss=program.loss)
+            assert program.x.to_numpy().tolist() == held.tolist()
+
+        return work, program.check
+
+    interrupt_everywhere(["ad/check.py", "ad/snapshot.py"], make, program)

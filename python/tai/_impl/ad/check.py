@@ -75,8 +75,7 @@ def check(
         what += f", loss '{loss.name}'"
     for f in [*(wrt or ()), *([loss] if loss is not None else [])]:
         f.materialize()
-    before = Snapshot()
-    try:
+    with Snapshot() as before:
         program = Program(run, loss, before)
         program.record()
         check_start(program, recorded)
@@ -84,5 +83,3 @@ def check(
         return check_program(
             program, core, what, wrt, directions, seed, tolerance, forward_tolerance, bisect
         )
-    finally:
-        before.restore()

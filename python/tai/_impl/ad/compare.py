@@ -7,8 +7,7 @@ comparison is along random directions. All fields are restored bit for bit.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -213,21 +212,32 @@ def _gradient(f: Any) -> np.ndarray:
     return Snapshot._take(f._companions["grad"]).astype(np.float64)
 
 
-@contextmanager
-def recording(loss: Any = None) -> Iterator[Any]:
-    """A tape of its own, with gradients cleared; yields the core object."""
-    if state.tape is not None:
-        raise TaiRuntimeError("a gradient cannot be checked inside a tape", "leave the tape first")
-    core = get_program().context.tape(None if loss is None else loss.core, True)
-    state.of_thread.tape = core
-    native.set_tape(core)
-    try:
-        yield core
-    finally:
-        state.of_thread.tape = None
+class Recording(native.WithBlock):
+    """A tape of its own, with gradients cleared; `as` names the core object."""
+
+    def __init__(self, loss: Any = None):
+        self._loss = loss
+        self._core: Any = None
+
+    def _enter(self) -> Any:
+        if state.tape is not None:
+            raise TaiRuntimeError(
+                "a gradient cannot be checked inside a tape", "leave the tape first"
+            )
+        loss = None if self._loss is None else self._loss.core
+        core = self._core = get_program().context.tape(loss, True)
+        state.of_thread.tape = core
+        native.set_tape(core)
+        return core
+
+    def _end(self) -> None:
+        if self._core is None:
+            return
         native.set_tape(None)
         tracked.end()
-        core.end()
+        state.of_thread.tape = None
+        self._core.end()
+        self._core = None
 
 
 class Accesses:
@@ -328,7 +338,7 @@ class Program:
         # Before it is limited, it has only just been taken.
         if self.start.is_limited:
             self.start.restore(only_primal=True)
-        with recording(self.loss) as core:
+        with Recording(self.loss) as core:
             self.run()
         self.core = core
         self.start.limit(core)
@@ -368,7 +378,7 @@ class Program:
     def sweep(self, seeds: list[np.ndarray]) -> dict[str, np.ndarray]:
         """The gradient of the weighted outputs by what each input holds at the start."""
         self.start.restore(only_primal=True)
-        with recording(self.loss) as core:
+        with Recording(self.loss) as core:
             self.run()
         if self.loss is None:
             for f, seed in zip(self.outputs, seeds, strict=True):
@@ -614,9 +624,8 @@ def find_culprit(
     if loss is not None:
         loss.core.fill(0.0)
     for record in range(core.records):
-        here = Snapshot()
-        program = Program(functools.partial(core.run_record, record), None, here)
-        try:
+        with Snapshot() as here:
+            program = Program(functools.partial(core.run_record, record), None, here)
             program.record()
             wrong: list[FieldCheck] = []
             if program.outputs and program.inputs:
@@ -624,8 +633,6 @@ def find_culprit(
                     program, None, 2, generator, tolerance, forward_tolerance, quick=True
                 )
                 wrong = [c for c in checks if c.probes and not c.passed]
-        finally:
-            here.restore()
         if wrong:
             place = Place(core, record)
             return Culprit(record, place.kernel, place.filename, place.lineno, wrong, str(place))
@@ -664,14 +671,12 @@ class GradCheck:
         after = Snapshot()
         after.limit(core)
         self._start.limit(core)
-        try:
+        with after:
             program = Program(functools.partial(run_records, core), loss, self._start)
             program.record()
             result = check_program(
                 program, core, f"the tape, loss '{loss.name}'", self.fields, 4, 0, None, None, True
             )
-        finally:
-            after.restore()
         for f in result.fields:
             if f.passed:
                 print(f"gradient check: field '{f.name}' passes (error {f.error:.1e})")

@@ -139,15 +139,14 @@ def take_health(core: Any, loss: Any, watched: bool) -> HealthReport:
     """The report of the last sweep, or of one that is run for it."""
     if watched:
         return _report(core, loss)
-    snapshot = Snapshot()
-    try:
-        core.clear_gradients()
-        core.watch_health(True)
-        core.backward()
-        return _report(core, loss)
-    finally:
-        core.watch_health(False)
-        snapshot.restore()
+    with Snapshot():
+        try:
+            core.clear_gradients()
+            core.watch_health(True)
+            core.backward()
+            return _report(core, loss)
+        finally:
+            core.watch_health(False)
 
 
 def _report(core: Any, loss: Any) -> HealthReport:

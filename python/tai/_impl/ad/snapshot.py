@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from ..base import native
 from ..base.program import get_program
 from .sparse import Activity, require_small, sparse_level
 
 
-class Snapshot:
-    """The contents of all fields of the program, to put back bit for bit."""
+class Snapshot(native.WithBlock):
+    """The contents of all fields of the program, to put back bit for bit.
+
+    At the end of a `with` block, too, whatever interrupts it.
+    """
 
     def __init__(self, arrays: Sequence[np.ndarray] = ()):
         self._fields = [f for f in get_program().fields.values() if f._core is not None]
@@ -45,6 +49,9 @@ class Snapshot:
         self._kept = [array for _, array in kept]
         self._activity.limit(trees)
         self.is_limited = True
+
+    def _end(self) -> None:
+        self.restore()
 
     @staticmethod
     def _take(f: Any) -> np.ndarray:

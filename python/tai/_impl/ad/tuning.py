@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError, shorten
-from ..base import dtypes, state
+from ..base import dtypes, native, state
 from ..base.program import get_program, sync
 from .compare import as_fields
 from .precision import STORAGE, PrecisionReport, bytes_of, own_fields, owner_of
@@ -127,10 +127,22 @@ def _built(build: Callable[..., Any], types: Types) -> tuple[Callable[..., Any],
     return made
 
 
+class _Emulation(native.WithBlock):
+    """Afterwards nothing is emulated any more, and fields hold what they held."""
+
+    def __init__(self, program: Any, start: Snapshot):
+        self._program, self._start = program, start
+
+    def _end(self) -> None:
+        if self._program.probes is not None:
+            self._start.restore()
+            self._program.probes.emulate(set())
+
+
 def _tune(run: Callable[..., Any], loss: Any, error: float, wrt: Any) -> TunedPrecision:
     """By estimates, and by emulation in the fields that there are."""
     program, start = get_program(), Snapshot()
-    try:
+    with _Emulation(program, start):
         with Tape(loss, precision=True) as tape:
             run()
         report = tape.precision_report(error)
@@ -149,10 +161,6 @@ def _tune(run: Callable[..., Any], loss: Any, error: float, wrt: Any) -> TunedPr
             if max(errors) <= error or not chosen:
                 break
             dropped.append(_widen(report, chosen))
-    finally:
-        if program.probes is not None:
-            start.restore()
-            program.probes.emulate(set())
     before = sum(f.bytes for f in report.fields)
     after = before - _all_saved(report, chosen)
     return TunedPrecision(chosen, error, *errors, before, after, report, dropped=dropped)
