@@ -335,8 +335,10 @@ def test_a_kernel_of_a_program_that_is_over(program):
 
 
 def test_a_check_of_gradients(program):
-    """It puts back what fields held."""
+    """It puts back what fields held, and leaves those alone that it does not use."""
     held = np.array([1.0, 2.0, 3.0])
+    other = ti.field(ti.f64, shape=5)
+    other.fill(1.0)
 
     def make():
         program.x.from_numpy(held)
@@ -346,6 +348,7 @@ def test_a_check_of_gradients(program):
             program.loss[None] = 0.0
             assert ti.ad.check(program.total, loss=program.loss)
             assert program.x.to_numpy().tolist() == held.tolist()
+            assert other.to_numpy().tolist() == [1.0] * 5
 
         return work, program.check
 

@@ -45,8 +45,8 @@ class Snapshot(native.WithBlock):
                 trees.add(f.level.root_node.tree)
             elif f.role == "grad" and array.any():
                 self._others.append((f, array))
-        self._fields = [f for f, _ in kept]
-        self._kept = [array for _, array in kept]
+        # Both at once: Ctrl-C in between would put back other arrays than those of the fields.
+        self._fields, self._kept = [f for f, _ in kept], [array for _, array in kept]
         self._activity.limit(trees)
         self.is_limited = True
 
