@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ._impl.ad.tape import Tape
+from ._impl.base import native
 from .errors import TaiAutodiffError
 
 
@@ -50,33 +51,32 @@ def check_gradient(
     generator = np.random.default_rng(seed)
     worst, is_flat = 0.0, True
     for field, gradient in zip(wrt, gradients, strict=True):
-        start = field.to_numpy()
+        with _Kept(field) as start:
 
-        def value(array: np.ndarray, field: Any = field) -> float:
-            field.from_numpy(array)
-            run()
-            return loss[None]
-
-        for _ in range(directions if start.size else 0):
-            direction = generator.standard_normal(start.shape)
-            direction /= np.linalg.norm(direction)
-            expected = float(np.sum(gradient * direction))
-            moved = [value(start + step * direction) for step in (0.0, 0.1, -0.1)]
-            is_flat &= expected == 0 and moved[0] == moved[1] == moved[2]
-
-            def along(h: float, d: np.ndarray = direction, s: np.ndarray = start) -> float:
-                return value(s + h * d)
-
-            error = _best_error(along, expected)
-            if not error <= tolerance:
-                field.from_numpy(start)
+            def value(array: np.ndarray, field: Any = field) -> float:
+                field.from_numpy(array)
                 run()
-                raise AssertionError(
-                    f"the gradient of '{field.name}' along a direction is {expected!r}, but "
-                    f"central differences disagree by {error:.3g} (relative)"
-                )
-            worst = max(worst, error)
-        field.from_numpy(start)
+                return loss[None]
+
+            for _ in range(directions if start.size else 0):
+                direction = generator.standard_normal(start.shape)
+                direction /= np.linalg.norm(direction)
+                expected = float(np.sum(gradient * direction))
+                moved = [value(start + step * direction) for step in (0.0, 0.1, -0.1)]
+                is_flat &= expected == 0 and moved[0] == moved[1] == moved[2]
+
+                def along(h: float, d: np.ndarray = direction, s: np.ndarray = start) -> float:
+                    return value(s + h * d)
+
+                error = _best_error(along, expected)
+                if not error <= tolerance:
+                    field.from_numpy(start)
+                    run()
+                    raise AssertionError(
+                        f"the gradient of '{field.name}' along a direction is {expected!r}, but "
+                        f"central differences disagree by {error:.3g} (relative)"
+                    )
+                worst = max(worst, error)
     run()
     if is_flat:
         names = ", ".join(f"'{field.name}'" for field in wrt)
@@ -86,6 +86,19 @@ def check_gradient(
             else "nothing was checked: wrt names no field"
         )
     return worst
+
+
+class _Kept(native.WithBlock):
+    """Afterwards a field holds what it held, which `as` names."""
+
+    def __init__(self, field: Any):
+        self._field, self._start = field, field.to_numpy()
+
+    def _enter(self) -> np.ndarray:
+        return self._start
+
+    def _end(self) -> None:
+        self._field.from_numpy(self._start)
 
 
 def _best_error(value: Callable[[float], float], expected: float) -> float:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tai as ti
+import tai.testing
 from tai._impl.base import locks, state
 
 HERE = Path(ti.__file__).parent / "_impl"
@@ -36,7 +37,7 @@ class Steps:
     """Goes through the steps of some files at which Python may call a signal handler."""
 
     def __init__(self, files):
-        self.files = {str(HERE / file) for file in files}
+        self.files = {str((HERE / file).resolve()) for file in files}
         # Each once: where it is in the code, and where that was called.
         self.seen = set()
         self.wanted = None
@@ -136,11 +137,12 @@ def check_state(program):
     assert not thread.is_alive() and not failures
 
 
-def interrupt_everywhere(files, make, program):
+def interrupt_everywhere(files, make, program, after=lambda: None):
     """Interrupts work at each of its steps in the files, and does it again.
 
     Args:
         make: gives new work, and what checks its result.
+        after: looks at what is there when it was interrupted.
     """
     steps, number, limit = Steps(files), 0, sys.getrecursionlimit()
     while True:
@@ -148,6 +150,7 @@ def interrupt_everywhere(files, make, program):
         error = steps.run(work, number)
         if error is None:
             break
+        after()
         assert sys.getrecursionlimit() == limit
         check_state(program)
         work()
@@ -334,8 +337,24 @@ def test_a_kernel_of_a_program_that_is_over(program):
     interrupt_everywhere(files, make, program)
 
 
-def test_a_check_of_gradients(program):
-    """It puts back what fields held, and leaves those alone that it does not use."""
+def run_check(program):
+    assert ti.ad.check(program.total, loss=program.loss)
+
+
+def run_differences(program):
+    def run():
+        program.loss[None] = 0.0
+        program.total()
+
+    assert tai.testing.check_gradient(program.loss, [program.x], run) < 1e-7
+
+
+@pytest.mark.parametrize(
+    "run, files",
+    [(run_check, ["ad/check.py", "ad/snapshot.py"]), (run_differences, ["../testing.py"])],
+)
+def test_checks_of_gradients(run, files, program):
+    """They put back what fields held, and leave those alone that they do not use."""
     held = np.array([1.0, 2.0, 3.0])
     other = ti.field(ti.f64, shape=5)
     other.fill(1.0)
@@ -346,10 +365,13 @@ def test_a_check_of_gradients(program):
         def work():
             program.x.from_numpy(held)
             program.loss[None] = 0.0
-            assert ti.ad.check(program.total, loss=program.loss)
-            assert program.x.to_numpy().tolist() == held.tolist()
-            assert other.to_numpy().tolist() == [1.0] * 5
+            run(program)
+            after()
 
         return work, program.check
 
-    interrupt_everywhere(["ad/check.py", "ad/snapshot.py"], make, program)
+    def after():
+        assert program.x.to_numpy().tolist() == held.tolist()
+        assert other.to_numpy().tolist() == [1.0] * 5
+
+    interrupt_everywhere(files, make, program, after)
