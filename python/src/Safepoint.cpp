@@ -96,17 +96,12 @@ void taipy::forgetError() {
 }
 
 void taipy::bindSafepoints() {
-  // Modules may be imported by any thread, but this one is Python's own.
-  PyObject *threading = PyImport_ImportModule("threading");
-  PyObject *main = threading
-                       ? PyObject_CallMethod(threading, "main_thread", nullptr)
-                       : nullptr;
-  PyObject *ident = main ? PyObject_GetAttrString(main, "ident") : nullptr;
-  if (ident)
-    mainThread = PyLong_AsUnsignedLong(ident);
-  Py_XDECREF(ident);
-  Py_XDECREF(main);
-  Py_XDECREF(threading);
-  PyErr_Clear();
+  // Modules may be imported by any thread, but this one is Python's own: the
+  // oldest. No Python code is asked, in which a signal handler might raise.
+  PyThreadState *oldest =
+      PyInterpreterState_ThreadHead(PyInterpreterState_Main());
+  while (PyThreadState *older = PyThreadState_Next(oldest))
+    oldest = older;
+  mainThread = oldest->thread_id;
   taiSetSafepointHandler(&atSafepoint);
 }

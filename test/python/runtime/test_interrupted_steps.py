@@ -3,6 +3,7 @@
 import _weakrefset
 import dis
 import functools
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -335,6 +336,45 @@ def test_a_kernel_of_a_program_that_is_over(program):
 
     files = ["launch/kernels.py", "launch/launch.py", _weakrefset.__file__]
     interrupt_everywhere(files, make, program)
+
+
+LOADING = """
+import os, signal, threading
+import tai as ti
+
+def interrupted():
+    raise KeyboardInterrupt
+
+main_thread, threading.main_thread = threading.main_thread, interrupted
+try:
+    from tai import _core
+except KeyboardInterrupt:
+    pass
+threading.main_thread = main_thread
+ti.init(arch=ti.cpu)
+x = ti.field(ti.f64, shape=())
+
+@ti.kernel
+def endless():
+    while x[None] < 1.0:
+        x[None] += 0.0
+
+timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+timer.start()
+try:
+    endless()
+except KeyboardInterrupt:
+    print("ended")
+timer.join()
+"""
+
+
+def test_the_extension_module_is_loaded(tmp_path):
+    """Interrupted where it asks which thread is Python's own, it would never look for signals."""
+    file = tmp_path / "loading.py"
+    file.write_text(LOADING)
+    done = subprocess.run([sys.executable, file], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "ended\n", done.stderr
 
 
 def run_check(program):
