@@ -86,13 +86,54 @@ Teardown::~Teardown() {
 #endif
 }
 
+namespace {
+/// Raises what was put aside, between two steps of the main thread.
+int raiseAgain(void *error) {
+  auto *object = static_cast<PyObject *>(error);
+  PyErr_SetObject(reinterpret_cast<PyObject *>(Py_TYPE(object)), object);
+  Py_DECREF(object);
+  return -1;
+}
+
+/// Whether a signal handler has raised the exception of a traceback.
+bool isOfHandler(PyObject *trace) {
+  // What no Python code has raised has none.
+  if (!trace)
+    return false;
+  PyObject *module = PyImport_ImportModule("tai._impl.base.handlers");
+  PyObject *answer = nullptr;
+  if (module)
+    answer = PyObject_CallMethod(module, "is_of_a_handler", "O", trace);
+  bool isOfOne = answer == Py_True;
+  Py_XDECREF(answer);
+  Py_XDECREF(module);
+  if (PyErr_Occurred() && PyErr_ExceptionMatches(PyExc_KeyboardInterrupt))
+    PyErr_SetInterrupt();
+  PyErr_Clear();
+  return isOfOne;
+}
+} // namespace
+
 void taipy::forgetError() {
   // Some callers have no error to forget, which the question may not meet.
-  bool isInterrupt =
-      PyErr_Occurred() && PyErr_ExceptionMatches(PyExc_KeyboardInterrupt);
-  PyErr_Clear();
-  if (isInterrupt)
+  if (!PyErr_Occurred())
+    return;
+  if (PyErr_ExceptionMatches(PyExc_KeyboardInterrupt)) {
+    PyErr_Clear();
     PyErr_SetInterrupt();
+    return;
+  }
+  PyObject *type, *error, *trace;
+  PyErr_Fetch(&type, &error, &trace);
+  PyErr_NormalizeException(&type, &error, &trace);
+  if (isOfHandler(trace)) {
+    PyException_SetTraceback(error, trace);
+    if (Py_AddPendingCall(&raiseAgain, error) == 0)
+      error = nullptr; // which the call owns
+  }
+  Py_XDECREF(type);
+  Py_XDECREF(error);
+  Py_XDECREF(trace);
 }
 
 void taipy::bindSafepoints() {

@@ -78,8 +78,8 @@ private:
   PyObject *error = nullptr, *type = nullptr, *trace = nullptr;
 };
 
-/// PyErr_Clear(), except that a KeyboardInterrupt is not lost but raised again
-/// later. For optional queries of Python objects.
+/// PyErr_Clear(), except that what a signal handler has raised is not lost but
+/// raised again later. For optional queries of Python objects.
 void forgetError();
 
 void bindSafepoints();

@@ -145,6 +145,46 @@ def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
     check_usable()
 
 
+def test_a_time_limit_while_the_launcher_asks_an_argument_is_not_lost():
+    """Whatever its handler raises."""
+    x = ti.field(ti.f64, shape=4)
+
+    class Stop(Exception):
+        pass
+
+    def stop(*_):
+        raise Stop("late")
+
+    @ti.data_oriented
+    class Scene:
+        stops = False
+
+        @property
+        def size(self):
+            if self.stops:
+                self.stops = False
+                signal.raise_signal(signal.SIGALRM)
+            return 3
+
+        @ti.kernel
+        def run(self):
+            for i in range(self.size):
+                x[i] += 1.0
+
+    scene = Scene()
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        for _ in range(3):
+            scene.run()
+        scene.stops = True
+        with pytest.raises(Stop, match="late"):
+            scene.run()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert not scene.stops
+    check_usable()
+
+
 def make_scale():
     x = ti.field(ti.f64, shape=8, needs_grad=True)
     loss = ti.field(ti.f64, shape=(), needs_grad=True)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import ast
 import linecache
 import re
-import signal
 from collections.abc import Callable
-from types import FunctionType, MethodType
 from typing import Any, TypeVar
 
 from ...errors import (
@@ -18,6 +16,7 @@ from ...errors import (
     TaiTypeError,
     shorten,
 )
+from ..base.handlers import is_of_a_handler
 from ..values.misuse import KINDS
 from .scope import Frame, StaticBreak, StaticContinue
 
@@ -51,7 +50,7 @@ class Diagnostics:
         except (StaticBreak, StaticContinue):
             raise
         except Exception as error:
-            if _is_of_a_handler(error):
+            if is_of_a_handler(error.__traceback__):
                 raise
             raise self.translated(error, node) from (error if SHOW_TRACEBACK else None)
 
@@ -106,18 +105,3 @@ class Diagnostics:
                 filename, line = frame.call
                 lines.append(f"in function '{frame.name}', called at {shorten(filename)}:{line}")
         return lines[:6]
-
-
-def _is_of_a_handler(error: BaseException) -> bool:
-    """Whether the handler of a signal has raised the error: it may come at any statement."""
-    handlers = {
-        handler.__code__
-        for handler in map(signal.getsignal, signal.valid_signals())
-        if isinstance(handler, FunctionType | MethodType)
-    }
-    trace = error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code in handlers:
-            return True
-        trace = trace.tb_next
-    return False
