@@ -54,6 +54,32 @@ def test_sets_that_grow_while_they_are_read():
     assert snapshot(Growing()) == [1, 2]
 
 
+def test_a_handler_raises_while_a_set_is_read():
+    """What says that the set has grown is of the same class."""
+
+    class Late(RuntimeError):
+        pass
+
+    class Read:
+        reads = 0
+
+        def __iter__(self):
+            self.reads += 1
+            if self.reads == 1:
+                signal.raise_signal(signal.SIGALRM)
+            return iter([1, 2])
+
+    def stop(*_):
+        raise Late
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        with pytest.raises(Late):
+            snapshot(Read())
+    finally:
+        signal.signal(signal.SIGALRM, before)
+
+
 @pytest.mark.parametrize("holder", ["this thread", "another thread"])
 def test_a_lock_in_a_forked_child(holder):
     lock, taken, over = Lock(), threading.Event(), threading.Event()

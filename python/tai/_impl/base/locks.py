@@ -8,6 +8,8 @@ import weakref
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
+from .handlers import is_of_a_handler
+
 T = TypeVar("T")
 
 
@@ -37,9 +39,10 @@ def snapshot(things: Iterable[T]) -> list[T]:
     while True:
         try:
             return list(things)
-        except RuntimeError:
-            # It has grown while it was read.
-            continue
+        except RuntimeError as error:
+            # It has grown while it was read; or a handler has raised it.
+            if is_of_a_handler(error.__traceback__):
+                raise
 
 
 _all: weakref.WeakSet[Lock] = weakref.WeakSet()

@@ -21,6 +21,7 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import native
+from ..base.handlers import is_of_a_handler
 from ..base.program import get_program
 from ..interop import device_arrays
 
@@ -71,7 +72,9 @@ def overlap(one: Any, other: Any) -> bool:
             return False
         try:
             return np.shares_memory(one, other, max_work=_MOST_WORK)  # type: ignore[arg-type]
-        except RuntimeError:  # TooHardError, whose place depends on the version of NumPy
+        except RuntimeError as error:  # TooHardError, whose place depends on the version of NumPy
+            if is_of_a_handler(error.__traceback__):
+                raise
             return True
     begin, end = one.ctypes.data, other.ctypes.data
     return begin < end + other.nbytes and end < begin + one.nbytes
