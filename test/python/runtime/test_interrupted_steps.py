@@ -43,7 +43,7 @@ class Steps:
         self.seen = set()
         self.wanted = None
 
-    def run(self, work, wanted=None):
+    def run(self, work, wanted):
         """Interrupts the step with that number, if there are so many; says whether it did."""
         self.seen.clear()
         self.wanted = wanted
@@ -56,11 +56,12 @@ class Steps:
             return error
         finally:
             sys.settrace(outer)
+        # Python itself loses what is raised in a `__del__`, say.
+        assert wanted >= len(self.seen)
         return None
 
     def _begin(self, frame, event, _):
-        # Python itself loses what is raised in `__del__`.
-        if frame.f_code.co_filename not in self.files or frame.f_code.co_name == "__del__":
+        if frame.f_code.co_filename not in self.files:
             return None
         frame.f_trace_opcodes, frame.f_trace_lines = True, False
         # The instruction before, if handlers are called after it: at the start of a function, too.

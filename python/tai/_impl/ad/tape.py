@@ -28,6 +28,26 @@ from .seeds import as_losses, as_seed, as_seeds, is_number, parts_of, require_gr
 from .validation import LIMIT, raise_violations
 
 
+class _Missing:
+    """Says, as its tape goes, that the gradient of losses was never computed.
+
+    Not the tape itself: Python loses a Ctrl-C that comes in a `__del__`, and most tapes need none.
+    """
+
+    def __init__(self, losses: list[Any]):
+        self._losses, self.is_missing = losses, False
+
+    def __del__(self) -> None:
+        if self.is_missing:
+            names = ", ".join(f"'{field.name}'" for field in self._losses)
+            warnings.warn(
+                f"the gradient of {names} was never computed: a loss of more than one number "
+                "needs a seed, as in tape.grad(seed=np.ones(loss.shape))",
+                TaiGradientWarning,
+                stacklevel=2,
+            )
+
+
 class Tape(native.WithBlock):
     """Records the kernels that run in its block, and then runs their gradients in reverse.
 
@@ -95,6 +115,7 @@ class Tape(native.WithBlock):
         self._values: Any = None
         self._is_open = self._is_recording = False
         self._was_seeded = False
+        self._missing: _Missing | None = None
         self._check = GradCheck(grad_check) if grad_check else None
         self._watches = health
         self._validates = validation or validate
@@ -123,8 +144,7 @@ class Tape(native.WithBlock):
         was_seeded = (seeds is not None or self._outer_loss is not None) or (
             bool(self._losses) and all(map(is_number, self._losses))
         )
-        # Until it records, it has no gradient that anybody could miss.
-        self._is_open = self._was_seeded = True
+        self._is_open = True
         if self._looks_at_rounding:
             self._probes = rounding.begin(program, find_not_finite())
         self._core = program.context.tape(None, self.clear_gradients)
@@ -143,6 +163,9 @@ class Tape(native.WithBlock):
         state.of_thread.tape = self._core
         native.set_tape(self._core)
         self._was_seeded = was_seeded
+        if self._losses and not was_seeded:
+            self._missing = self._missing or _Missing(self._losses)
+            self._missing.is_missing = True
         self._is_recording = True
         return self
 
@@ -190,15 +213,10 @@ class Tape(native.WithBlock):
             if self._check:
                 self._check.end(self._core, self.loss)
 
-    def __del__(self) -> None:
-        if getattr(self, "_core", None) and self._losses and not self._was_seeded:
-            names = ", ".join(f"'{field.name}'" for field in self._losses)
-            warnings.warn(
-                f"the gradient of {names} was never computed: a loss of more than one number "
-                "needs a seed, as in tape.grad(seed=np.ones(loss.shape))",
-                TaiGradientWarning,
-                stacklevel=2,
-            )
+    def _note_seeds(self) -> None:
+        self._was_seeded = True
+        if self._missing is not None:
+            self._missing.is_missing = False
 
     def grad(self, seed: Any = None) -> None:
         """Runs the gradients of the recorded kernels, again or with other seeds.
@@ -220,7 +238,7 @@ class Tape(native.WithBlock):
                     "tape.backward({field: seed})",
                 )
             set_seeds(self._core, self._losses, as_seeds(self._losses, seed))
-            self._was_seeded = True
+            self._note_seeds()
         self._sweep(self.clear_gradients and (bool(self._losses) or self._outer_loss is not None))
 
     def backward(self, *losses: Any) -> None:
@@ -273,7 +291,7 @@ class Tape(native.WithBlock):
                 set_seeds(self._core, [field], [array])
             else:
                 field.grad.from_numpy(array)
-        self._was_seeded = True
+        self._note_seeds()
         self._sweep(False, values)
 
     def _outer_seeds(self) -> tuple:
