@@ -205,3 +205,61 @@ def test_methods_for_python():
 
     with pytest.raises(ti.TaiTypeError, match="'times' of the struct is one for Python"):
         kernel()
+
+
+def test_members_may_be_named_like_attributes_of_a_field():
+    # Nodes of trees have a `parent`, a `level`, a `first` child: Taichi takes all of these names.
+    names = "copy_from dual fill first grad leaves level name offset parent parts type".split()
+    made = ti.types.struct(**dict.fromkeys(names, ti.i32))
+    f = made.field(shape=3)
+
+    @ti.kernel
+    def run() -> ti.i32:
+        for i in f:
+            f[i].fill, f[i].leaves, f[i].parts, f[i].copy_from = i, i, i, i
+            f[i].dual, f[i].grad, f.name[i], f.offset[i] = i, i, i, i
+            f[i].first, f[i].level, f[i].parent, f[i].type = i, i, i, i
+        total = 0
+        for i in f.parent:
+            node = f[i]
+            total += node.first + node.level + node.parent + node.type + node.offset + node.name
+            total += f.parent[i] * 100 + f.level[i] * 1000 + f.fill[i] + f.grad[i]
+        return total
+
+    assert run() == 3 * (6 + 100 + 1000 + 2)
+    for name in names:
+        member = getattr(f, name)
+        assert member.to_numpy().tolist() == [0, 1, 2], name
+        setattr(f[1], name, 7)
+        assert member[1] == getattr(f[1], name) == 7, name
+    assert f.shape == (3,) and f.to_numpy()["level"].tolist() == [0, 7, 2]
+
+
+def test_members_with_names_of_a_field_that_is_placed_later():
+    made = ti.types.struct(level=ti.i32, parent=ti.f32)
+    f = made.field(needs_grad=True)
+    with pytest.raises(ti.TaiRuntimeError, match="is not placed"):
+        f.shape  # noqa: B018
+    ti.root.dense(ti.i, 3).place(f)
+    assert f.shape == (3,) and f.snode.parent() is f.level.parent()
+    ti.root.lazy_grad()
+    f.parent.grad.fill(2.0)
+    assert f.grad.parent[1] == 2.0
+
+
+def test_names_and_values_of_a_struct():
+    made = ti.types.struct(a=ti.i32, b=ti.f32)
+    f = made.field(shape=2)
+    f[1] = made(a=3, b=0.5)
+    for struct in (made(a=3, b=0.5), ti.Struct(a=3, b=0.5), f[1]):
+        assert struct.keys == ["a", "b"]
+        assert list(struct.items) == [("a", 3), ("b", 0.5)]
+
+    @ti.kernel
+    def count(s: made) -> ti.i32:
+        n = 0
+        for name in ti.static(s.keys):
+            n += 10 + ti.static(len(name))
+        return n
+
+    assert count(f[1]) == 22

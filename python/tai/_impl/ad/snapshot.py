@@ -9,6 +9,7 @@ import numpy as np
 
 from ..base import native
 from ..base.program import get_program
+from ..fields.structs import parts_of
 from .sparse import Activity, require_small, sparse_level
 
 
@@ -76,7 +77,7 @@ def storage(f: Any) -> list[Any]:
     """The places that hold a field, which a symbol names."""
     if getattr(f, "is_window", False):
         f = f._whole
-    return list(f.parts) if hasattr(f, "parts") else [f]
+    return parts_of(f)
 
 
 def _symbols_of_primal(f: Any) -> set[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from .field import Field, index_tuple
 from .make import make_field
 from .root import open_root
 from .shapes import to_order, to_shape
-from .snode import Layout, SNode
+from .snode import Layout, Place, SNode
 
 
 class StructType:
@@ -48,7 +48,7 @@ class StructType:
     def bind(self, args: tuple, kwargs: dict) -> dict[str, Any]:
         """What each member is given; zero where that is nothing."""
         if len(args) == 1 and not kwargs and isinstance(args[0], (dict, Struct)):
-            kwargs = dict(args[0].items())
+            kwargs = dict(items_of(args[0]))
             args = ()
         if len(args) > len(self.members):
             raise TaiTypeError(f"{self!r} has {len(self.members)} members, but got {len(args)}")
@@ -140,6 +140,7 @@ class Struct:
     def keys(self) -> list[str]:
         return list(self.entries)
 
+    @property
     def items(self) -> Any:
         return self.entries.items()
 
@@ -161,18 +162,63 @@ class Struct:
         return make_struct_field(StructType(members), shape, layout, **options)
 
 
+def items_of(struct: Any) -> Any:
+    """The names and values of a struct, or of a dictionary in its place."""
+    return struct.entries.items() if isinstance(struct, Struct) else struct.items()
+
+
+def leaves_of(field: StructField) -> Iterator[Field]:
+    """The fields of numbers, vectors and matrices, in order."""
+    for member in field.members.values():
+        if isinstance(member, StructField):
+            yield from leaves_of(member)
+        else:
+            yield member
+
+
+def first_of(field: StructField) -> Field:
+    """The first of them, which says what indices there are."""
+    return next(leaves_of(field))
+
+
+def parts_of(field: Field) -> list:
+    """The places of a field: of a struct all of its leaves, of columns each."""
+    if isinstance(field, StructField):
+        return [part for leaf in leaves_of(field) for part in parts_of(leaf)]
+    return list(getattr(field, "parts", [field]))
+
+
+def _or_member(name: str, own: Callable[[StructField], Any]) -> Any:
+    """An attribute of a struct field, unless a member has its name: then that one, as in Taichi."""
+    return property(
+        lambda self: self.members[name] if name in self.members else own(self), doc=own.__doc__
+    )
+
+
 class StructField(Field):
     """A field of structs: a field for each member, side by side in the same cells.
+
+    A member may have the name of an attribute that programs seldom ask a field for (`level`,
+    `parent`, `type`, …), and hides it then. So the package asks for these by functions, or the
+    first leaf.
 
     Attributes:
         members: the fields by name; `f.pos` is `f.members["pos"]`.
     """
 
+    # Methods that a member may hide.
+    _YIELDING = ("copy_from", "fill", "parent")
+
     def __init__(self, type_: StructType, members: dict[str, Field], role: str = "primal"):
-        self.type, self.members, self.role = type_, members, role
+        self.struct_type, self.members, self.role = type_, members, role
         self.element_shape, self.primal = (), None
         self._name, self._place = None, None
-        taken = [name for name in members if hasattr(StructField, name)]
+        self.__dict__.update({k: m for k, m in members.items() if k in self._YIELDING})
+        taken = [
+            name for name in members
+            if hasattr(StructField, name) and name not in self._YIELDING
+            and name not in self._OR_MEMBER
+        ]  # fmt: skip
         if taken:
             raise TaiRuntimeTypeError(
                 f"a struct field has an attribute '{taken[0]}' of its own",
@@ -193,34 +239,27 @@ class StructField(Field):
         """The field of one member."""
         return self.members[key]
 
-    @property
-    def leaves(self) -> Iterator[Field]:
-        """The fields of numbers, vectors and matrices, in order."""
-        for member in self.members.values():
-            if isinstance(member, StructField):
-                yield from member.leaves
-            else:
-                yield member
+    # Attributes that a member may hide.
+    _OR_MEMBER = {
+        "name": lambda self: super().name,
+        "level": lambda self: first_of(self).level,
+        "offset": lambda self: first_of(self).offset,
+        "type": lambda self: self.struct_type,
+        "grad": lambda self: self._companion("grad"),
+        "dual": lambda self: self._companion("dual"),
+    }
+    name, level, offset, type, grad, dual = (_or_member(*row) for row in _OR_MEMBER.items())
 
     @property
-    def first(self) -> Field:
-        """The first of them, which says what indices there are."""
-        return next(iter(self.leaves))
+    def snode(self) -> Place | None:
+        return first_of(self).snode
 
-    @property
-    def parts(self) -> list:
-        return [part for leaf in self.leaves for part in getattr(leaf, "parts", [leaf])]
-
-    @property
-    def level(self) -> SNode | None:
-        return self.first.level
-
-    @property
-    def offset(self) -> tuple[int, ...]:
-        return self.first.offset
+    def _placed_node(self) -> SNode:
+        level = first_of(self).level
+        return super()._placed_node() if level is None else level
 
     def storage(self) -> Any:
-        return self.first.storage()
+        return first_of(self).storage()
 
     def suggest_name(self, name: str) -> None:
         super().suggest_name(name)
@@ -232,7 +271,7 @@ class StructField(Field):
         found = {k: m for k, m in companions.items() if m is not None}
         if not found:
             return None
-        made = StructField(self.type, found, which)
+        made = StructField(self.struct_type, found, which)
         made.primal = self
         return made
 
@@ -243,7 +282,7 @@ class StructField(Field):
     def materialize(self, frame: Any = None) -> None:
         """Allocates the tree of the field."""
         self._placed_node()
-        for leaf in self.leaves:
+        for leaf in leaves_of(self):
             leaf.materialize(frame)
 
     def __getitem__(self, key: Any) -> ElementOfStruct:
@@ -253,9 +292,10 @@ class StructField(Field):
     def __setitem__(self, key: Any, value: Any) -> None:
         if not isinstance(value, (dict, Struct)):
             raise TaiRuntimeTypeError(
-                f"an element of field '{self.name}' is a struct, not {value!r}", f"{self.type!r}(…)"
+                f"an element of field '{self.name}' is a struct, not {value!r}",
+                f"{self.struct_type!r}(…)",
             )
-        for name, member in value.items():
+        for name, member in items_of(value):
             self.members[name][key] = member
 
     def to_numpy(self, dtype: Any = None) -> dict[str, Any]:  # type: ignore[override]
@@ -285,11 +325,12 @@ class StructField(Field):
             member.copy_from(other.members[name])
 
     def __str__(self) -> str:
-        return f"<field '{self.name}', not placed>" if self.level is None else str(self.to_numpy())
+        unplaced = first_of(self).level is None
+        return f"<field '{self.name}', not placed>" if unplaced else str(self.to_numpy())
 
     def __repr__(self) -> str:
-        place = "not placed" if self.level is None else f"shape {self.shape}"
-        return f"<field '{self.name}' of {self.type!r}, {place}>"
+        place = "not placed" if first_of(self).level is None else f"shape {self.shape}"
+        return f"<field '{self.name}' of {self.struct_type!r}, {place}>"
 
 
 class ElementOfStruct(Struct):
@@ -298,7 +339,7 @@ class ElementOfStruct(Struct):
     def __init__(self, field: StructField, key: tuple):
         object.__setattr__(self, "_field", field)
         object.__setattr__(self, "_key", key)
-        object.__setattr__(self, "methods", field.type.methods)
+        object.__setattr__(self, "methods", field.struct_type.methods)
 
     @property
     def entries(self) -> dict[str, Any]:
@@ -319,7 +360,7 @@ class ElementOfStruct(Struct):
     def to_dict(self) -> dict[str, Any]:
         return {
             name: value.to_dict() if isinstance(value, Struct) else np.asarray(value).tolist()
-            for name, value in self.items()
+            for name, value in self.items
         }
 
 
@@ -355,7 +396,7 @@ def make_struct_field(
         axes = to_order(order, len(extents))
         sizes = tuple(extents[a] for a in axes)
         node = root.dense(axes, sizes) if extents else root
-        for leaf in made.leaves:
+        for leaf in leaves_of(made):
             if layout == Layout.SOA and extents:
                 node = root.dense(axes, sizes)
             node.place(leaf, offset=offset)

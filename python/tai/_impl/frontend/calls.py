@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..base.parsing import parse
 from ..fields.field import Field
-from ..fields.structs import Struct, StructField
+from ..fields.structs import Struct, StructField, leaves_of
 from ..values import ops
 from ..values.matrix import Matrix
 from ..values.misuse import describe_misuse, misuse_hint
@@ -238,7 +238,7 @@ class Calls(Part):
 
     def _fill(self, field: Field, node: ast.Call, val: Any) -> None:
         """`x.fill(v)`: a loop over the elements, as it could be written in its place."""
-        for leaf in field.leaves if isinstance(field, StructField) else [field]:
+        for leaf in leaves_of(field) if isinstance(field, StructField) else [field]:
             loop = parse("for _at in _grouped(_field):\n    _field[_at] = _value").body[0]
             for part in ast.walk(loop):
                 ast.copy_location(part, node)

@@ -91,12 +91,12 @@ class Expressions(Part):
             if name == "fill" and base.shape:
                 return base.fill
             base = base.load()
+        if isinstance(base, StructField) and name in base.members:
+            return base.members[name]
         if isinstance(base, Field) and name != "dtype" and not hasattr(type(base), name):
             found = list_method(self.levels, base, name)
             if found is not None:
                 return found
-            if isinstance(base, StructField) and name in base.members:
-                return base.members[name]
             raise TaiTypeError(
                 f"field '{base.name}' has no attribute '{name}'",
                 did_you_mean(name, [m for m in dir(base) if not m.startswith("_")]),

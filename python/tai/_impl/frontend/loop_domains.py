@@ -10,7 +10,7 @@ from ...errors import TaiSyntaxError, TaiTypeError
 from ..base.dtypes import DataType, i32, i64, promote
 from ..fields.field import Field
 from ..fields.snode import Place, SNode
-from ..fields.structs import StructField
+from ..fields.structs import StructField, first_of
 from ..values import ops
 from ..values.value import MatrixValue, Value
 from .context import Context, Part
@@ -99,7 +99,7 @@ class LoopDomains(Part):
         if not isinstance(thing, Field):
             raise TaiTypeError("ti.grouped takes a field or a ti.ndrange")
         use_field(thing)
-        return thing.first if isinstance(thing, StructField) else thing
+        return first_of(thing) if isinstance(thing, StructField) else thing
 
     def _range_bounds(self, node: ast.Call) -> Bounds:
         if node.keywords:

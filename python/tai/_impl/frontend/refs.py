@@ -12,6 +12,7 @@ from ..base.elements import Elements
 from ..fields.field import Field
 from ..fields.matrix_field import MatrixField
 from ..fields.scalar import ComponentField, ScalarField
+from ..fields.structs import parts_of
 from ..values.emitter import Emitter
 from ..values.positions import flat, in_range, read
 from ..values.value import MatrixValue, Value, stop_gradient
@@ -533,8 +534,7 @@ def use_field(field: Field) -> None:
     if isinstance(field, ComponentField) and field.is_window:
         field = field._whole
     field._placed_node()
-    parts = getattr(field, "parts", [field])
-    for part in parts:
+    for part in parts_of(field):
         part.materialize()
         if not part.is_current():
             raise TaiRuntimeError(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ...errors import TaiNameError, TaiTypeError, did_you_mean
-from ..fields.structs import Struct, StructField, StructType
+from ..fields.structs import Struct, StructField, StructType, items_of
 from ..values.types import MatrixType
 from ..values.value import Value
 from .refs import Place, Variable, VariablePlace, field_element
@@ -39,6 +39,8 @@ class _Members:
                     f"method '{name}' of the struct is one for Python", "decorate it with @ti.func"
                 )
             return StructMethod(self.type.methods[name], self)
+        if name == "keys":
+            return list(self.members)
         raise TaiNameError(
             f"the struct has no member '{name}'", did_you_mean(name, list(self.members))
         )
@@ -144,7 +146,7 @@ def as_struct_value(emitter: Any, thing: Struct | dict[str, Any]) -> StructValue
     """
     members: dict[str, Any] = {}
     kinds: dict[str, Any] = {}
-    for name, value in thing.items():
+    for name, value in items_of(thing):
         if isinstance(value, (dict, Struct)):
             value = as_struct_value(emitter, value)
         elif not isinstance(value, StructValue):
@@ -169,4 +171,4 @@ def struct_element(emitter: Any, field: StructField, key: Any) -> StructPlace:
             members[name] = struct_element(emitter, member, key)
         else:
             members[name] = field_element(emitter, member, key)
-    return StructPlace(emitter, field.type, members)
+    return StructPlace(emitter, field.struct_type, members)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError, TaiTypeError
 from ..base import dtypes, state
-from ..fields.structs import Struct, StructType
+from ..fields.structs import Struct, StructType, items_of
 from ..fields.triplets import TripletsType
 from ..frontend.source import closure_of, function_ast
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
@@ -180,7 +180,8 @@ def _member_values(kernel: str, name: str, type_: Any, value: Any) -> list[Any]:
         return [value]
     if isinstance(type_, TripletsType):
         return list(type_.take(kernel, name, value).values())
-    if not isinstance(value, (dict, Struct)) or {k for k, _ in value.items()} != set(type_.members):
+    names = dict(items_of(value)) if isinstance(value, (dict, Struct)) else ()
+    if set(names) != set(type_.members):
         raise TaiRuntimeTypeError(
             f"argument '{name}' of kernel '{kernel}' expects {type_!r}, but got {value!r}",
             f"make it by the type, or as a dict of its members: {', '.join(type_.members)}",

@@ -129,7 +129,7 @@ class TupleResult(StructResult):
 
     def unpack(self, vector: Any, is_followed: bool) -> Any:
         """The tuple in Python."""
-        return tuple(value for _, value in super().unpack(vector, is_followed).items())
+        return tuple(value for _, value in super().unpack(vector, is_followed).items)
 
 
 # What a kernel may return.
