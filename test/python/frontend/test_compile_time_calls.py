@@ -394,3 +394,57 @@ def test_static_of_a_container_says_what_is_wrong():
     with pytest.raises(ti.TaiSyntaxError, match=r"'forms\[0\]' is ti.static") as info:
         run()
     assert "write ti.static(…)" in str(info.value) and "print(forms[0](3))" in str(info.value)
+
+
+@ti.func
+def _add(a: ti.template(), k):
+    a += k
+
+
+@ti.func
+def _take(a: ti.template(), k):
+    a -= k
+
+
+def test_functions_out_of_containers_change_what_they_are_given():
+    """Also where only what is compiled inside of a loop or branch says which function it is."""
+    functions = [_add, _take]
+    named = {"add": _add}
+
+    @ti.data_oriented
+    class Weigh:
+        def __init__(self, weight):
+            self.weight = weight
+
+        @ti.func
+        def into(self, a: ti.template(), k):
+            if k > 0:
+                a += self.weight * k
+
+    weights = [Weigh(10), Weigh(100)]
+
+    @ti.kernel
+    def run(n: ti.i32) -> ti.types.vector(6, ti.i32):
+        item = name = later = loop = method = number = 0
+        for j in range(n):
+            if j != 2:
+                functions[0](item, 1)
+                named["add"](name, j)
+            else:
+                ti.static(functions[1])(item, 5)
+            for function in ti.static(functions):
+                if j > 0:
+                    function(loop, j)
+                    loop += 1
+            for weight in ti.static(weights):
+                if j > 1:
+                    weight.into(method, j)
+            for k in ti.static(range(2)):
+                if j > 1:
+                    weights[k].into(number, 1)
+            then = ti.static(_add)
+            if j > 2:
+                then(later, j)
+        return [item, name, later, loop, method, number]
+
+    assert run(4).to_list() == [-2, 4, 3, 6, 550, 220]

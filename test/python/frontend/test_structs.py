@@ -263,3 +263,136 @@ def test_names_and_values_of_a_struct():
         return n
 
     assert count(f[1]) == 22
+
+
+@ti.dataclass
+class Counter:
+    t: ti.f64
+    v: ti.types.vector(2, ti.f64)
+
+    @ti.func
+    def add(self, k):
+        self.t += k
+
+    @ti.func
+    def add_large(self, k):
+        if k > 1:
+            self.t += k
+            self.v[1] = k
+        for i in range(3):
+            if i > 0:
+                self.v.x += i
+
+    @ti.func
+    def total(self):
+        return self.t + self.v.sum()
+
+
+@ti.dataclass
+class Two:
+    a: Counter
+    b: Counter
+    n: ti.i32
+
+    @ti.func
+    def run(self, k):
+        if k > 0:
+            self.a.add_large(k)
+        else:
+            self.b.add(5)
+        while self.n < 4:
+            self.n += 1
+            if self.n == 2:
+                self.b.v[self.n - 1] = 9
+
+
+def test_methods_change_local_structs_in_branches_and_loops():
+    ti.init(default_fp=ti.f64)
+    f = Two.field(shape=2)
+
+    @ti.kernel
+    def run(q: ti.f64) -> ti.types.vector(5, ti.f64):
+        one, two = Counter(t=1.0), Two()
+        if q > 1:
+            one.add(q)
+        for i in range(3):
+            one.add(i)
+        one.add_large(q)
+        two.a.add_large(2.0)
+        if q > 1:
+            two.b.add_large(q)
+        two.run(q)
+        f[1] = two
+        if q > 1:
+            f[0].run(q)
+        return [one.t, one.v[0], two.a.total(), two.b.total(), two.n]
+
+    assert run(2.0).to_list() == [8, 3, 12, 14, 4]
+    assert f[0].a.t == 2.0 and f[1].a.v.to_list() == [6, 2]
+    assert run(-1.0).to_list() == [4, 3, 7, 14, 4]
+
+
+def test_gradients_pass_through_methods_in_branches():
+    ti.init(default_fp=ti.f64)
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            s = Counter()
+            for j in range(i + 1):
+                if j != 1:
+                    s.add(x[i] ** 2)
+            loss[None] += s.total()
+
+    x.fill(3.0)
+    with ti.ad.Tape(loss):
+        run()
+    assert x.grad.to_numpy().tolist() == [6, 6, 12]
+
+
+def test_a_method_that_only_reads_leaves_a_struct_where_it_is():
+    """A struct that a parallel loop changes is moved to memory; one that it reads is not."""
+    x = ti.field(ti.f64, shape=8)
+
+    @ti.kernel
+    def run(k: ti.f64):
+        s = Counter(t=k)
+        for i in x:
+            x[i] = s.total() + i
+
+    run(2.0)
+    assert x.to_numpy().tolist() == [2.0 + i for i in range(8)]
+    assert "run_s" not in run.explain()
+
+
+def test_components_that_a_function_changes_in_branches():
+    @ti.func
+    def swap(a: ti.template(), b: ti.template()):
+        a, b = b, a
+
+    @ti.func
+    def sort(a: ti.template(), b: ti.template()):
+        if a > b:
+            swap(a, b)
+
+    @ti.func
+    def add(a: ti.template(), n):
+        for i in range(n):
+            if i % 2 == 1:
+                a += i
+
+    @ti.kernel
+    def run(n: ti.i32) -> ti.types.vector(5, ti.f64):
+        v = ti.Vector([3.0, 1.0, 2.0], dt=ti.f64)
+        s = Counter(t=1.0, v=[5.0, 4.0])
+        sort(v[0], v[1])
+        sort(v[1], v[2])
+        sort(s.v[0], s.v.y)
+        if n > 3:
+            add(v[n % 3], n)
+        add(s.t, n)
+        return [v[0], v[1], v[2], s.v[0] * 10 + s.v[1], s.t]
+
+    assert run(4).to_list() == [1, 6, 3, 45, 5]

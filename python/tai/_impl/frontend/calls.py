@@ -19,8 +19,9 @@ from ..values import ops
 from ..values.matrix import Matrix
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
+from .atomics import ATOMICS
 from .checks import Checks, holds_value
-from .compile_time import ATOMICS, CompileTime
+from .compile_time import CompileTime
 from .context import Context, Part
 from .expressions import Expressions
 from .inlining import Inlining

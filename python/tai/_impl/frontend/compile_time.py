@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import ast
 import itertools
-from collections.abc import Hashable
 from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..fields.field import Field
 from ..values import ops
 from ..values.value import MatrixValue, Value
+from .atomics import takes_reference
 from .context import Context, Part
 from .refs import ArrayArgument, Variable
 from .scope import Bound
+from .structs import StructPlace, changes_struct
 
-# Operators of the functions that change a place.
-ATOMICS = {
-    ops.atomic_add: "+",
-    ops.atomic_sub: "-",
-    ops.atomic_mul: "*",
-    ops.atomic_min: "min",
-    ops.atomic_max: "max",
-    ops.atomic_and: "&",
-    ops.atomic_or: "|",
-    ops.atomic_xor: "^",
-}
+# A function of which only what will be compiled says which one it is.
+_UNKNOWN = object()
 
 # The least that `ti.init(unrolling_limit=…)` can mean: Taichi's only warns, from 32 on.
 _UNROLLING_LIMIT = 65536
@@ -64,26 +56,76 @@ class CompileTime(Part):
                 return None
             return meaning.thing if isinstance(meaning, Bound) else None
         if isinstance(node, ast.Attribute):
-            base = self.static_callee(node.value)
-            return (
-                None if base is None or isinstance(base, Value) else getattr(base, node.attr, None)
-            )
+            return self.attribute_of(self.static_callee(node.value), node.attr)
         return None
+
+    def attribute_of(self, base: Any, name: str) -> Any:
+        """An attribute of what is known, or None."""
+        if isinstance(base, StructPlace):
+            return base.members.get(name)
+        return None if base is None or isinstance(base, Value) else getattr(base, name, None)
 
     def takes_reference(self, node: ast.Call) -> bool:
         """Whether a call may change the variables that it is given."""
-        callee = self.static_callee(node.func)
-        if isinstance(callee, Hashable) and callable(callee) and callee in ATOMICS:
-            return True
-        info = getattr(callee, "_tai_func", None)
-        return info is not None and info.has_templates
+        callee = self._callee(node.func)
+        return callee is _UNKNOWN or takes_reference(callee)
+
+    def _callee(self, node: ast.expr) -> Any:
+        """What a call is one of: `_UNKNOWN` for a function that is known only when it is compiled.
+
+        That is one of a list, or of a name that is given a meaning further inside.
+        """
+        if isinstance(node, ast.Subscript):
+            return self._item(node)
+        if isinstance(node, ast.Attribute):
+            base = self._object(node.value)
+            return base if base is _UNKNOWN else self.attribute_of(base, node.attr)
+        if isinstance(node, ast.Name) and self.frame.find(node.id) is not None:
+            return self.static_callee(node)
+        is_local = (
+            isinstance(node, ast.Name) and node.id in self.frame.function.__code__.co_varnames
+        )
+        return _UNKNOWN if is_local else self.static_callee(node)
+
+    def _object(self, node: ast.expr) -> Any:
+        """What stands before the dot of a callee, in the same way."""
+        if isinstance(node, ast.Subscript):
+            return self._item(node)
+        if isinstance(node, ast.Attribute):
+            base = self._object(node.value)
+            return base if base is _UNKNOWN else self.attribute_of(base, node.attr)
+        if isinstance(node, ast.Name) and self.frame.find(node.id) is None:
+            if node.id in self.frame.unrolled:
+                return _UNKNOWN
+        return self.static_callee(node)
+
+    def _item(self, node: ast.Subscript) -> Any:
+        """An item of a Python container, in the same way; None for an element of a field."""
+        container = self._object(node.value)
+        if container is _UNKNOWN or not isinstance(container, (list, tuple, dict)):
+            return container if container is _UNKNOWN else None
+        try:
+            return container[ast.literal_eval(node.slice)]
+        except (ValueError, TypeError, LookupError):
+            return _UNKNOWN
+
+    def changes_receiver(self, node: ast.Call) -> bool:
+        """Whether a call is one of a method that may change the struct which it is called of."""
+        if not isinstance(node.func, ast.Attribute):
+            return False
+        receiver = self.static_callee(node.func.value)
+        return isinstance(receiver, StructPlace) and changes_struct(receiver.type, node.func.attr)
 
     def is_settled(self, node: ast.Call) -> bool:
-        """Whether the callee is found by a name that this function does not give a meaning."""
+        """Whether the callee is found by a name that this function gives no meaning, here or later.
+
+        A local that is not assigned yet will mean something else when the call is compiled.
+        """
         callee = node.func
         while isinstance(callee, ast.Attribute):
             callee = callee.value
-        return isinstance(callee, ast.Name) and self.frame.find(callee.id) is None
+        code = self.frame.function.__code__
+        return isinstance(callee, ast.Name) and callee.id not in code.co_varnames + code.co_cellvars
 
     def evaluate(self, node: ast.expr) -> tuple[Any, bool]:
         """The value of an expression, and whether it is that of a `ti.static(…)`."""

@@ -14,7 +14,7 @@ from .refs import Variable
 from .returns import Returns, find_return
 from .scope import Loop
 from .source import AssignedNames, own_exits
-from .structs import StructVariable
+from .structs import variables_of
 
 
 class Regions(Part):
@@ -31,15 +31,11 @@ class Regions(Part):
     def changed_by(self, *lists: list[ast.stmt]) -> list[Variable]:
         """The variables of this function that the statements may change."""
         known, now = self.frame.assigned, self.compile_time
-        collector = AssignedNames(now.takes_reference, now.is_settled, known)
+        collector = AssignedNames(now.takes_reference, now.changes_receiver, now.is_settled, known)
         found: list[Variable] = []
         for statements in lists:
             for name in collector.collect(statements):
-                meaning = self.frame.find(name)
-                if isinstance(meaning, StructVariable):
-                    found += [v for v in meaning.thing.variables() if v not in found]
-                elif isinstance(meaning, Variable) and meaning not in found:
-                    found.append(meaning)
+                found += [v for v in variables_of(self.frame.find(name)) if v not in found]
             loop = self.frame.loops[-1] if self.frame.loops else None
             if loop is not None and own_exits(statements):
                 for flag in (loop.broken, loop.skipped):

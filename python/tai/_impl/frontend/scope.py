@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -44,6 +45,14 @@ class Loop:
         self.skipped: Variable | None = None
 
 
+def _is_static(node: ast.AST) -> bool:
+    """Whether it looks like a call of `ti.static`."""
+    return isinstance(node, ast.Call) and "static" in (
+        getattr(node.func, "attr", None),
+        getattr(node.func, "id", None),
+    )
+
+
 class Frame:
     """A function that is being compiled: the kernel, or a `ti.func` inlined into it."""
 
@@ -68,6 +77,17 @@ class Frame:
         self.form: Any = None
         self.depth = 0
         self.call: tuple[str, int] | None = None
+
+    @functools.cached_property
+    def unrolled(self) -> set[str]:
+        """The names that loops over `ti.static(…)` give a meaning: to objects, it may be."""
+        return {
+            name.id
+            for loop in ast.walk(self.node)
+            if isinstance(loop, ast.For) and any(map(_is_static, ast.walk(loop.iter)))
+            for name in ast.walk(loop.target)
+            if isinstance(name, ast.Name)
+        }
 
     def find(self, name: str) -> Variable | Bound | None:
         """The local of that name, innermost scope first."""

@@ -63,6 +63,15 @@ def closure_of(function: Callable[..., Any]) -> dict[str, Any]:
     return values
 
 
+def dotted(node: ast.expr) -> list[str] | None:
+    """The names of `a.b.c`, or None if `node` is something else."""
+    names: list[str] = []
+    while isinstance(node, ast.Attribute):
+        names.insert(0, node.attr)
+        node = node.value
+    return [node.id, *names] if isinstance(node, ast.Name) else None
+
+
 def own_exits(statements: list[ast.stmt]) -> bool:
     """Whether the statements hold a `break` or `continue` of the loop around them."""
     for statement in statements:
@@ -80,6 +89,7 @@ class AssignedNames(ast.NodeVisitor):
 
     Args:
         takes_reference: tells whether a call may change the variables given to it.
+        changes_receiver: tells whether it may change what it is called of, a struct with methods.
         is_settled: tells whether it will always say the same of a call.
         known: what was found for branches and loops before. Without it, a chain of branches would
             be walked again for each of them.
@@ -88,11 +98,13 @@ class AssignedNames(ast.NodeVisitor):
     def __init__(
         self,
         takes_reference: Callable[[ast.Call], bool],
+        changes_receiver: Callable[[ast.Call], bool],
         is_settled: Callable[[ast.Call], bool],
         known: dict[ast.stmt, list[str]],
     ):
         self.names: dict[str, None] = {}  # in order of appearance
-        self._takes_reference, self._is_settled, self._known = takes_reference, is_settled, known
+        self._takes_reference, self._changes_receiver = takes_reference, changes_receiver
+        self._is_settled, self._known = is_settled, known
         self._settled = True
 
     def collect(self, statements: list[ast.stmt]) -> list[str]:
@@ -125,7 +137,9 @@ class AssignedNames(ast.NodeVisitor):
     def visit_If(self, node: ast.stmt) -> None:
         names = self._known.get(node)
         if names is None:
-            inside = AssignedNames(self._takes_reference, self._is_settled, self._known)
+            inside = AssignedNames(
+                self._takes_reference, self._changes_receiver, self._is_settled, self._known
+            )
             inside.generic_visit(node)
             names = list(inside.names)
             if inside._settled:
@@ -141,6 +155,8 @@ class AssignedNames(ast.NodeVisitor):
         if self._takes_reference(node):
             for argument in [*node.args, *(k.value for k in node.keywords)]:
                 self._target(argument)
-        if isinstance(node.func, ast.Attribute) and node.func.attr == "fill":
+        if isinstance(node.func, ast.Attribute) and (
+            node.func.attr == "fill" or self._changes_receiver(node)
+        ):
             self._target(node.func.value)
         self.generic_visit(node)

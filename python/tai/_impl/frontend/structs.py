@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import builtins
 from collections.abc import Iterator
 from typing import Any
 
@@ -9,8 +11,11 @@ from ...errors import TaiNameError, TaiTypeError, did_you_mean
 from ..fields.structs import Struct, StructField, StructType, items_of
 from ..values.types import MatrixType
 from ..values.value import Value
-from .refs import Place, Variable, VariablePlace, field_element
+from .atomics import takes_reference
+from .refs import Component, Place, Variable, VariablePlace, field_element
+from .refs import Part as SomeComponents
 from .scope import Bound
+from .source import AssignedNames, closure_of, dotted, function_ast
 
 
 class StructMethod:
@@ -89,14 +94,6 @@ class StructPlace(_Members, Place):
         for name, place in self.members.items():
             place.store(value.members[name])
 
-    def variables(self) -> Iterator[Variable]:
-        """The variables that hold the members, if it is one."""
-        for place in self.members.values():
-            if isinstance(place, StructPlace):
-                yield from place.variables()
-            else:
-                yield place.variable
-
 
 class Reference(Bound):
     """A name for a place: a template parameter that was given an element or a component."""
@@ -161,6 +158,66 @@ def _type_of(value: Value) -> Any:
         return value.dt
     rows, *columns = value.shape
     return MatrixType(rows, columns[0] if columns else None, value.dt)
+
+
+def variables_of(meaning: Any) -> Iterator[Variable]:
+    """The local variables that a name stands for, or that hold what it stands for.
+
+    A template parameter may stand for a component of a vector, or for a member of a struct, and
+    `self` stands for the struct that a method is called of.
+    """
+    if isinstance(meaning, Variable):
+        yield meaning
+    elif isinstance(meaning, Bound):
+        yield from variables_of(meaning.thing)
+    elif isinstance(meaning, VariablePlace):
+        yield meaning.variable
+    elif isinstance(meaning, StructPlace):
+        for member in meaning.members.values():
+            yield from variables_of(member)
+    elif isinstance(meaning, (Component, SomeComponents)):
+        yield from variables_of(meaning.base)
+
+
+def changes_struct(type_: StructType, name: str, within: tuple = ()) -> bool:
+    """Whether a method may change the struct that it is called of.
+
+    Args:
+        type_: of the struct.
+        name: of the method.
+        within: the methods that call it, which need not be looked at again.
+    """
+    info = getattr(type_.methods.get(name), "_tai_func", None)
+    if info is None or (type_, name) in within:
+        return False
+    method = info.function
+    tree = function_ast(method)
+    if not tree.args.args:
+        return False
+    own = tree.args.args[0].arg
+    space = {**vars(builtins), **method.__globals__, **closure_of(method)}
+
+    def callee_of(call: ast.Call) -> Any:
+        root, *path = dotted(call.func) or [""]
+        callee = None if root == own else space.get(root)
+        for attribute in path:
+            callee = getattr(callee, attribute, None)
+        return callee
+
+    def changes_receiver(call: ast.Call) -> bool:
+        # A method of this struct, or of one that is a member of it.
+        root, *path = dotted(call.func) or [""]
+        kind: Any = type_ if root == own and path else None
+        for member in path[:-1]:
+            kind = kind.members.get(member) if isinstance(kind, StructType) else None
+        return isinstance(kind, StructType) and changes_struct(
+            kind, path[-1], (*within, (type_, name))
+        )
+
+    collector = AssignedNames(
+        lambda call: takes_reference(callee_of(call)), changes_receiver, lambda call: True, {}
+    )
+    return own in collector.collect(tree.body)
 
 
 def struct_element(emitter: Any, field: StructField, key: Any) -> StructPlace:
