@@ -303,3 +303,68 @@ def test_atomic_extremes_of_special_values(dtype):
                 wanted = nan if np.isnan(pair).any() else choose(pair, key=key)
                 np.testing.assert_array_equal(after[row, i], wanted)
                 assert np.isnan(wanted) or np.signbit(after[row, i]) == np.signbit(wanted)
+
+
+@ti.func
+def _increase(a: ti.template()):
+    a += 1
+    return a
+
+
+@ti.func
+def _halve(y: ti.template(), x):
+    y = y * 0.5 + x * 0.01
+    return y
+
+
+@ti.func
+def _add(a: ti.template(), b):
+    a += b
+    return a
+
+
+def test_what_is_not_evaluated_changes_no_variable():
+    """On the right of `and` and `or`, and in the arms of a conditional expression."""
+    table = ti.field(ti.i32, shape=4)
+    table.from_numpy(np.arange(4, dtype=np.int32))
+
+    @ti.kernel
+    def run(m: ti.i32) -> ti.types.vector(8, ti.i32):
+        a = b = c = d = e = found = 0
+        v = ti.Vector([0, 0])
+        if m > 0 and _increase(a) > 0:
+            found += 1
+        if m > 0 or _increase(b) > 0:
+            found += 2
+        x = _increase(c) if m > 0 else _increase(c) * 10
+        if m > 0 and _add(v[1], table[m % 4]) > 0:
+            found += 4
+        if m > 1 or _add(d, table[3]) > 2 or _increase(d) > 100:
+            found += 8
+        y = (_increase(e) if m > 1 else _add(e, table[2])) if m > 0 else 7
+        return [a, b, c + x, v[1], d, e, y, found]
+
+    assert run(0).to_list() == [0, 1, 11, 0, 3, 0, 7, 10]
+    assert run(1).to_list() == [1, 0, 2, 1, 3, 2, 2, 15]
+    assert run(2).to_list() == [1, 0, 2, 2, 0, 1, 1, 15]
+
+
+def test_gradients_of_variables_that_expressions_change():
+    ti.init(default_fp=ti.f64)
+    x = ti.field(ti.f64, shape=4, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            y, z = x[i], x[i] ** 2
+            w = _halve(y, 0.0) if i > 1 else y * 3
+            if i > 0 and _halve(z, 0.0) > 1.5:
+                w += y * z
+            loss[None] += w + z * y
+
+    x.from_numpy(np.array([1.0, 2.0, 3.0, 4.0]))
+    with ti.ad.Tape(loss):
+        run()
+    assert loss[None] == 67
+    assert x.grad.to_numpy().tolist() == [6, 15, 14, 24.5]

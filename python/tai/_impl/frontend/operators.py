@@ -16,6 +16,8 @@ from .checks import is_struct, refuse_condition, refuse_non_number
 from .compile_time import CompileTime
 from .context import Context, Part
 from .expressions import has_value
+from .refs import Variable
+from .structs import variables_of
 
 BINARY = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.FloorDiv: "//", ast.Mod: "%",
@@ -152,6 +154,7 @@ class Operators(Part):
         block = builder.block(region, [])
         builder.set_block(block)
         self.context.depth += 1
+        before = self._variables(right_node)
         right = self.visit(right_node)
         right_truth = emitter.to_bool(right)
         # A plain number takes the type of the other operand, as it does in arithmetic.
@@ -159,22 +162,57 @@ class Operators(Part):
         right = right_truth if dt is u1 else emitter.cast(right, dt)
         self.context.depth -= 1
         self.at(right_node)
+        after = _taken_back(before)
+        changed = [v for v in before if after[v] is not before[v]]
+        values = (after, before) if is_and else (before, after)
         if all(name in _SPECULATABLE for name in builder.op_names(block)):
             builder.set_block(outer)
             builder.splice(block)
+            self._select_variables(truth, changed, *values)
             if dt is u1:
                 return emitter.binary("&" if is_and else "|", truth, right)
             left = emitter.cast(left, dt)
             return emitter.select(truth, *((right, left) if is_and else (left, right)))
-        builder.yield_([right.handle])
+        builder.yield_([right.handle, *(after[v].handle for v in changed)])
         other = builder.region()
         builder.set_block(builder.block(other, []))
         kept = emitter.constant(not is_and, u1) if dt is u1 else emitter.cast(left, dt)
-        builder.yield_([kept.handle])
+        builder.yield_([kept.handle, *(before[v].handle for v in changed)])
         builder.set_block(outer)
         regions = [region, other] if is_and else [other, region]
-        handle = builder.if_(truth.handle, [emitter.type_of(dt)], *regions)
-        return Value(emitter, handle, dt)
+        return Value(emitter, self._branch(truth, emitter.type_of(dt), changed, regions), dt)
+
+    def _variables(self, *nodes: ast.expr) -> dict[Variable, Value]:
+        """The variables that a call in an expression could change, and what they hold now."""
+        if not any(isinstance(part, ast.Call) for node in nodes for part in ast.walk(node)):
+            return {}
+        return {
+            variable: variable.value
+            for scope in self.frame.scopes
+            for meaning in scope.values()
+            for variable in variables_of(meaning)
+            if variable.hidden is None
+        }
+
+    def _select_variables(
+        self, condition: Value, changed: list[Variable], then: dict, orelse: dict
+    ) -> None:
+        """Gives the variables what they hold after one of two expressions."""
+        for variable in changed:
+            variable.value = self.emitter.select(condition, then[variable], orelse[variable])
+
+    def _branch(
+        self, condition: Value, type_: Any, changed: list[Variable], regions: list[Any]
+    ) -> Any:
+        """An `scf.if` that yields the value of an expression, and the variables it changes."""
+        emitter = self.emitter
+        types = [emitter.type_of(v.value.dt, v.value.shape) for v in changed]
+        results = self.builder.if_(condition.handle, [type_, *types], *regions)
+        if not changed:
+            return results
+        for variable, handle in zip(changed, results[1:], strict=True):
+            variable.value = emitter.value(handle, variable.value.dt, variable.value.shape)
+        return results[0]
 
     def visit_IfExp(self, node: ast.IfExp) -> Any:
         condition, _ = self.compile_time.evaluate(node.test)
@@ -193,6 +231,8 @@ class Operators(Part):
         emitter, builder = self.emitter, self.builder
         outer = builder.get_block()
         blocks, regions, values = [], [], []
+        before = self._variables(node)
+        after: list[dict[Variable, Value]] = []
         for arm in (then, orelse):
             region = builder.region()
             block = builder.block(region, [])
@@ -200,6 +240,7 @@ class Operators(Part):
             self.context.depth += 1
             values.append(emitter.as_value(arm()))
             self.context.depth -= 1
+            after.append(_taken_back(before))
             blocks.append(block)
             regions.append(region)
         dt = promote(values[0].dt, values[1].dt)
@@ -215,14 +256,24 @@ class Operators(Part):
             values[number] = emitter.broadcast(emitter.cast(value, dt), shape)
             handles.append(values[number].handle)
         self.at(node)
+        changed = [v for v in before if any(held[v] is not before[v] for held in after)]
         if all(n in _SPECULATABLE for block in blocks for n in builder.op_names(block)):
             builder.set_block(outer)
             for block in blocks:
                 builder.splice(block)
+            self._select_variables(condition, changed, *after)
             return emitter.select(condition, *values)
-        for block, handle in zip(blocks, handles, strict=True):
+        for block, handle, held in zip(blocks, handles, after, strict=True):
             builder.set_block(block)
-            builder.yield_([handle])
+            builder.yield_([handle, *(held[v].handle for v in changed)])
         builder.set_block(outer)
-        handle = builder.if_(condition.handle, [emitter.type_of(dt, shape)], *regions)
+        handle = self._branch(condition, emitter.type_of(dt, shape), changed, regions)
         return emitter.value(handle, dt, shape)
+
+
+def _taken_back(before: dict[Variable, Value]) -> dict[Variable, Value]:
+    """What the variables hold, which then get back what they held before."""
+    after = {variable: variable.value for variable in before}
+    for variable, value in before.items():
+        variable.value = value
+    return after
