@@ -368,3 +368,61 @@ def test_gradients_of_variables_that_expressions_change():
         run()
     assert loss[None] == 67
     assert x.grad.to_numpy().tolist() == [6, 15, 14, 24.5]
+
+
+def test_the_condition_of_a_while_changes_variables():
+    """Each time that it is asked, and the last one is kept: the loop ended never, before."""
+
+    @ti.kernel
+    def run(m: ti.i32) -> ti.types.vector(6, ti.i32):
+        a = total = asked = b = c = d = 0
+        while _increase(a) < m:
+            total += a
+        while ti.atomic_add(b, 2) < m:
+            asked += 1
+        v = ti.Vector([0, 0])
+        while _increase(c) < m and _increase(v[1]) > 0:
+            if c == 4:
+                break
+            if c == 2:
+                continue
+            d += c
+        return [a, total, b, asked, c * 10 + d, v[1]]
+
+    assert run(5).to_list() == [5, 10, 8, 3, 44, 4]
+    assert run(3).to_list() == [3, 3, 6, 2, 31, 2]
+    assert run(0).to_list() == [1, 0, 2, 0, 10, 0]
+
+
+@pytest.mark.parametrize("leaves", [False, True])
+def test_gradients_of_a_while_whose_condition_changes_variables(leaves):
+    ti.init(default_fp=ti.f64)
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            y = x[i] ** 2
+            total = 0.0
+            while _halve(y, x[i]) > 0.7:
+                if ti.static(leaves):
+                    if y < 1.5:
+                        break
+                    if y > 20:
+                        continue
+                total += y * y
+            loss[None] += total + y
+
+    x.from_numpy(np.array([3.0, 5.0, 9.0]))
+    with ti.ad.Tape(loss):
+        run()
+    gradient = x.grad.to_numpy()
+    for i in range(3):
+        found, at = [], x[i]
+        for step in (1e-6, -1e-6):
+            x[i], loss[None] = at + step, 0
+            run()
+            found.append(loss[None])
+        x[i] = at
+        assert (found[0] - found[1]) / 2e-6 == pytest.approx(gradient[i], rel=1e-6)

@@ -44,7 +44,9 @@ class WhileLoops(Part):
             return None if value else emitter.constant(False, u1)
 
         self.frame.loops.append(loop)
-        variables = self.regions.changed_by(node.body)
+        # The condition may call what changes a variable.
+        test = ast.copy_location(ast.Expr(node.test), node.test)
+        variables = self.regions.changed_by([test], node.body)
         self.frame.loops.pop()
         self._carried_while(loop, variables, condition, node)
         # Without a condition and `break`, only `return` leaves it.
@@ -71,16 +73,15 @@ class WhileLoops(Part):
         head = builder.block(before, types, names)
         builder.set_block(head)
         self.regions.take_arguments(head, variables)
-        carried = [v.value.handle for v in variables]
         self.context.depth += 1
         if not flags:
             go_on = condition()
             if go_on is None:
                 go_on = emitter.constant(True, u1)
         else:
-            go_on = self._both(self.returns.running(flags), condition)
+            go_on = self._both(self.returns.running(flags), condition, variables)
         self.at(node)
-        builder.condition_of_while(go_on.handle, carried)
+        builder.condition_of_while(go_on.handle, [v.value.handle for v in variables])
         block = builder.block(after, types, names)
         builder.set_block(block)
         self.regions.take_arguments(block, variables)
@@ -92,26 +93,37 @@ class WhileLoops(Part):
         results = builder.while_(initial, types, before, after)
         self.regions.take_results(results, variables)
 
-    def _both(self, running: Value, condition: Callable[[], Value | None]) -> Value:
-        """`running and condition()`, evaluating the condition only while running."""
+    def _both(
+        self, running: Value, condition: Callable[[], Value | None], variables: list[Variable]
+    ) -> Value:
+        """`running and condition()`, evaluating the condition only while running.
+
+        Args:
+            variables: those that the condition may change are among them.
+        """
         emitter, builder = self.emitter, self.builder
+        before = [v.value for v in variables]
         outer = builder.get_block()
         region = builder.region()
         builder.set_block(builder.block(region, []))
         value = condition()
-        if value is None:
-            builder.yield_([running.handle])
-            value = running
-        else:
-            builder.yield_([value.handle])
+        value = running if value is None else value
+        changed = [v for v, old in zip(variables, before, strict=True) if v.value is not old]
+        builder.yield_([value.handle, *(v.value.handle for v in changed)])
+        for variable, old in zip(variables, before, strict=True):
+            variable.value = old
         other = builder.region()
         builder.set_block(builder.block(other, []))
-        builder.yield_([emitter.constant(False, u1).handle])
+        no = emitter.constant(False, u1)
+        builder.yield_([no.handle, *(v.value.handle for v in changed)])
         builder.set_block(outer)
         if value is running:
             return running
-        handle = builder.if_(running.handle, [emitter.type_of(u1)], region, other)
-        return Value(emitter, handle, u1)
+        types = [emitter.type_of(v.value.dt, v.value.shape) for v in changed]
+        results = builder.if_(running.handle, [emitter.type_of(u1), *types], region, other)
+        first, *rest = results if changed else [results]
+        self.regions.take_results(rest[0] if len(rest) == 1 else rest, changed)
+        return Value(emitter, first, u1)
 
     def visit_Break(self, node: ast.Break) -> None:
         loop = self._innermost_loop("break")
