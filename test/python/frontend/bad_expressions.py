@@ -589,3 +589,45 @@ def type_as_a_number():
         return x.dtype  # BAD
 
     kernel()
+
+
+@bad(ti.TaiTypeError, "structs have no arithmetic", "compute with their members")
+def sum_of_structs():
+    pair = ti.types.struct(a=ti.i32, b=ti.f32)
+
+    @ti.kernel
+    def kernel():
+        s = pair(1, 2.0) + pair(3, 4.0)  # BAD
+
+    kernel()
+
+
+@bad(
+    ti.TaiTypeError,
+    "a text stands where a number is needed",
+    "kernels compute with numbers; text is for print and assert",
+)
+def text_with_a_number_stored():
+    x = ti.field(ti.f32, shape=1)
+
+    @ti.kernel
+    def kernel(a: ti.f32):
+        s = f"{a}"
+        x[0] = s  # BAD
+
+    kernel(1.0)
+
+
+@bad(
+    ti.TaiTypeError,
+    "an ndarray takes an index that is known at compile time",
+    "loop with ti.static(range(…)), or put the numbers in a field",
+)
+def index_into_an_array_of_numpy():
+    weights = np.ones(4, np.float32)
+
+    @ti.kernel
+    def kernel(i: ti.i32) -> ti.f32:
+        return weights[i]  # BAD
+
+    kernel(1)

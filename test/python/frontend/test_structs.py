@@ -144,6 +144,13 @@ def test_a_gradient_that_is_not_there_is_named():
         f.dual[0]
 
 
+def test_a_gradient_that_was_not_placed_is_said_to_be():
+    x = ti.field(ti.f32, needs_grad=True)
+    ti.root.dense(ti.i, 3).place(x)
+    with pytest.raises(ti.TaiAutodiffError, match="place it too: level.place"):
+        x.grad.fill(1.0)
+
+
 def test_structs_without_a_type_of_their_own():
     particle = ti.types.struct(a=ti.f32, v=ti.math.vec2)
     outer, x = particle(2.0, [3, 4]), particle.field(shape=2)

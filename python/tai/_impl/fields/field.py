@@ -111,15 +111,15 @@ class Field(Elements, Shareable):
     def _placed_node(self) -> SNode:
         if self.level is None:
             of = self.name if self.primal is None else self.primal.name
-            if self.role == "grad":
+            if self.role in ("grad", "dual"):
+                what = "gradient" if self.role == "grad" else "dual"
+                first = f"make it with needs_{self.role}=True"
+                if getattr(self.primal, f"needs_{self.role}", False):
+                    # Where it is, nobody has said: the field was placed by hand.
+                    first = f"place it too: level.place({of}, {of}.{self.role})"
                 raise TaiAutodiffError(
-                    f"field '{of}' has no gradient",
-                    "make it with needs_grad=True, or call ti.root.lazy_grad() after placing it",
-                )
-            if self.role == "dual":
-                raise TaiAutodiffError(
-                    f"field '{of}' has no dual",
-                    "make it with needs_dual=True, or call ti.root.lazy_dual() after placing it",
+                    f"field '{of}' has no {what}",
+                    f"{first}, or call ti.root.lazy_{self.role}() after placing it",
                 )
             raise TaiRuntimeError(
                 f"field '{self.name}' is not placed",

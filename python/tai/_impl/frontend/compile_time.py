@@ -9,6 +9,7 @@ from typing import Any
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..fields.field import Field
 from ..values import ops
+from ..values.misuse import with_article
 from ..values.value import MatrixValue, Value
 from .atomics import takes_reference
 from .context import Context, Part
@@ -195,4 +196,4 @@ def describe(thing: Any) -> str:
         return f"a {thing.kind_name}"
     if isinstance(thing, (Field, ArrayArgument)):
         return f"{'field' if isinstance(thing, Field) else 'array'} '{thing.name}'"
-    return f"'{thing}'" if isinstance(thing, str) else f"a {type(thing).__name__}"
+    return f"'{thing}'" if isinstance(thing, str) else with_article(type(thing).__name__)

@@ -66,10 +66,14 @@ class Diagnostics:
             text = f"no item {text}"
         elif isinstance(error, RecursionError):
             text = "the program nests too deeply"
+        elif text.startswith("super()"):
+            text = "super() does not know the class here"
         made = kind(text)
         if isinstance(error, RecursionError):
             made.hint = "divide it into functions, or long sums into several statements"
-        if isinstance(error, (AssertionError, AttributeError, RuntimeError)):
+        elif text.startswith("super()"):
+            made.hint = "name the class: Base.f(self, x)"
+        elif isinstance(error, (AssertionError, AttributeError, RuntimeError)):
             made.hint = "TAI_TRACEBACK=1 in the environment shows where in Python this arose"
         self.place(made, node)
         self.from_python = made

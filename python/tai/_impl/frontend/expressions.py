@@ -13,7 +13,7 @@ from ..fields.field import Field
 from ..fields.structs import Struct, StructField
 from ..tracking.tracked import Number, TrackedMatrix, TrackedVector
 from ..values.matrix import swizzle
-from ..values.misuse import KINDS, describe_misuse, misuse_hint
+from ..values.misuse import KINDS, describe_misuse, misuse_hint, with_article
 from ..values.value import NoAttribute, Value
 from .checks import Checks
 from .compile_time import CompileTime
@@ -144,7 +144,7 @@ class Expressions(Part):
             if getattr(base, "is_matrix", False):
                 return self.emitter.as_value(base)[key]
             raise TaiTypeError(
-                f"a {type(base).__name__} takes an index that is known at compile time",
+                f"{with_article(type(base).__name__)} takes an index that is known at compile time",
                 "loop with ti.static(range(…)), or put the numbers in a field",
             )
         if callable(base) and not hasattr(type(base), "__getitem__"):

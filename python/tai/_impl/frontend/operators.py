@@ -76,6 +76,8 @@ class Operators(Part):
         op = BINARY[type(node.op)]
         for side in (a, b):
             refuse_non_number(side, (a, b))
+            if is_struct(side):
+                raise TaiTypeError("structs have no arithmetic", "compute with their members")
         if isinstance(node.op, ast.Mult):
             _refuse_repetition(a, b)
         return self.emitter.binary(op, a, b)
@@ -86,6 +88,8 @@ class Operators(Part):
         if isinstance(node.op, ast.Not):
             refuse_condition(x)
         refuse_non_number(x, (x,))
+        if is_struct(x):
+            raise TaiTypeError("structs have no arithmetic", "compute with their members")
         if not isinstance(x, Value):
             return _NOW[type(node.op)](x)
         if isinstance(node.op, ast.UAdd):

@@ -9,6 +9,7 @@ import numpy as np
 from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..base import dtypes, state
 from ..fields.arrays import Ndarray
+from ..fields.field import Field
 from ..tracking import tangents, tracked
 from ..tracking.arguments import as_array
 from ..values.matrix import Matrix
@@ -148,7 +149,12 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
     what = f"argument '{parameter.name}' of kernel '{kernel}'"
     array = as_array(value)
     if array is None:
-        raise TaiRuntimeTypeError(f"{what} expects an array, but got {type(value).__name__}")
+        hint = (
+            "annotate it as ti.template()"
+            if isinstance(value, Field)
+            else ("np.array(…) makes one of a list" if isinstance(value, (list, tuple)) else None)
+        )
+        raise TaiRuntimeTypeError(f"{what} expects an array, but got {type(value).__name__}", hint)
     dt = dtypes.to_dtype(array.dtype)
     if dt is None:
         raise TaiRuntimeTypeError(f"{what} expects numbers, but got {array.dtype}")

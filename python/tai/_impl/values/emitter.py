@@ -373,9 +373,9 @@ class Emitter:
         if value.shape == shape:
             return value
         if value.shape:
-            raise TaiTypeError(
-                f"a {value.kind_name} and a matrix of shape {shape} do not go together"
-            )
+            size = "×".join(map(str, shape))
+            other = f"vector of {size}" if len(shape) == 1 else f"{size} matrix"
+            raise TaiTypeError(f"a {value.kind_name} and a {other} do not go together")
         if not value.dt.is_float:
             count = math.prod(shape)
             return MatrixValue(self, None, value.dt, shape, [value] * count)

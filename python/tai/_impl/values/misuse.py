@@ -11,6 +11,7 @@ from .value import Value
 # What the classes of values are called in messages of Python's own.
 KINDS = {
     "ArrayArgument": "array",
+    "FormattedText": "text",
     "FunctionType": "function",
     "MatrixValue": "vector or matrix",
     "Place": "element of a field",
@@ -20,10 +21,17 @@ KINDS = {
 }
 
 
+def with_article(name: str) -> str:
+    return f"{'an' if name[0] in 'aeiou' or name == 'ndarray' else 'a'} {name}"
+
+
 def name_of(thing: Any) -> str:
     if isinstance(thing, Value):
         return f"a {thing.kind_name}"
-    return f"'{thing}'" if isinstance(thing, str) else type(thing).__name__
+    if isinstance(thing, str):
+        return f"'{thing}'"
+    name = type(thing).__name__
+    return with_article(KINDS[name]) if name in KINDS else name
 
 
 def describe_misuse(thing: Any) -> str:
