@@ -403,3 +403,46 @@ def test_components_that_a_function_changes_in_branches():
         return [v[0], v[1], v[2], s.v[0] * 10 + s.v[1], s.t]
 
     assert run(4).to_list() == [1, 6, 3, 45, 5]
+
+
+@ti.dataclass
+class Jar:
+    t: ti.i32
+    v: ti.types.vector(2, ti.i32)
+
+    @ti.func
+    def take(self, other: ti.template()):
+        self.t += other
+        other = 0
+
+    @ti.func
+    def pour(self, other: ti.template(), k):
+        if k > 0:
+            other.t += self.t
+            self.t = 0
+
+    @ti.func
+    def take_own(self, k):
+        if k > 0:
+            self.take(self.v[0])
+
+
+def test_methods_change_what_they_are_given_by_reference():
+    @ti.kernel
+    def run(q: ti.i32) -> ti.types.vector(5, ti.i32):
+        a, b, x = Jar(t=1), Jar(t=10, v=[3, 4]), 7
+        y = ti.Vector([5, 6])
+        if q > 0:
+            a.take(x)
+        for i in range(2):
+            if i == q:
+                a.take(y[i])
+        if q > 0:
+            a.pour(b, q)
+        for i in range(3):
+            b.take_own(i - q)
+        return [a.t, b.t, x, y[0] * 10 + y[1], b.v[0]]
+
+    assert run(0).to_list() == [6, 13, 7, 6, 0]
+    assert run(1).to_list() == [0, 27, 0, 50, 0]
+    assert run(2).to_list() == [0, 18, 0, 56, 3]

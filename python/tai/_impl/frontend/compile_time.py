@@ -35,6 +35,8 @@ class CompileTime(Part):
     def __init__(self, context: Context):
         super().__init__(context)
         self.in_static = 0
+        # Of methods of structs, whether they change them.
+        self._changing: dict[tuple, bool] = {}
 
     def static_argument(self, node: ast.expr) -> ast.expr | None:
         """The argument of `ti.static(…)`, or None if `node` is something else."""
@@ -63,7 +65,7 @@ class CompileTime(Part):
     def attribute_of(self, base: Any, name: str) -> Any:
         """An attribute of what is known, or None."""
         if isinstance(base, StructPlace):
-            return base.members.get(name)
+            return base.members.get(name, base.type.methods.get(name))
         return None if base is None or isinstance(base, Value) else getattr(base, name, None)
 
     def takes_reference(self, node: ast.Call) -> bool:
@@ -115,7 +117,9 @@ class CompileTime(Part):
         if not isinstance(node.func, ast.Attribute):
             return False
         receiver = self.static_callee(node.func.value)
-        return isinstance(receiver, StructPlace) and changes_struct(receiver.type, node.func.attr)
+        return isinstance(receiver, StructPlace) and changes_struct(
+            receiver.type, node.func.attr, self._changing
+        )
 
     def is_settled(self, node: ast.Call) -> bool:
         """Whether the callee is found by a name that this function gives no meaning, here or later.

@@ -179,16 +179,23 @@ def variables_of(meaning: Any) -> Iterator[Variable]:
         yield from variables_of(meaning.base)
 
 
-def changes_struct(type_: StructType, name: str, within: tuple = ()) -> bool:
+def changes_struct(type_: StructType, name: str, known: dict[tuple, bool]) -> bool:
     """Whether a method may change the struct that it is called of.
 
     Args:
         type_: of the struct.
         name: of the method.
-        within: the methods that call it, which need not be looked at again.
+        known: what was found before, by type and name.
     """
+    if (type_, name) not in known:
+        known[type_, name] = False  # which a method that calls itself adds nothing to
+        known[type_, name] = _changes_struct(type_, name, known)
+    return known[type_, name]
+
+
+def _changes_struct(type_: StructType, name: str, known: dict[tuple, bool]) -> bool:
     info = getattr(type_.methods.get(name), "_tai_func", None)
-    if info is None or (type_, name) in within:
+    if info is None:
         return False
     method = info.function
     tree = function_ast(method)
@@ -197,26 +204,29 @@ def changes_struct(type_: StructType, name: str, within: tuple = ()) -> bool:
     own = tree.args.args[0].arg
     space = {**vars(builtins), **method.__globals__, **closure_of(method)}
 
-    def callee_of(call: ast.Call) -> Any:
-        root, *path = dotted(call.func) or [""]
-        callee = None if root == own else space.get(root)
-        for attribute in path:
-            callee = getattr(callee, attribute, None)
-        return callee
-
-    def changes_receiver(call: ast.Call) -> bool:
-        # A method of this struct, or of one that is a member of it.
+    def method_of(call: ast.Call) -> tuple[Any, str]:
+        """The type of this struct, or of a member of it, whose method is called."""
         root, *path = dotted(call.func) or [""]
         kind: Any = type_ if root == own and path else None
         for member in path[:-1]:
             kind = kind.members.get(member) if isinstance(kind, StructType) else None
-        return isinstance(kind, StructType) and changes_struct(
-            kind, path[-1], (*within, (type_, name))
-        )
+        return (kind, path[-1]) if isinstance(kind, StructType) else (None, "")
 
-    collector = AssignedNames(
-        lambda call: takes_reference(callee_of(call)), changes_receiver, lambda call: True, {}
-    )
+    def gives_reference(call: ast.Call) -> bool:
+        kind, name = method_of(call)
+        if kind is not None:
+            return takes_reference(kind.methods.get(name))
+        root, *path = dotted(call.func) or [""]
+        callee = space.get(root)
+        for attribute in path:
+            callee = getattr(callee, attribute, None)
+        return takes_reference(callee)
+
+    def changes_receiver(call: ast.Call) -> bool:
+        kind, name = method_of(call)
+        return kind is not None and changes_struct(kind, name, known)
+
+    collector = AssignedNames(gives_reference, changes_receiver, lambda call: True, {})
     return own in collector.collect(tree.body)
 
 
