@@ -446,3 +446,37 @@ def test_methods_change_what_they_are_given_by_reference():
     assert run(0).to_list() == [6, 13, 7, 6, 0]
     assert run(1).to_list() == [0, 27, 0, 50, 0]
     assert run(2).to_list() == [0, 18, 0, 56, 3]
+
+
+@ti.dataclass
+class Leaver:
+    a: ti.i32
+
+    @ti.func
+    def climb(self, k):
+        self.a += 1
+        if self.a > k:
+            return self.a
+        self.a += 10
+        return -1
+
+
+def test_methods_that_return_early_change_a_struct_once():
+    """Their body is walked once before, for the types of what they return."""
+
+    @ti.kernel
+    def once(k: ti.i32) -> ti.i32:
+        s = Leaver()
+        return s.climb(k) + 100 * s.a
+
+    @ti.kernel
+    def asked(k: ti.i32) -> ti.types.vector(2, ti.i32):
+        s, total = Leaver(), 0
+        while s.climb(k) < 30 and total < 50:
+            total += s.a
+        if k > 0 or s.climb(k) > 0:
+            s.a *= 2
+        return [s.a, total]
+
+    assert once(2) == 1099 and once(0) == 101
+    assert asked(2).to_list() == [30, 50] and asked(0).to_list() == [24, 55]

@@ -16,6 +16,7 @@ from ..values.value import MatrixValue, Value
 from .context import Context, Part
 from .parameters import Parameters
 from .refs import Variable, VariablePlace
+from .structs import variables_of
 
 
 def find_return(statements: list[ast.stmt]) -> ast.Return | None:
@@ -138,7 +139,7 @@ class Returns(Part):
             return known
         form = frame.form = _Form()
         scopes = [scope for f in self.context.frames for scope in f.scopes]
-        variables = {id(m): m for s in scopes for m in s.values() if isinstance(m, Variable)}
+        variables = {id(v): v for s in scopes for m in s.values() for v in variables_of(m)}
         flags = [v for f in self.context.frames if f.results for v in f.results.variables]
         loops = [loop for f in self.context.frames for loop in f.loops]
         flags += [v for loop in loops for v in (loop.broken, loop.skipped) if v is not None]
