@@ -480,3 +480,38 @@ def test_methods_that_return_early_change_a_struct_once():
 
     assert once(2) == 1099 and once(0) == 101
     assert asked(2).to_list() == [30, 50] and asked(0).to_list() == [24, 55]
+
+
+@ti.dataclass
+class Giver:
+    v: ti.i32
+
+    @ti.func
+    def give(self, other: ti.template()):
+        other.take_from(self.v)
+
+
+@ti.dataclass
+class Taker:
+    w: ti.i32
+
+    @ti.func
+    def take_from(self, v: ti.template()):
+        v += 2
+        self.w += 1
+
+
+def test_a_method_gives_a_member_to_one_of_an_argument():
+    """Which only the call says."""
+
+    @ti.kernel
+    def run(q: ti.i32) -> ti.types.vector(2, ti.i32):
+        giver, taker = Giver(v=1), Taker(w=10)
+        if q > 0:
+            giver.give(taker)
+        for _ in range(q):
+            giver.give(taker)
+        return [giver.v, taker.w]
+
+    assert run(0).to_list() == [1, 10]
+    assert run(3).to_list() == [9, 14]

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...errors import TaiNameError, TaiTypeError, did_you_mean
 from ..fields.structs import Struct, StructField, StructType, items_of
+from ..values.matrix import Matrix
 from ..values.types import MatrixType
 from ..values.value import Value
 from .atomics import takes_reference
@@ -217,7 +218,10 @@ def _changes_struct(type_: StructType, name: str, known: dict[tuple, bool]) -> b
         if kind is not None:
             return takes_reference(kind.methods.get(name))
         root, *path = dotted(call.func) or [""]
-        callee = space.get(root)
+        if root not in space:
+            # A parameter or a variable: of a vector, or of a struct that is known at the call.
+            return not (path and hasattr(Matrix, path[-1]))
+        callee = space[root]
         for attribute in path:
             callee = getattr(callee, attribute, None)
         return takes_reference(callee)
