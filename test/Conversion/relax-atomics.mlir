@@ -3,7 +3,10 @@
 
 tai.tree @t : !tai.root<dense<[i: 100000], {x: f32}>, dense<[i: 100000], {y: f32}>,
                         dense<[i: 16], dense<[j: 100, k: 100], {grid: f32}>>,
-                        dense<[i: 1000000], {huge: f32}>, {loss: f32, count: i32}>
+                        dense<[i: 1000000], {huge: f32}>, {loss: f32, count: i32},
+                        dense<[i: 100], {bins: i32}>, dense<[i: 100], {narrow: i16}>>
+tai.field @bins = @t["bins"] : i32, rank 1
+tai.field @narrow = @t["narrow"] : i16, rank 1
 tai.field @x = @t["x"] : f32, rank 1
 tai.field @y = @t["y"] : f32, rank 1
 tai.field @grid = @t["grid"] : f32, rank 3
@@ -293,4 +296,39 @@ tai.kernel @local_array() -> f32 {
   }
   %4 = memref.load %sum[%c0] : memref<1xf32>
   tai.return %4 : f32
+}
+
+// Counts of few bins have buffers of their own, too, in any mode: the order of
+// whole numbers does not matter. Not so maxima, and numbers of 16 bits.
+// CHECK-LABEL: tai.kernel @counts
+//       CHECK:     tai.atomic add %{{.+}}, @bins[%{{.+}}] strategy private buffer 0 : i32
+//       CHECK:     tai.atomic add %{{.+}}, @narrow[%{{.+}}] : i16
+//       CHECK:   tai.return
+tai.kernel @counts() {
+  %c0 = arith.constant 0 : index
+  %n = arith.constant 100000 : index
+  %bins = arith.constant 100 : index
+  %one = arith.constant 1 : i32
+  %half = arith.constant 1 : i16
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %at = arith.remui %i, %bins : index
+    %0 = tai.atomic add %one, @bins[%at] : i32
+    %1 = tai.atomic add %half, @narrow[%at] : i16
+  }
+  tai.return
+}
+
+// CHECK-LABEL: tai.kernel @largest
+//       CHECK:     tai.atomic max %{{.+}}, @bins[%{{.+}}] : i32
+//       CHECK:   tai.return
+tai.kernel @largest() {
+  %c0 = arith.constant 0 : index
+  %n = arith.constant 100000 : index
+  %bins = arith.constant 100 : index
+  %one = arith.constant 1 : i32
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %at = arith.remui %i, %bins : index
+    %0 = tai.atomic max %one, @bins[%at] : i32
+  }
+  tai.return
 }

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Additions to Abi.h for kernels that name the mode of their sums, and for
-// sums of 16 bits.
+// Additions to Abi.h for kernels that name the mode of their sums, for sums of
+// 16 bits and for those of integers.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,6 +21,8 @@
 enum { kSumsPairs = kSumsWide + 1 };
 /// Fields of 16 bits with private buffers of f64.
 enum { kSumsF16 = kSumsPairs + 1, kSumsBF16 };
+/// Fields of integers of 32 and 64 bits with private buffers of the same type.
+enum { kSumsI32 = kSumsBF16 + 1, kSumsI64 };
 
 /// An argument of `tai_rt_parts`, besides 0 and, for reductions, 1: the
 /// partition depends on the loop alone, whatever the options of the context.

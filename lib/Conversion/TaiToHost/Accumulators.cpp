@@ -479,12 +479,14 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
     const FieldInfo &field = *buffer.group.field;
     OpBuilder &inside = buffer.isApart() ? builder : whereSeveral;
     Value kind = runtime.i32(inside, loc,
-                             buffer.isPair               ? kSumsPairs
-                             : field.scalarType.isF16()  ? kSumsF16
-                             : field.scalarType.isBF16() ? kSumsBF16
-                             : buffer.isWide             ? kSumsWide
-                             : field.scalarType.isF64()  ? kSumsF64
-                                                         : kSumsF32);
+                             buffer.isPair                    ? kSumsPairs
+                             : field.scalarType.isF16()       ? kSumsF16
+                             : field.scalarType.isBF16()      ? kSumsBF16
+                             : buffer.isWide                  ? kSumsWide
+                             : field.scalarType.isF64()       ? kSumsF64
+                             : field.scalarType.isInteger(32) ? kSumsI32
+                             : field.scalarType.isInteger(64) ? kSumsI64
+                                                              : kSumsF32);
     if (buffer.isContiguous()) {
       Value count = runtime.i64(inside, loc, buffer.numElements());
       runtime.tai_rt_combine(inside, loc, frame, buffer.target, buffer.memory,

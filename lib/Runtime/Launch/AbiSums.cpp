@@ -173,6 +173,7 @@ static int64_t sizeOfTarget(int32_t kind) {
     return 2;
   case kSumsF64:
   case kSumsPairs:
+  case kSumsI64:
     return sizeof(double);
   default:
     return sizeof(float);
@@ -183,6 +184,7 @@ static int64_t sizeOfTarget(int32_t kind) {
 static int64_t sizeOfSums(int32_t kind) {
   switch (kind) {
   case kSumsF32:
+  case kSumsI32:
     return sizeof(float);
   case kSumsPairs:
     return 2 * sizeof(double);
@@ -203,6 +205,8 @@ static int64_t sizeOfSums(int32_t kind) {
 TAI_ADD_BUFFERS(addF32Avx2, float, float, "avx2")
 TAI_ADD_BUFFERS(addF64Avx2, double, double, "avx2")
 TAI_ADD_BUFFERS(addWideAvx2, float, double, "avx2")
+TAI_ADD_BUFFERS(addI32Avx2, uint32_t, uint32_t, "avx2")
+TAI_ADD_BUFFERS(addI64Avx2, uint64_t, uint64_t, "avx2")
 #undef TAI_ADD_BUFFERS
 __attribute__((target("avx2"))) static void
 addPairsAvx2(void *to, char *buffers, int64_t begin, int64_t end, int64_t parts,
@@ -240,9 +244,10 @@ static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
                          int64_t parts, char *buffers, int64_t stride,
                          AddressOf addressOf, Add add) {
   // Compensated sums are pairs in memory, and have no shadows there; nor have
-  // fields of 16 bits.
+  // fields of 16 bits and of integers.
   if (__builtin_expect(!launch.owner().options().shadow, true) ||
-      kind == kSumsPairs || sizeOfTarget(kind) == 2)
+      kind == kSumsPairs || sizeOfTarget(kind) == 2 || kind == kSumsI32 ||
+      kind == kSumsI64)
     return add();
   if (kind == kSumsF32)
     return addWithShadows<float, float>(count, parts, buffers, stride,
@@ -263,11 +268,15 @@ static AddBuffers chooseAdd(int32_t kind) {
     return kind == kSumsF32     ? addF32Avx2
            : kind == kSumsF64   ? addF64Avx2
            : kind == kSumsPairs ? addPairsAvx2
+           : kind == kSumsI32   ? addI32Avx2
+           : kind == kSumsI64   ? addI64Avx2
                                 : addWideAvx2;
 #endif
   return kind == kSumsF32     ? addBuffers<float, float>
          : kind == kSumsF64   ? addBuffers<double, double>
          : kind == kSumsPairs ? addPairs
+         : kind == kSumsI32   ? addBuffers<uint32_t, uint32_t>
+         : kind == kSumsI64   ? addBuffers<uint64_t, uint64_t>
                               : addBuffers<float, double>;
 }
 
@@ -384,6 +393,8 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
              : kind == kSumsPairs ? addStridedPairs
              : kind == kSumsF16   ? addStrided<Half, double>
              : kind == kSumsBF16  ? addStrided<Bfloat, double>
+             : kind == kSumsI32   ? addStrided<uint32_t, uint32_t>
+             : kind == kSumsI64   ? addStrided<uint64_t, uint64_t>
                                   : addStrided<float, double>;
   int64_t targetBytes = sizeOfTarget(kind);
   addBuffersOf(

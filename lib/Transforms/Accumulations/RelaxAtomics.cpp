@@ -158,7 +158,9 @@ static std::optional<FieldSlice> getSlice(const AccumulationGroup &group) {
 /// updates.
 bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   const FieldInfo &field = *group.field;
-  if (!isa<FloatType>(field.scalarType))
+  bool isFloat = isa<FloatType>(field.scalarType);
+  if (!isFloat && !field.scalarType.isInteger(32) &&
+      !field.scalarType.isInteger(64))
     return false;
   double updates = 0;
   for (AtomicOp atomic : group.atomics) {
@@ -174,7 +176,7 @@ bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   if (elements > kMaxPrivateElements)
     return false;
   // Sums of 16 bits would stop growing after some hundred additions.
-  if (compensated || is16Bits(field.scalarType))
+  if (isFloat && (compensated || is16Bits(field.scalarType)))
     return true;
   // Where the number of iterations is known at run time only, so is what pays:
   // too few of them run in one partition, which needs no buffers.

@@ -162,6 +162,8 @@ TEST(RuntimeCombine, AddsInPartitionOrder) {
         combine<float, float>(threads, count, parts, kSumsF32);
         combine<double, double>(threads, count, parts, kSumsF64);
         combine<float, double>(threads, count, parts, kSumsWide);
+        combine<uint32_t, uint32_t>(threads, count, parts, kSumsI32);
+        combine<uint64_t, uint64_t>(threads, count, parts, kSumsI64);
       }
 }
 
