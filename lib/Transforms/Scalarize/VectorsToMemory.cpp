@@ -17,6 +17,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "MemoryVectors.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Arith/Transforms/BufferizableOpInterfaceImpl.h"
 #include "mlir/Dialect/Bufferization/IR/Bufferization.h"
@@ -29,14 +30,12 @@
 #include "mlir/Dialect/UB/IR/UBOps.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
-#include "mlir/IR/Dominance.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "mlir/Transforms/GreedyPatternRewriteDriver.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
-#include "llvm/ADT/EquivalenceClasses.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_VECTORSTOMEMORY
@@ -46,48 +45,14 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Up to how many components selects are faster: in a loop, where they would be
-/// carried in as many registers and nothing becomes vectors of iterations, and
-/// elsewhere.
-static constexpr int64_t kMaxInLoop = 6, kMaxElsewhere = 16;
-/// What a function may put on the stack, which threads have little of.
-static constexpr int64_t kMaxBytes = 1 << 15;
-/// Accesses to vectors in a function that need copies: the time in which
-/// upstream finds these grows with the third power of their number.
-static constexpr int64_t kMaxAccesses = 200;
-/// Pairs of a vector and a write to one that it is connected with.
-static constexpr int64_t kMaxPairs = 1 << 22;
-
 //===----------------------------------------------------------------------===//
-// Vectors that share a buffer
+// Vectors from outside of a parallel loop
 //===----------------------------------------------------------------------===//
 
-/// Whether the op only says which of its regions run.
-static bool isControlFlow(Operation *op) {
-  return isa<scf::ForOp, scf::WhileOp, scf::IfOp, scf::IndexSwitchOp>(op);
-}
-
-/// The op around the op, or around the loops and branches that it is in.
-static Operation *getScope(Operation *op) {
-  do
-    op = op->getParentOp();
-  while (isControlFlow(op));
-  return op;
-}
-
-/// Whether the op is in a loop of its scope.
-static bool isInLoop(Operation *op) {
-  for (op = op->getParentOp(); isControlFlow(op); op = op->getParentOp())
-    if (isa<LoopLikeOpInterface>(op))
-      return true;
-  return false;
-}
-
-static Operation *getScope(Value value) {
-  if (Operation *op = value.getDefiningOp())
-    return getScope(op);
-  Operation *parent = cast<BlockArgument>(value).getOwner()->getParentOp();
-  return isControlFlow(parent) ? getScope(parent) : parent;
+static bool hasPositionAtRunTime(FunctionOpInterface function) {
+  return function
+      .walk([](Operation *op) { return WalkResult(failure(isAtRunTime(op))); })
+      .wasInterrupted();
 }
 
 /// Makes vectors from outside anew where ops use them that may keep them: the
@@ -114,229 +79,6 @@ static void copyFromOutside(FunctionOpInterface function) {
     auto elements = vector::ToElementsOp::create(b, vector);
     use->set(vector::FromElementsOp::create(b, vector.getType(),
                                             elements->getResults()));
-  }
-}
-
-/// Whether the op reads or writes one component, whose position is given in
-/// full.
-template <typename Op> static bool isOfOneComponent(Op op, VectorType type) {
-  return static_cast<int64_t>(op.getMixedPosition().size()) == type.getRank();
-}
-static bool isComponentRead(Operation *op) {
-  auto extract = dyn_cast<vector::ExtractOp>(op);
-  return extract && isOfOneComponent(extract, extract.getSourceVectorType());
-}
-static bool isComponentWrite(Operation *op) {
-  auto insert = dyn_cast<vector::InsertOp>(op);
-  return insert && isOfOneComponent(insert, insert.getDestVectorType());
-}
-
-/// Whether the op is one of these and says so at run time.
-static bool isAtRunTime(Operation *op) {
-  if (isComponentRead(op))
-    return !cast<vector::ExtractOp>(op).getDynamicPosition().empty();
-  return isComponentWrite(op) &&
-         !cast<vector::InsertOp>(op).getDynamicPosition().empty();
-}
-static bool hasPositionAtRunTime(FunctionOpInterface function) {
-  return function
-      .walk([](Operation *op) { return WalkResult(failure(isAtRunTime(op))); })
-      .wasInterrupted();
-}
-
-namespace {
-/// The vectors of a function that go to memory.
-class MemoryVectors {
-public:
-  /// With those that need copies, or without.
-  MemoryVectors(FunctionOpInterface function, bool withCopies);
-
-  bool empty() const { return chosen.empty(); }
-  bool needCopies() const { return accesses > 0; }
-  bool contains(Value value) const { return chosen.contains(value); }
-  /// Of a vector that shares a buffer, a number for all that share it.
-  std::optional<unsigned> getBuffer(Value value) const {
-    auto found = chosen.find(value);
-    return found == chosen.end() ? std::nullopt : found->second;
-  }
-
-private:
-  void join(Value a, Value b) {
-    if (isa<VectorType>(a.getType()))
-      classes.unionSets(a, b);
-  }
-  template <typename... Ranges> void joinAll(Ranges... ranges) {
-    for (auto values : llvm::zip_equal(ranges...))
-      std::apply(
-          [&](Value first, auto... others) { (join(first, others), ...); },
-          values);
-  }
-  void joinValuesOf(Operation *op);
-  void choose(ArrayRef<Value> members, DominanceInfo &dominance);
-
-  llvm::EquivalenceClasses<Value> classes;
-  llvm::DenseMap<Value, std::optional<unsigned>> chosen;
-  bool withCopies;
-  unsigned numBuffers = 0;
-  int64_t bytes = 0, pairs = 0;
-  /// To vectors that need copies.
-  int64_t accesses = 0;
-};
-} // namespace
-
-/// Joins values that are the same vector at different times.
-void MemoryVectors::joinValuesOf(Operation *op) {
-  auto yielded = [](Region &region) {
-    return region.front().getTerminator()->getOperands();
-  };
-  if (auto loop = dyn_cast<scf::ForOp>(op)) {
-    joinAll(loop.getInits(), loop.getRegionIterArgs(), loop.getYieldedValues(),
-            loop.getResults());
-  } else if (auto loop = dyn_cast<scf::WhileOp>(op)) {
-    joinAll(loop.getInits(), loop.getBeforeArguments(),
-            loop.getYieldOp().getOperands());
-    joinAll(loop.getConditionOp().getArgs(), loop.getAfterArguments(),
-            loop.getResults());
-  } else if (isControlFlow(op)) {
-    for (Region &region : op->getRegions())
-      if (!region.empty())
-        joinAll(op->getResults(), yielded(region));
-  } else if (isComponentWrite(op)) {
-    auto insert = cast<vector::InsertOp>(op);
-    join(insert.getDest(), insert.getResult());
-  } else if (auto cast = dyn_cast<vector::ShapeCastOp>(op)) {
-    join(cast.getSource(), cast.getResult());
-  }
-}
-
-static bool mayBeInMemory(Value value) {
-  auto type = dyn_cast<VectorType>(value.getType());
-  if (!type || type.isScalable() ||
-      !type.getElementType().isIntOrIndexOrFloat())
-    return false;
-  // Iterations of a parallel loop would write the same buffer.
-  Operation *scope = getScope(value);
-  return llvm::all_of(value.getUsers(),
-                      [&](Operation *user) { return getScope(user) == scope; });
-}
-
-/// The op that writes the components of a vector into its buffer, or null if
-/// the vector is there already.
-static Operation *getWriter(Value vector) {
-  Operation *op = vector.getDefiningOp();
-  return op && !isControlFlow(op) && !isa<vector::ShapeCastOp>(op) ? op
-                                                                   : nullptr;
-}
-
-/// Whether the use may come after `writer`, which the vector dominates, without
-/// the vector having been computed again.
-static bool mayFollow(OpOperand &use, Operation *writer) {
-  Operation *user = use.getOwner();
-  Value vector = use.get();
-  Region *region = vector.getParentRegion();
-  // In the next iteration of a loop around both.
-  for (Operation *op = writer->getParentOp(); op; op = op->getParentOp()) {
-    if (op->isAncestor(region->getParentOp()))
-      break;
-    if (isa<LoopLikeOpInterface>(op) && op->isProperAncestor(user))
-      return true;
-  }
-  if (user == writer)
-    return false;
-  // In the regions of an op that is around both.
-  Operation *common = writer->getParentOp();
-  while (!common->isAncestor(user))
-    common = common->getParentOp();
-  if (common == user)
-    return false;
-  auto childOf = [&](Operation *op) {
-    while (op->getParentOp() != common)
-      op = op->getParentOp();
-    return op;
-  };
-  Operation *first = childOf(writer), *second = childOf(user);
-  if (first->getBlock() == second->getBlock())
-    return first->isBeforeInBlock(second);
-  // Of branches one runs.
-  return !isa<scf::IfOp, scf::IndexSwitchOp>(common);
-}
-
-/// Whether no vector lives where another one is written.
-static bool canShareBuffer(ArrayRef<Value> members, DominanceInfo &dominance) {
-  // Those that come with a block are all written where it starts.
-  if (llvm::count_if(members, [](Value member) {
-        return isa<BlockArgument>(member) &&
-               !isControlFlow(member.getParentBlock()->getParentOp());
-      }) > 1)
-    return false;
-  for (Value written : members) {
-    Operation *writer = getWriter(written);
-    if (!writer)
-      continue;
-    for (Value other : members) {
-      if (other == written || !dominance.properlyDominates(other, writer))
-        continue;
-      for (OpOperand &use : other.getUses())
-        if (mayFollow(use, writer))
-          return false;
-    }
-  }
-  return true;
-}
-
-void MemoryVectors::choose(ArrayRef<Value> members, DominanceInfo &dominance) {
-  auto type = cast<VectorType>(members.front().getType());
-  if (!llvm::all_of(members, mayBeInMemory))
-    return;
-  int64_t width =
-      type.getElementType().isIndex() ? 64 : type.getElementTypeBitWidth();
-  int64_t own = type.getNumElements() * llvm::divideCeil(width, 8);
-  if (bytes + own > kMaxBytes)
-    return;
-  int64_t uses = 0;
-  for (Value member : members)
-    uses += llvm::count_if(member.getUsers(), [](Operation *user) {
-      return isComponentRead(user) || isComponentWrite(user);
-    });
-  int64_t ownPairs =
-      int64_t(members.size()) *
-      llvm::count_if(members, [](Value v) { return getWriter(v) != nullptr; });
-  std::optional<unsigned> buffer;
-  if (pairs + ownPairs <= kMaxPairs && canShareBuffer(members, dominance))
-    buffer = numBuffers++;
-  else if (!withCopies || accesses + uses > kMaxAccesses)
-    return;
-  else
-    accesses += uses;
-  pairs += ownPairs;
-  bytes += own;
-  for (Value member : members)
-    chosen[member] = buffer;
-}
-
-MemoryVectors::MemoryVectors(FunctionOpInterface function, bool withCopies)
-    : withCopies(withCopies) {
-  // By the largest of them that stays a vector of scalars.
-  SmallVector<std::pair<Value, int64_t>> roots;
-  function.walk([&](Operation *op) {
-    joinValuesOf(op);
-    if (isAtRunTime(op))
-      roots.emplace_back(isComponentRead(op)
-                             ? cast<vector::ExtractOp>(op).getSource()
-                             : cast<vector::InsertOp>(op).getDest(),
-                         isInLoop(op) ? kMaxInLoop : kMaxElsewhere);
-  });
-  DominanceInfo dominance(function);
-  llvm::DenseSet<Value> seen;
-  for (auto [root, most] : roots) {
-    auto type = cast<VectorType>(root.getType());
-    if (type.getNumElements() <= most || seen.contains(root))
-      continue;
-    SmallVector<Value> members{root};
-    if (auto found = classes.findLeader(root); found != classes.member_end())
-      members.assign(found, classes.member_end());
-    seen.insert(members.begin(), members.end());
-    choose(members, dominance);
   }
 }
 

@@ -1,0 +1,74 @@
+//===- MemoryVectors.h - Which vectors go to memory -------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_TRANSFORMS_SCALARIZE_MEMORYVECTORS_H
+#define TAI_LIB_TRANSFORMS_SCALARIZE_MEMORYVECTORS_H
+
+#include "mlir/IR/Dominance.h"
+#include "mlir/IR/Value.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "llvm/ADT/EquivalenceClasses.h"
+#include <optional>
+
+namespace mlir::tai {
+
+/// Whether the op only says which of its regions run.
+bool isControlFlow(Operation *op);
+
+/// The op around the op or value, or around the loops and branches that it is
+/// in.
+Operation *getScope(Operation *op);
+Operation *getScope(Value value);
+
+/// Whether the op reads or writes one component, whose position is given in
+/// full.
+bool isComponentRead(Operation *op);
+bool isComponentWrite(Operation *op);
+/// Whether it is one of these and says the position at run time.
+bool isAtRunTime(Operation *op);
+
+/// The vectors of a function that go to memory.
+class MemoryVectors {
+public:
+  /// With those that need copies, or without.
+  MemoryVectors(FunctionOpInterface function, bool withCopies);
+
+  bool empty() const { return chosen.empty(); }
+  bool needCopies() const { return accesses > 0; }
+  bool contains(Value value) const { return chosen.contains(value); }
+  /// Of a vector that shares a buffer, a number for all that share it.
+  std::optional<unsigned> getBuffer(Value value) const {
+    auto found = chosen.find(value);
+    return found == chosen.end() ? std::nullopt : found->second;
+  }
+
+private:
+  void join(Value a, Value b) {
+    if (isa<VectorType>(a.getType()))
+      classes.unionSets(a, b);
+  }
+  template <typename... Ranges> void joinAll(Ranges... ranges) {
+    for (auto values : llvm::zip_equal(ranges...))
+      std::apply(
+          [&](Value first, auto... others) { (join(first, others), ...); },
+          values);
+  }
+  void joinValuesOf(Operation *op);
+  void choose(ArrayRef<Value> members, DominanceInfo &dominance);
+
+  llvm::EquivalenceClasses<Value> classes;
+  llvm::DenseMap<Value, std::optional<unsigned>> chosen;
+  bool withCopies;
+  unsigned numBuffers = 0;
+  int64_t bytes = 0, pairs = 0;
+  /// To vectors that need copies.
+  int64_t accesses = 0;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_TRANSFORMS_SCALARIZE_MEMORYVECTORS_H
