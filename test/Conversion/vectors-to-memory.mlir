@@ -219,3 +219,24 @@ tai.kernel @swapped(%n: index, %y: f32) {
   tai.store %r#1, @v[%c1] : vector<8xf32>
   tai.return
 }
+
+// Loops that are made of blocks are left alone.
+// CHECK-LABEL: func.func @blocks(
+//   CHECK-NOT:   memref
+//       CHECK:   return
+func.func @blocks(%v: vector<8xf32>, %n: index, %y: f32, %c: i1) -> f32 {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  cf.br ^loop
+^loop:
+  %e = vector.extract %v[%n] : f32 from vector<8xf32>
+  %r = scf.for %k = %c0 to %n step %c1 iter_args(%w = %v) -> vector<8xf32> {
+    %u = vector.insert %y, %w[%k] : f32 into vector<8xf32>
+    scf.yield %u : vector<8xf32>
+  }
+  %f = vector.extract %r[%n] : f32 from vector<8xf32>
+  cf.cond_br %c, ^loop, ^end
+^end:
+  %s = arith.addf %e, %f : f32
+  return %s : f32
+}

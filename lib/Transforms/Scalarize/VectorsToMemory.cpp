@@ -55,6 +55,19 @@ static bool hasPositionAtRunTime(FunctionOpInterface function) {
       .wasInterrupted();
 }
 
+/// Whether ops run in the order in which they stand, but for loops and branches
+/// that are ops.
+static bool isStructured(FunctionOpInterface function) {
+  return !function
+              .walk([](Operation *op) {
+                return WalkResult(
+                    failure(llvm::any_of(op->getRegions(), [](Region &region) {
+                      return !region.empty() && !region.hasOneBlock();
+                    })));
+              })
+              .wasInterrupted();
+}
+
 /// Makes vectors from outside anew where ops use them that may keep them: the
 /// iterations of a parallel loop would otherwise share a buffer.
 static void copyFromOutside(FunctionOpInterface function) {
@@ -154,8 +167,10 @@ Value VectorReplacer::getBuffer(Value vector) {
     return Value();
   Value &buffer = buffers[*number];
   if (!buffer) {
-    auto builder =
-        OpBuilder::atBlockBegin(&getScope(vector)->getRegion(0).front());
+    Region *region = vector.getParentRegion();
+    while (region->getParentOp() != getScope(vector))
+      region = region->getParentRegion();
+    auto builder = OpBuilder::atBlockBegin(&region->front());
     RankedTensorType type = getTensorType(vector);
     buffer =
         createBuffer(builder, vector.getLoc(),
@@ -463,7 +478,7 @@ struct VectorsToMemory : tai::impl::VectorsToMemoryBase<VectorsToMemory> {
 
   void runOnOperation() override {
     getOperation()->walk([](FunctionOpInterface function) {
-      if (!hasPositionAtRunTime(function))
+      if (!hasPositionAtRunTime(function) || !isStructured(function))
         return;
       copyFromOutside(function);
       for (bool withCopies : {true, false}) {
