@@ -57,7 +57,7 @@ def stores_infinite_tangents(program, f, along: np.ndarray) -> bool:
     program.start.restore(only_primal=True)
     mode.clear_duals()
     f._companions["dual"].core.copy_from(np.ascontiguousarray(along, f.dtype.numpy))
-    with mode.forward_mode():
+    with mode.ForwardMode():
         for launch in filter(None, launches):
             exec(launch, program.run.__globals__)
             if any(np.isinf(compare.Snapshot._take(dual)).any() for dual in duals):

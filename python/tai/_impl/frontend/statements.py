@@ -9,6 +9,7 @@ from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..fields.field import Field
+from ..fields.structs import parts_of
 from ..values.ops import stop_grad
 from ..values.value import Value
 from .checks import refuse_condition
@@ -79,7 +80,7 @@ class Statements(Part):
                 field = self.compile_time.static_callee(call.args[0])
                 if isinstance(field, Field):
                     field.materialize()
-                    found = found | {id(field), *map(id, getattr(field, "parts", ()))}
+                    found = found | {id(field), *map(id, parts_of(field))}
         return found
 
     def _statements(self, statements: list[ast.stmt]) -> None:

@@ -92,6 +92,14 @@ def has_history(field: Any) -> bool:
     return companion is not None and companion.level is not None and not _is_internal(field)
 
 
+def _leaves_of(field: Any) -> list[Any]:
+    """The field, or those of all members of a struct."""
+    members = getattr(field, "members", None)
+    if members is None:
+        return [field]
+    return [leaf for member in members.values() for leaf in _leaves_of(member)]
+
+
 def _is_internal(field: Any) -> bool:
     program = state.program
     return program is not None and any(pool.field is field for pool in program.pools)
@@ -329,7 +337,7 @@ class _Scope:
         if isinstance(node, ast.Subscript):
             field = self.resolve(node.value)
             if isinstance(field, Elements):
-                return any(map(has_history, getattr(field, "leaves", [field])))
+                return any(map(has_history, _leaves_of(field)))
             return self.has_history(node.value)
         if isinstance(node, ast.IfExp):
             return self.has_history(node.body) or self.has_history(node.orelse)
@@ -347,7 +355,7 @@ class _Scope:
             base = self.resolve(node.func.value)
             if isinstance(base, Elements):
                 reads = node.func.attr in ("to_numpy", "to_torch")
-                return reads and any(map(has_history, getattr(base, "leaves", [base])))
+                return reads and any(map(has_history, _leaves_of(base)))
             if self.has_history(node.func.value):
                 return True
         if called in _DISCRETE:
