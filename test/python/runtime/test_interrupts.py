@@ -115,8 +115,8 @@ def test_a_kernel_is_interrupted(make, opt_level, threads, ctrl_c):
         check_usable()
 
 
-def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
-    """It looks at a property to see whether the code still holds, and forgets what that raises."""
+def scene_that_asks(number):
+    """A scene whose kernel asks a property that, once `stops` is set, raises a signal."""
     x = ti.field(ti.f64, shape=4)
 
     @ti.data_oriented
@@ -127,7 +127,7 @@ def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
         def size(self):
             if self.stops:
                 self.stops = False
-                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(number)
             return 3
 
         @ti.kernel
@@ -135,7 +135,12 @@ def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
             for i in range(self.size):
                 x[i] += 1.0
 
-    scene = Scene()
+    return Scene()
+
+
+def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
+    """It looks at a property to see whether the code still holds, and forgets what that raises."""
+    scene = scene_that_asks(signal.SIGINT)
     for _ in range(3):
         scene.run()
     scene.stops = True
@@ -147,7 +152,6 @@ def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
 
 def test_a_time_limit_while_the_launcher_asks_an_argument_is_not_lost():
     """Whatever its handler raises."""
-    x = ti.field(ti.f64, shape=4)
 
     class Stop(Exception):
         pass
@@ -155,23 +159,7 @@ def test_a_time_limit_while_the_launcher_asks_an_argument_is_not_lost():
     def stop(*_):
         raise Stop("late")
 
-    @ti.data_oriented
-    class Scene:
-        stops = False
-
-        @property
-        def size(self):
-            if self.stops:
-                self.stops = False
-                signal.raise_signal(signal.SIGALRM)
-            return 3
-
-        @ti.kernel
-        def run(self):
-            for i in range(self.size):
-                x[i] += 1.0
-
-    scene = Scene()
+    scene = scene_that_asks(signal.SIGALRM)
     before = signal.signal(signal.SIGALRM, stop)
     try:
         for _ in range(3):
