@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import lock_discipline
+import prose
 import rooms
 import rooms_python
 import tidy
@@ -109,6 +110,11 @@ def python_lock(_fix: bool) -> str:
     return "\n".join(lock_discipline.check())
 
 
+def plain_prose(_fix: bool) -> str:
+    """Sentences of comments, docstrings and pages begin with a noun or a verb."""
+    return "\n".join(prose.check())
+
+
 # Each takes some 8 seconds of a core.
 MOST_TIDIED = 8
 
@@ -140,6 +146,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "Python types": python_types,
     "rooms": rooms_of_sources,
     "Python's lock": python_lock,
+    "prose": plain_prose,
     "clang-tidy": clang_tidy,
 }
 

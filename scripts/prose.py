@@ -1,0 +1,366 @@
+"""Checks the prose of comments, docstrings and pages: sentences begin with a noun or a verb.
+
+Two densities are counted per room, each per 1,000 sentences: `opening` counts sentences that
+begin with a pronoun or a question word ("Those", "Of", "What"), `clause` counts clauses such as
+"what is" that stand for a noun. A room passes if it is below both of `BARS`.
+
+    prose.py                  print the rooms and their densities
+    prose.py --list ROOM      print the offending sentences of a room (or of a file)
+    prose.py --update         lower the figures of `ABOVE` to those of the tree
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Highest density of openings and of clauses that a room may have.
+BARS = (8.0, 6.0)
+
+# Rooms above the bars, with the number of their openings and clauses. The numbers may fall and
+# not rise, and a room that passes leaves the list (`--update` does both).
+ABOVE: dict[str, tuple[int, int]] = {
+    "benchmarks": (3, 6),
+    "benchmarks/error": (19, 14),
+    "benchmarks/floor": (9, 21),
+    "benchmarks/gpu": (3, 5),
+    "benchmarks/micro": (5, 7),
+    "benchmarks/programs": (2, 8),
+    "examples": (16, 30),
+    "examples/studio": (5, 17),
+    "include/tai-c": (3, 2),
+    "include/tai/ABI": (10, 4),
+    "include/tai/AD": (1, 2),
+    "include/tai/Analysis": (9, 3),
+    "include/tai/CodeGen": (4, 2),
+    "include/tai/Dialect/Tai": (0, 2),
+    "include/tai/ExecutionEngine": (4, 3),
+    "include/tai/Runtime/Device": (1, 2),
+    "include/tai/Runtime/Launch": (2, 2),
+    "include/tai/Runtime/Queue": (0, 3),
+    "include/tai/Runtime/Sparse": (1, 2),
+    "include/tai/Runtime/Tape": (0, 1),
+    "include/tai/Support": (2, 6),
+    "include/tai/Transforms/Utils": (3, 2),
+    "lib/AD/Prepare": (8, 8),
+    "lib/AD/Reverse": (21, 36),
+    "lib/AD/Rules": (6, 6),
+    "lib/Analysis": (28, 28),
+    "lib/CodeGen": (4, 4),
+    "lib/CodeGen/Device": (9, 14),
+    "lib/CodeGen/Passes": (32, 38),
+    "lib/Conversion/LayoutToRT": (3, 2),
+    "lib/Conversion/TaiToGPU": (31, 27),
+    "lib/Conversion/TaiToHost": (9, 9),
+    "lib/Conversion/ToLLVM": (11, 15),
+    "lib/Conversion/ToNVVM": (3, 3),
+    "lib/DeviceLibrary": (13, 12),
+    "lib/Dialect/Tai": (10, 9),
+    "lib/ExecutionEngine": (31, 31),
+    "lib/Interpreter": (6, 2),
+    "lib/Pipelines": (6, 8),
+    "lib/Runtime/Cuda": (16, 13),
+    "lib/Runtime/Emulated": (5, 2),
+    "lib/Runtime/Host": (7, 6),
+    "lib/Runtime/Launch": (24, 26),
+    "lib/Runtime/Math": (5, 4),
+    "lib/Runtime/Mirror": (22, 21),
+    "lib/Runtime/Queue": (30, 30),
+    "lib/Runtime/Storage": (3, 2),
+    "lib/Runtime/Tape": (27, 33),
+    "lib/Runtime/Threads": (1, 0),
+    "lib/Transforms/Accumulations": (7, 12),
+    "lib/Transforms/Checks": (17, 21),
+    "lib/Transforms/Loops": (7, 14),
+    "lib/Transforms/Scalarize": (10, 6),
+    "lib/Transforms/Simplify": (6, 6),
+    "lib/Transforms/Utils": (3, 5),
+    "lib/Transforms/Vectorize": (3, 4),
+    "other": (29, 45),
+    "pages": (145, 346),
+    "python/src": (21, 21),
+    "python/tai": (8, 8),
+    "python/tai/_impl/ad": (23, 30),
+    "python/tai/_impl/base": (30, 35),
+    "python/tai/_impl/fields": (17, 13),
+    "python/tai/_impl/frontend": (40, 53),
+    "python/tai/_impl/history": (6, 7),
+    "python/tai/_impl/interop": (6, 5),
+    "python/tai/_impl/launch": (16, 20),
+    "python/tai/_impl/solvers": (3, 4),
+    "python/tai/_impl/tracking": (13, 21),
+    "python/tai/_impl/values": (14, 12),
+    "python/tai/paper": (8, 9),
+    "scripts": (25, 31),
+    "test/fuzz": (22, 23),
+    "test/python": (147, 234),
+    "test/reliability": (42, 71),
+    "test/unit": (69, 88),
+}
+
+OPENERS = "What Who Whose Whoever Those Of None Nobody Which".split()
+AS_OPENERS = "many much long far often soon".split()
+AFTER_WHAT = (
+    "is are was were has have had do does did can may must would needs? goes comes? lies? stands? "
+    "remains? it they he she one a an the this that these those each"
+).split()
+OPENING = re.compile(rf"(?:{'|'.join(OPENERS)}|As (?:{'|'.join(AS_OPENERS)})|Where there)\b")
+CLAUSE = re.compile(rf"\bwhat (?:{'|'.join(AFTER_WHAT)})\b", re.IGNORECASE)
+
+QUOTES = '"' * 3
+COMMENT_MARKS = dict.fromkeys((".cpp", ".h", ".td", ".cu", ".c", ".def", ".inc"), "//")
+COMMENT_MARKS[".py"] = "#"
+# Comments that are read by tools, which end a paragraph.
+DIRECTIVES = ("RUN:", "CHECK", "clang-format", "===", "---", "-*-", "expected-")
+# Folders of results and of copies, which hold no prose of the project.
+NOT_READ = {"build", "out", "dist", "node_modules", "results"}
+# Rooms with fewer sentences than this are counted together.
+FEWEST = 40
+SMALL_ROOMS = "other"
+# Shorter fragments are headings and labels.
+FEWEST_WORDS = 4
+
+
+@dataclass
+class Room:
+    """Sentences of a room: their number, and the offenders as (file, sentence)."""
+
+    sentences: int = 0
+    openings: list[tuple[str, str]] = field(default_factory=list)
+    clauses: list[tuple[str, str]] = field(default_factory=list)
+
+    def add(self, other: Room) -> None:
+        self.sentences += other.sentences
+        self.openings += other.openings
+        self.clauses += other.clauses
+
+    def counts(self) -> tuple[int, int]:
+        return len(self.openings), len(self.clauses)
+
+    def densities(self) -> tuple[float, float]:
+        openings, clauses = self.counts()
+        per = 1000 / max(self.sentences, 1)
+        return openings * per, clauses * per
+
+    def passes(self) -> bool:
+        return all(density <= bar for density, bar in zip(self.densities(), BARS))
+
+
+def comment_text(line: str) -> str:
+    """The words of a comment line; "" for rulers and for lines that tools read."""
+    words = line.lstrip("/!#<").strip()
+    is_ruler = not words.strip("=-*/ ")
+    return "" if is_ruler or words.startswith(DIRECTIVES) else words
+
+
+def comments(text: str, mark: str) -> Iterator[str]:
+    """Paragraphs of the comments: adjacent whole-line comments, and comments behind code."""
+    paragraph: list[str] = []
+    for line in map(str.strip, text.splitlines()):
+        if line.startswith(mark) and (words := comment_text(line)):
+            paragraph.append(words)
+            continue
+        if paragraph:
+            yield " ".join(paragraph)
+            paragraph = []
+        code, found, behind = line.partition(mark)
+        # A mark in front of a quotation mark may be part of a string.
+        if found and code and '"' not in behind:
+            yield behind.lstrip("/!#<").strip()
+    if paragraph:
+        yield " ".join(paragraph)
+
+
+def docstrings(text: str) -> Iterator[str]:
+    """Paragraphs of the strings in three quotation marks, without examples and lists of options."""
+    for string in text.split(QUOTES)[1::2]:
+        for paragraph in re.split(r"\n\s*\n", string):
+            if not re.search(r"^\s*(?:>>>|\$|--)", paragraph, re.M):
+                yield " ".join(paragraph.split())
+
+
+def page(text: str) -> Iterator[str]:
+    """Paragraphs and list items of a page in Markdown, without code, tables and headings."""
+    text = re.sub(r"```.*?```", "", text, flags=re.S)
+    for paragraph in re.split(r"\n\s*\n|\n(?=[-*] )", text):
+        if paragraph.lstrip().startswith(("|", "#", "<", "!")):
+            continue
+        paragraph = re.sub(r"^[-*] ", "", paragraph)
+        yield " ".join(re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", paragraph).split())
+
+
+def paragraphs(name: str, text: str) -> Iterator[str]:
+    suffix = Path(name).suffix
+    if suffix == ".md":
+        yield from page(text)
+    if mark := COMMENT_MARKS.get(suffix):
+        yield from comments(text, mark)
+    if suffix == ".py":
+        yield from docstrings(text)
+
+
+def sentences(paragraph: str) -> Iterator[str]:
+    for sentence in re.split(r'(?<=[.!?])\s+(?=[A-Z`"(])', paragraph):
+        if len(sentence.split()) >= FEWEST_WORDS:
+            yield sentence
+
+
+def room_of(name: str) -> str:
+    """The folder that a file is counted with; all pages are one room."""
+    if name.endswith(".md"):
+        return "pages"
+    folders = name.split("/")[:-1]
+    depth = 2
+    if len(folders) > 1 and folders[0] in ("lib", "include"):
+        depth = 4 if folders[:2] == ["include", "tai"] else 3
+    elif len(folders) > 2 and folders[0] == "python":
+        depth = 4
+    return "/".join(folders[:depth]) or "."
+
+
+def read_room(name: str, text: str) -> Room:
+    """The sentences of one file."""
+    room = Room()
+    for paragraph in paragraphs(name, text):
+        for sentence in sentences(paragraph):
+            room.sentences += 1
+            if OPENING.match(sentence):
+                room.openings.append((name, sentence))
+            if CLAUSE.search(sentence):
+                room.clauses.append((name, sentence))
+    return room
+
+
+def read_tree(texts: dict[str, str]) -> dict[str, Room]:
+    """Rooms by name; those with few sentences are gathered in one."""
+    found: dict[str, Room] = defaultdict(Room)
+    for name, text in texts.items():
+        found[room_of(name)].add(read_room(name, text))
+    rooms: dict[str, Room] = defaultdict(Room)
+    for name, room in found.items():
+        if room.sentences:
+            rooms[name if room.sentences >= FEWEST else SMALL_ROOMS].add(room)
+    return dict(rooms)
+
+
+def has_header(name: str, text: str) -> bool:
+    """Whether a source begins with a comment (or a docstring) that says what it holds."""
+    if not text.strip():
+        return True
+    if name.endswith(".py"):
+        text = text.removeprefix("#!/usr/bin/env python3").lstrip()
+        return text.startswith((QUOTES, "r" + QUOTES, "# "))
+    ruler = re.match(r"//===-+ \S+ -+ (.*?)-*(?:\*- C\+\+ -\*-)?-*===//", text)
+    if ruler and ruler[1].strip():
+        return True
+    comment = re.match(r"/\*.*?\*/|(?://.*\n)+", text, re.S if text.startswith("/*") else 0)
+    return bool(comment) and any(map(comment_text, comment[0].splitlines()))
+
+
+def tracked() -> dict[str, str]:
+    """Texts of the sources and pages of the checkout, by name."""
+    suffixes = [*COMMENT_MARKS, ".md"]
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "--"]
+    command += [f"*{suffix}" for suffix in suffixes]
+    output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return {
+        name: (ROOT / name).read_text(errors="replace")
+        for name in sorted(set(output.splitlines()))
+        if not NOT_READ.intersection(name.split("/")[:-1]) and (ROOT / name).is_file()
+    }
+
+
+def problems(rooms: dict[str, Room], above: dict[str, tuple[int, int]]) -> list[str]:
+    """Rooms that are above the bars and not listed, or worse than listed, or listed in vain."""
+    found = []
+    for name, room in sorted(rooms.items()):
+        opening, clause = room.densities()
+        if room.passes():
+            if name in above:
+                found.append(f"{name}: passes, take it out of ABOVE (scripts/prose.py --update)")
+            continue
+        figures = f"{opening:.1f} openings and {clause:.1f} clauses per 1,000 sentences"
+        remedy = f"rewrite some that `scripts/prose.py --list {name}` prints"
+        if name not in above:
+            bars = f"at most {BARS[0]:g} and {BARS[1]:g}"
+            found.append(f"{name}: {figures}, {bars}: {remedy}")
+        elif any(now > then for now, then in zip(room.counts(), above[name])):
+            then, now = above[name], room.counts()
+            found.append(
+                f"{name}: {now[0]} openings and {now[1]} clauses, "
+                f"at most {then[0]} and {then[1]} as listed in ABOVE: {remedy}"
+            )
+    for name in sorted(set(above) - set(rooms)):
+        found.append(f"{name}: is no room, take it out of ABOVE (scripts/prose.py --update)")
+    return found
+
+
+def check() -> list[str]:
+    texts = tracked()
+    without = [
+        f"{name}: begins without a comment on its contents (one to five lines)"
+        for name, text in texts.items()
+        if not name.endswith(".md") and not has_header(name, text)
+    ]
+    return problems(read_tree(texts), ABOVE) + without
+
+
+def lowered(
+    rooms: dict[str, Room], above: dict[str, tuple[int, int]]
+) -> dict[str, tuple[int, int]]:
+    """The list with the figures of the tree where these are lower, without rooms that pass."""
+    result = {}
+    for name, then in sorted(above.items()):
+        if name in rooms and not rooms[name].passes():
+            now = rooms[name].counts()
+            result[name] = (min(now[0], then[0]), min(now[1], then[1]))
+    return result
+
+
+def update(rooms: dict[str, Room]) -> None:
+    """Writes the lowered list into this script."""
+    lines = [f'    "{name}": {counts},\n' for name, counts in lowered(rooms, ABOVE).items()]
+    script = Path(__file__)
+    text = script.read_text()
+    begin = text.index("ABOVE: dict[str, tuple[int, int]] = {\n")
+    begin = text.index("\n", begin) + 1
+    end = text.index("}\n", begin)
+    script.write_text(text[:begin] + "".join(lines) + text[end:])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--list", metavar="ROOM", help="print the offending sentences")
+    parser.add_argument("--update", action="store_true", help="lower the figures of ABOVE")
+    asked = parser.parse_args()
+    texts = tracked()
+    rooms = read_tree(texts)
+    if asked.update:
+        update(rooms)
+    elif asked.list:
+        if asked.list in texts:
+            rooms[asked.list] = read_room(asked.list, texts[asked.list])
+        if asked.list not in rooms:
+            print(f"prose: no room or file {asked.list!r}; the rooms are printed without --list")
+            return 1
+        room = rooms[asked.list]
+        for name, sentence in dict.fromkeys(room.openings + room.clauses):
+            print(f"{name}: {sentence}")
+    else:
+        for name, room in sorted(rooms.items(), key=lambda item: -sum(item[1].densities())):
+            opening, clause = room.densities()
+            verdict = "" if room.passes() else "  above"
+            print(f"{name:36} {room.sentences:6} {opening:6.1f} {clause:6.1f}{verdict}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
