@@ -60,7 +60,7 @@ class FieldCheck:
 
     @property
     def worst(self) -> Probe:
-        """The probe with the greatest error, measured by what is allowed."""
+        """The probe with the greatest error relative to its tolerance."""
         return max(
             self.probes,
             key=lambda p: (not p.passed, np.inf if np.isnan(p.error) else p.error / p.tolerance),
@@ -241,7 +241,7 @@ class Recording(native.WithBlock):
 
 
 class Accesses:
-    """What a tape reads, and what it changes.
+    """The places that a tape reads, and those that it changes.
 
     Attributes:
         known: the fields with gradients, by symbol.
@@ -284,7 +284,7 @@ class Accesses:
             _join(self._written, symbol, write)
 
     def _of_host_function(self, core: Any, record: int) -> None:
-        """A function with a gradient of its own may touch anything: what it changes is seen."""
+        """A function with a gradient of its own may touch anything: a run shows its changes."""
         # From another point: at the present one it may have run already.
         here = Snapshot()
         generator = np.random.default_rng(1)
@@ -316,10 +316,10 @@ def _join(masks: dict[str, np.ndarray], symbol: str, more: np.ndarray) -> None:
 
 
 class Program:
-    """What is checked: a function that can be run again from a state of the fields.
+    """The checked program: a function that can be run again from a state of the fields.
 
     Attributes:
-        run: runs it on what the fields hold.
+        run: runs it on the current values of the fields.
         outputs: fields whose weighted sum is differentiated; found from the accesses if None.
         loss: the only output, zeroed first; or None.
     """
@@ -334,7 +334,7 @@ class Program:
         self.lost: list[str] = []
 
     def record(self) -> None:
-        """Runs it once on a tape, and finds out what it reads and changes."""
+        """Runs it once on a tape, and finds the places that it reads and changes."""
         # Before it is limited, it has only just been taken.
         if self.start.is_limited:
             self.start.restore(only_primal=True)
@@ -356,7 +356,7 @@ class Program:
         return inputs, list(found.changed.values())
 
     def values(self) -> list[np.ndarray]:
-        """Runs it from what the fields hold; the outputs."""
+        """Runs it from the current values of the fields; the outputs."""
         if self.loss is not None:
             self.loss.core.fill(0.0)
         self.run()
@@ -376,7 +376,7 @@ class Program:
         return value
 
     def sweep(self, seeds: list[np.ndarray]) -> dict[str, np.ndarray]:
-        """The gradient of the weighted outputs by what each input holds at the start."""
+        """The gradient of the weighted outputs by the initial value of each input."""
         self.start.restore(only_primal=True)
         with Recording(self.loss) as core:
             self.run()
@@ -389,7 +389,7 @@ class Program:
         return {f.symbol: _gradient(f) for f, _ in self.inputs}
 
     def is_input(self, f: Any, mask: Any) -> bool:
-        """Whether what a field holds at the start matters at all, if the program writes it."""
+        """Whether the initial value of a field matters at all, if the program writes it."""
         if f.symbol not in self.written:
             return True
         value = self.at(f, np.where(mask, 0.37, 0.0))
@@ -423,7 +423,7 @@ def probe_program(
     quick: bool = False,
 ) -> list[FieldCheck]:
     """Compares the gradients of a program that has been recorded."""
-    # What an inactive cell holds is a constant.
+    # The value of an inactive cell is a constant.
     program.start.restore(only_primal=True)
     if wrt is not None:
         program.inputs = [(p, active_elements(p)) for f in wrt for p in storage(f)]
@@ -494,7 +494,7 @@ def forward_derivative(
 ) -> float | None:
     """The derivative of the weighted outputs by forward mode.
 
-    None where a field has a gradient and no dual: a tangent would end there.
+    Returns None if a field has a gradient and no dual, since a tangent would end there.
     """
     if any(not _has_dual(known) for known in differentiable_fields().values()):
         return None

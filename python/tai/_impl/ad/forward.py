@@ -41,7 +41,7 @@ def run_forward(
 
     Args:
         function: a function without arguments that launches kernels, or a `Tape` that has
-            recorded them; then they are run again on what the fields hold now.
+            recorded them; then they are run again on the current values of the fields.
         tangents: fields that have duals, each with its tangent, an array of shape
             `shape + element_shape`.
         outputs: the fields whose tangents are wanted.
@@ -80,7 +80,7 @@ def hessian_product(
     """The gradient's derivative along the tangents of `pairs`: see `hvp`."""
     checked = prepare(pairs, "the input")
     check_dual(loss, "the loss")
-    # What has a gradient takes part in it; its dual would be missed without a word.
+    # A field with a gradient takes part in the derivative; a missing dual would go unnoticed.
     for field in get_program().fields.values():
         if field.role == "grad" and getattr(field.dual, "snode", None) is None:
             raise TaiAutodiffError(

@@ -31,7 +31,7 @@ class HealthRow:
     Attributes:
         record: number in the tape.
         kernel: name of the kernel, or of the host function.
-        field: whose adjoint it is. Of fields with a time axis, the part that the record reads.
+        field: whose adjoint it is. If the field has a time axis: the part that the record reads.
         nans, infs: how many of its numbers are none, or infinite.
         max_abs, norm: of the finite numbers.
         symbol: of the field in the IR.
@@ -95,7 +95,7 @@ class HealthReport:
         rows: one for each record that was replayed and each field whose adjoint it adds to,
             in the order of the sweep (last record first).
         kernels: the same by kernel.
-        findings: what is wrong.
+        findings: the problems found.
         flat: names of fields on which the loss does not depend.
     """
 
@@ -284,8 +284,7 @@ def warn_of_losses(core: Any, losses: list[Any], stacklevel: int) -> None:
 
 
 def _find_bad_start(core: Any) -> str | None:
-    """A field that no kernel of the tape changes, and that holds what is not finite where one
-    reads it."""
+    """A field that no kernel of the tape changes and that is not finite where one reads it."""
     known = {
         symbol: f for symbol, f in get_program().fields.items()
         if f.role == "primal" and f.dtype.is_float and f._core is not None

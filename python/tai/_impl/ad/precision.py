@@ -21,7 +21,7 @@ from .snapshot import Snapshot
 # The types that a field may be stored in, from narrow to wide, and their digits in bits.
 STORAGE = {"bf16": 8, "f16": 11, "f32": 24, "f64": 53}
 LARGEST_F16 = 65504.0
-# A loss is rounded, too: what is left of what is estimated is never less than half of an ulp.
+# A loss is rounded, too: an estimate is never less than half of an ulp of the loss.
 _UNIT = 2.0**-24
 # Roundings of a sum that is added up by blocks, as multiples of one of its partial sums.
 _STEPS_OF_SUM = 4.0
@@ -29,12 +29,12 @@ _STEPS_OF_SUM = 4.0
 
 @dataclass
 class FieldPrecision:
-    """What it would do to the loss to store a field in other types.
+    """The effect on the loss of storing a field in other types.
 
     Attributes:
         name, dtype: of the field.
-        errors: by the name of the type, how far the loss is expected to be off; infinite where
-            what the field holds does not fit.
+        errors: by the name of the type, the expected error of the loss; infinite if a value of the
+            field does not fit.
         is_accumulated: kernels add to it, so that a narrower type would round each sum on its
             way: no type is proposed for it.
         bytes: that it takes now.
@@ -52,7 +52,7 @@ class FieldPrecision:
 
 @dataclass
 class LinePrecision:
-    """What the roundings of one line do to the loss.
+    """The effect on the loss of the roundings of one line.
 
     Attributes:
         filename, lineno, text: of the line.
@@ -99,11 +99,11 @@ class PrecisionReport:
             their errors are expected to stay below half of the target.
         """
         room = (error or self.target) * abs(self.loss) / 2
-        # What is kept in f64 is rounded less than what f32 would do to it.
+        # If all fields are f64, the arithmetic rounds less than the f32 roundings of `expected`.
         spent = 0.0 if all(f.dtype == "f64" for f in self.fields) else self.expected**2
         chosen: dict[str, str] = {}
         kinds = [name for name in ("bf16", "f16", "f32") if hasattr(dtypes, name)]
-        # Those that cost the least of the target for each byte that they save come first.
+        # The types that cost the least of the target for each byte saved come first.
         offers = sorted(
             (f.errors[kind] / f.bytes, number, kind)
             for number, f in enumerate(self.fields)
@@ -221,7 +221,7 @@ def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
     unit = 2.0 ** (BITS["14 bits"] - STORAGE["f32"])
     added = [_STEPS_OF_SUM * unit * total for key, total in sweep.sums.items() if key[0] == "sum"]
     added += [f.errors["f32"] for f in fields if f.is_accumulated]
-    # What kernels do not compute is rounded where it is stored.
+    # A value that no kernel computes is rounded where it is stored.
     given = [f.errors["f32"] for f in fields if f.dtype == "f64" and not f.is_accumulated
              and not sweep.stored & set(f.symbols)]  # fmt: skip
     whole = math.fsum(line.error for line in lines)
@@ -261,7 +261,7 @@ def _fields(sweep: Sweep) -> list[FieldPrecision]:
 def _error(kind: str, f: Any, sums: dict[tuple, float]) -> float:
     """How far the loss is off if the field is stored in a type.
 
-    What one rounding did may have cancelled by chance; those to other widths have not, as well.
+    The effects of one rounding may cancel by chance; roundings to several widths do not all cancel.
     """
     unit = max(
         abs(sums.get((name, f.symbol), 0.0)) * 2.0**bits for name, bits in BITS.items()

@@ -139,8 +139,8 @@ def climb(
         value: the outputs at a signed distance from the point.
         seeds: weights of the outputs, of their shapes.
         reverse: the derivative to check.
-        scale: what the derivative would typically be, so that one that is small by accident
-            is not held against the gradient.
+        scale: the typical size of the derivative, so that one that is small by accident is not held
+            against the gradient.
         dtype: the type that the program computes in.
         quick: stop at the first good step.
     """

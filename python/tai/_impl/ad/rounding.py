@@ -33,20 +33,21 @@ _ROUNDED = {"arith.addf", "arith.subf", "arith.mulf", "arith.divf"}
 _EXACT = {"math.absf", "math.floor", "math.ceil", "math.round", "math.trunc"}
 _ROUNDED_FORMS = {"dot", "cross", "outer", "matmul", "solve", "inverse", "determinant", "trace",
                   "sum"}  # fmt: skip
-# What is tried of a field: f16 with its denormal numbers, bf16, and 14 bits, which no type has.
+# Types that are tried for a field: f16 with its denormal numbers, bf16, and 14 bits, which no type
+# has.
 BITS = {"f16": 11, "bf16": 8, "14 bits": 14}
 _LEAST_NORMAL_F16 = 2.0**-14
 
 
 @dataclass
 class Sweep:
-    """What came of a tape whose kernels have probes.
+    """The results of the sweep over a tape whose kernels have probes.
 
     Attributes:
         sums: the derivatives, by what the place is for.
         loaded, stored, accumulated: symbols of the places that its kernels use at all, write to,
             and add to.
-        not_finite: symbols of those that held NaN or an infinity at the start, with what to say.
+        not_finite: symbols of those that held NaN or an infinity at the start, with the message.
     """
 
     sums: dict[tuple, float] = field(default_factory=dict)
@@ -77,7 +78,7 @@ class Probes:
 
     @property
     def symbol(self) -> str:
-        """Of the field in IR."""
+        """The symbol of the field in the IR."""
         assert self.field.symbol is not None  # it was allocated
         return self.field.symbol
 
@@ -174,7 +175,7 @@ class RoundingEmitter(Emitter):
         if all(operand.const is not None for operand in operands):
             return result
         if result.dt is dtypes.f64:
-            # What f32 would make of it.
+            # The same result, rounded to f32.
             wide = result
             narrow = self._convert(self._convert(result, dtypes.f32), dtypes.f64)
         else:
@@ -242,7 +243,7 @@ class RoundingEmitter(Emitter):
         return self.select(is_small, small, rounded)
 
     def _with(self, value: Any, errors: list[tuple[tuple, Any]]) -> Any:
-        """value + Σ t δ; what is not finite is left out."""
+        """value + Σ t δ, without terms that are not finite."""
         for key, error in errors:
             error = stop_gradient(self._convert(error, value.dt))
             where = [self.index(self._probes.place(*key))]
@@ -255,7 +256,7 @@ class RoundingEmitter(Emitter):
 
 
 def probes_of(program: Program) -> Probes:
-    """Those of a program, made when they are first asked for."""
+    """The probes of a program, made at the first call."""
     if program.probes is None:
         program.probes = Probes()
     return program.probes

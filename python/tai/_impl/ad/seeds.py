@@ -100,6 +100,6 @@ def set_seeds(core: Any, losses: list[Any], seeds: list[np.ndarray]) -> None:
 
 
 def warn(core: Any, stacklevel: int) -> None:
-    """Shows what the last sweep of the tape has to say."""
+    """Shows the warnings of the last sweep of the tape."""
     for line in core.warnings():
         warnings.warn(line, TaiGradientWarning, stacklevel=stacklevel + 1)

@@ -81,7 +81,7 @@ def storage(f: Any) -> list[Any]:
 
 
 def _symbols_of_primal(f: Any) -> set[str]:
-    """The symbols of what a gradient or a dual, or a part of one, belongs to."""
+    """The symbols of the field that a gradient or a dual, or a part of one, belongs to."""
     owner = getattr(f, "field", None) or getattr(f, "_whole", None) or f
     while owner.primal is not None:
         owner = owner.primal

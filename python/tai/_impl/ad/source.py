@@ -56,7 +56,7 @@ class Place:
         return text
 
     def suspects(self) -> list[tuple[int, str]]:
-        """Lines that compute what has a derivative that is not finite everywhere."""
+        """Lines with operations whose derivative is not finite everywhere."""
         try:
             lines, start = inspect.getsourcelines(self.function)
             tree = parse(textwrap.dedent("".join(lines)))

@@ -32,7 +32,7 @@ def sparse_level(f: Any) -> Any:
 
 
 def active_elements(f: Any) -> np.ndarray:
-    """Which components of a place lie in active cells, of shape `shape + element_shape`."""
+    """A mask of the components in active cells, of shape `shape + element_shape`."""
     level = sparse_level(f)
     mask = np.ones(f.shape, bool)
     if level is not None:
@@ -52,7 +52,7 @@ def active_elements(f: Any) -> np.ndarray:
 
 
 class Activity:
-    """Which cells are active, in all trees, to put back."""
+    """The active cells of all trees, which can be restored."""
 
     def __init__(self) -> None:
         self._context = get_program().context
@@ -72,7 +72,7 @@ class Activity:
                 continue
             extra = np.setdiff1d(now, kept, assume_unique=True)
             for cell in extra:
-                # Of a list, this empties all of it.
+                # Deactivating a cell of a list empties all of the list.
                 self._context.set_active(tree, number, int(cell), False)
             missing = np.setdiff1d(kept, self._cells(tree, number) if dynamic else now)
             for cell in missing:

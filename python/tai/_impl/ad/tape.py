@@ -64,10 +64,10 @@ class Tape(native.WithBlock):
 
     Args:
         loss: a field without dimensions that has a gradient: a sum, which is set to zero when
-            the block is entered, and whose gradient starts as 1. Or any field, or a list of
-            fields: those of more than one number need a seed, here or in `grad`. Or None:
-            then nothing runs in reverse before `backward(…)`, or `grad()` after gradients were
-            set by hand. Or a `ti.ndarray` of one number that has a gradient.
+            the block is entered, and whose gradient starts as 1. Or any field, or a list of fields:
+            fields of more than one number need a seed, here or in `grad`. Or None: then nothing
+            runs in reverse before `backward(…)`, or `grad()` after gradients were set by hand. Or a
+            `ti.ndarray` of one number that has a gradient.
         clear_gradients: set all gradients to zero first, except those that another thread has
             computed and this tape does not use.
         validation: check the global data access rules at run time, element by element: no
@@ -89,7 +89,7 @@ class Tape(native.WithBlock):
         checkpoint: the strategy: "periodic" (snapshots at even distances, and saved values
             between two of them), "binomial" (only snapshots, placed such that recomputation
             is minimal), a number (binomial, with that many snapshots), "mixed" (periodic if
-            the values in between fit). None saves everything, or is "mixed" under a budget.
+            the values in between fit). The default saves everything, or is "mixed" under a budget.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Tape(native.WithBlock):
         seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
         precision: bool = False,
     ):  # fmt: skip
-        # What the sweep starts from, besides fields.
+        # The losses that are not fields, from which the sweep starts.
         self._outer_loss = loss if isinstance(loss, Ndarray) else None
         if self._outer_loss is not None:
             tracked.check_loss(loss)
@@ -222,9 +222,9 @@ class Tape(native.WithBlock):
         """Runs the gradients of the recorded kernels, again or with other seeds.
 
         Args:
-            seed: as for the tape itself. None takes the seeds of the last time. Gradients are
-                set to zero first, unless the tape was made with `clear_gradients=False` or
-                has no loss.
+            seed: as for the tape itself. Without it, the seeds of the last sweep are used.
+                Gradients are set to zero first, unless the tape was made with
+                `clear_gradients=False` or has no loss.
 
         Raises:
             TaiRuntimeTypeError: a seed of the wrong shape.

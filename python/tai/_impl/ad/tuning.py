@@ -128,7 +128,7 @@ def _built(build: Callable[..., Any], types: Types) -> tuple[Callable[..., Any],
 
 
 class _Emulation(native.WithBlock):
-    """Afterwards nothing is emulated any more, and fields hold what they held."""
+    """Afterwards nothing is emulated any more, and fields have their former values."""
 
     def __init__(self, program: Any, start: Snapshot):
         self._program, self._start = program, start

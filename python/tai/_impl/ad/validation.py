@@ -10,7 +10,7 @@ from ...errors import TaiAssertionError, shorten, show_line
 LIMIT = 100
 _SHOWN = 10
 
-# By TaiViolation.kind: what happened, and what the earlier access did.
+# By TaiViolation.kind: the violation, and the effect of the earlier access.
 _KINDS = [
     ("is overwritten after it was read", "read here"),
     ("is accumulated after it was read", "read here"),

@@ -24,7 +24,7 @@ class Watcher:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        # What is compiled; threads may do so side by side.
+        # Kernels in the compiler; several threads may compile at once.
         self._compilations: list[_Compilation] = []
         self._begin = self._end = 0.0
         self._done = 0

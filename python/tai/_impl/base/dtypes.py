@@ -113,8 +113,8 @@ def to_dtype(what: Any) -> DataType | None:
 def promote(a: DataType, b: DataType) -> DataType:
     """The type of `a + b`: a float wins over an integer, then the wider one wins.
 
-    Of two integers of one width the unsigned one wins. Booleans count as integers
-    narrower than all others.
+    If two integers have the same width, the unsigned type wins. Booleans count as integers narrower
+    than all others.
     """
     if a is b:
         return a
@@ -138,7 +138,7 @@ def computed_in(dt: DataType) -> DataType:
 
 
 def default_fp() -> DataType:
-    """What `float` is: in a kernel that names its precision that, else the default type."""
+    """The type of `float`: the precision of a kernel that names one, else the default type."""
     return state.fp or state.options.default_fp
 
 
@@ -150,7 +150,7 @@ def stored_as(what: Any) -> DataType | None:
 
 
 def gradient_of(dt: DataType) -> DataType:
-    """What the gradients of a field of `dt` are kept and summed in."""
+    """The type in which the gradients of a field of `dt` are kept and summed."""
     return f64 if dt.is_float and state.options.adjoints == "f64" else computed_in(dt)
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 
 class Elements:
-    """What kernels and Python read and write element by element: a field or an array."""
+    """Storage that kernels and Python read and write element by element: a field or an array."""
 
     def suggest_name(self, name: str) -> None:
         """Takes the name of the variable that holds it, if it keeps one and has none yet."""
 
     def _described(self) -> str:
-        """What to call it in a message."""
+        """Its description in messages."""
         return f"a {type(self).__name__}"
 
     def _example(self) -> str | None:

@@ -108,7 +108,7 @@ def _no_numbers(array: np.ndarray, dt: DataType, what: Any) -> TaiError:
 
 
 def index_error(name: str, key: Any, error: Exception) -> TaiError:
-    """What is wrong with an index that Python gave to a field."""
+    """The error for an index that Python gave to a field."""
     for part in key if isinstance(key, tuple) else (key,):
         if isinstance(part, slice) or part is Ellipsis:
             return TaiRuntimeTypeError(

@@ -16,9 +16,9 @@ T = TypeVar("T")
 class Lock(_thread.RLock):  # type: ignore[misc]  # typeshed calls it final; CPython does not
     """A lock that a thread may take again, and that nobody holds in a forked child.
 
-    Python calls a signal handler between any two of its steps, and the garbage collector what
-    hangs on an object: with a plain lock either would wait for the thread that it runs on. What
-    they find in the middle of a change must be usable. In a child the thread that held it is gone.
+    Python may call a signal handler or a finaliser between any two steps: with a plain lock, either
+    would wait for the thread that it runs on. Handlers and finalisers that come in the middle of a
+    change must find usable data. In a child the thread that held it is gone.
 
     `with` calls the interpreter's own `__enter__` and `__exit__`. Were they written in Python, a
     Ctrl-C between the lock and their return would leave it held for ever.
@@ -35,7 +35,7 @@ class Lock(_thread.RLock):  # type: ignore[misc]  # typeshed calls it final; CPy
 
 
 def snapshot(things: Iterable[T]) -> list[T]:
-    """What is in a set or dictionary that other threads, or handlers, may add to meanwhile."""
+    """The items of a set or dictionary to which other threads or handlers may add meanwhile."""
     while True:
         try:
             return list(things)

@@ -17,12 +17,12 @@ def _number(level: str) -> int:
 
 
 def set_logging_level(level: str) -> None:
-    """Names the least level of what is told. Warnings are Python's, and are not changed by it."""
+    """Sets the lowest level of messages that are written; it does not filter Python's warnings."""
     global _level
     _number(level)
     _level = level
 
 
 def is_logging_effective(level: str) -> bool:
-    """Whether what has this level would be told."""
+    """Whether a message of this level would be written."""
     return _number(level) >= _number(_level)

@@ -19,10 +19,10 @@ MODES: dict[str, tuple[Any, ...]] = {
     "adjoints": ("default", "f64"),
 }
 
-# Those of a kernel: what gradients are kept in is a matter of fields.
+# The options of a kernel; the type that gradients are kept in is an option of fields.
 OF_KERNELS = ("precision", "sums", "math", "ftz")
 
-# What a kernel cannot be told: it stores nothing by itself.
+# Precisions that a kernel cannot have, since it stores nothing by itself.
 _STORAGE = ("f16", "bf16")
 
 # The options that are short forms of a word.
@@ -32,7 +32,7 @@ _SHORT = {
     "deterministic": ("sums", "deterministic"),
 }
 
-# Words that cannot be had together, and why not: what the first does, what the second does.
+# Words that contradict each other, with the effect of the first and that of the second.
 _CONTRADICTIONS = (
     (("math", "strict"), ("math", "fast"),
      "rounds every operation by itself", "reorders them"),
@@ -46,7 +46,7 @@ _CONTRADICTIONS = (
 
 
 def _words(chosen: dict[str, Any]) -> dict[tuple[str, str], str]:
-    """What was asked for, each with how it was spelt."""
+    """The chosen options, each with its spelling."""
     found = {}
     for name in ("math", "sums"):
         word = chosen.get(name, "default")
@@ -61,11 +61,11 @@ def _words(chosen: dict[str, Any]) -> dict[tuple[str, str], str]:
 
 
 def check_together(chosen: dict[str, Any], where: str = "options") -> None:
-    """Fails if two of what was chosen cannot be had together.
+    """Fails if two of the chosen options contradict each other.
 
     Args:
         chosen: keywords of `ti.init`.
-        where: what they are, in the error.
+        where: the name of the options in the error.
 
     Raises:
         TaiRuntimeError: it names both.
@@ -149,7 +149,7 @@ def check_kernel(name: str, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
-    """The modes of a kernel in IR: what it says, and else what its context says.
+    """The modes of a kernel in IR: its own words, then the options of its context.
 
     Raises:
         TaiRuntimeError: these contradict one another.
@@ -157,7 +157,7 @@ def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
     context = {name: getattr(options, name) for name in OF_KERNELS}
     together = {**context, **own, "shadow": options.shadow}
     for option, (name, _) in _SHORT.items():
-        # What a kernel says goes first, but compensated sums may be deterministic as well.
+        # The word of a kernel goes first, but compensated sums may be deterministic as well.
         keeps = name not in own or (option == "deterministic" and own[name] == "compensated")
         together[option] = keeps and getattr(options, option)
     check_together(together, "modes")
@@ -182,5 +182,5 @@ def attribute_of(modes: dict[str, Any]) -> str:
 
 
 def float_of(modes: dict[str, Any]) -> Any:
-    """What `float` is in a kernel with these modes, or None where they do not say."""
+    """The type of `float` in a kernel with these modes, or None if they do not name one."""
     return {"f64": dtypes.f64, "f32": dtypes.f32}.get(modes.get("precision", "default"))

@@ -1,6 +1,6 @@
 """The options of a context, made of Options.def by scripts/options.py --fix.
 
-A row is the name, the kind, the initial text, what is expected and what it is for.
+A row holds the name, the kind, the initial text, the expected values and the purpose.
 """
 
 # ruff: noqa: E501

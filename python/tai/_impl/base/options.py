@@ -25,10 +25,10 @@ class Keyword(NamedTuple):
     about: str
 
 
-# What may be given without a keyword.
+# Keywords that may be given by position.
 _POSITIONAL = ("arch", "default_fp", "default_ip")
 
-# What Taichi calls options of the table, whose own name is no keyword then.
+# Taichi's names of options of the table, whose own name is no keyword then.
 _NAMES = {
     "threads": "cpu_max_num_threads",
     "seed": "random_seed",
@@ -40,20 +40,20 @@ _NAMES = {
 # Set by the package while a program runs, or by tools; `cache_dir` follows from two keywords.
 _NOT_OF_INIT = {"cache_dir", "compile_profile", "forward_mode", "order_seed"}
 
-# Said on each kernel instead, with what the kernel says itself; see `base.modes`.
+# Passed on with each kernel instead, after the words of the kernel; see `base.modes`.
 _ON_KERNELS = {"precision", "sums", "math", "ftz", "adjoints"}
 
-# What the kinds of the table are in Python: types and how the initial text is read.
+# The kinds of the table in Python: the type, and a function that reads the initial text.
 _KINDS: dict[str, tuple[Any, Callable[[str], Any]]] = {
     "Switch": (bool, lambda text: text == "true"),
     **dict.fromkeys(("BlockThreads", "Bytes", "Count", "Level", "Seed"), (int, int)),
 }
 _TYPES = {"arch": Arch, "print_ir": bool | str, "skip": bool | str | Sequence[str]}
 
-# What the C API says of its order of calls.
+# The remark of the C API on its order of calls.
 _ORDER = re.compile(r"; to be set before [^.;]+")
 
-# What there is to say of a keyword to those who write Python, besides what the table says.
+# Remarks on a keyword for those who write Python, besides the text of the table.
 _NOTES = {
     "arch": "ti.cpu (or ti.x64), ti.cuda, or ti.gpu: CUDA, or the CPU where there is no GPU; or "
     "ti.python: no code is made, kernels and their gradients run operation by operation, slowly, "
@@ -87,7 +87,7 @@ _NOTES = {
     "itself",
 }
 
-# Keywords for what is decided in Python.
+# Keywords for options that Python handles.
 _OWN = (
     Keyword("default_fp", dtypes.DataType, dtypes.f32, "the type of `float` in kernels"),
     Keyword("default_ip", dtypes.DataType, dtypes.i32, "the type of `int` in kernels"),
@@ -123,7 +123,7 @@ _OWN = (
 
 
 def keywords_of(rows: Iterable[Row]) -> dict[str, Keyword]:
-    """The keywords of `ti.init` that a table of options makes, and those for what is Python's."""
+    """The keywords of `ti.init`: options of the table, and Python's own options."""
     found = {}
     for name, kind, initial, _, about in rows:
         if name in _NOT_OF_INIT:
@@ -147,7 +147,7 @@ class Options:
     """The options of `ti.init` that change what happens, by the names of the keywords.
 
     Attributes:
-        accepted: what was given for options that are accepted and change nothing.
+        accepted: values of options that are accepted and change nothing.
     """
 
     def __init__(self, accepted: dict[str, Any] | None = None, **chosen: Any):
@@ -162,7 +162,7 @@ class Options:
 
 
 def texts_of(options: Options, rows: Iterable[Row] = ROWS) -> dict[str, str]:
-    """What the options of the table are, in the order in which they are to be set."""
+    """The texts of the options of the table, in the order in which they have to be set."""
     texts = {}
     for name, *_ in rows:
         make = _TEXTS.get(name)
@@ -172,13 +172,13 @@ def texts_of(options: Options, rows: Iterable[Row] = ROWS) -> dict[str, str]:
         if value is None:
             continue
         texts[name] = str(value).lower() if isinstance(value, bool) else str(value)
-    # These decide what a target is.
+    # These options define the target.
     first = {name: texts.pop(name) for name in _BEFORE_ARCH if name in texts}
     return first | texts
 
 
 def bounds_of(options: Options) -> str:
-    """What is done about indices, whichever option says it."""
+    """The treatment of indices out of bounds, whichever option asks for it."""
     return "check" if options.debug or options.check_out_of_bound else options.bounds
 
 
@@ -206,8 +206,8 @@ CHOICES = {
     "sanitize": ("", "address"),
 }
 
-# Options of Taichi that ask for what is always so here, or tune its own passes; they are in
-# docs/taichi-options.md.
+# Options of Taichi that ask for something that tai always does, or tune Taichi's own passes; they
+# are in docs/taichi-options.md.
 ACCEPTED = {
     "advanced_optimization", "flatten_if", "device_memory_GB", "device_memory_fraction",
     "ad_stack_size", "default_ad_stack_size", "demote_dense_struct_fors", "verbose",
@@ -231,8 +231,8 @@ ACCEPTED = {
 
 
 _PRINT = "print_ir=True, or the names of stages, prints the IR of kernels"
-# Those of them that ask for something which does not happen: the value that asks for nothing, and
-# what to do instead.
+# Accepted options that ask for something tai does not do: the value that asks for nothing, and the
+# remedy.
 _WITHOUT_EFFECT = {
     **dict.fromkeys(
         ("print_preprocessed_ir", "print_kernel_llvm_ir", "print_struct_llvm_ir",
@@ -259,7 +259,7 @@ _WITHOUT_EFFECT = {
 
 
 def warn_of_options(accepted: dict[str, Any]) -> None:
-    """Says which options ask for what does not happen."""
+    """Warns of each option that asks for something tai does not do."""
     for name, value in accepted.items():
         nothing, hint = _WITHOUT_EFFECT.get(name, (value, ""))
         if value != nothing:

@@ -15,12 +15,12 @@ from .options import Options, texts_of
 from .symbols import Symbols
 from .targets import cpu
 
-# What else is forgotten with a program; layers above add to it.
+# Functions that drop data with the program; layers above add to it.
 at_close: list[Callable[[], None]] = []
 
 
 class Program:
-    """What lives from one `ti.init` to the next."""
+    """The state between two calls of `ti.init`."""
 
     def __init__(self, options: Options):
         self.options = options
@@ -119,7 +119,7 @@ def _wait() -> None:
 
 @atexit.register
 def _stop_background_work() -> None:
-    """What is compiled ahead of need must not outlive the libraries that it uses.
+    """Background compilations must not outlive the libraries that they use.
 
     Programs are not always freed at the end: one whose tape is open is not.
     """

@@ -45,7 +45,7 @@ class ShadowRow:
     digits_lost: float
 
     def summary(self) -> str:
-        """What happened, in words."""
+        """The events, in words."""
         parts = []
         if self.lost:
             text = f"{self.digits_lost:.1f} digits lost ({self.lost} times"

@@ -64,8 +64,8 @@ def skips() -> Skips:
     """Counters of skipped work since `ti.init` or the last `clear_skips`.
 
     Returns:
-        A dictionary of dictionaries, by the names that `ti.init(skip=…)` takes; see
-        docs/decisions/0008-skips.md for what each number counts.
+        A dictionary of dictionaries, by the names that `ti.init(skip=…)` takes;
+        docs/decisions/0008-skips.md defines each number.
     """
     found = Skips(get_program().context.skips())
     program = state.program

@@ -20,7 +20,7 @@ program: Any = None
 kernels_made: int = 0
 
 
-# What each thread has of its own; see `_State`.
+# State of one thread; see `_State`.
 emitter: Any
 tape: Any
 forward: bool
@@ -37,7 +37,7 @@ class _OfThread(threading.local):
     rounding: Any = None
 
     def __init__(self) -> None:
-        # What no other thread has, now or later.
+        # A value that no other thread has, now or later.
         self.token = object()
 
 
@@ -47,8 +47,8 @@ of_thread = _OfThread()
 class _State(types.ModuleType):
     """The module itself: some of its variables are another one in each thread.
 
-    They are set in `of_thread`, in one step of the interpreter: at the first step of a function
-    that sets them a signal handler might raise, and in a `finally` what it sets would stay.
+    They are set in `of_thread`, in one step of the interpreter: a signal handler might raise at the
+    first step of a function that sets them, or in a `finally` before they are reset.
     """
 
     @property
@@ -63,12 +63,12 @@ class _State(types.ModuleType):
 
     @property
     def fp(self) -> Any:
-        """What `float` is in the kernel that is being compiled, where it says so; else None."""
+        """The type of `float` in the kernel that is being compiled, if it names one; else None."""
         return of_thread.fp
 
     @property
     def rounding(self) -> Any:
-        """What makes the emitters of kernels that look at their rounding, or None."""
+        """The factory of emitters for kernels that estimate their rounding errors, or None."""
         return of_thread.rounding
 
     @property

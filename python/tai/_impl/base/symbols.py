@@ -28,10 +28,10 @@ class Symbols:
 
     def __init__(self, is_used: Callable[[str], bool], forget: Callable[[str], None]):
         self._is_used, self._forget = is_used, forget
-        # A signal handler, or what the garbage collector calls, may come here in the middle: each
-        # step below leaves the tables as somebody else may find them.
+        # A signal handler or a finaliser may come here in the middle: after each step below the
+        # tables are consistent.
         self._lock = Lock()
-        self._taken: dict[str, tuple[str]] = {}  # with what was wanted
+        self._taken: dict[str, tuple[str]] = {}  # with the wanted name
         self._next: dict[str, int] = {}
         self._free: dict[str, list[str]] = {}
         # Given back, by whichever thread, and not looked at yet.
@@ -74,7 +74,7 @@ class Symbols:
         return self._taken.setdefault(symbol, wanted) is wanted
 
     def give_back(self, symbol: str) -> None:
-        """Says that what had the name is gone. May be called at any time, by any thread."""
+        """Says that the owner of the name is gone. May be called at any time, by any thread."""
         self._returned.append(symbol)
 
     def settle(self) -> None:

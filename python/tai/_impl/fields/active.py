@@ -30,7 +30,7 @@ def active_elements(field: Any) -> np.ndarray | None:
 
 
 def write_elements(place: Any, where: np.ndarray, values: np.ndarray) -> None:
-    """What Python writes to some elements, which in forward mode have no tangent then."""
+    """Writes some elements from Python; in forward mode they have no tangent afterwards."""
     place.core.write_elements(where, values)
     dual = origins.dual_of_written(place) if state.forward else None
     if dual is not None:

@@ -54,7 +54,7 @@ class Ndarray(Elements):
                 "make its shape smaller",
             ) from None
         self._grad: Ndarray | None = None
-        # Of what is a gradient itself.
+        # The use by a tape, if this array is a gradient itself.
         self.taken: Any = None
         if needs_grad:
             if not resolved.is_float:
@@ -79,7 +79,7 @@ class Ndarray(Elements):
         )
 
     def _check_write(self, value: Any) -> None:
-        """What Python is to write to it.
+        """Checks a value that Python is to write to it.
 
         Raises:
             TaiRuntimeError: a tape that records minds.
@@ -96,7 +96,7 @@ class Ndarray(Elements):
 
     @contextlib.contextmanager
     def _refusing(self, key: Any, value: Any) -> Iterator[None]:
-        """What NumPy says of an index or of a value, as an error of the package."""
+        """Turns NumPy's errors about an index or a value into errors of the package."""
         what = f"an array of {self.dtype} and shape {self.array.shape}"
         try:
             yield

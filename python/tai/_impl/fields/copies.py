@@ -18,7 +18,7 @@ get_kernels: Any = None
 
 
 def is_followed(*values: Any) -> bool:
-    """Whether a copy between these is a step of what is differentiated or recorded."""
+    """Whether a copy between these values is differentiated or recorded."""
     if state.tape is None and not state.forward:
         return False
     return all(getattr(value, "role", "primal") == "primal" for value in values)

@@ -57,7 +57,7 @@ class Field(Elements, Shareable):
 
     @property
     def name(self) -> str:
-        """What to call the field in messages."""
+        """The name of the field in messages."""
         if self.primal is not None:
             return f"{self.primal.name}.{self.role}"
         return self._name or "field"

@@ -22,7 +22,7 @@ def open_root(program: Program) -> Root:
 
 
 def materialize(program: Program, namespace: dict[str, Any] | None = None) -> None:
-    """Allocates the tree of what was placed under `ti.root` since the last time.
+    """Allocates the tree of all fields placed under `ti.root` since the last call.
 
     Args:
         program: the program.
@@ -34,7 +34,8 @@ def materialize(program: Program, namespace: dict[str, Any] | None = None) -> No
         if root.children:
             if namespace is not None:
                 name_fields(namespace)
-            # What Ctrl-C interrupts here or in the allocation is done at the next use of a field.
+            # Steps that Ctrl-C interrupts here or in the allocation are repeated at the next use of
+            # a field.
             fresh = Root()
             program.laid_out = [*program.laid_out, root]
             program.root = fresh

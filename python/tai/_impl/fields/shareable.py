@@ -25,9 +25,8 @@ class Shareable:
         """The memory of the field for another library, by DLPack, without a copy.
 
         `torch.from_dlpack(x)` is a tensor that changes with the field, and the other way round;
-        it outlives the field. On a GPU, the stream waits for the launches so far. Before
-        launches that use what was written on a stream other than the default one, call
-        `ti.wait_for_stream()`.
+        it outlives the field. On a GPU, the stream waits for the launches so far. Before a launch
+        that uses data written on a stream other than the default one, call `ti.wait_for_stream()`.
 
         Raises:
             BufferError: a sparse field, or elements that do not lie evenly.

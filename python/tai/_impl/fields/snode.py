@@ -241,7 +241,7 @@ class SNode:
     def deactivate_all(self) -> None:
         """Deactivates all cells of this level and of those below; their contents become zero.
 
-        Of a dense level: of the sparse levels below it.
+        On a dense level, it deactivates the sparse levels below.
         """
         if self.kind not in ("root", "dense"):
             if next(self.places(), None) is None:
@@ -286,7 +286,7 @@ class SNode:
         context, tree, number = self._sparse()
         return context.sparse_level(tree, number)[5]
 
-    # What Taichi's programs ask of its levels
+    # Properties of levels that Taichi programs query
 
     def _get_children(self) -> list[SNode]:
         """The levels and places in a cell."""
@@ -387,9 +387,9 @@ class SNode:
     def _level(self, role: str) -> str:
         """This level in the assembly of `!tai.root`, without the prefix.
 
-        A dense level with gradients becomes a level for each role, side by side: a forward
-        kernel then reads and writes whole cache lines of what it needs. Sparse levels keep
-        gradients in the cells of their primals, whose activity they share.
+        A dense level with gradients becomes a level for each role, side by side: a forward kernel
+        then reads and writes whole cache lines of primal values. Sparse levels keep gradients in
+        the cells of their primals, whose activity they share.
         """
         head = ", ".join(
             f"{AXIS_NAMES[a]}: {n}" for a, n in zip(self.axes, self.extents, strict=True)
@@ -398,7 +398,7 @@ class SNode:
         return f"{self.kind}<[{head}]{chunk}, {', '.join(self._bodies()[role])}>"
 
     def _bodies(self) -> dict[str, list[str]]:
-        """What the cells hold, for each role that has cells of its own."""
+        """The contents of the cells in assembly, for each role that has cells of its own."""
         bodies: dict[str, list[str]] = {}
         for role, parts in self.contents().items():
             body = bodies.setdefault(role, [])
@@ -411,7 +411,7 @@ class SNode:
         return bodies
 
     def contents(self) -> dict[str, list]:
-        """What the cells hold, for each role that has cells of its own.
+        """The contents of the cells, for each role that has cells of its own.
 
         A part is a list of fields side by side, or a pair of a level and one of its roles.
         """
@@ -449,7 +449,7 @@ class SNode:
 class Place(SNode):
     """Where a field stands in a cell: the end of the path from the root.
 
-    A loop over it, and what is asked of its activity, mean the level that holds it.
+    A loop over a place, and a query of its activity, refer to the level that holds it.
     """
 
     def __init__(self, field: Any):
@@ -510,15 +510,15 @@ class Root(SNode):
         super().__init__("root", None)
         self.allocated = self.is_destroyed = False
         self.tree: str | None = None
-        # What the context is to call it.
+        # Its name in the context.
         self._symbol: str | None = None
         self.number: int | None = None
         # Why there is no such tree.
         self.refused: str | None = None
-        # Of the thread that allocates it. No `Lock`: roots come and go, and Python loses a Ctrl-C
-        # that comes as the set of all locks forgets one. See `root.begin_in_child`.
+        # Held by the thread that allocates the tree. No `Lock`: roots come and go, and Python loses
+        # a Ctrl-C that comes as the set of all locks forgets one. See `root.begin_in_child`.
         self.lock: Any = threading.RLock()
-        # What kernels were compiled to that use it; they go when it goes.
+        # Kernels that were compiled for the tree; they are dropped with it.
         self.users: weakref.WeakSet[Any] = weakref.WeakSet()
 
     def allocate(self, program: Program) -> None:
@@ -672,7 +672,8 @@ class SNodeTree:
         except TaiError:
             raise
         except BaseException:
-            # Ctrl-C, say: what has begun is done. The tree may be gone already.
+            # An interruption such as Ctrl-C: the destruction is completed. The tree may be gone
+            # already.
             with contextlib.suppress(TaiError):
                 program.context.destroy_tree(symbol)
             self._forget(program, symbol)

@@ -27,7 +27,7 @@ class StructType:
     and matrix types, and struct types.
     """
 
-    __name__: str  # of what a class was made of
+    __name__: str  # the name of the class that it was made of
 
     def __init__(self, members: dict[str, Any], methods: dict[str, Any] | None = None):
         if not members:
@@ -46,7 +46,7 @@ class StructType:
             self.members[name] = kind
 
     def bind(self, args: tuple, kwargs: dict) -> dict[str, Any]:
-        """What each member is given; zero where that is nothing."""
+        """The value of each member; zero if none is given."""
         if len(args) == 1 and not kwargs and isinstance(args[0], (dict, Struct)):
             kwargs = dict(items_of(args[0]))
             args = ()
@@ -106,7 +106,7 @@ def _method(struct: Struct, name: str, problem: str) -> Any:
 class Struct:
     """A struct in Python: `ti.Struct(a=1, b=ti.Vector([1.0, 2.0]))`, with members as attributes."""
 
-    # What matters of a template argument.
+    # The attribute that a template argument is compared by.
     _tai_content = "_content"
 
     def __init__(self, entries: dict[str, Any] | None = None, methods: Any = None, **more: Any):
@@ -409,7 +409,7 @@ def make_struct_field(
 def dataclass(cls: type) -> StructType:
     """A struct type with the annotations of a class as members, and its methods.
 
-    Those that are `@ti.func` are for kernels, the others for Python.
+    Methods that are `@ti.func` are for kernels, the others for Python.
     """
     methods = {name: f for name, f in vars(cls).items() if inspect.isfunction(f)}
     members = dict(getattr(cls, "__annotations__", {}))

@@ -15,7 +15,7 @@ from .structs import StructType
 class Triplets:
     """Arrays that kernels append entries to.
 
-    What does not fit goes behind the last entry, and is counted.
+    Entries that do not fit go behind the last one, and are counted.
 
     Args:
         capacity: how many entries there may be.

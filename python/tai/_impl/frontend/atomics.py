@@ -1,4 +1,4 @@
-"""Functions that change what they are given."""
+"""Atomic functions: they update the place that is their first argument."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from typing import Any
 from ...errors import TaiTypeError
 from ..base.options import Options
 
-# Of all GPUs, and what blocks have that need not suit their kernel.
+# Limits of every GPU: threads of a block, threads of a warp, and the default size of a block.
 _MOST, _WARP, _USUAL = 1024, 32, 256
 
 
@@ -34,7 +34,7 @@ def check_block_dim(value: Any, options: Options) -> int:
 
 
 def block_dim_of(loop: dict[str, Any], options: Options) -> int:
-    """What a loop with these options of `ti.loop_config` has to say; 0 for nothing."""
+    """The block size that the options of `ti.loop_config` ask for; 0 if they leave it open."""
     if threads := loop.get("block_dim", 0):
         return threads
     if loop.get("block_dim_adaptive", True) or options.arch != "cuda":

@@ -32,7 +32,7 @@ from .scope import Bound
 from .sparse import Levels
 from .structs import as_struct_value
 
-# Python's own functions, by what they do to values of a kernel.
+# Python's own functions that kernels may call, by their translation.
 _TRANSLATED: dict[Any, Callable[..., Any]] = {
     builtins.abs: ops.abs,
     builtins.min: ops.min,
@@ -135,7 +135,7 @@ class Calls(Part):
         return self.visit(node)
 
     def _arms_of_select(self, nodes: list[ast.expr]) -> list:
-        """The arguments of a select. What an arm checks counts only where it is taken."""
+        """The arguments of a select. A check inside an arm applies only if the arm is taken."""
         if any(isinstance(n, ast.Starred) for n in nodes):
             return self.expressions.items(nodes)
         found = [self.visit(nodes[0])]

@@ -25,7 +25,7 @@ from .refs import ArrayArgument, Place
 from .sparse import ListElement
 from .structs import StructPlace, StructValue
 
-# Methods that change what they belong to.
+# Methods that change the object they are called on.
 _CHANGES = {
     list: {"append", "extend", "insert", "remove", "pop", "clear", "sort", "reverse"},
     dict: {"update", "pop", "popitem", "clear", "setdefault"},
@@ -68,7 +68,7 @@ _MOVES = {
 }  # fmt: skip
 _ACTS = {"init", "reset", "sync", "field", "ndarray", "Tape", "clear_all_gradients"}
 _NOW = {"now", "utcnow", "today"}
-# Of the operating system: what only reads or computes.
+# Functions of the operating system that only read or compute.
 _QUIET = {"getcwd", "getenv", "cpu_count", "getpid", "fspath", "sched_getaffinity", "get_environ"}
 
 

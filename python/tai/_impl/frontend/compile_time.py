@@ -25,17 +25,17 @@ _UNROLLING_LIMIT = 65536
 
 
 class CompileTime(Part):
-    """What is known now: what names stand for, `ti.static`, and what is iterated at once.
+    """Evaluates names, `ti.static` and other expressions whose value is known while compiling.
 
     Attributes:
-        in_static: within how many `ti.static(…)` the expression stands: what they hold is meant to
+        in_static: the number of `ti.static(…)` around the expression; their arguments are meant to
             be evaluated once.
     """
 
     def __init__(self, context: Context):
         super().__init__(context)
         self.in_static = 0
-        # Of methods of structs, whether they change them.
+        # Methods of structs, and whether they change their struct.
         self._changing: dict[tuple, bool] = {}
 
     def static_argument(self, node: ast.expr) -> ast.expr | None:
@@ -51,7 +51,7 @@ class CompileTime(Part):
         return node.args[0]
 
     def static_callee(self, node: ast.expr) -> Any:
-        """What a name or dotted name stands for, or None if that is not known."""
+        """The meaning of a name or dotted name, or None if it is not known."""
         if isinstance(node, ast.Name):
             try:
                 meaning = self.frame.lookup(node.id)
@@ -63,7 +63,7 @@ class CompileTime(Part):
         return None
 
     def attribute_of(self, base: Any, name: str) -> Any:
-        """An attribute of what is known, or None."""
+        """An attribute of an object that is known, or None."""
         if isinstance(base, StructPlace):
             return base.members.get(name, base.type.methods.get(name))
         return None if base is None or isinstance(base, Value) else getattr(base, name, None)
@@ -74,9 +74,9 @@ class CompileTime(Part):
         return callee is _UNKNOWN or takes_reference(callee)
 
     def _callee(self, node: ast.expr) -> Any:
-        """What a call is one of: `_UNKNOWN` for a function that is known only when it is compiled.
+        """The function that a call refers to: `_UNKNOWN` if it is known only when it is compiled.
 
-        That is one of a list, or of a name that is given a meaning further inside.
+        Such a function is an element of a list, or a name that is bound further inside.
         """
         if isinstance(node, ast.Subscript):
             return self._item(node)
@@ -91,7 +91,7 @@ class CompileTime(Part):
         return _UNKNOWN if is_local else self.static_callee(node)
 
     def _object(self, node: ast.expr) -> Any:
-        """What stands before the dot of a callee, in the same way."""
+        """The object before the dot of a callee, in the same way."""
         if isinstance(node, ast.Subscript):
             return self._item(node)
         if isinstance(node, ast.Attribute):
@@ -138,7 +138,7 @@ class CompileTime(Part):
         return (self.visit(node), False) if static is None else (self.visit_static(static), True)
 
     def visit_static(self, node: ast.expr) -> Any:
-        """The argument of `ti.static(…)`: what is evaluated once, and meant to be."""
+        """The argument of `ti.static(…)`, which is evaluated once, on purpose."""
         self.in_static += 1
         try:
             return self.visit(node)

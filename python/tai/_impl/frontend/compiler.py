@@ -50,7 +50,7 @@ _RECURSION = 20000
 class _DeepRecursion(native.WithBlock):
     """While one lasts, functions may call one another so deeply."""
 
-    # The limit is one for all threads: those that need it, and what it was before.
+    # The limit belongs to all threads: the instances that need it, and the limit before them.
     _change = Lock()
     _all: ClassVar[set[_DeepRecursion]] = set()
     _before: ClassVar[int | None] = None
@@ -79,8 +79,8 @@ class Compiler:
         program: whose fields it uses.
         function: the Python function.
         symbol: the name of the kernel in IR.
-        parameters: for each parameter, its name and what it is.
-        result: what it returns, or None.
+        parameters: name and form of each parameter.
+        result: the form of the result, or None.
         cells: where forward mode keeps numbers that kernels return and take: the names of
             the parameters that are there with their fields, and the field for the result, or
             None. There is a parameter more for each, the number of its first element.
@@ -123,7 +123,7 @@ class Compiler:
         domains = LoopDomains(context, expressions)
         serial = SerialLoops(context, work, returns, regions, domains)
         parallel = ParallelLoops(context, levels, work, regions, domains)
-        # What has methods for nodes.
+        # Parts of the compiler that have methods for nodes.
         self._parts: list[Part] = [
             expressions,
             Operators(context, compile_time),
@@ -147,7 +147,7 @@ class Compiler:
 
     @property
     def reads(self) -> Reads:
-        """What the code depends on besides its arguments."""
+        """Attributes of template arguments that the code depends on."""
         return self.context.reads
 
     def compile(self) -> Any:
@@ -245,7 +245,7 @@ def _refuse(node: ast.AST) -> Any:
 
 
 def conventions(options: Options) -> dict[str, str]:
-    """What `ti.init` chose for gradients at kinks, where that is not the usual."""
+    """The gradients at kinks that `ti.init` chose, if not the default ones."""
     chosen: dict[str, str] = {}
     if options.ad_ties == "split":
         chosen["ties"] = '"split"'

@@ -21,7 +21,7 @@ from .templates import Reads
 
 
 class ArgumentForm(Protocol):
-    """What a parameter of the kernel is; `launch.specs` makes them and says what each means."""
+    """The form of a parameter of the kernel; `launch.specs` makes and documents them."""
 
     kind: str
     dt: Any
@@ -45,7 +45,7 @@ class ArgumentForm(Protocol):
 
 
 class ResultForm(Protocol):
-    """What the kernel returns."""
+    """The form of the result of the kernel."""
 
     dt: DataType
     shape: tuple[int, ...]
@@ -65,7 +65,7 @@ class Kernel:
 
     Attributes:
         symbol: the name of the kernel in IR.
-        parameters: for each parameter, its name and what it is.
+        parameters: name and form of each parameter.
         result: what it returns, or None.
         followed: the names of the parameters whose values forward mode keeps, each with the field
             that has them.
@@ -85,7 +85,7 @@ class Kernel:
 
 
 class Walker(Protocol):
-    """The compiler as a whole, for what stands inside of what a part handles."""
+    """The compiler as a whole, which parts call for the nodes inside of their own."""
 
     def visit(self, node: ast.AST) -> Any:
         """Compiles a node; gives the value of an expression."""
@@ -95,18 +95,18 @@ class Walker(Protocol):
 
 
 class Context:
-    """What the function being compiled is, and where in it the compiler stands.
+    """The function being compiled, and the position of the compiler in it.
 
     Attributes:
-        program, kernel: what is compiled.
-        builder, emitter: what makes operations, and arithmetic of them.
+        program, kernel: the kernel that is compiled, and its program.
+        builder, emitter: make operations, and arithmetic of them.
         frames: the functions that are compiled, each inlined into the one before it.
         depth: how many regions of IR enclose the operations that are made.
         top_depth: the depth at which loops run in parallel.
         is_dead: set while the statements that follow cannot be reached.
         diagnostics: gives errors their place.
-        reads: what the code depends on besides its arguments.
-        walker: compiles what stands inside.
+        reads: attributes that the code depends on besides its arguments.
+        walker: compiles nested nodes.
     """
 
     def __init__(self, program: Program, kernel: Kernel, frame: Frame, walker: Walker):
@@ -124,12 +124,12 @@ class Context:
 
     @property
     def options(self) -> Options:
-        """Of the program, as `ti.init` took them."""
+        """Options of the program, as `ti.init` took them."""
         return self.program.options
 
     @property
     def kernel_name(self) -> str:
-        """What messages call the kernel."""
+        """The name of the kernel in messages."""
         return self.frames[0].name
 
     @property

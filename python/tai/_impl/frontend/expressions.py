@@ -27,7 +27,7 @@ from .triplets import TripletsValue
 
 
 class Expressions(Part):
-    """The part of the compiler that evaluates what is no arithmetic and no call.
+    """The part of the compiler that evaluates expressions other than arithmetic and calls.
 
     Args:
         context, compile_time, checks, levels: below it.
@@ -42,7 +42,7 @@ class Expressions(Part):
     # Names, attributes, subscripts
 
     def locate(self, node: ast.expr) -> Any:
-        """A `Place` for what can be assigned, else what the expression evaluates to."""
+        """A `Place` if the expression can be assigned to, else its value."""
         if isinstance(node, ast.Name):
             meaning = self.frame.lookup(node.id)
             if isinstance(meaning, Variable):

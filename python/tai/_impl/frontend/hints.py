@@ -69,7 +69,7 @@ _HINTS = [
 
 
 def hint_for(error: TaiError, from_python: bool) -> str | None:
-    """What to do about an error of a kernel.
+    """The advice that follows the message of an error of a kernel.
 
     Args:
         error: which has no hint of its own.

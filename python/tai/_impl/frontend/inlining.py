@@ -72,7 +72,7 @@ class Inlining(Part):
         return result
 
     def parameter(self, name: str, value: Any, kind: Any, node: ast.expr | None) -> Any:
-        """What a parameter of an inlined function stands for."""
+        """The meaning of a parameter of an inlined function."""
         if kind == "template":
             if isinstance(node, ast.Name):
                 meaning = self.frame.find(node.id)

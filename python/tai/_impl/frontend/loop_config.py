@@ -12,7 +12,7 @@ from .context import Context, Part
 
 
 class LoopConfig(Part):
-    """The part of the compiler that handles `ti.loop_config`: what the next loop is told."""
+    """The part of the compiler that handles `ti.loop_config`: options of the next loop."""
 
     def __init__(self, context: Context):
         super().__init__(context)

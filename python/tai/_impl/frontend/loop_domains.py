@@ -27,7 +27,7 @@ class Bounds:
 
 
 class LoopDomains(Part):
-    """The part of the compiler that says what a `for` runs over, and gives it its variables.
+    """The part of the compiler that finds the domain of a `for` and gives it its variables.
 
     Args:
         context, expressions: below it.
@@ -38,7 +38,7 @@ class LoopDomains(Part):
         self.expressions = expressions
 
     def domain(self, node: ast.expr) -> tuple[Any, bool]:
-        """What a loop runs over: `Bounds` or a field; and whether indices come as a vector."""
+        """The domain of a loop, `Bounds` or a field; and whether indices come as a vector."""
         if isinstance(node, ast.Call):
             function = self.visit(node.func)
             if function is range:

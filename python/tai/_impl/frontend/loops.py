@@ -60,7 +60,7 @@ class Loops(Part):
         self.parallel.make(node, None, domain, grouped, options)
 
     def _name_of(self, domain: Any) -> str:
-        """What a message calls a field or a level."""
+        """The name of a field or a level in messages."""
         return "a level" if isinstance(domain, Level) else f"field '{domain.name}'"
 
     def _static_for(self, node: ast.For, thing: Any) -> None:

@@ -29,7 +29,7 @@ COMPARE = {
     ast.Eq: "==", ast.NotEq: "!=", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="
 }  # fmt: skip
 
-# Of operands that are known now.
+# Unary operators on operands that are known now.
 _NOW: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
@@ -136,7 +136,7 @@ class Operators(Part):
         return self.emitter.compare(COMPARE[type(op)], a, b)
 
     def visit_BoolOp(self, node: ast.BoolOp) -> Any:
-        """`and`, `or`: what stands on the right is evaluated only if it matters."""
+        """`and`, `or`: the right operand is evaluated only if it decides the result."""
         is_and = isinstance(node.op, ast.And)
         result = self.visit(node.values[0])
         for right in node.values[1:]:
@@ -187,7 +187,7 @@ class Operators(Part):
         return Value(emitter, self._branch(truth, emitter.type_of(dt), changed, regions), dt)
 
     def _variables(self, *nodes: ast.expr) -> dict[Variable, Value]:
-        """The variables that a call in an expression could change, and what they hold now."""
+        """The variables that a call in an expression could change, and their current values."""
         if not any(isinstance(part, ast.Call) for node in nodes for part in ast.walk(node)):
             return {}
         return {
@@ -201,7 +201,7 @@ class Operators(Part):
     def _select_variables(
         self, condition: Value, changed: list[Variable], then: dict, orelse: dict
     ) -> None:
-        """Gives the variables what they hold after one of two expressions."""
+        """Gives the variables their values after one of two expressions."""
         for variable in changed:
             variable.value = self.emitter.select(condition, then[variable], orelse[variable])
 
@@ -276,7 +276,7 @@ class Operators(Part):
 
 
 def _taken_back(before: dict[Variable, Value]) -> dict[Variable, Value]:
-    """What the variables hold, which then get back what they held before."""
+    """The values of the variables, which are then reset to the values `before`."""
     after = {variable: variable.value for variable in before}
     for variable, value in before.items():
         variable.value = value

@@ -17,7 +17,7 @@ from .triplets import TripletsValue
 
 
 class Parameters(Part):
-    """The part of the compiler that handles what goes into a kernel, and what it gives.
+    """The part of the compiler that handles the parameters and the result of a kernel.
 
     Attributes:
         types, names: of the arguments in IR.
@@ -84,7 +84,7 @@ class Parameters(Part):
         return StructValue(type_, members)
 
     def _argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:
-        """What a parameter of the kernel stands for in its body."""
+        """The meaning of a parameter of the kernel in its body."""
         if spec.kind == "template":
             return Bound(spec.constant)
         if spec.kind == "array":
@@ -101,7 +101,7 @@ class Parameters(Part):
         return FieldElement(emitter, field, [emitter.to_index(at)])
 
     def _load_cells(self, variable: Variable, field: Any, first: Any) -> None:
-        """A parameter whose value forward mode follows is what it has kept."""
+        """Loads the value that forward mode has kept of a parameter."""
         emitter, given = self.emitter, variable.value
         count = 1
         for extent in given.shape:

@@ -38,7 +38,7 @@ class FormattedText:
 
 
 def formatted(thing: Any) -> FormattedText:
-    """What printing `thing` writes."""
+    """The text that printing `thing` writes."""
     if isinstance(thing, FormattedText):
         return thing
     if isinstance(thing, Place):
@@ -121,7 +121,8 @@ def _with_spec(thing: Any, spec: str, conversion: str | None = None) -> Formatte
     )
 
 
-# What Python accepts and the runtime does not write: other fills and the grouping of digits.
+# Format specifications that Python accepts and the runtime does not write: other fills and the
+# grouping of digits.
 _NO_SPEC = re.compile(r"[{}]|[,_nczs]|\d{4,}")
 
 

@@ -40,8 +40,8 @@ class Place:
     """Something that can be loaded and stored.
 
     Attributes:
-        dt, shape: the type of what it holds. What is loaded of memory is in the type that it is
-            computed in (f32 for f16); `convert` gives what can be stored.
+        dt, shape: the type of its value. A loaded value has the type that it is computed in (f32
+            for f16); `convert` gives a value that can be stored.
     """
 
     emitter: Emitter
@@ -55,7 +55,7 @@ class Place:
         raise NotImplementedError
 
     def atomic(self, op: str, value: Any) -> Any:
-        """Combines `value` into the place and returns what it held before."""
+        """Combines `value` into the place and returns its former value."""
         old = self.load()
         self.store(self.convert(self.emitter.binary(op, old, value)))
         return old
@@ -96,7 +96,7 @@ class Place:
         return emitter.broadcast(emitter.cast(value, self.dt), self.shape)
 
     def _what(self) -> str:
-        """What to call the place in a message."""
+        """The name of the place in messages."""
         return f"a place of type {self.dt}"
 
     def _kind(self) -> str:
@@ -105,7 +105,7 @@ class Place:
 
 
 class _Shape:
-    """What `component_of` needs to know of a place."""
+    """The properties of a place that `component_of` needs."""
 
     def __init__(self, place: Place):
         self.shape = place.shape
@@ -231,7 +231,7 @@ class FieldElement(Place):
     @property
     def _symbol(self) -> str:
         symbol = self.field.symbol
-        assert symbol is not None  # what a kernel reads and writes is allocated
+        assert symbol is not None  # fields that a kernel reads or writes are allocated
         return symbol
 
     def _what(self) -> str:
@@ -317,7 +317,7 @@ class SplitComponent(Component):
         self.parts = base.parts()
 
     def _only(self, number: int, change: Callable[[], Value | None], old: Value | None) -> Any:
-        """Does it if this is the component; gives what it gives, or `old`."""
+        """Performs `change` if this is the component; returns its result, or `old`."""
         emitter, builder = self.emitter, self.emitter.builder
         holds = emitter.compare("==", self.number, number)
         outer = builder.get_block()

@@ -42,7 +42,7 @@ def _returns_inside(node: ast.FunctionDef) -> bool:
 
 
 class Results:
-    """What a function returns from inside of branches and loops.
+    """The results of a function that returns from inside of branches and loops.
 
     Attributes:
         returned: the flag.
@@ -63,7 +63,7 @@ class Results:
 
 
 class _Form:
-    """The types of what the returns of a function give, found by a first walk."""
+    """The types of the results of a function, found by a first walk."""
 
     def __init__(self) -> None:
         self.types: list[tuple[DataType, tuple[int, ...]]] | None = None
@@ -101,11 +101,11 @@ class Returns(Part):
     def __init__(self, context: Context, parameters: Parameters):
         super().__init__(context)
         self.parameters = parameters
-        # What inlined functions return that may do so early, by their parameters.
+        # The result types of inlined functions that may return early, by their parameters.
         self._forms: dict[tuple, _Form] = {}
 
     def prepare_returns(self) -> None:
-        """Makes room for what the function at hand returns, if it may do so early.
+        """Makes room for the results of the current function, if it may return early.
 
         Called where its body begins, once its parameters are defined.
         """
@@ -230,7 +230,7 @@ class Returns(Part):
         results.returned.value = emitter.constant(True, u1)
 
     def finish_function(self) -> Any:
-        """What an inlined function gives, once its body has been compiled."""
+        """The result of an inlined function, once its body has been compiled."""
         frame, results = self.frame, self.frame.results
         if frame.has_returned or results is None or not results.may_have_run:
             return frame.result
@@ -282,7 +282,7 @@ class Returns(Part):
 
 
 def _kind(meaning: Any) -> Any:
-    """What decides the type of a parameter: equal for equal types."""
+    """A key for the type of a parameter: equal for equal types."""
     value = meaning.value if isinstance(meaning, Variable) else getattr(meaning, "thing", meaning)
     if isinstance(value, (Value, MatrixValue)):
         return (value.dt.name, value.shape, value.const)

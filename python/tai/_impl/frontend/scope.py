@@ -71,8 +71,8 @@ class Frame:
         self.result: Any = None
         self.result_type: Any = None
         self.has_returned = False
-        # What `return` gives where it stands in branches and loops; while their types are
-        # being found, the form of that.
+        # The results of `return` inside of branches and loops; their form while their types are
+        # being found.
         self.results: Any = None
         self.form: Any = None
         self.depth = 0
@@ -97,7 +97,7 @@ class Frame:
         return None
 
     def lookup(self, name: str) -> Variable | Bound:
-        """What `name` means here.
+        """The meaning of `name` at this point.
 
         Raises:
             TaiNameError: nothing.

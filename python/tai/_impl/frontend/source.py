@@ -89,10 +89,10 @@ class AssignedNames(ast.NodeVisitor):
 
     Args:
         takes_reference: tells whether a call may change the variables given to it.
-        changes_receiver: tells whether it may change what it is called of, a struct with methods.
+        changes_receiver: tells whether a call of a method may change its struct.
         is_settled: tells whether it will always say the same of a call.
-        known: what was found for branches and loops before. Without it, a chain of branches would
-            be walked again for each of them.
+        known: results for branches and loops that have been searched before. Without it, a chain of
+            branches would be walked again for each of them.
     """
 
     def __init__(

@@ -88,7 +88,7 @@ class Statements(Part):
         for number, statement in enumerate(statements):
             rest = statements[number + 1 :]
             if isinstance(statement, ast.If) and rest and always_returns(statement.body):
-                # What follows is all that the other branch does.
+                # The statements that follow are all that the other branch does.
                 self.guarded(partial(self.visit_If, rest=rest), statement)
                 return
             self.visit(statement)
@@ -102,7 +102,7 @@ class Statements(Part):
     def rest_of_body(
         self, running: Value, action: Callable[[], None], rest: list[ast.stmt], node: ast.stmt
     ) -> None:
-        """What runs only if nothing has been left before."""
+        """Compiles statements that run only if no earlier one has left the body."""
         is_dead = self.regions.branch(running, self.as_top(action), None, rest, node)[0]
         # Either it was left before, or it is left there.
         self.context.is_dead = is_dead

@@ -31,7 +31,7 @@ class StructMethod:
 
 
 class _Members:
-    """What struct values and struct places have in common."""
+    """Members of struct values and of struct places."""
 
     type: StructType
     members: dict[str, Any]
@@ -53,7 +53,7 @@ class _Members:
 
 
 class StructValue(_Members):
-    """A struct that has no place: what a constructor makes, or an element that was read."""
+    """A struct that has no place: a constructor made it, or it is an element that was read."""
 
     def __init__(self, type_: StructType, members: dict[str, Any]):
         self.type, self.members = type_, members
@@ -140,7 +140,7 @@ def make_value(emitter: Any, type_: StructType, given: dict[str, Any]) -> Struct
 def as_struct_value(emitter: Any, thing: Struct | dict[str, Any]) -> StructValue:
     """A struct of Python, or one that a kernel makes by `ti.Struct(…)`, as a value of the kernel.
 
-    Its members have the types of what they hold.
+    Its members have the types of the given values.
     """
     members: dict[str, Any] = {}
     kinds: dict[str, Any] = {}
@@ -162,7 +162,7 @@ def _type_of(value: Value) -> Any:
 
 
 def variables_of(meaning: Any) -> Iterator[Variable]:
-    """The local variables that a name stands for, or that hold what it stands for.
+    """The local variables that a name stands for, or that are parts of its meaning.
 
     A template parameter may stand for a component of a vector, or for a member of a struct, and
     `self` stands for the struct that a method is called of.
@@ -186,7 +186,7 @@ def changes_struct(type_: StructType, name: str, known: dict[tuple, bool]) -> bo
     Args:
         type_: of the struct.
         name: of the method.
-        known: what was found before, by type and name.
+        known: earlier results, by type and name.
     """
     if (type_, name) not in known:
         known[type_, name] = False  # which a method that calls itself adds nothing to

@@ -1,8 +1,8 @@
 """Template arguments, and the attributes of them that kernels read while they are compiled.
 
-The code of a kernel is compiled for its template arguments. Those that are numbers, texts,
-containers, arrays, matrices or structs are compared by contents (`_core.Constant`), other
-objects by identity. Of such an object, a kernel depends on the attributes that it read, which
+The code of a kernel is compiled for its template arguments. Template arguments that are numbers,
+texts, containers, arrays, matrices or structs are compared by contents (`_core.Constant`), other
+objects by identity. A kernel depends on those attributes of such an object that it read, which
 `Reads` records: if one of them has changed at a later launch, the kernel is compiled again.
 """
 
@@ -69,7 +69,7 @@ def _is_open(thing: Any) -> bool:
 
 
 class Reads:
-    """The attributes of template arguments, and of what they hold, that a kernel reads.
+    """The attributes of template arguments, and of objects inside them, that a kernel reads.
 
     Args:
         templates: the arguments.
@@ -106,7 +106,7 @@ class Reads:
         elif isinstance(value, _LEAVES):
             self._add(owner, name, native.Constant(value))
         elif not isinstance(value, _FUNCTIONS) and not _is_own(type(value)):
-            self.note_all(owner)  # what a property makes an object of
+            self.note_all(owner)  # the source of an object that a property makes
         self._follow(value)
 
     def note_all(self, *things: Any) -> None:
@@ -146,7 +146,7 @@ class Reads:
 
 
 def still_hold(reads: list[tuple[Any, str, Any]]) -> bool:
-    """Whether all attributes are what they were."""
+    """Whether all attributes still have their recorded values."""
     missing = object()
     return all(constant.matches(getattr(owner, name, missing)) for owner, name, constant in reads)
 

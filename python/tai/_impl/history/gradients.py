@@ -67,7 +67,7 @@ class Gradient:
             buffer.reshape(-1)[component] += amount
 
     def pass_on(self) -> None:
-        """In a sweep: gives what has been added up to where the value comes from."""
+        """In a sweep: passes the accumulated gradient on to the origin of the value."""
         kept = self.buffers.get(self.dt) if self.dt is not None else None
         for buffer in self.buffers.values():
             if buffer is not kept and buffer.any():
@@ -84,7 +84,7 @@ _lock = Lock()
 
 
 class ArrayGradient:
-    """The gradient of a `ti.ndarray`, as what a tape takes."""
+    """The gradient of a `ti.ndarray`, in the form that a tape takes."""
 
     def __init__(self, array: np.ndarray):
         self.array = array
@@ -113,7 +113,7 @@ def note_variable(gradient: Gradient) -> None:
 
 
 def note_gradient_array(array: Any) -> ArrayGradient:
-    """Remembers the gradient of an array, for as long as what this returns is kept."""
+    """Remembers the gradient of an array, for as long as the caller keeps the result."""
     gradient = ArrayGradient(array.array)
     with _lock:
         _arrays.add(gradient)
@@ -129,7 +129,7 @@ of_thread = _OfThread()
 
 
 def recorded_as(array: np.ndarray, has_gradient: bool) -> str | None:
-    """What the tape that records calls an array that it has recorded, or None."""
+    """The name that the recording tape gives an array that it has recorded, or None."""
     active = of_thread.active
     if active is None or active.core is not state.tape:
         return None

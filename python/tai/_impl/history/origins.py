@@ -28,7 +28,8 @@ from ..base.elements import Elements
 from ..base.parsing import parse
 from ..base.program import at_close
 
-# What gives no number, or one that does not change a little when its argument does.
+# Functions without a number as their result, or whose result does not change a little with their
+# argument.
 _DISCRETE = (
     len, range, isinstance, type, print, str, bool, int, round, math.floor, math.ceil, math.trunc,
 )  # fmt: skip
@@ -36,11 +37,11 @@ _DISCRETE = (
 # Calls of functions that are followed into their text.
 _DEPTH = 3
 
-# Places that have been looked at, by the addresses of code objects and of what they use, and
-# these, so that no others come to lie there.
+# Places that have been looked at, by the addresses of code objects and of the objects they use, and
+# these objects, which are kept so that their addresses are not reused.
 _sites: set[tuple[int, int, int]] = set()
 _kept: dict[int, Any] = {}
-# As many as a program has places. What makes code all day meets more.
+# More places than a program has. Programs that generate code all day exceed it.
 _MOST_SITES = 4096
 
 
@@ -81,7 +82,7 @@ def _forget_sites() -> None:
 
 
 def has_history(field: Any) -> bool:
-    """Whether what a field or `ti.ndarray` holds has a gradient in the tape, or a tangent in
+    """Whether the values of a field or `ti.ndarray` have a gradient in the tape, or a tangent in
     forward mode."""
     if hasattr(field, "array"):
         return field.grad is not None and state.tape is not None
@@ -108,8 +109,8 @@ def _is_internal(field: Any) -> bool:
 def dual_of_written(field: Any) -> Any:
     """The dual of a place that Python writes to in forward mode, if its tangent ends there.
 
-    What Python writes is a constant, but before the first launch it is the point at which one
-    differentiates.
+    A value that Python writes is a constant, but before the first launch it is the point at which
+    one differentiates.
     """
     dual = field._companions.get("dual")
     ends = native.forward_launches() > 0 and getattr(dual, "_core", None) is not None
@@ -307,7 +308,7 @@ class _Scope:
         return found
 
     def resolve(self, node: ast.AST) -> Any:
-        """What a name or an attribute stands for now; None if that is unknown."""
+        """The value that a name or an attribute stands for now; None if that is unknown."""
         if isinstance(node, ast.Name):
             return next((names[node.id] for names in self._names if node.id in names), None)
         if not isinstance(node, ast.Attribute):

@@ -45,7 +45,7 @@ class DeviceArray:
         dense |= step == 0
         self.flags = DeviceArray._Flags(dense, is_writeable)
         self.nbytes = step * self.dtype.itemsize
-        # Of the library that it comes from: a stream, or None for torch's current one.
+        # The stream of the library that it comes from, or None for torch's current one.
         self.library = stream
         self._owner, self._number = owner, number
 
@@ -126,7 +126,7 @@ def from_dlpack(value: Any) -> Any:
     """An array of another library, without a copy, for kernels to use.
 
     Args:
-        value: what has `__dlpack__`: an array of torch, jax, cupy, NumPy.
+        value: an object with `__dlpack__`: an array of torch, jax, cupy, NumPy.
 
     Returns:
         a NumPy array that shares the memory, or for memory of a GPU a `DeviceArray`, which
@@ -164,7 +164,7 @@ def order_before(arrays: list[DeviceArray]) -> set[int]:
 
 
 def order_after(streams: set[int]) -> None:
-    """Those wait for the launch."""
+    """Makes the streams wait for the launch."""
     context = get_program().context
     for stream in streams:
         context.let_stream_wait(stream)

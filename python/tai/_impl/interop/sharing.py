@@ -67,7 +67,7 @@ def field_dlpack(
 def _shares_with(field: Any, tensor: Any) -> Any:
     """A tensor that shares the memory of the field, if it is where `tensor` is; else None.
 
-    Torch's current stream waits for what has been launched.
+    Torch's current stream waits for all launches so far.
     """
     import torch
 
@@ -91,7 +91,7 @@ def to_torch(field: Any, device: Any) -> Any:
         return tensor if device is None else tensor.to(where)
     copy = shared.clone(memory_format=torch.contiguous_format)
     if where.type == "cuda":
-        # What is launched next may change the field.
+        # The next launch may change the field.
         wait_for_stream(torch.cuda.current_stream())
     return copy
 

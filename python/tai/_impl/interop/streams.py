@@ -29,7 +29,7 @@ def _torch_stream(device: int) -> int:
     return torch.cuda.current_stream(device).cuda_stream if raw is None else raw(device)
 
 
-# What says on which stream torch works.
+# Finds the stream on which torch works.
 _current_stream: Callable[[int], int] = _torch_stream
 
 
@@ -54,7 +54,7 @@ def stream_number(stream: Any) -> int:
 
 
 def wait_for_stream(stream: Any = None) -> None:
-    """What is launched from now on waits for what a stream of CUDA holds now.
+    """Launches from now on wait for the present work of a stream of CUDA.
 
     Needed where another library writes to a field that it shares, on a stream other than the
     default one. On the CPU it does nothing.
@@ -66,5 +66,5 @@ def wait_for_stream(stream: Any = None) -> None:
 
 
 def let_stream_wait(stream: Any = None) -> None:
-    """What a stream of CUDA is given from now on waits for all launches so far."""
+    """Work put on a stream of CUDA from now on waits for all launches so far."""
     get_program().context.let_stream_wait(stream_number(stream))

@@ -30,7 +30,7 @@ class BoundKernel:
         return self._kernel.mlir(self._instance, *args, stage=stage)
 
     def explain(self, *args: Any) -> str:
-        """What the gradient does, in words; see `Kernel.explain`."""
+        """Describes the gradient in words; see `Kernel.explain`."""
         return self._kernel.explain(self._instance, *args)
 
     def compile(self, *args: Any, grad: bool = False) -> None:

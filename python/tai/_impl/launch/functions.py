@@ -13,7 +13,7 @@ from .signature import check_no_rest, defaults_of, names_of, parse_type, resolve
 
 
 class FunctionInfo:
-    """What the compiler needs of a `ti.func`."""
+    """The properties of a `ti.func` that the compiler needs."""
 
     def __init__(self, function: Callable[..., Any]):
         self.function, self.name = function, function.__name__

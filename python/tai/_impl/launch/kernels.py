@@ -38,7 +38,7 @@ class Kernel(native.Launcher):
         self, function: Callable[..., Any], is_method: bool, modes: dict[str, Any] | None = None
     ):
         self._function, self._is_method = function, is_method
-        # Those that it says by itself.
+        # The modes that the kernel itself names.
         self._modes = modes or {}
         self.__name__ = function.__name__
         self.__qualname__ = function.__qualname__
@@ -48,7 +48,7 @@ class Kernel(native.Launcher):
         self._program: Any = None
         self._signature: Signature | None = None
         self._specializations = Specializations(self, function, self._modes)
-        # Of the kernels of this process, the how manieth.
+        # The serial number of the kernel in this process.
         self.number = state.kernels_made
         state.kernels_made += 1
         self.grad = GradientKernel(self)
@@ -92,14 +92,14 @@ class Kernel(native.Launcher):
         return launch(launcher, signature, found, values, grad, tracks)
 
     def _compile_now(self, found: Specialization, grad: bool) -> None:
-        """Compiles what the launch needs, and what a tape will need, under its name."""
+        """Compiles the code of the launch, and the code that a tape will need, under its name."""
         is_recorded = tracked.recording() is not None and found.has_gradients
         for adjoint in (False, True) if is_recorded and not grad else (grad,):
             if adjoint in found.announced:
                 continue
             found.announced.add(adjoint)
             name = self.__name__ + (".grad" if adjoint else "")
-            # What cannot be compiled is said where it is needed.
+            # Errors of the compiler are reported by the launch that needs the code.
             with contextlib.suppress(TaiError), compiling.compiling(name):
                 found.core.compile(adjoint)
 
@@ -132,7 +132,7 @@ class Kernel(native.Launcher):
         self._specializations.forget_launches()
 
     def release(self) -> None:
-        """The program is over: forgets what was compiled for it."""
+        """The program is over: forgets the code compiled for it."""
         self._program = None
         self._specializations.clear()
 
@@ -149,13 +149,13 @@ class Kernel(native.Launcher):
         return self._find(args).core.ir(stage)
 
     def explain(self, *args: Any) -> str:
-        """What the gradient of the kernel does, in words.
+        """Describes the gradient of the kernel in words.
 
-        For each serial loop: how many iterations it has, what is remembered of them, and for
-        each value that it carries from one to the next whether it is *linear*, of a *closed
-        form*, *invertible* or a *trajectory* (see docs/loops.md). For each branch: whether it
-        was flattened, or why not. Then the fields that the gradient reads and adds to, and what
-        the tape saves for it.
+        For each serial loop: the number of its iterations, the values saved of them, and the class
+        of each value that it carries from one to the next: *linear*, of a *closed form*,
+        *invertible* or a *trajectory* (see docs/loops.md). For each branch: whether it was
+        flattened, or why not. Then the fields that the gradient reads and adds to, and the data
+        that the tape saves for it.
 
         Args:
             args: arguments, to choose a specialisation; the last one used if left out.
@@ -216,7 +216,7 @@ def kernel(function: Callable[..., Any] | None = None, **modes: Any) -> Any:
     those of `ti.init`. Its gradient has them, too.
 
     Args:
-        precision: what it computes in, whatever fields hold: `f64` or `f32`.
+        precision: the type of its arithmetic, whatever the types of the fields: `f64` or `f32`.
         sums: `compensated` or `deterministic`; see `ti.init`.
         math: `fast`, `strict` or `accurate`.
         ftz: denormal numbers are zero.

@@ -78,14 +78,15 @@ def launch(
     """Runs a specialisation.
 
     Args:
-        launcher: the kernel, or its gradient; it gets to know what it can launch by itself.
-        signature, found: of the kernel, and what was compiled for these arguments.
+        launcher: the kernel, or its gradient; it caches specialisations that it can launch by
+            itself.
+        signature, found: of the kernel, and the code compiled for these arguments.
         values: one for each parameter.
         grad: whether to run the gradient.
         tracks: whether adjoints of arguments and of the result have a place.
 
     Returns:
-        What the kernel returns.
+        The result of the kernel.
     """
     slots, kept = pack(signature, found, values, tracks)
     if tracks:

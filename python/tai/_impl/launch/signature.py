@@ -34,7 +34,7 @@ def names_of(function: Callable[..., Any]) -> list[str]:
 
 
 def defaults_of(function: Callable[..., Any]) -> dict[str, Any]:
-    """What parameters are where a call leaves them out."""
+    """Default values of parameters."""
     code = function.__code__
     positional = code.co_varnames[: code.co_argcount]
     defaults = function.__defaults__ or ()
@@ -213,7 +213,7 @@ class Signature:
 
     @property
     def is_known(self) -> bool:
-        """Whether no argument can change what is compiled."""
+        """Whether the same code serves all arguments."""
         return all(isinstance(p.type, (ScalarType, MatrixType)) for p in self.parameters)
 
     def bind(self, args: tuple, kwargs: dict) -> list[Any]:

@@ -24,7 +24,7 @@ class Specialization:
 
     Attributes:
         has_gradients: whether something that it uses has a gradient.
-        reads: what the code depends on besides the arguments; see `templates.Reads`.
+        reads: attributes that the code depends on besides the arguments; see `templates.Reads`.
         fields, stored, accumulated: the places that it uses, stores to, and changes by atomics.
     """
 
@@ -40,7 +40,7 @@ class Specialization:
         self.accumulated: weakref.WeakSet = weakref.WeakSet()
         # Whether the launcher in C++ knows it, for `grad` false and true.
         self.registered: set[bool] = set()
-        # Which of them were compiled under their names; see `base.compiling`.
+        # Directions that were compiled under their names; see `base.compiling`.
         self.announced: set[bool] = set()
         self.result = () if result is None else result.description()
         self.result_spec = result
@@ -72,7 +72,7 @@ class Specialization:
 
 
 class Specializations:
-    """What was compiled of one kernel for the program that runs.
+    """The specialisations of one kernel for the current program.
 
     Attributes:
         last: the one that was asked for last, or None.
@@ -82,7 +82,7 @@ class Specializations:
 
     def __init__(self, kernel: Any, function: Callable[..., Any], modes: dict[str, Any]):
         self._kernel, self._function = weakref.ref(kernel), function
-        # Those that the kernel says by itself.
+        # The modes that the kernel itself names.
         self._modes = modes
         self.find_constants: Callable[[list[Any]], set[Any]] = lambda values: set()
         self._variants: dict[tuple, list[Specialization]] = {}
@@ -211,7 +211,8 @@ class Specializations:
             raise located(TaiCompilationError(error.message, error.hint), self._function) from None
         is_fast = modes.get("math") == "fast" or ("math" not in modes and program.options.fast_math)
         if state.rounding is not None and is_fast:
-            # What a rounding takes away is a difference that is zero if it is reordered.
+            # The part that a rounding takes away is a difference that becomes zero if it is
+            # reordered.
             modes["math"] = "default"
         symbol = program.unique_symbol(signature.kernel)
         program.kernel_functions[symbol] = self._function

@@ -21,13 +21,13 @@ _SLOT_KINDS = {"f32": ("f",), "f64": ("d",), "u1": ("b",)}
 
 
 class ArgumentSpec:
-    """What one parameter of a kernel is in one specialisation.
+    """One parameter of a kernel in one specialisation.
 
     Attributes:
         kind: `scalar`, `matrix`, `array` or `template`.
         dt, shape: type of a number or matrix.
         ndim, element_shape: of an array.
-        constant: what a template parameter stands for.
+        constant: the value of a template parameter.
         taken: the same as it was when the kernel was compiled, as a `_core.Constant`.
         has_gradient: whether the kernel is differentiated by it. An array then comes with
             the array of its gradient.
@@ -57,13 +57,13 @@ class ArgumentSpec:
 
     @property
     def mlir_types(self) -> list[str]:
-        """Of the arguments in IR that stand for this one."""
+        """Types of the arguments in IR that stand for this one."""
         if not self.has_slot:
             return []
         return [self.mlir_type] * (2 if self.kind == "array" and self.has_gradient else 1)
 
     def names(self, name: str) -> list[str]:
-        """What these are called: the argument, and the gradient of an array."""
+        """Names of these arguments in IR: the argument, and the gradient of an array."""
         return [name, f"{name}.grad"][: len(self.mlir_types)]
 
     @property
@@ -93,7 +93,7 @@ class ArgumentSpec:
 
 
 class ResultSpec:
-    """The type of what a kernel returns."""
+    """The type of the result of a kernel."""
 
     def __init__(self, type_: ResultType):
         self.type = type_
@@ -121,7 +121,7 @@ class ResultSpec:
 
 
 def spec_of(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
-    """What a value is for a parameter of a kernel.
+    """The specification of a parameter of a kernel for a value.
 
     Raises:
         TaiRuntimeTypeError: it does not fit the annotation.

@@ -132,5 +132,5 @@ class TupleResult(StructResult):
         return tuple(value for _, value in super().unpack(vector, is_followed).items)
 
 
-# What a kernel may return.
+# Types that a kernel may return.
 ResultType = ScalarType | MatrixType | StructResult

@@ -16,13 +16,13 @@ from ..launch.bound_kernel import BoundKernel
 from ..launch.kernels import Kernel
 from ..tracking import tracked
 
-# What solvers work on, by thread, role, type and shape, while the program lasts.
+# Scratch fields of the solvers, by thread, role, type and shape, while the program lasts.
 _scratch: dict[tuple, Any] = {}
 at_close.append(_scratch.clear)
 
 
 def check_unknown(field: Any, what: str, solver: str) -> None:
-    """Refuses what a solver cannot solve for.
+    """Refuses an unknown that a solver cannot solve for.
 
     Raises:
         TaiRuntimeTypeError: no field, not of f32 or f64, sparse, or one vector alone.
@@ -73,7 +73,7 @@ def _offset(field: Any) -> tuple[int, ...]:
 def scratch(like: Any, role: str) -> Any:
     """A field with the elements of another one, for the solvers of this thread alone.
 
-    Those whose role is `image` have a gradient, and a dual, too.
+    Scratch fields whose role is `image` have a gradient, and a dual, too.
     """
     get_program()
     key = (state.thread, role, like.dtype.name, like.shape, like.element_shape, _offset(like))
@@ -149,7 +149,7 @@ class Operator:
         self._accumulates = not target & set(found.stored)
 
     def check_differentiable(self) -> None:
-        """Refuses what the adjoint of a solution cannot pass through.
+        """Refuses arguments that the adjoint of a solution cannot pass through.
 
         Raises:
             TaiAutodiffError: the unknown, or an array, has the wrong kind of gradient.
@@ -176,8 +176,8 @@ class Operator:
     def record(self) -> None:
         """Launches the kernel at the solution, for a tape: both forms.
 
-        In reverse, the first brings back what the adjoint solve reads; the other adds to the
-        gradients of all parameters.
+        In reverse, the first restores the values that the adjoint solve reads; the other adds to
+        the gradients of all parameters.
         """
         self._run(self._linear(), self.x, self.image, self._plain)
         self._run(self._kernel, self.x, self.image, self.args)

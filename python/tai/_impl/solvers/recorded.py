@@ -3,8 +3,8 @@
 The record of a solution x of R(x, θ) = 0 is, in this order: the solve, into a field of the
 solvers; a copy of it to x; the kernel at x; and a function that runs in reverse only. That one
 solves Jᵀ λ = x.grad, J = ∂R/∂x, and gives -λ to the kernel's own adjoint, which the tape runs
-next: it adds -(∂R/∂θ)ᵀ λ to the gradients of all that the kernel reads. What adjoints read is
-saved by the tape as for any kernel.
+next: it adds -(∂R/∂θ)ᵀ λ to the gradients of all that the kernel reads. The tape saves the values
+that adjoints read, as for any kernel.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def run(
 
 
 def pull(operator: Operator, v: Any, result: Any) -> None:
-    """result = Jᵀ v; the gradient of the unknown is what it works on."""
+    """result = Jᵀ v, through the gradient of the unknown."""
     kernels = get_kernels()
     operator.x.grad.fill(0)
     kernels.copy(operator.image.grad, v)

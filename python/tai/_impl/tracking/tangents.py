@@ -60,10 +60,10 @@ class Pool:
 
 
 def pool_besides(inputs: list[Any]) -> Pool:
-    """The pool for what is computed from these places: none of theirs.
+    """The pool for values computed from these places: none of the pools of the places.
 
-    A kernel that reads and writes one field may overwrite what it has read, for all that a tape
-    knows.
+    A kernel that reads and writes the same field may, to a tape, overwrite elements that it has
+    read.
     """
     pools, taken = get_program().pools, {place.pool for place in inputs}
     for pool in pools:

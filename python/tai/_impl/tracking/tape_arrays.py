@@ -27,7 +27,7 @@ from ..interop import device_arrays
 
 
 class _HostCopy:
-    """What an array of the host held."""
+    """The former contents of an array of the host."""
 
     def __init__(self, array: np.ndarray):
         self._array, self._kept = array, array.copy()
@@ -40,7 +40,7 @@ class _HostCopy:
 
 
 class _DeviceCopy:
-    """What an array of a GPU held."""
+    """The former contents of an array of a GPU."""
 
     def __init__(self, array: device_arrays.DeviceArray):
         self._array = array
@@ -104,11 +104,11 @@ class HeldArray(NamedTuple):
     Attributes:
         name: the parameter.
         kernel: the name of the kernel.
-        value: what the kernel was called with.
+        value: the argument of the kernel.
         array: its memory.
         launched: the memory that the kernel gets: the array, or a contiguous copy of it.
         slot: where its address is among the slots of the launch.
-        is_read, is_written: what the kernel does with it.
+        is_read, is_written: whether the kernel reads or writes it.
         has_gradient: whether the kernel is differentiated by it.
         is_read_in_reverse: whether the gradient reads its elements.
         ends_gradients: whether the kernel stores differentiable values there, and it has no
@@ -153,20 +153,20 @@ def check_overlaps(held: list[HeldArray], tracks: bool) -> None:
 
 
 class _Frozen:
-    """What an array held at its launches, as often as that was something new."""
+    """The contents of an array at its launches, one copy for each change."""
 
     def __init__(self, held: HeldArray):
         self.held = held
         self.versions: list[np.ndarray] = []
 
     def take(self, array: np.ndarray) -> np.ndarray:
-        """The copy that holds what the array holds."""
+        """The copy that equals the present contents of the array."""
         if not self.versions or not _is_equal(self.versions[-1], array):
             self.versions.append(np.array(array, order="C"))
         return self.versions[-1]
 
     def renew(self) -> None:
-        """The launches run forward again, on what the array holds now."""
+        """Before the launches run forward again: they use the present contents of the array."""
         if len(self.versions) == 1:
             np.copyto(self.versions[0], self.held.array)
         elif not _is_equal(self.versions[-1], self.held.array):
@@ -243,8 +243,8 @@ def _version(tensor: Any) -> int | None:
 
 
 class Ordered(native.WithBlock):
-    """What is queued meanwhile comes after what the libraries of a tape's arrays have queued, and
-    before what they queue then."""
+    """Work queued within the block runs after all work that the libraries of a tape's arrays have
+    queued before it, and before their later work."""
 
     def __init__(self, arrays: TapeArrays):
         self._arrays = arrays
@@ -277,22 +277,24 @@ class ArraySweep(Ordered):
 
 
 class TapeArrays:
-    """What a tape knows of the arrays of its launches."""
+    """The arrays that the launches of a tape use."""
 
     def __init__(self, core: Any, runs_again: bool, take: weakref.WeakMethod):
         self._core, self._runs_again, self._launcher = core, runs_again, native
-        # What to do with the gradient of an array that a launch uses. Weak: it is the tape's.
+        # Called with the gradient of each array that a launch uses. Weak, since it is a method of
+        # the tape.
         self._take = take
         # By address and size: a part of an array may start where the array does.
         self._used: dict[tuple, Any] = {}
         self._names: dict[tuple, HeldArray] = {}
         self._restored: dict[tuple, Any] = {}
-        # What recorded kernels write; what launches have had copies of; what gradients read.
+        # Arrays that recorded kernels write; arrays that launches have had copies of; arrays that
+        # gradients read.
         self._written: dict[tuple, Any] = {}
         self._frozen: dict[tuple, _Frozen] = {}
         self._watched: dict[tuple, _Watched] = {}
         self._sampled: dict[tuple, _Sampled] = {}
-        # Of the launch that comes next: copies to write back, and what it changes.
+        # Copies that the next launch writes back, and arrays that it changes.
         self._staged: list[HeldArray] = []
         self._changing: list[HeldArray] = []
         # Arrays of a GPU, one for each library that says on which stream it works.
@@ -309,7 +311,7 @@ class TapeArrays:
 
         Raises:
             TaiRuntimeError: its library, or Python, has changed it since an earlier launch.
-            TaiAutodiffError: a tape that runs kernels again would not find what it held.
+            TaiAutodiffError: a tape that runs kernels again would not find its former contents.
         """
         value, array = held.value, held.array
         self._core.keep(array)
@@ -460,8 +462,8 @@ class TapeArrays:
         return [_copy_of(array) for array in self._restored.values()]
 
     def check_versions(self) -> None:
-        """Before a sweep over what was recorded: tensors, and arrays that kernels have
-        written, must hold what they held.
+        """Before a sweep over recorded launches: tensors, and arrays that kernels have written,
+        must still have their recorded contents.
 
         Raises:
             TaiRuntimeError: torch or Python has changed one since.

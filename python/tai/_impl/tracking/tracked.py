@@ -78,8 +78,8 @@ def gradient_of(value: Any) -> Gradient | None:
 def _is_tracked(value: Any) -> bool:
     """Whether what Python computes from the value has a gradient or a tangent, too.
 
-    The gradient of a variable matters while a tape records; what a kernel returned under a tape
-    may become part of a loss afterwards.
+    The gradient of a variable matters while a tape records; the result of a kernel under a tape may
+    become part of a loss afterwards.
     """
     if tangents.cell_of(value) is not None:
         return True
@@ -88,7 +88,7 @@ def _is_tracked(value: Any) -> bool:
 
 
 class Number(float):
-    """A float with a gradient: a variable, or what a kernel returned under a tape.
+    """A float with a gradient: a variable, or the result of a kernel under a tape.
 
     Sums, products, quotients and powers of such numbers have one, too. Everything else
     (`float(x)`, functions of `math`) gives plain numbers, which are constant to a tape.
@@ -238,7 +238,7 @@ class _Tracked:
         return (self[i] for i in range(len(self._array)))
 
     def _refuse_in_tape(self) -> None:
-        """What Python would compute from it under a tape has no gradient, or no tangent."""
+        """Refuses arithmetic of Python on it under a tape: the result would have no gradient."""
         if state.tape is not None or tangents.cell_of(self) is not None:
             raise TaiAutodiffError(
                 "matrices that have a gradient are not computed with in Python while a tape "
@@ -271,13 +271,13 @@ for _name, _method in vars(Matrix).items():
 
 
 class TrackedVector(_Tracked, Vector):
-    """A vector with a gradient: a variable, or what a kernel returned under a tape."""
+    """A vector with a gradient: a variable, or the result of a kernel under a tape."""
 
     __slots__ = ("_cell", "_gradient")
 
 
 class TrackedMatrix(_Tracked, Matrix):
-    """A matrix with a gradient: a variable, or what a kernel returned under a tape."""
+    """A matrix with a gradient: a variable, or the result of a kernel under a tape."""
 
     __slots__ = ("_cell", "_gradient")
 
@@ -290,7 +290,7 @@ def _wrap(array: np.ndarray, gradient: Gradient | None, cell: Any = None) -> Any
 
 
 def wrap_result(answer: Any, gradient: Gradient | None, cell: Any = None) -> Any:
-    """What a kernel returned under a tape or in forward mode, with its gradient and tangent."""
+    """The result of a kernel under a tape or in forward mode, with its gradient and tangent."""
     if isinstance(answer, float):
         return Number._make(answer, gradient, cell)
     return _wrap(answer._array, gradient, cell)
@@ -341,7 +341,7 @@ def gradient_array(value: Any) -> Any:
 
 
 class TapeValues:
-    """What a tape knows of the values and arrays of its launches."""
+    """The values and arrays that the launches of a tape use."""
 
     def __init__(self, core: Any, runs_again: bool = False, clears: bool = True):
         self.core = core
@@ -350,14 +350,14 @@ class TapeValues:
         self.arrays = TapeArrays(core, runs_again, weakref.WeakMethod(self.take))
         self._fed_back = False
         self._clears = clears
-        # Of the thread that records or sweeps, until it is done.
+        # The thread that records or sweeps, until it is done.
         self.worker: object = state.thread
         self._taken: list[Any] = []
 
     def take(self, thing: Any) -> None:
         """A launch uses the gradient of a variable or an array.
 
-        What another thread has left there counts as zero.
+        A value that another thread has left in the gradient counts as zero.
 
         Raises:
             TaiRuntimeError: a tape of another thread uses it now.
@@ -401,7 +401,7 @@ class TapeValues:
         return buffer
 
     def result(self, shape: tuple[int, ...], dt: DataType) -> tuple[Gradient, np.ndarray]:
-        """A gradient for what the launch that comes next returns."""
+        """A gradient for the result of the next launch."""
         gradient = Gradient(shape, dt)
         self._gradients.append(gradient)
         buffer = gradient.buffer(dt)
@@ -488,7 +488,7 @@ def parse_losses(losses: tuple) -> tuple:
     """Pairs of values and seeds, from the arguments of `Tape.backward`.
 
     Raises:
-        TaiRuntimeTypeError: one is not what a tape can begin with, or its seed does not fit.
+        TaiRuntimeTypeError: a tape cannot begin with one of them, or its seed does not fit.
     """
     pairs = []
     for loss in losses:

@@ -17,7 +17,7 @@ Type = Any
 Region = Any
 Block = Any
 
-# What `arith.cmpf` and `arith.cmpi` call their predicates.
+# Numbers of the predicates of `arith.cmpf` and `arith.cmpi`.
 ORDERED = {"==": 1, ">": 2, ">=": 3, "<": 4, "<=": 5, "!=": 6}
 UNORDERED = {"==": 8, ">": 9, ">=": 10, "<": 11, "<=": 12, "!=": 13}
 IS_NAN = 14
@@ -273,7 +273,7 @@ class Builder:
         self, kind: str, field: str, value: Handle, indices: Sequence[Handle],
         component: Sequence[Handle], type_: Type,
     ) -> Handle:  # fmt: skip
-        """Combines an element with a value (`add`, `min`, …); gives what was there before."""
+        """Combines an element with a value (`add`, `min`, …); gives the former value."""
         return self._op(
             "tai.atomic",
             [value, *indices, *component],
@@ -330,11 +330,11 @@ class Builder:
     def atomic_in_array(
         self, kind: str, value: Handle, array: Handle, indices: Sequence[Handle], type_: Type
     ) -> Handle:
-        """Combines an element with a value (`addf`, `maxs`, …); gives what was there before."""
+        """Combines an element with a value (`addf`, `maxs`, …); gives the former value."""
         attributes = {"kind": self._number(_ARRAY_ATOMICS[kind])}
         return self._op("memref.atomic_rmw", [value, array, *indices], [type_], attributes)
 
-    # What a kernel says
+    # Messages of kernels
 
     def assert_(
         self, condition: Handle, message: str, values: Iterable[Handle] = (),

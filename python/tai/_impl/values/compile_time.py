@@ -27,7 +27,7 @@ def divided_by_zero() -> TaiTypeError:
 
 
 def compute(op: str, a: Any, b: Any) -> Any:
-    """`a op b` of what is known at compile time: numbers out of range as when the kernel runs."""
+    """`a op b` of values known at compile time: out of range, they wrap as when the kernel runs."""
     try:
         result = PYTHON[op](a, b)
     except (ZeroDivisionError, OverflowError):

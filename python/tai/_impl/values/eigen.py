@@ -11,7 +11,7 @@ from . import ops
 def eig(a: Any, dt: Any = None) -> Any:
     """Eigenvalues and eigenvectors of a 2×2 matrix, which may be complex.
 
-    Of equal eigenvalues with one eigenvector, as of [[1, 1], [0, 1]], that one comes twice; there
+    Equal eigenvalues with one eigenvector, as of [[1, 1], [0, 1]], give this vector twice; there
     the derivatives are infinite.
 
     Args:
@@ -38,7 +38,8 @@ def eig(a: Any, dt: Any = None) -> Any:
     root = ops.sqrt(abs(square))
     real_root, imaginary_root = ops.select(is_real, root, zero), ops.select(is_real, zero, root)
 
-    # Of the two multiples of a real eigenvector in the rows of A - λ, the one without cancellation.
+    # Two multiples of a real eigenvector are the rows of A - λ; this takes the one without
+    # cancellation.
     far = root + abs(half)
     leans = half >= 0
     first = _choose(leans, [far, a10], [a01, far])

@@ -73,7 +73,7 @@ class Emitter:
         self.num_random = 0
         # The fields that the kernel reads or writes.
         self.fields: set[Any] = set()
-        # Those that it stores to, and those that it changes by atomics.
+        # Places that it stores to, and places that it changes by atomics.
         self.stored: set[Any] = set()
         self.accumulated: set[Any] = set()
         # The places whose loads are constants to gradients, by identity.
@@ -257,12 +257,12 @@ class Emitter:
         return self.value(handle, dt, shape)
 
     def loaded(self, field: Any, value: Any) -> Any:
-        """What a kernel gets that loads an element of a field."""
+        """The value that a kernel uses after it has loaded an element of a field."""
         del field
         return value
 
     def added(self, field: Any, value: Any) -> Any:
-        """What a kernel adds to an element of a field."""
+        """The value that a kernel adds to an element of a field."""
         del field
         return value
 
@@ -310,7 +310,7 @@ class Emitter:
         return positions.read(self, matrix, positions.flat(self, component, matrix.shape))
 
     def component_of(self, matrix: Any, key: Any) -> Any:
-        """Which component `key` names.
+        """Finds the component that `key` names.
 
         Returns:
             Its number, a value that is its index, the pair of its row and column of which one is a
@@ -582,8 +582,8 @@ class Emitter:
 
         The second operand wins, and gets the gradient. The maximum's own op would not do:
         it commutes, so that an operand that turns out to be constant is moved to its second
-        place, and max(y, x) is taken for the same as max(x, y). Of a number and NaN the number
-        is taken, as that op does.
+        place, and max(y, x) is taken for the same as max(x, y). If one of the operands is NaN, the
+        other is the result, as with that op.
         """
 
         first = self.compare_by(_TIES[op][first_is_constant], a, b)

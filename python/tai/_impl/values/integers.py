@@ -104,7 +104,7 @@ def integer_power(emitter: Emitter, a: Value, b: Value, dt: DataType) -> Any:
 
 
 def check_signs(op: str, a: Any, b: Any) -> None:
-    """Refuses to compare what is never negative with a negative number."""
+    """Refuses to compare a value that is never negative with a negative number."""
     if op in ("==", "!="):
         return
     for number, value in ((a, b), (b, a)):

@@ -37,7 +37,7 @@ class Matrix:
     __slots__ = ("_array",)
     __array_priority__ = 1000.0
     is_matrix = True
-    # What matters of a template argument.
+    # The attribute that a template argument is compared by.
     _tai_content = "_array"
 
     def __new__(cls, arr: Any = None, dt: Any = None, *args: Any, **kwargs: Any) -> Any:

@@ -8,7 +8,7 @@ from ..base.dtypes import DataType
 from ..base.elements import Elements
 from .value import Value
 
-# What the classes of values are called in messages of Python's own.
+# Names of the classes of values in Python's own messages.
 KINDS = {
     "ArrayArgument": "array",
     "FormattedText": "text",

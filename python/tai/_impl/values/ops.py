@@ -263,7 +263,7 @@ def randn(dtype: Any = None) -> Any:
 def stop_grad(x: Any) -> Any:
     """A number or matrix that gradients take for a constant.
 
-    Of a field, as a statement: what its block reads of the field is a constant.
+    Given a field, as a statement: reads of the field in this block are constants.
     """
     if hasattr(x, "emit_operand") or (state.emitter is not None and isinstance(x, Matrix)):
         return stop_gradient(state.emitter.as_value(x))
@@ -396,8 +396,8 @@ def cache_read_only(*fields: Any) -> None:
 
 
 def no_activate(*nodes: Any) -> None:
-    """A promise that a loop writes to active cells only; without effect: what it may skip is
-    skipped wherever the compiler sees that it may be."""
+    """A promise that a loop writes to active cells only; it has no effect, since the compiler skips
+    activation wherever it can show that by itself."""
 
 
 def assume_in_range(value: Any, base: Any, low: Any, high: Any) -> Any:

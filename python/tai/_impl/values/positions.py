@@ -109,7 +109,7 @@ def _extract(emitter: Emitter, vector: Any, index: Any, matrix: MatrixValue) -> 
 
 def _insert(emitter: Emitter, matrix: MatrixValue, component: Value, value: Value) -> MatrixValue:
     vector, index, holds = _locate(emitter, matrix, component)
-    # The component that stands in for one out of range keeps what it has.
+    # An index out of range is replaced by the one of another component, which keeps its value.
     kept = _choose(emitter, holds, value, _extract(emitter, vector, index, matrix), matrix)
     flat_type = emitter.type_of(matrix.dt, (math.prod(matrix.shape),))
     vector = emitter.builder.insert_at(kept.handle, vector, index, flat_type)

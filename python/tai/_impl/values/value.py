@@ -52,7 +52,7 @@ class Value:
 
     @property
     def kind_name(self) -> str:
-        """What to call the type in messages."""
+        """The name of the type in messages."""
         return str(self.dt)
 
     def __bool__(self) -> bool:
@@ -164,7 +164,7 @@ class MatrixValue(Value):
     ):
         super().__init__(emitter, handle, dt)
         self.shape, self.elements = shape, elements
-        # Zero off the diagonal, by what it is.
+        # Whether it is zero off the diagonal by construction.
         self.is_diagonal = False
 
     @property
@@ -235,7 +235,7 @@ class MatrixValue(Value):
         return self.emitter.vector([self.emitter.extract(self, c) for c in found], self.dt)
 
     def fill(self, value: Any) -> None:
-        # Of what has a place, `Place.fill` is taken.
+        # Values that have a place use `Place.fill`.
         raise TaiTypeError(
             f"a {self.kind_name} without a place cannot be filled",
             "give it a name: b = …; b.fill(…)",
