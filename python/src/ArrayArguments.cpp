@@ -32,16 +32,16 @@ struct TapedArray {
   uint64_t begin, end;
   int64_t version;       // of a tensor, or -1
   uint64_t gradient = 0; // the address
-  /// What the adjoints read: a copy of what it held, by its address, or if
-  /// kernels change it, the digest of what they have left.
+  /// The version that the adjoints read: the address of a copy, or, if kernels
+  /// change the array, the digest of its contents after the last launch.
   uint64_t frozen = 0;
   bool hasDigest = false;
   uint64_t digest = 0;
-  /// What kernels have left in some of its elements.
+  /// A sample of the elements after the last launch that wrote the array.
   bool hasSample = false;
   uint64_t sample = 0;
 };
-/// Those of the tape that a thread records.
+/// The arrays of the tape that a thread records.
 struct TapedArrays {
   /// Held: another one could come to lie there.
   py::object tape;
@@ -58,7 +58,7 @@ TapedArray *findTaped(PyObject *object) {
 }
 
 void forgetArrays() {
-  // What goes with them may come back here.
+  // Destructors of the arrays may call this function again.
   delete std::exchange(taped, nullptr);
 }
 
@@ -79,7 +79,7 @@ uint64_t sample(uint64_t address, uint64_t bytes) {
   return result;
 }
 
-/// Of a buffer, without a byte-order mark.
+/// The format of a buffer, without a byte-order mark.
 const char *formatOf(const Py_buffer &view) {
   const char *format = view.format ? view.format : "B";
   if (*format == '@' || *format == '=' || *format == '<')
@@ -136,8 +136,8 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
 }
 
 /// A launch that only reads what earlier ones of the tape have used needs
-/// nothing to be kept. Where its adjoint reads the array, that must hold what
-/// it held then; the launch reads the copy of it, if there is one.
+/// nothing to be kept. If its adjoint reads the array, the array must be
+/// unchanged since then; the launch reads the copy of it, if there is one.
 Match HeldArrays::matchTaped(const Range &range, PyObject *object, Slots &slots,
                              size_t first) const {
   const ArrayArg &arg = *range.arg;
@@ -235,7 +235,7 @@ Match HeldArrays::packGradient(PyObject *owner, PyObject *name, Slots &slots,
   Match match = pack(gradient);
   if (match != Match::Yes)
     return match;
-  // Of the same shape.
+  // The gradient must have the shape of the array.
   if (slots.size() != first + 2 * count ||
       !std::equal(slots.begin() + static_cast<ptrdiff_t>(first + 1),
                   slots.begin() + static_cast<ptrdiff_t>(first + count),
@@ -347,7 +347,7 @@ bool HeldArrays::mustNotOverlap(const Range &one, const Range &other) const {
   bool isRecorded = use != ArrayUse::Forward;
   if (isRecorded && (one.arg->hasGradient || other.arg->hasGradient))
     return true;
-  // What is the same array is changed in place.
+  // Two arguments that are the same array are changed in place.
   return (one.arg->isWritten || other.arg->isWritten) &&
          (isRecorded || !one.isSame(other));
 }

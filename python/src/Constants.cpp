@@ -156,7 +156,7 @@ bool Constant::takeBuffer(PyObject *value) {
     return false;
   const Py_buffer &buffer = view.buffer;
   format = buffer.format ? buffer.format : "B";
-  // The bytes of objects say where they are, not what they are.
+  // The bytes of object elements are addresses, not values.
   if (format.find('O') != std::string::npos)
     return false;
   kind = Kind::Buffer;

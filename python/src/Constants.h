@@ -75,7 +75,7 @@ private:
   /// The object, number or text; the name of the attribute of `Wrapped`.
   py::object object;
   std::vector<Constant> items;
-  /// Of a buffer: its elements, its format and its extents.
+  /// If it is a buffer: its elements, its format and its extents.
   std::string bytes, format;
   std::vector<Py_ssize_t> shape;
 };

@@ -35,7 +35,7 @@ template <> constexpr const char *usedNameOf<ManagedVersioned>() {
   return "used_dltensor_versioned";
 }
 
-/// What a capsule that we made stands on.
+/// The data that a capsule of ours points to.
 template <typename M> struct Export {
   M managed{};
   std::vector<int64_t> shape, strides;
@@ -53,7 +53,7 @@ template <typename M> void deleteExport(M *managed) {
   delete made;
 }
 
-/// Of a capsule that nobody has taken.
+/// The destructor of a capsule that nobody has taken.
 template <typename M> void destroyCapsule(PyObject *capsule) {
   if (!PyCapsule_IsValid(capsule, nameOf<M>()))
     return;
@@ -91,7 +91,7 @@ py::object makeCapsule(uint64_t address, std::vector<int64_t> shape,
   return py::reinterpret_steal<py::object>(capsule);
 }
 
-/// Lets go of what was taken out of a capsule.
+/// Releases the tensor that was taken out of a capsule.
 template <typename M> void destroyTaken(PyObject *capsule) {
   auto *managed =
       static_cast<M *>(PyCapsule_GetPointer(capsule, usedNameOf<M>()));

@@ -61,7 +61,7 @@ inline bool watchesNumbers() {
 }
 std::unordered_set<uint64_t> knownSites;
 
-/// Of the call that is being made.
+/// The launcher of the current call.
 const PyObject *calledLauncher = nullptr;
 
 /// Sets the flag of a thread, and counts those that have it.
@@ -114,17 +114,17 @@ struct Result {
 };
 
 struct Specialization {
-  // What each launch looks at.
+  // The generation that each launch compares.
   uint64_t generation = 0;
   /// Calls that look at it or run its kernel: other threads and Python code of
   /// the arguments may go on meanwhile, and must not drop it.
   int users = 0;
   TaiKernel handle = nullptr;
   std::vector<Arg> args;
-  /// What the code depends on besides the arguments.
+  /// Attributes that the code depends on besides the arguments.
   Reads reads;
   bool grad = false;
-  /// What a tape that records must know of a launch.
+  /// The parts of a launch that a tape must record.
   enum class Tracking {
     None,   // no more than its slots
     Arrays, // its arrays
@@ -152,8 +152,8 @@ struct InUse {
 
 using Specializations = std::vector<std::unique_ptr<Specialization>>;
 
-/// Drops those that nobody uses. What goes with them may call Python, which
-/// finds the list whole.
+/// Drops specialisations that nobody uses. Their destructors may call Python,
+/// which must find a consistent list.
 template <typename Predicate>
 void drop(Specializations &all, Predicate isDropped) {
   Specializations gone;
@@ -188,7 +188,7 @@ Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
       (arg.bits < 64 && arg.isUnsigned && number >> arg.bits) ||
       (arg.bits < 64 && !arg.isUnsigned &&
        (number >> (arg.bits - 1)) != (number < 0 ? -1 : 0)))
-    return Match::No; // the slow path says what is wrong
+    return Match::No; // the slow path reports the error
   slot = static_cast<uint64_t>(number);
   return Match::Yes;
 }
@@ -517,7 +517,7 @@ void taipy::bindLauncher(py::module_ &module) {
   module.def("watch_numbers",
              [](bool on) { setFlag(watchesNumbersHere, watchingThreads, on); });
   module.def("forget_sites", [] { knownSites.clear(); });
-  // Whoever calls this keeps the code object.
+  // The caller keeps the code object alive.
   module.def("note_site", [](const py::object &code, int line,
                              const py::object &launcher) {
     knownSites.insert(siteOf(reinterpret_cast<PyCodeObject *>(code.ptr()), line,
@@ -556,7 +556,7 @@ void taipy::bindLauncher(py::module_ &module) {
                  made->result.wrap = result[3];
                }
                auto &all = *toLauncher(launcher)->specializations;
-               // Those of a replaced context never match again.
+               // Specialisations of a replaced context never match again.
                auto isOld = [](const Specialization &one) {
                  return one.generation != generation;
                };

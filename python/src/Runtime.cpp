@@ -92,7 +92,7 @@ struct Field {
 };
 
 /// The indices of one element. The rank and the range are checked in Python's
-/// terms here, so that the message can name what was written.
+/// terms here, so that the message can name the indices as written.
 std::vector<int64_t> toIndices(const Field &field, const py::tuple &indices) {
   if (static_cast<int>(indices.size()) != field.info.rank)
     throw py::index_error("expects " + std::to_string(field.info.rank) +

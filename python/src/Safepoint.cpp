@@ -30,7 +30,7 @@ bool handleSignals() {
 
 int atSafepoint() {
   CallState &state = callState;
-  // What was interrupted does not go on.
+  // An interrupted call does not go on.
   if (state.isInterrupted)
     return 0;
   if (!state.released) {
@@ -87,7 +87,7 @@ Teardown::~Teardown() {
 }
 
 namespace {
-/// Raises what was put aside, between two steps of the main thread.
+/// Raises a saved exception between two steps of the main thread.
 int raiseAgain(void *error) {
   auto *object = static_cast<PyObject *>(error);
   PyErr_SetObject(reinterpret_cast<PyObject *>(Py_TYPE(object)), object);
@@ -97,7 +97,7 @@ int raiseAgain(void *error) {
 
 /// Whether a signal handler has raised the exception of a traceback.
 bool isOfHandler(PyObject *trace) {
-  // What no Python code has raised has none.
+  // An exception that no Python code has raised has no traceback.
   if (!trace)
     return false;
   PyObject *module = PyImport_ImportModule("tai._impl.base.handlers");

@@ -78,7 +78,7 @@ private:
   PyObject *error = nullptr, *type = nullptr, *trace = nullptr;
 };
 
-/// PyErr_Clear(), except that what a signal handler has raised is not lost but
+/// PyErr_Clear(), except that an exception of a signal handler is not lost but
 /// raised again later. For optional queries of Python objects.
 void forgetError();
 

@@ -34,7 +34,7 @@ static const dlpack::ExchangeTable *findTable(PyTypeObject *type) {
   return table;
 }
 
-/// What is known of the type of an object, found out once.
+/// The properties of the type of an object, which are looked up once.
 TensorType taipy::findTensorType(PyObject *object) {
   static std::vector<TensorType> known;
   PyTypeObject *type = Py_TYPE(object);
@@ -85,7 +85,7 @@ static char formatOf(const dlpack::Tensor &tensor) {
   return 0;
 }
 
-/// False for what is not contiguous, too.
+/// Returns false for memory that is not contiguous, too.
 static bool readByTable(const dlpack::ExchangeTable &table, PyObject *object,
                         TensorView &view) {
   dlpack::Tensor tensor;

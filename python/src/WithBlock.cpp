@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// `WithBlock` is the base class of what stands in a `with` statement and
-// changes the state of the package. Python calls signal handlers between its
-// steps, so that an `__exit__` written in Python may raise what a handler
-// raises before its first line, and a `finally` between two of its lines. These
-// methods are therefore not Python's. They call
+// `WithBlock` is the base class of objects that stand in a `with` statement and
+// change the state of the package. Python calls signal handlers between its
+// steps: an exception of a handler may come before the first line of an
+// `__exit__` written in Python, or between two lines of a `finally`. These
+// methods are therefore written in C++. They call
 //
 // - `_enter()`, which gives what `as` names: without one, the object.
 // - `_leave(kind, error, trace)` at the end of the block: without one, nothing.
@@ -48,7 +48,8 @@ public:
   Raised &operator=(const Raised &) = delete;
 
   explicit operator bool() const { return type != nullptr; }
-  /// Puts aside what is raised now; of two, the second is forgotten.
+  /// Saves the current exception; if there is one already, the new one is
+  /// dropped.
   void take() {
     if (type)
       PyErr_Clear();
@@ -70,8 +71,8 @@ bool callMethod(PyObject *object, const char *name) {
   return answer != nullptr;
 }
 
-/// Calls `_end` until it has come to its end. What raises in it is raised if
-/// nothing else is.
+/// Calls `_end` until it has come to its end. Exceptions in it are raised if
+/// there is no other.
 void end(PyObject *object) {
   Raised raised;
   // A second Ctrl-C, and a third, may come.

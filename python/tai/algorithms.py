@@ -29,8 +29,8 @@ def parallel_sort(keys: Any, values: Any = None) -> None:
 
     Args:
         keys: a field with one index.
-        values: a field of as many numbers that is put in the same order, if any. Those of equal
-            keys have no order.
+        values: a field of as many numbers that is put in the same order, if any. The order of equal
+            keys is not defined.
 
     Raises:
         TaiRuntimeTypeError: something else than such fields, or fields of two lengths.

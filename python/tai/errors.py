@@ -17,7 +17,7 @@ class TaiError(Exception):
     """Base of all errors of this package.
 
     Attributes:
-        message: what is wrong, in one line.
+        message: the problem, in one line.
         filename, lineno, column: where in the user's program (1-based), or None.
         end_column: end of the offending text on that line, or None.
         hint: how to put it right, or None.
@@ -107,7 +107,7 @@ class TaiMemoryError(TaiRuntimeError, MemoryError):
 
 
 class TaiGradientWarning(UserWarning):
-    """A gradient that is right, but perhaps not what was wanted."""
+    """A gradient that is right, but perhaps not the wanted one."""
 
 
 class TaiConvergenceWarning(UserWarning):
@@ -163,14 +163,14 @@ _BY_STATUS = {
 }
 
 
-# Names of the IR, which has letters of English only, and what the program calls the same thing.
+# Names of the IR, which are ASCII, and the spelling of each in the program.
 SPELLINGS: dict[str, str] = {}
 
 
 # Variables that the iterations of a parallel loop share, by the field of the IR that holds them.
 SHARED_VARIABLES: dict[str, str] = {}
 
-# What the IR calls things that a program writes otherwise.
+# Phrases of messages about the IR, and the phrases that stand for them in Python.
 _IN_PYTHON = {
     "accumulate with 'tai.atomic add', or store to an element for each iteration": (
         "accumulate by +=, store to an element for each iteration, or run this loop on one thread: "

@@ -31,10 +31,10 @@ class KernelStats:
     Attributes:
         kind: "host", "device", or "memory" for copies and fills that a GPU does.
         place: `file:line:column`, or empty.
-        bytes: what a launch reads and writes if it touches each element of its fields once, or
-            of the part of them that a constant index says; None where that is not known: for
-            gradients, sparse fields, and loops of a kernel that has several.
-        registers, local_bytes: of a thread; shared_bytes: of a block. None where not known.
+        bytes: the number that a launch reads and writes if it touches each element of its fields
+            once, or of the part of them that a constant index says; None where that is not known:
+            for gradients, sparse fields, and loops of a kernel that has several.
+        registers, local_bytes: of a thread; shared_bytes: of a block; None if not known.
         occupancy: resident threads of this kernel by the maximum of a GPU, 0 to 1.
         blocks, threads: of the last launch; threads of one block.
     """
@@ -170,7 +170,7 @@ def _events() -> list[dict[str, Any]]:
 
 
 def save_trace(path: Any) -> None:
-    """Writes what has run since the last clear, for Perfetto (ui.perfetto.dev) or Chrome.
+    """Writes all events since the last clear, for Perfetto (ui.perfetto.dev) or Chrome.
 
     Threads of the host and the GPU have a row each, by one clock; an arrow leads from where work
     was queued to where it was done.
@@ -262,7 +262,7 @@ def clear_scoped_profiler_info() -> None:
 def print_memory_profiler_info() -> None:
     """Prints how much memory the elements of each field take, the greatest first.
 
-    Of a field below sparse levels, it is what all cells would take together.
+    The number of a field below sparse levels is for all of its cells, active or not.
     """
     rows = []
     for field in snapshot(state.program.fields.values()) if state.program is not None else ():

@@ -89,7 +89,7 @@ def check_gradient(
 
 
 class _Kept(native.WithBlock):
-    """Afterwards a field holds what it held, which `as` names."""
+    """Afterwards a field has the values again that it had at the start, which `as` names."""
 
     def __init__(self, field: Any):
         self._field, self._start = field, field.to_numpy()

@@ -1,4 +1,4 @@
-"""Shows what a program draws: `python -m tai.view examples/mass_spring.py --robot 2`.
+"""Shows the window of a program: `python -m tai.view examples/mass_spring.py --robot 2`.
 
 With a display, in a window of matplotlib: each frame of a `ti.GUI` as it is drawn, and videos
 (`ti.tools.write_gif`) when they are complete. `gui.get_event` reports its keyboard and mouse
@@ -26,7 +26,7 @@ from .gui import GUI, Event
 BACKENDS = ("QtAgg", "TkAgg", "GTK4Agg", "GTK3Agg", "MacOSX")
 
 
-# What matplotlib calls the keys that `ti.GUI` has names for; all others are letters.
+# Matplotlib's names of the keys that `ti.GUI` has names for; all others are letters.
 _KEYS = {
     "escape": GUI.ESCAPE, "enter": GUI.RETURN, "shift": GUI.SHIFT, "control": GUI.CTRL,
     "ctrl": GUI.CTRL, "alt": GUI.ALT, "left": GUI.LEFT, "right": GUI.RIGHT, "up": GUI.UP,
@@ -179,7 +179,7 @@ class Window:
 class Frames:
     """Files in the place of a window."""
 
-    # Nobody closes it, and nobody is at the keyboard.
+    # A folder of files is never closed, and has no keyboard.
     is_open = None
     held: frozenset[str] = frozenset()
     cursor = (0.5, 0.5)

@@ -131,8 +131,8 @@ def to_numpy(field: Field) -> tuple[np.ndarray, np.ndarray]:
 def from_numpy(field: Field, where: Any, values: Any) -> None:
     """Makes exactly the cells that hold these elements active, and sets them.
 
-    What else the field held, and other fields in the same cells, is gone. Of an active cell,
-    elements that are not given are zero.
+    All other elements of the field, and of other fields in the same cells, are dropped. In an
+    active cell, elements that are not given are zero.
     """
     innermost(field).deactivate_all()
     write(field, where, values)

@@ -113,7 +113,7 @@ def _machine(arch: str) -> str:
 
 
 class _Store:
-    """What came of each experiment, a file for each."""
+    """The results of the experiments, a file for each."""
 
     def __init__(self, folder: Path, settings: dict[str, str]):
         self.folder, self.settings = folder / "results", settings
@@ -140,7 +140,7 @@ class _Store:
         os.replace(part, self.folder / f"{result.name}.json")
 
     def load(self, name: str) -> Result | None:
-        """What is there from before, if it was made with the same settings."""
+        """The result of an earlier run, if it was made with the same settings."""
         try:
             content = json.loads((self.folder / f"{name}.json").read_text())
             if content["settings"] == self.settings:
@@ -151,7 +151,7 @@ class _Store:
 
 
 def _perform(lab: Lab, experiment: Experiment) -> Result:
-    """Runs an experiment; what goes wrong becomes its result."""
+    """Runs an experiment; an error becomes its result."""
     result = lab.begin(experiment.name)
     begin = time.monotonic()
     try:

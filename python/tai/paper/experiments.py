@@ -1,6 +1,6 @@
 """The figures and tables of the paper, an experiment each; `simulators` has those of appendix E.
 
-Numbers of the paper are quoted next to ours. Those that its text omits were measured on its
+Numbers of the paper are quoted next to ours. Numbers that its text omits were measured on its
 published programs.
 """
 
@@ -18,7 +18,7 @@ from .lab import Failed, Lab, usual
 
 
 class Experiment(NamedTuple):
-    """What an experiment shows, and how it is run."""
+    """An experiment: its claim, and the function that runs it."""
 
     name: str
     shows: str  # in the paper
@@ -195,7 +195,8 @@ def table2(lab: Lab) -> None:
 
 
 def compiling(lab: Lab) -> None:
-    """What the first iteration takes more than the next, with an empty cache and a filled one."""
+    """The extra time of the first iteration over the next one, with an empty cache and a filled
+    one."""
     scenes = [("smoke", 8), ("rigid_body", 64), ("diffmpm", 16), ("diffmpm3d", 8), ("liquid", 8)]
     rows = []
     for name, steps in scenes[: lab.pick(1, 5, 5)]:
@@ -277,8 +278,8 @@ def line_counts(lab: Lab) -> None:
         rows.append([f"`{name}.py`", count, lines.PAPER.get(name, ""), code])
     lab.check(bool(rows), f"no simulators in {lab.examples}")
     lab.table(["program", "essential lines", "in the paper", "lines of code"], rows)
-    lab.text("""Essential are fields, kernels and what a tape records; not options, set-up, descent
-        and pictures: `python scripts/line_counts.py --show smoke`.""")
+    lab.text("""Essential lines are fields, kernels and functions that a tape records; options,
+        set-up, descent and pictures are not: `python scripts/line_counts.py --show smoke`.""")
 
 
 EXPERIMENTS = [

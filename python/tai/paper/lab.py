@@ -36,7 +36,7 @@ class LeftOut(Exception):
 
 @dataclass
 class Result:
-    """What came of an experiment: rows of the page, and which checks it did not keep."""
+    """The result of an experiment: rows of the page, and the checks that failed."""
 
     name: str
     status: str = "ok"
@@ -163,7 +163,7 @@ class Lab:
     # Checks
 
     def check(self, holds: bool, what: str) -> None:
-        """Notes what does not hold; the experiment goes on, and counts as failed."""
+        """Notes a check that fails; the experiment goes on, and counts as failed."""
         if not holds:
             self.result.status = "failed"
             self.result.reason += ("; " if self.result.reason else "") + what
@@ -228,7 +228,7 @@ def usual(values: Sequence[float]) -> float:
 
 
 def _call(command: list[str], environment: dict[str, str]) -> tuple[str, str, int]:
-    """Runs a program; an interrupt is handed on, so that it keeps what it has learned."""
+    """Runs a program; an interrupt is passed on, so that the program saves its results."""
     pipe = subprocess.PIPE
     process = subprocess.Popen(
         command, stdout=pipe, stderr=pipe, text=True, env=environment, start_new_session=True

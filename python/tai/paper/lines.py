@@ -62,7 +62,8 @@ def is_tape(node: ast.AST) -> bool:
 
 
 def recorded(tree: ast.Module) -> set[str]:
-    """What tapes record, by name; also a kernel that is chosen before or handed over."""
+    """Names of the functions that tapes record; also of a kernel that is chosen before or handed
+    over."""
     found = set()
     for function in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
         names = {name for node in ast.walk(function) if is_tape(node) for name in names_of(node)}

@@ -42,7 +42,7 @@ def _markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str
 
 
 def _pieces(rows: Sequence[Row]) -> Iterator[Sequence[Any]]:
-    """What follows the head of a page, in order: the kind of a piece, and what is in it."""
+    """The pieces that follow the head of a page, in order: the kind of each, and its contents."""
     yield ("table", *_summary(rows))
     for _, where, title, result in rows:
         yield ("experiment", title, where)

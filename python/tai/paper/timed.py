@@ -35,7 +35,7 @@ class _Tape(tai.ad.Tape):
 
 
 def _write(path: Path) -> None:
-    if _Tape.rows:  # a resumed program that had nothing to do leaves what is there
+    if _Tape.rows:  # a resumed program that had nothing to do leaves the file alone
         path.write_text(json.dumps(_Tape.rows))
 
 
