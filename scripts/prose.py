@@ -88,7 +88,6 @@ ABOVE: dict[str, tuple[int, int]] = {
     "pages": (142, 322),
     "scripts": (25, 31),
     "test/fuzz": (22, 23),
-    "test/python": (147, 234),
     "test/reliability": (42, 71),
     "test/unit": (69, 88),
 }

@@ -1,4 +1,4 @@
-"""What the tests share."""
+"""Fixtures and options that all tests share."""
 
 import os
 import random
@@ -70,7 +70,7 @@ def pytest_runtest_teardown(item, nextitem):
 
 
 def pytest_configure(config):
-    # The verifiers of MLIR and LLVM look at what each pass has made.
+    # The verifiers of MLIR and LLVM check the IR after each pass.
     os.environ.setdefault("TAI_VERIFY_EACH", "1")
     arch = config.getoption("--arch")
     if arch:
@@ -80,7 +80,8 @@ def pytest_configure(config):
 
 
 def _choose_for_device(config, items):
-    """Leaves out what one run does for, and marks what is known to fail on a device."""
+    """Leaves out tests for which one run suffices, and marks tests that are known to fail on a
+    device."""
     wrong = device_lists.missing({item.module.__name__: item.module for item in items})
     if wrong:
         raise pytest.UsageError(f"device_lists.py lists what is not there: {', '.join(wrong)}")
@@ -154,7 +155,7 @@ def fresh_program(layout):
 
 @pytest.fixture
 def library(monkeypatch):
-    """Who has tensors of the GPU: torch, or what stands in for it."""
+    """The library that has tensors of the GPU: torch, or a stand-in."""
     made = device_tensors.open_library(monkeypatch)
     if made is None:
         pytest.skip("needs torch")

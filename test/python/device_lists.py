@@ -1,4 +1,4 @@
-"""Which tests a run on a device leaves out, and which fail there, each with its reason.
+"""Tests that a run on a device leaves out, and tests that fail there, each with its reason.
 
 A test that is listed as failing is run: when it passes, or is there no more, the list is wrong,
 and that is a failure. Tests that need something of the machine say so themselves, by a skip.
@@ -140,7 +140,7 @@ def reason(table, item):
 
 
 def missing(modules):
-    """What the tables list and these modules do not have."""
+    """Entries of the tables that these modules do not have."""
     return [
         f"{module}.{test}"
         for table in (ONE_RUN_DOES, FAILS_ON_A_DEVICE, NOT_RUN_ON_A_GPU)

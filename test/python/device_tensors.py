@@ -1,8 +1,8 @@
 """Tensors on a GPU for tests: those of torch where it has one, else stand-ins.
 
-A stand-in has its memory on the emulated device, and says of itself what a tensor of torch says.
-Its library does what it is asked for late: when somebody waits for its stream. What tai does
-without waiting for it is wrong then.
+A stand-in has its memory on the emulated device, and has the attributes of a tensor of torch. Its
+library works late: when somebody waits for its stream. If tai does not wait for it, the results are
+wrong.
 """
 
 import ctypes
@@ -59,7 +59,7 @@ class _Device:
 
 
 class Tensor:
-    """What kernels see of a tensor of torch."""
+    """The attributes of a tensor of torch that kernels read."""
 
     is_cuda = True
 

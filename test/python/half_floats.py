@@ -13,7 +13,7 @@ def nearest(values, dt):
 
 
 def check_scatters(dt, cells, n):
-    """Of scalars, vectors and members of structs, with 1/64 as each term."""
+    """The elements are scalars, vectors and members of structs, with 1/64 as each term."""
     x, at = ti.field(dt, n), ti.field(ti.i32, n)
     plain, pairs = ti.field(dt, cells), ti.Vector.field(2, dt, cells)
     mixed = ti.Struct.field({"left": dt, "right": ti.f32}, shape=cells)

@@ -1,4 +1,4 @@
-"""Which tests run on dense layouts only, each with its reason.
+"""Tests that run on dense layouts only, each with its reason.
 
 All others give the same results on sparse ones: `make test-layouts`.
 """
@@ -16,8 +16,8 @@ FORM = "asks for a form that dense trees alone have"
 CELLS = "loops over active cells are not known before the launch"
 LISTS = "kernels that make lists of cells come between"
 SHARES = "memory of sparse fields cannot be shared"
-# No tape keeps what is overwritten, or the gradient within a host function would need lists that
-# it has changed.
+# No tape keeps the overwritten elements, or the gradient within a host function would need lists
+# that it has changed.
 REFUSED = "refused on sparse layouts, for another reason"
 TANGENTS = "tangents of cells that the sweep brings back are refused"
 ONE_TREE = "the text names one dense tree"
@@ -86,7 +86,7 @@ DENSE_ALONE = {
 
 
 def missing(modules):
-    """What the lists name and these modules do not have."""
+    """Entries of the lists that these modules do not have."""
     return [
         f"{module}.{test}"
         for module, tests in DENSE_ALONE.items()

@@ -1,8 +1,8 @@
 """Runs programs whose fields stand in dense levels below sparse ones instead.
 
 A layout is `pointer`, `hash` (blocks of dense cells) or `bitmasked` (no blocks). All cells are
-active from the start, so that a loop over a field visits what it visits on dense levels; with
-`-lazy` behind the name none is, and kernels activate what they write.
+active from the start, so that a loop over a field visits the same elements as on dense levels; with
+`-lazy` behind the name none is, and kernels activate the cells they write.
 
     python layouts.py pointer program.py arguments …     # a script, as __main__
 """
@@ -85,7 +85,7 @@ def below(layout: str) -> Iterator[None]:
             return
         for field in self.places():
             if _is_converted(field.level):
-                # An array makes active what is not zero in it.
+                # An array activates the cells of its elements that are not zero.
                 whole = field.level.shape + field.element_shape
                 field.core.copy_from(np.ones(whole, field.dtype.numpy))
                 field.core.fill(0)
@@ -106,7 +106,7 @@ def below(layout: str) -> Iterator[None]:
 
 
 def command() -> list[str]:
-    """What runs a script on the layout of the test that runs."""
+    """The command that runs a script on the layout of the current test."""
     layout = os.environ.get(VARIABLE, "dense")
     return [sys.executable] + ([] if layout == "dense" else [__file__, layout])
 

@@ -1,4 +1,4 @@
-"""What a launch says of an index that is out of range."""
+"""The error of a launch with an index out of range."""
 
 import pytest
 import tai as ti

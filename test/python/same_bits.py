@@ -15,7 +15,7 @@ N = 20_011
 
 
 def numbers(n, dtype, seed=0):
-    """Of f32 for types that NumPy lacks: fields round them."""
+    """The numbers are f32 for types that NumPy lacks: fields round them."""
     kind = dtype.replace("f", "float") if dtype in ("f32", "f64") else "float32"
     return np.random.default_rng(seed).standard_normal(n).astype(kind)
 

@@ -1,5 +1,5 @@
-"""`ti.ad.check` and `Tape(grad_check=…)` pass what is right, catch what is wrong and name the
-kernel to blame; all fields are put back."""
+"""`ti.ad.check` and `Tape(grad_check=…)` accept right gradients, catch wrong ones and name the
+kernel at fault; all fields are restored."""
 
 import inspect
 
@@ -164,7 +164,7 @@ def test_without_bisection():
 
 
 def test_errors_below_the_bound_of_differences_pass():
-    """The bound is what it is said to be: 1e-7, not what suits."""
+    """The bound is the documented one, 1e-7."""
     chain = Chain()
     y, second = chain.y, chain.second
     for factor, expected in ((1e-9, True), (1e-5, False)):
@@ -411,7 +411,7 @@ def test_no_element_is_there():
 
 
 def test_a_minimum_is_checked():
-    """The gradient is zero there, but the loss depends on what is checked."""
+    """The gradient is zero there, but the loss depends on the checked field."""
     ti.init(default_fp=ti.f64, offline_cache=False)
     x = ti.field(ti.f64, shape=3, needs_grad=True)
     loss = total_field()

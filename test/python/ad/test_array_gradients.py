@@ -54,7 +54,7 @@ def test_gradient_through_two_kernels(precision):
         total(y, loss)
     np.testing.assert_allclose(x.grad.to_numpy(), [2, 4, -6], rtol=precision)
     assert loss[None] == 14
-    # The store ended the life of what was in y before.
+    # The store ended the life of the earlier values of y.
     assert y.grad.to_numpy().tolist() == [0, 0, 0]
 
 
@@ -257,7 +257,7 @@ def test_a_constant_ends_what_an_array_held(precision):
 
 
 def test_an_array_that_is_written_again(precision):
-    """The adjoint of the first kernel reads what the second one overwrites."""
+    """The adjoint of the first kernel reads elements that the second one overwrites."""
     x, y, z, loss = array([1, 2]), array([0, 0]), array([0, 0]), scalar_loss()
     for _ in range(2):
         with ti.ad.Tape(loss):
@@ -452,7 +452,7 @@ def test_arrays_that_change_under_checkpoints():
 
 
 def test_an_array_written_as_the_second_of_two_parameters(precision):
-    """What it held before is kept, too."""
+    """The tape keeps its earlier contents, too."""
     x, loss = array([1, 2]), scalar_loss()
 
     @ti.kernel

@@ -1,4 +1,4 @@
-"""What is made from a value with a derivative has one too, or is refused."""
+"""A value made from one with a derivative has a derivative too, or is refused."""
 
 import numpy as np
 import pytest

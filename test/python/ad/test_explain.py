@@ -1,4 +1,4 @@
-"""What `kernel.explain()` says of loops, branches and memory; the page on loops."""
+"""The text of `kernel.explain()` on loops, branches and memory; the page on loops."""
 
 import re
 import subprocess

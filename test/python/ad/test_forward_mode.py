@@ -218,7 +218,7 @@ def test_kinks(name):
 @pytest.mark.parametrize("name", ["asinh", "acosh"])
 @pytest.mark.parametrize(("dtype", "rtol"), [(ti.f64, 1e-15), (ti.f32, 4e-7)])
 def test_slopes_whose_squares_overflow(name, dtype, rtol):
-    """1 / x where x^2 is infinite, and what it is on both sides of where that is taken."""
+    """1 / x where x^2 is infinite: values and slopes on both sides of the overflow."""
     function = op(f"math.{name}")
     numbers = np.array([1.5, 1e3, 2.0**30, 2.0**30 * 1.5, 1e18, 1e20, 1e37, *[1e160, 1e300]
                         * (dtype is ti.f64)]).astype(dtype.numpy)  # fmt: skip

@@ -96,7 +96,7 @@ def test_remainder_just_below_a_multiple(mode):
 
 @pytest.mark.parametrize(("dtype", "at"), [(ti.f64, 1e-100), (ti.f32, 1e-12)])
 def test_negative_powers_of_small_numbers(dtype, at):
-    """Where the value and the derivative are numbers, what is in between is, too."""
+    """If the value and the derivative are finite, all intermediate results are finite, too."""
     x = ti.field(dtype, shape=(), needs_grad=True)
     loss = ti.field(dtype, shape=(), needs_grad=True)
 

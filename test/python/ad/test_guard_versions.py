@@ -27,7 +27,8 @@ def bad_value(name, real):
 
 
 def both(run, real, **options):
-    """The results of `run` at opt_level 3 and 0 agree: what is NaN or infinite, and the numbers."""
+    """The results of `run` at opt_level 3 and 0 agree: the finite numbers, and the places of NaN
+    and infinities."""
     results = []
     for level in (3, 0):
         ti.init(arch=ti.cpu, default_fp=real, opt_level=level, **options)
@@ -277,7 +278,7 @@ def test_matrices_and_normals(n, name):
         return found
 
     found = both(run, ti.f64)
-    if name != "nan":  # what is loaded counts as a number in products
+    if name != "nan":  # loaded values count as finite in products
         assert np.isfinite(found[0]).all() and np.isfinite(found[1]).all()
 
 

@@ -182,7 +182,7 @@ def test_elements_that_every_launch_stores():
 
 
 def test_stored_elements_whose_values_no_adjoint_reads():
-    """The adjoints of what is stored again are zeroed in between; so are their duals."""
+    """The adjoints of elements that are stored again are zeroed in between; so are their duals."""
     x, loss, between = both(3), both(), both(3)
 
     @ti.kernel

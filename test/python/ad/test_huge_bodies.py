@@ -81,7 +81,7 @@ def test_as_many_values_at_once(fields):
 
 
 def test_a_thousand_reads_and_writes():
-    """Of a field that the body itself writes."""
+    """The reads and writes are of a field that the body itself writes."""
     n = 1200
     x = ti.field(ti.f64, 5, needs_grad=True)
     z = ti.field(ti.f64, (5, n + 1), needs_grad=True)
@@ -120,7 +120,7 @@ def test_code_of_huge_blocks_is_in_parts():
 
 
 def test_a_chain_of_hundreds_of_loops(fields):
-    """Each goes on with what the one before has made."""
+    """Each loop goes on with the results of the one before."""
     n, x, y = 210, fields["x"], fields["y"]
     lines = ["b = x[i]"]
     for k in range(n):

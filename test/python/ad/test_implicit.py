@@ -1,4 +1,4 @@
-"""Solvers over fields, and gradients through what they solve."""
+"""Solvers over fields, and gradients through their solutions."""
 
 import re
 import subprocess
@@ -214,7 +214,8 @@ def test_several_solves_with_the_same_fields(name):
             ends.append(run(*inputs))
         slope = (ends[0] - ends[1]) / 2e-5
         assert (field.grad.to_numpy() * direction).sum() == pytest.approx(slope, rel=1e-6)
-    # Each step keeps what adjoints read of b, c and x, and what the kernel gave at the solution.
+    # Each step keeps the parts of b, c and x that adjoints read, and the kernel's value at the
+    # solution.
     assert tape.stats().peak_bytes <= 3 * 4 * 20 * 8
     # Once more from the start.
     gradient = c.grad.to_numpy()

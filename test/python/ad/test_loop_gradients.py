@@ -1,4 +1,4 @@
-"""Gradients of loops: what they carry, how often they run, how they are left.
+"""Gradients of loops: carried values, trip counts, early exits.
 
 Powers have closed forms; the rest is compared with central differences (f64, relative error
 1e-7), and in f32 with the gradient in f64.

@@ -151,7 +151,7 @@ def test_several_parameters():
         r = product()
         add(loss, x, r + y[None])
 
-    # 2 (x y² + c) x, where c is what the host read
+    # 2 (x y² + c) x, where c is the value that the host read
     assert ti.ad.jvp(run, [x, y], [1.0, 0.0], loss) == 2 * (2 * 2 * 9 + 3)
     assert ti.ad.jvp(run, [x, y], [0.0, 1.0], loss) == 2 * 4 * 2 * 3
     loss[None] = 0

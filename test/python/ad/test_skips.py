@@ -1,4 +1,5 @@
-"""What is left out because a scene does not need it: counters, and the same bits without."""
+"""Work that is left out because a scene does not need it: counters, and the same bits without
+skips."""
 
 import os
 

@@ -40,7 +40,7 @@ def max_with_loop(x):
     return ti.max(zero, x)
 
 
-# What it is, the function of a vector, the point, its value, its gradient: exact.
+# Label, function of a vector, point, value and gradient: exact.
 EXACT = [
     ("sqrt(0)", lambda x: ti.sqrt(x[0]), [0], 0, [INF]),
     ("0 sqrt(0)", lambda x: 0.0 * ti.sqrt(x[0]) + x[0], [0], 0, [1]),
@@ -111,7 +111,8 @@ EXACT = [
     ("atan2(0, 0)", lambda x: ti.atan2(x[0], x[1]), [0, 0], 0, [0, 0]),
     ("pow(0, 0)", lambda x: x[0] ** x[1], [0, 0], 1, [0, 0]),
     ("pow(0, 2)", lambda x: x[0] ** x[1], [0, 2], 0, [0, 0]),
-    # An exponent of a negative base has no derivative; what it does not depend on has zero.
+    # A power of a negative base has no derivative by its exponent; variables that the exponent does
+    # not depend on have zero.
     ("pow(-2, 0 y)", lambda x: x[0] ** (x[1] * x[2]), [-2, 0, 1], 1, [0, NAN, 0]),
     ("pow(-2, y 0)", lambda x: x[0] ** (x[1] * x[2]), [-2, 1, 0], 1, [0, 0, NAN]),
     ("pow(-2, 2)", lambda x: x[0] ** x[1], [-2, 2], 4, [-4, NAN]),
@@ -249,7 +250,7 @@ def test_norms_of_infinities_and_nan(dtype):
     assert math.isnan(value)
 
 
-# What ti.init chooses for ties, and for arc sines at ±1.
+# Choices of ti.init for ties, and for arc sines at ±1.
 SPLIT = [
     ("max(x, 0)", lambda x: ti.max(x[0], 0.0), [0], 0, [0.5]),
     ("max(0, x)", lambda x: ti.max(0.0, x[0]), [0], 0, [0.5]),

@@ -68,7 +68,7 @@ def test_while_in_a_branch(dtype, mode):
     for at in (2.0, 9.0, 1234.5):
         value, gradient = derivation([at, 3.0])
         assert value == pytest.approx(3 * np.sqrt(at), rel=1e-5)
-        # The derivative of what the loop computes, by differences in f64 of the same steps.
+        # The derivative of the computed steps, by differences in f64 of the same steps.
         assert gradient[0] == pytest.approx(1.5 / np.sqrt(at), rel=2e-3)
         assert gradient[1] == pytest.approx(np.sqrt(at), rel=1e-5)
 

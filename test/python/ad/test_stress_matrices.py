@@ -105,7 +105,7 @@ def test_composites_are_right(n, name, dtype, mode):
         _, found = derivation(a)
         product = name in ("stretch", "product of svd")
         expected = w if product else polar_gradient(a, w)
-        # What is lost in the factors is lost by the condition of the composite.
+        # Accuracy lost in the factors is lost by the condition of the composite.
         scale = np.abs(expected).max() if not product else np.abs(w).max()
         error = np.abs(found - expected).max() / scale
         assert error <= 10 * BOUNDS[dtype], (where, error)
@@ -180,7 +180,8 @@ def jumping(n):
 @pytest.mark.parametrize("name", COMPOSITES)
 @pytest.mark.parametrize("n", [2, 3])
 def test_where_the_rotation_jumps(n, name, dtype, mode):
-    """The turn that jumps gets zero, the others are no larger than what they are; A is itself."""
+    """The turn that jumps gets zero, the other turns stay below their bound; the gradient of A
+    itself is exact."""
     number = np.dtype(dtype.replace("f", "float")).type
     w = np.random.default_rng(9).standard_normal((n, n)).astype(number).astype(float)
     derivation = Derivation(weighted(name, w), (n, n), dtype, mode)
@@ -199,7 +200,8 @@ def test_where_the_rotation_jumps(n, name, dtype, mode):
 @pytest.mark.parametrize("name", ["polar", "rotation of svd"])
 @pytest.mark.parametrize("n", [2, 3])
 def test_beside_the_jump_the_rotation_has_a_derivative(n, name, mode):
-    """Down to a sum of 1e-10, where 1e10 is right; at 1e-13, zero is what the page says."""
+    """The derivative is right down to a sum of 1e-10, where it is 1e10; at 1e-13 it is zero, as
+    documented."""
     w = np.zeros((n, n))
     w[n - 2, n - 1] = 1
     derivation = Derivation(weighted(name, w), (n, n), "f64", mode)

@@ -22,7 +22,8 @@ def gradient(loss, *fields):
 
 
 def an_update_in_place():
-    """Reads what was there before; the tape puts it back, and zeroes what was overwritten."""
+    """Reads the former values; the tape restores them, and zeroes the adjoints of overwritten
+    elements."""
     x, loss = filled(N), real()
 
     @ti.kernel
@@ -204,7 +205,7 @@ def test_results_stay(case, options, monkeypatch):
 
 @pytest.mark.parametrize(("case", "options"), CASES, ids=lambda v: getattr(v, "__name__", ""))
 def test_results_stay_on_a_device(case, options, monkeypatch):
-    """Blocks of several warps, so that lanes exchange what they add."""
+    """Blocks of several warps, so that lanes exchange partial sums."""
     monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
     monkeypatch.setenv("TAI_EMULATED_THREADS", "96")
     monkeypatch.setenv("TI_ARCH", "cuda")

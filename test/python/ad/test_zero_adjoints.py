@@ -160,8 +160,8 @@ def test_gathered_adjoints_visit_what_lies_around():
         gradients.append(x.grad.to_numpy())
         counts = ti.profiler.skips()["zero-adjoints"]
         if skip == "all":
-            # Of the body of nine, what lies around two of its blocks: all but one. And these
-            # two, to zero the adjoints of what was stored there.
+            # Around two of its blocks, the body of nine has all cells but one. And these two, to
+            # zero the adjoints of elements stored there.
             assert counts == {"cells_visited": 8 + 2, "cells_skipped": 28 + 34}
     expected = np.zeros((128, 128))
     for (i, j), weight in {(64, 72): 1.0, (71, 79): 3.0, (87, 65): 1.0}.items():

@@ -10,7 +10,7 @@ N = 6
 
 
 class Fields:
-    """What the kernels below work on."""
+    """The fields of the kernels below."""
 
     def __init__(self, dtype=ti.f64):
         self.x = ti.field(dtype, shape=N, needs_grad=True, name="x")
@@ -239,7 +239,7 @@ def test_debug_mode_finds_races_alone():
         for i in f.x:
             f.y[i // 2] = f.x[i]
 
-    run(f.loss, first, first)  # what the tape saves is no error
+    run(f.loss, first, first)  # elements that the tape saves are no error
     with pytest.raises(ti.TaiAssertionError, match="is written by two iterations of one loop"):
         run(f.loss, halve)
 

@@ -12,7 +12,7 @@ def place_pointer(fields, n=N, b=B):
 
 
 def place_apart(fields, n=N, b=B):
-    # A gradient shares what is active with its field.
+    # A gradient shares the activity of its field.
     for field in fields:
         if not any(field is other.grad for other in fields):
             both = [f for f in fields if f is field or f is field.grad]

@@ -1,4 +1,4 @@
-"""Indices out of range: what is refused before a kernel runs, and what must not be."""
+"""Indices out of range: cases that are refused before a kernel runs, and cases that must not be."""
 
 import numpy as np
 import pytest
@@ -692,7 +692,7 @@ def test_random_programs_agree_with_numpy(seed):
             ti.sync()
     else:
         run()
-    # What is in range is stored all the same.
+    # Components in range are stored all the same.
     assert np.allclose(m.to_numpy(), expected)
 
 

@@ -1,4 +1,4 @@
-"""Indices of components out of range, and what is said of arrays."""
+"""Indices of components out of range, and the messages about arrays."""
 
 import numpy as np
 import pytest

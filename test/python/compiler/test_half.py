@@ -1,4 +1,4 @@
-"""f16 is for storage: what is loaded is computed with in f32, and stores round."""
+"""f16 is for storage: loaded values are computed with in f32, and stores round."""
 
 import os
 
@@ -220,7 +220,7 @@ class Smoke:
         self.kernels = advect, diverge, relax, project, measure
 
     def gradient(self):
-        """Of the loss by the first velocities."""
+        """The gradient of the loss by the first velocities."""
         n = self.n
         i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
         wave = 2 * np.pi / n

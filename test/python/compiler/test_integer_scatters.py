@@ -9,7 +9,7 @@ import tai as ti
 @pytest.mark.parametrize("size", [1, 7, 256, 5000])
 @pytest.mark.parametrize("dt", [ti.i32, ti.u32, ti.i64, ti.u64, ti.i16, ti.u8], ids=str)
 def test_bins(dt, size, threads):
-    """Which wrap around, too."""
+    """The sums wrap around, too."""
     ti.init(cpu_max_num_threads=threads)
     n = 65_537
     generator = np.random.default_rng(size)

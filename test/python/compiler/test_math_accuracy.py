@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tai as ti
 
-# Every exponent, and mantissas in between; some of both signs about what is special.
+# Every exponent, and mantissas in between; and numbers of both signs around the special ones.
 EXPONENTS = np.arange(-149, 128)
 SPECIAL = np.array(
     [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 9.0, 9.02, 20.0, 88.72283, 88.72284, 100.0,
@@ -65,7 +65,7 @@ def test_half_a_unit(name):
     with np.errstate(all="ignore"):
         expected = reference(arguments.astype(np.float64))
         rounded = expected.astype(np.float32)
-    # What has no neighbours: infinities, zeros with their signs, and what is not a number.
+    # Results without neighbours: infinities, zeros with their signs, and NaN.
     special = ~np.isfinite(rounded) | (rounded == 0)
     np.testing.assert_array_equal(found[special], rounded[special])
     signs = ~np.isnan(rounded)

@@ -288,7 +288,7 @@ def test_ftz_of_a_context_and_its_gradients():
 @pytest.mark.parametrize("dt", [ti.f32, ti.f64])
 @pytest.mark.parametrize("n", [1, 65])
 def test_ftz_of_functions(dt, n):
-    """Those of the library, which takes numbers apart, are of zero for a denormal number, too."""
+    """The library, which takes numbers apart, treats a denormal argument as zero, too."""
     ti.init(arch=ti.cpu, default_fp=dt, ftz=True)
     x, y = ti.field(dt, shape=n), ti.field(dt, shape=(11, n))
 
@@ -339,7 +339,7 @@ def test_math_of_one_kernel():
 
 @pytest.mark.parametrize("where", ["context", "kernel"])
 def test_what_is_accurate_stays_strict(where):
-    """Of a strict context: operations are rounded by themselves, and functions are accurate."""
+    """In a strict context, operations are rounded one by one, and functions are accurate."""
     accurate = {"math": "accurate"}
     ti.init(arch=ti.cpu, strict=True, **(accurate if where == "context" else {}))
     n = 1000
@@ -417,7 +417,7 @@ def test_accurate_functions_of_f64(name):
     assert (np.abs(b.to_numpy() - exact) / np.spacing(exact.astype(np.float64))).max() <= 0.51
 
 
-# What contradicts, and what there is not
+# Contradictory options, and unknown ones
 
 
 @pytest.mark.parametrize(

@@ -303,7 +303,7 @@ def test_arrays_of_the_caller():
 
 
 def test_what_stays_on_one_thread():
-    """Trips that differ between iterations, and loops that read what they add to."""
+    """Loops with trip counts that differ, and loops that read the field they add to."""
     n, cells = 50, 4
 
     def make():

@@ -39,7 +39,8 @@ def test_gradients_of_narrow_fields_are_f32(dt):
 @pytest.mark.parametrize("dt", [ti.f16, ti.bf16])
 @pytest.mark.parametrize("scale", [2.0**-30, 2.0**20])
 def test_gradients_of_narrow_fields_are_not_rounded_on_their_way(dt, scale):
-    """Of a size that f16 does not have, and with more digits than either type, through stores."""
+    """The numbers are of a size that f16 does not have, and have more digits than either type; they
+    pass through stores."""
     ti.init(arch=ti.cpu)
     n = 4
     x, y = (ti.Vector.field(2, dt, shape=n, needs_grad=True) for _ in range(2))
@@ -142,7 +143,7 @@ def test_precision_of_storage(precision, stored):
 
 @pytest.mark.parametrize("precision", ["f16", "bf16"])
 def test_single_elements_are_not_stored_in_16_bits(precision):
-    """What a program adds up, and what it is asked for, unless their type says so."""
+    """Sums and results of a program stay wide, unless their type is given."""
     ti.init(arch=ti.cpu, precision=precision)
     n = 100_000
     x, loss = ti.field(float, n, needs_grad=True), ti.field(float, (), needs_grad=True)

@@ -12,7 +12,7 @@ DTYPES = {ti.f32: np.float32, ti.f64: np.float64}
 
 
 def run_kernel(dt, a, b, c):
-    """What two kernels that ask for fused operations compute from three arrays."""
+    """The results of two kernels that ask for fused operations, on three arrays."""
     n = len(a)
     x, y, z = (ti.field(dt, shape=n) for _ in range(3))
     sums, roots = ti.field(dt, shape=n), ti.field(dt, shape=n)
@@ -95,7 +95,7 @@ def test_a_processor_without_fused_operations():
 
 
 def test_processors_that_cannot_be_had():
-    # No processor has what is AMD's own and what is Intel's own.
+    # No processor has both AMD's own features and Intel's own.
     reasons = []
     for name in ("abacus", "znver4", "sapphirerapids"):
         try:

@@ -9,7 +9,7 @@ import tai as ti
 
 # The unit round-off of f32.
 U = 2.0**-24
-# Of sums in elements that the data chooses: a device adds to an f32 by atomics.
+# The bound for sums into elements that the data chooses: a device adds to an f32 by atomics.
 BOUND = 1e-4 if os.environ.get("TI_ARCH") == "cuda" else 1e-7
 
 
@@ -98,7 +98,7 @@ def test_many_into_one_cell(cells, threads):
 
 
 def test_many_into_cells_beside_others():
-    """Elements of a struct: what lies between them stays."""
+    """The elements are members of a struct: the bytes between them keep their values."""
     ti.init()
     n = 65537
     mass, other = ti.field(ti.f32), ti.field(ti.f32)

@@ -252,7 +252,8 @@ def test_fields_that_share_cells():
 
 
 def test_other_parameters_make_other_chains():
-    # Rows in another order from some run on: what was one chain is none, and the other way round.
+    # From some run on, the rows have another order: the former chain is none any more, and the
+    # other way round.
     def scene(runs):
         n, rows = 9, 9
         u = ti.field(ti.f32, shape=(rows, n, n), needs_grad=True)

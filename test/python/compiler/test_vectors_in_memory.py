@@ -179,7 +179,7 @@ def test_types(dt, count):
 
 
 def test_sums_beside_a_stack():
-    """What the loop adds up is still added up apart for each thread."""
+    """The sums of the loop still have private copies for each thread."""
     ti.init(default_fp=ti.f64)
     n = 65_537
     x, total, bins = ti.field(ti.f64, n), ti.field(ti.f64, ()), ti.field(ti.f64, 7)

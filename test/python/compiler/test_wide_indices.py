@@ -177,7 +177,7 @@ def test_products():
 
 
 def test_index_of_division():
-    """An index that only becomes small by a division of what is not."""
+    """An index that becomes small only by a division of a large number."""
     out = fields()
 
     @ti.kernel

@@ -35,7 +35,7 @@ def check(x, y, loss, tolerance=1e-13):
         cubes(y, loss)
     assert (y.to_numpy() == start).all()
     np.testing.assert_allclose(x.grad.to_numpy(), 3.0 * start**2, rtol=tolerance)
-    # A replay copies what the source holds now.
+    # A replay copies the present values of the source.
     x.from_numpy(2 * start)
     tape.replay()
     np.testing.assert_allclose(loss[None], 8 * (1.0 * start**3).sum(), rtol=10 * tolerance)

@@ -1,6 +1,7 @@
 """Fills in front of replays and between the launches of a tape.
 
-Whatever becomes of them, fields hold what they hold on the CPU, and what NumPy computes.
+Whether fills are fused, delayed or dropped, fields have the values that they have on the CPU, and
+that NumPy computes.
 """
 
 import os
@@ -52,7 +53,7 @@ class Fields:
 
 
 def expected(a, b, c, d):
-    """What the fields hold behind `forward`, and the gradients of a and c."""
+    """The fields after `forward`, and the gradients of a and c."""
     a = np.full((N, M), a + 0.5 * b, np.float64)
     d = d + a * c
     return a, d, np.sum(d * d), 2 * d * c, 2 * d * a

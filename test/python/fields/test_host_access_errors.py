@@ -1,4 +1,4 @@
-"""What Python may not do to fields and arrays: errors of the package, which name them."""
+"""Refused accesses to fields and arrays from Python: errors of the package, which name them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What goes leaves nothing behind: counts of what the program holds, round after round."""
+"""Released objects leave nothing behind: the program's counts of objects, round after round."""
 
 import gc
 import threading
@@ -183,7 +183,7 @@ def test_threads_that_end():
 
 
 def test_programs():
-    """Of a program that is over, nothing stays; the next one has the same counts."""
+    """Nothing stays of a program that is over; the next one has the same counts."""
 
     def one_round():
         ti.init()

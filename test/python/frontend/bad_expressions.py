@@ -1,8 +1,7 @@
 """Programs with wrong names, indices and types, each in one way.
 
 Each function sets up a program and runs into its mistake, whose line is marked `# BAD`. The
-decorator says what the error must be. test_errors.py reads the lines: keep each mistake on
-one line.
+argument of the decorator is the expected error.
 """
 
 # ruff: noqa: B018, F821, F841, E712, SIM102, RET503, B007, B011, E711, A001

@@ -1,4 +1,4 @@
-"""What the files of wrong programs share: a register of them."""
+"""The register of wrong programs that their files share."""
 
 import tai as ti
 

@@ -1,4 +1,4 @@
-"""The builder: each method makes an operation that the verifier takes, with what it was given."""
+"""The builder: each method makes an operation that the verifier takes, with the given operands."""
 
 import pytest
 import tai as ti

@@ -1,4 +1,5 @@
-"""What a kernel evaluates once, while it is compiled, and what it takes for true."""
+"""Expressions that a kernel evaluates once, while it is compiled, and values that it takes for
+true."""
 
 import collections
 import dataclasses
@@ -342,7 +343,7 @@ def test_gradients_of_kernels_that_have_none():
 
 @dataclasses.dataclass
 class Scale:
-    """Equal by what it holds, so that it has no hash."""
+    """Compared by its contents, so that it has no hash."""
 
     factor: float
 
@@ -407,7 +408,7 @@ def _take(a: ti.template(), k):
 
 
 def test_functions_out_of_containers_change_what_they_are_given():
-    """Also where only what is compiled inside of a loop or branch says which function it is."""
+    """This holds, too, if only code inside of a loop or branch tells which function it is."""
     functions = [_add, _take]
     named = {"add": _add}
 

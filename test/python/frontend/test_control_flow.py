@@ -507,7 +507,7 @@ def test_kernels_compile_again_after_init():
 
 
 def test_old_programs_are_let_go():
-    """What a program held is freed by the next ti.init, although its kernels live on."""
+    """The memory of a program is freed by the next ti.init, although its kernels live on."""
     x = ti.field(ti.f32, shape=4)
 
     @ti.kernel

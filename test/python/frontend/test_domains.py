@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import tai as ti
 
-# A function, where it has a value, where it has none, and what the error says.
+# A function, arguments where it has a value, arguments where it has none, and the text of the
+# error.
 DOMAINS = {
     "log": (lambda x: ti.log(x), [1e-300, 2.0, math.inf], [0.0, -0.0, -2.0], "logarithm of"),
     "log2": (lambda x: ti.math.log2(x), [0.5], [0.0, -1.0], "logarithm of"),

@@ -326,7 +326,7 @@ def test_gradient_through_a_branch(precision):
 
 
 def test_gradient_is_finite_where_the_branch_returned(precision):
-    """What follows the return has an infinite derivative there, and did not run."""
+    """The statement after the return has an infinite derivative there, and did not run."""
     x = ti.field(float, shape=3, needs_grad=True)
     loss = ti.field(float, shape=(), needs_grad=True)
     x.from_numpy(np.array([-1, 0, 4], x.dtype.numpy))

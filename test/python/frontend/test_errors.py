@@ -1,4 +1,4 @@
-"""What is wrong in a program is reported at its line, with a caret and a hint."""
+"""An error in a program is reported at its line, with a caret and a hint."""
 
 import inspect
 

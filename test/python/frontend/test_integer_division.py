@@ -159,7 +159,7 @@ def test_debug_mode_names_the_line(device):
 
 
 def test_debug_mode_in_adjoints(device):
-    """What a condition protects is not computed again without it."""
+    """An operation that a condition protects is not computed again without it."""
     ti.init(debug=True, default_fp=ti.f64, offline_cache=False)
     x = ti.field(ti.f64, 8, needs_grad=True)
     loss = ti.field(ti.f64, (), needs_grad=True)

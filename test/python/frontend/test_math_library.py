@@ -133,7 +133,7 @@ def test_rotations():
     np.testing.assert_allclose(axis @ given[4], axis, atol=1e-16)
     assert np.trace(given[4]) == pytest.approx(2 + 2 * c)
     np.testing.assert_allclose(given[5] @ [1, 1, 1, 1], [5, 12, 21, 1])
-    # What Taichi 1.7.4 gives.
+    # The results of Taichi 1.7.4.
     np.testing.assert_allclose(given[2][0], [0.956425, 0.289629, -0.036957, 0], atol=5e-7)
     np.testing.assert_allclose(given[2][2], [0.097843, -0.198669, 0.97517, 0], atol=5e-7)
     np.testing.assert_allclose(given[6] @ given[6].T, np.eye(4), atol=1e-16)

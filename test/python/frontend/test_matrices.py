@@ -16,7 +16,7 @@ def double_precision():
 
 
 def matrix_result(function, shape):
-    """What `function(a, b, u, v)` gives in a kernel, as an array of the given shape."""
+    """The result of `function(a, b, u, v)` in a kernel, as an array of the given shape."""
     a = ti.Matrix.field(3, 3, ti.f64, shape=())
     b = ti.Matrix.field(3, 3, ti.f64, shape=())
     u = ti.Vector.field(3, ti.f64, shape=())

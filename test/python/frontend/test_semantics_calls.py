@@ -73,7 +73,7 @@ def test_templates_stand_for_elements_and_components():
             increase_twice(ones[i][0, 1])
             push(particles[i].velocity)
             increase(particles[i].mass, 2)
-        ti.loop_config(serialize=True)  # an iteration exchanges what the last one has left
+        ti.loop_config(serialize=True)  # an iteration exchanges values that the last one has left
         for i in range(3):
             increase(v[1], 1)
             if i > 0:
@@ -239,7 +239,8 @@ def test_parameters_by_keyword_alone():
 
 @pytest.mark.parametrize("name", ["u8", "u16", "u32", "u64"])
 def test_least_and_greatest_of_unsigned_numbers(name):
-    """Of numbers that are negative as signed ones, from many threads, at places from data."""
+    """The numbers are negative as signed ones, come from many threads, and go to places that the
+    data chooses."""
     dtype, count = getattr(ti, name), 60_000
     top = int(dtype.max)
     place = ti.field(ti.i32, shape=count)

@@ -196,7 +196,7 @@ def test_gradients_by_hand():
     assert y.grad.to_numpy().tolist() == [0, 0, 0]
     triple.grad()
     assert x.grad.to_numpy().tolist() == [3, 3, 3]
-    # Of the elements that the launch stores, however their index is written.
+    # Only the elements that the launch stores lose their gradient, however their index is written.
     y.grad.fill(1)
     move.grad(1)
     assert x.grad.to_numpy().tolist() == [3, 5, 3]

@@ -14,7 +14,7 @@ def gpu(monkeypatch):
 
 
 def make(steps, bodies):
-    """Kernels with steps that need each other, and what each says when it is compiled."""
+    """Kernels with steps that need each other, and the warnings of each when it is compiled."""
     x = ti.field(ti.f32, 10)
 
     @ti.kernel
@@ -68,7 +68,7 @@ def test_long_serial_loops_are_named(gpu):
         (text,) = said[name]
         assert text.startswith(f"kernel '{name}': this loop runs on one thread of the GPU, some ")
         assert " million operations one after another\n  hint: a CPU is usually faster" in text
-    # What many threads do at once is what a GPU is for.
+    # Loops over many threads suit a GPU.
     assert said["many"] == said["unknown"] == []
 
 

@@ -462,7 +462,7 @@ class Leaver:
 
 
 def test_methods_that_return_early_change_a_struct_once():
-    """Their body is walked once before, for the types of what they return."""
+    """Their body is walked once before, to find the types of their results."""
 
     @ti.kernel
     def once(k: ti.i32) -> ti.i32:
@@ -502,7 +502,7 @@ class Taker:
 
 
 def test_a_method_gives_a_member_to_one_of_an_argument():
-    """Which only the call says."""
+    """Only the call tells which member it is."""
 
     @ti.kernel
     def run(q: ti.i32) -> ti.types.vector(2, ti.i32):

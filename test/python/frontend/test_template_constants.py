@@ -1,4 +1,4 @@
-"""Template arguments: what is compiled in is what they are at the launch."""
+"""Template arguments: the compiled constants are the values at the launch."""
 
 import copy
 import dataclasses
@@ -44,7 +44,7 @@ CONTAINERS = {
 
 
 def kind_of(x):
-    """What a compiled value tells of a number: its type, and its sign even at zero."""
+    """The visible properties of a compiled number: its type, and its sign even at zero."""
     if isinstance(x, np.generic):
         return str(x.dtype)
     return type(x).__name__
@@ -75,7 +75,7 @@ def test_numbers_that_python_takes_for_equal_are_apart(form):
         for x in LIKE_NUMBERS:
             seen.clear()
             f(CONTAINERS[form](x))
-            # What ran was compiled for this very number, now or the first time.
+            # The code that ran was compiled for this very number, now or the first time.
             assert not seen or repr(seen) == repr([x])
     assert len(f._specializations) >= len(LIKE_NUMBERS)
 

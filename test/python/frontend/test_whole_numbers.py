@@ -18,7 +18,7 @@ def wrapped(number, dt):
     return number - (1 << dt.bits) if number > dt.max else number
 
 
-# What does not fit
+# Numbers that do not fit
 
 
 @pytest.fixture
@@ -247,7 +247,7 @@ def test_shifts_by_any_number_of_bits(dt, counter):
 
     wide = dt
     f()
-    # Of two types of one width the unsigned one wins, and the wider of two others.
+    # If two types have the same width, the unsigned one wins, otherwise the wider one.
     from tai._impl.base.dtypes import promote
 
     kind = promote(dt, counter)

@@ -91,7 +91,7 @@ def test_the_limit_is_a_number_of_warps(emulated):
 
 
 def run(folder, text, likes_512=False):
-    """What a program writes with `say`, which runs above that driver."""
+    """The data that a program passes to `say`; the program runs above that driver."""
     program = folder / "program.py"
     program.write_text(
         "import json\n"

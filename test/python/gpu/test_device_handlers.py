@@ -1,7 +1,7 @@
 """Signal handlers that use a device in the middle of a call of their own thread.
 
-What the call is in the middle of is either complete for them or refused: nothing waits for itself,
-and what is half done is not read.
+A handler finds the state of the interrupted call either complete or is refused: nothing waits for
+itself, and half-done state is not read.
 """
 
 import contextlib
@@ -118,7 +118,7 @@ def test_a_handler_in_the_middle_of_what_is_queued(outer, inner):
         while not refused and most > 0:
             most -= 1
             found = once()
-            # One that comes before or behind the wait does what it does anywhere.
+            # A handler that comes before or after the wait has its usual effect.
             if inner != "launch":
                 assert found == expected
     assert "a signal handler needs what the call that it has interrupted" in refused[0]
@@ -128,7 +128,7 @@ def test_a_handler_in_the_middle_of_what_is_queued(outer, inner):
 
 
 def test_a_handler_while_launches_are_timed():
-    """The profiler waits for what it times."""
+    """The profiler waits for the launches that it times."""
     ti.init(offline_cache=False, default_fp=ti.f64, kernel_profiler=True)
     problem = Problem()
     problem.slow(0)

@@ -1,4 +1,4 @@
-"""What conftest.py does with a failure on a device, and with a list that is not true."""
+"""The treatment by conftest.py of a failure on a device, and of a list that is not true."""
 
 import os
 import subprocess

@@ -64,7 +64,7 @@ class Problem:
 
 
 def in_a_thread(task):
-    """What a function returns or raises in a thread of its own."""
+    """The result or the exception of a function in a thread of its own."""
     answer = []
 
     def work():
@@ -98,7 +98,8 @@ def test_a_second_tape_is_refused_and_harms_none():
 
 @pytest.mark.parametrize("read", ["element", "array"])
 def test_what_another_thread_has_the_queue_run_is_waited_for(read):
-    """Whichever thread comes next runs what a recording has collected; its own one reads it."""
+    """The next thread, whichever it is, runs the launches that a recording has collected; the own
+    thread reads the result."""
     n = 8
     x = ti.field(ti.f64, shape=n, needs_grad=True)
     y = ti.field(ti.f64, shape=n)
@@ -152,7 +153,8 @@ def test_what_another_thread_has_the_queue_run_is_waited_for(read):
 
 
 def test_launches_and_replays_of_other_threads_are_not_recorded():
-    """A device knows a recording again by what is queued, among which is what others launch."""
+    """A device knows a recording again by its queued work, which includes the launches of other
+    threads."""
     first, second = Problem(0.1), Problem(0.2)
     values = [0.1 * i for i in range(5)]
     expected = [first.gradient(value)[1] for value in values]

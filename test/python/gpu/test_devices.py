@@ -18,7 +18,7 @@ def emulated(monkeypatch):
 
 
 def run(tmp_path, text):
-    """What a program writes to its output, and to its errors."""
+    """The output of a program, and its errors."""
     program = tmp_path / "program.py"
     program.write_text("import tai as ti\n" + text)
     done = subprocess.run(
@@ -174,7 +174,7 @@ def test_slabs_come_back_for_the_gradient(shape):
     b1 = b**2 + a
     np.testing.assert_allclose(loss[None], np.sum(a + (b1**2 + a) + (c**2 + a)), rtol=1e-12)
     expected = np.moveaxis(np.stack([1 + (2 * b1 + 1) + 1, 2 * b1 * 2 * b, 2 * c]), 0, axis)
-    # The launches overwrite what they are the start of: their adjoints end there.
+    # The launches overwrite their own inputs: adjoints end there.
     found = x.grad.to_numpy()
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
@@ -265,7 +265,7 @@ def test_fills_side_by_side(order, values):
 
 
 def test_clears_side_by_side_are_part_of_the_sequence():
-    """What is cleared before a replay, and its gradients, is one step where it lies together."""
+    """The clears before a replay, and those of its gradients, are one step for adjacent memory."""
     x = ti.field(ti.f32, shape=8, needs_grad=True)
     momentum, mass, rest = ti.Vector.field(2, ti.f32), ti.field(ti.f32), ti.field(ti.f32)
     loss = ti.field(ti.f32, shape=(), needs_grad=True)
@@ -362,7 +362,7 @@ def test_a_gradient_that_finds_no_memory_on_the_device(name):
         message = str(caught.value)
         assert "KiB of values" in message and "device_heap_memory" in message
         assert "test_devices.py:" in message
-        # The program goes on, and what was taken has been given back.
+        # The program goes on, and its memory has been given back.
         assert gradient(200) == (1200.0, 1.0)
     # Nothing is taken for nothing.
     assert gradient(0) == (0.0, 1.0)

@@ -28,7 +28,7 @@ def begin(dtype="f32", **options):
 
 
 def scatter(dtype, values, where, start, by_argument=False):
-    """Adds values to elements: from what they held to what they hold."""
+    """Adds values to elements; the results start from their former values."""
     real, kind, _ = TYPES[dtype]
     n = len(values)
     x, at, grid = ti.field(real, n), ti.field(ti.i32, n), ti.field(real, len(start))
@@ -54,8 +54,8 @@ def scatter(dtype, values, where, start, by_argument=False):
 
 
 def assert_exact(dtype, found, values, where, start):
-    """Each element is off by two roundings, of the sum and of what it is added to, and by half a
-    unit for each value."""
+    """Each element is off by two roundings, of the sum and of the addition to the former value, and
+    by half a unit for each value."""
     digits = TYPES[dtype][2]
     for cell, result in enumerate(found):
         own = values[where == cell]
@@ -132,7 +132,7 @@ def test_zeros_and_small_numbers(dtype, threads):
 
 
 def particles(real, n):
-    """Momenta and masses to neighbours, with other effects, and what is read first."""
+    """Particles add momenta and masses to neighbours, with other effects, and with reads before."""
     x = ti.Vector.field(2, real, n, offset=(3,))
     momentum = ti.Vector.field(2, real, (2, 40, 41))
     mass, count = ti.field(real, (2, 40, 41)), ti.field(ti.i32, (40, 41))
@@ -215,7 +215,7 @@ def test_an_iteration_reads_what_it_wrote(threads):
 @pytest.mark.parametrize("fuse_launches", [True, False], ids=["", "apart"])
 @pytest.mark.parametrize("dtype", ["f32", "f64"])
 def test_gradients_of_gathers(dtype, fuse_launches, threads):
-    """Of several launches that are replayed."""
+    """The gradients of several launches, which are replayed."""
     real = TYPES[dtype][0]
     begin(dtype, fuse_launches=fuse_launches)
     x = ti.field(real, 997, needs_grad=True)
@@ -280,7 +280,7 @@ def test_blocks_and_matrices(threads):
 
 
 def test_loops_of_uneven_length(threads):
-    """Their adjoints keep what the loop went through, in memory of each iteration."""
+    """Their adjoints save the values of the inner loops, in memory of each iteration."""
     begin("f64")
     w = ti.field(ti.f64, 211, needs_grad=True)
     y = ti.field(ti.f64, N, needs_grad=True)

@@ -93,7 +93,7 @@ XML = """<testsuites><testsuite><testcase classname="a" name="good"/>
 <testcase classname="a" name="left"><skipped message="not yet"/></testcase>
 </testsuite></testsuites>"""
 
-# What pytest prints with one process and with many, before it is stopped.
+# The output of pytest with one process and with many, before it is stopped.
 OUTPUT = """test/python/test_a.py::test_good PASSED [ 1%]
 [gw1] [  2%] FAILED test/python/test_a.py::test_bad[x-1]
 [gw0] [  2%] PASSED test/python/test_b.py::test_other

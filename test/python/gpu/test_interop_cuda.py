@@ -63,7 +63,7 @@ def test_views_change_with_the_field(stream):
     assert view.is_cuda and view.shape == (N,)
     for _ in range(50):
         add(1.0)
-    # The stream waits for what was launched, without the host.
+    # The stream waits for the launches, without the host.
     ti.let_stream_wait()
     assert (view == 51.0).all().item()
     slowly(view)

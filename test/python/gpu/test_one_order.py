@@ -209,7 +209,7 @@ def borders(dtype):
 
 
 def old_values(dtype):
-    """What was there before an addition is used, and reads of what is added to."""
+    """The former value of an addition is used, and a kernel reads the elements that it adds to."""
     x, y = fields(dtype, 2)
     (grid,) = fields(dtype, 1, 101)
     at = targets(N, 101)
@@ -261,8 +261,8 @@ def adjoints_across_parts(dtype):
 
 
 def adjoints_that_meet(dtype):
-    """Of gathers, of a scalar that all iterations read, of what a kernel computes before its loop,
-    of an argument, and through a loss; several launches, replayed."""
+    """Adjoints of gathers, of a scalar that all iterations read, of a value computed before the
+    loop, of an argument, and through a loss; several launches, replayed."""
     x, y = fields(dtype, 2)
     a, loss = fields(dtype, 2, ())
     w = ti.field(TYPES[dtype], shape=13, needs_grad=True)

@@ -1,4 +1,4 @@
-"""What a GPU's compiler is given, seen by a driver without a GPU, which keeps it."""
+"""The code that a GPU's compiler is given, seen by a driver without a GPU, which keeps it."""
 
 import os
 import subprocess

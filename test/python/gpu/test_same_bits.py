@@ -1,6 +1,6 @@
 """The same bits on the CPU, with any number of threads, and on the emulated device, with blocks of
-any size, where `math="strict"` and `deterministic=True` are chosen and no function is computed:
-what does not depend on an order of sums. What does: test_one_order.py.
+any size, if `math="strict"` and `deterministic=True` are chosen and no function is computed:
+results that do not depend on an order of sums.
 """
 
 import numpy as np

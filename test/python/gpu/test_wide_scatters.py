@@ -147,7 +147,7 @@ def test_gradients_of_a_lookup():
 
 @pytest.mark.parametrize("cells", [1, 3])
 def test_many_numbers_of_f32_into_few_cells(cells):
-    """Each addition to what is large already would be off by half a unit of that."""
+    """Each addition to a large number would be off by half a unit of that number."""
     ti.init()
     n = 400_003
     x, at, grid = ti.field(ti.f32, n), ti.field(ti.i32, n), ti.field(ti.f32, cells)

@@ -1,8 +1,8 @@
 """Examples and scenes of the benchmark, in f64, as functions of where and how they run.
 
 Each scene gives its losses and gradients as named arrays. The source is that of the example or the
-benchmark, with f64 in the place of f32: rounding then hides nothing. What `ti.init` and
-`ti.ad.Tape` are given besides comes from the way in which it runs.
+benchmark, with f64 in the place of f32: rounding then hides nothing. The way in which a scene runs
+adds further arguments of `ti.init` and `ti.ad.Tape`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Way:
 
 REFERENCE = Way()
 
-# Of these, each in short and in long form: arguments of the program.
+# The examples, each in short and in long form: arguments of the program.
 EXAMPLES = {
     "active_blocks": ("--n 64 --steps 40", "--n 512 --steps 400"),
     "billiards": (
@@ -120,7 +120,7 @@ def _given(way: Way, folder: Path):
             "default_fp": ti.f64, "opt_level": way.at.level, "fuse_launches": way.fused,
             "cpu_max_num_threads": way.at.threads if way.at.arch == "cpu" else 1,
             "deterministic": way.at.deterministic,
-            # Ways differ in what runs, and share what is compiled.
+            # Ways run different code, and share compiled code.
             "offline_cache": True, "offline_cache_file_path": str(folder / "cache"),
         }  # fmt: skip
         init(**options)
@@ -150,7 +150,7 @@ def _load(path: Path, folder: Path, name: str):
 
 
 def _gradients(owner: object) -> dict[str, np.ndarray]:
-    """Those of the fields in a module or an object; without any, the fields."""
+    """The gradients of the fields in a module or an object; if there are none, the fields."""
     fields = {
         name: value for name, value in vars(owner).items()
         if hasattr(value, "to_numpy") and hasattr(value, "snode")
@@ -175,12 +175,13 @@ def _run_example(name: str, arguments: str, folder: Path) -> dict[str, np.ndarra
 
 
 def _optimise(module) -> dict[str, np.ndarray]:
-    """What most examples do: a few steps of descent."""
+    """The course of most examples: a few steps of descent."""
     return {"losses": np.array(module.optimise())} | _gradients(module)
 
 
 def _descend(module) -> dict[str, np.ndarray]:
-    """The same where the main program calls the loop itself, with what is learned in `start`."""
+    """The same for a main program that calls the loop itself, with the learned parameters in
+    `start`."""
     losses = module.studio.optimise(module.args, module.iteration, start=module.start)
     return {"losses": np.array(losses)} | _gradients(module)
 

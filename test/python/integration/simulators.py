@@ -1,4 +1,4 @@
-"""Runs a simulator of `examples` as its user would, and reads what it wrote."""
+"""Runs a simulator of `examples` as its user would, and reads its output."""
 
 from __future__ import annotations
 

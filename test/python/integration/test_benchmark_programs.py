@@ -1,4 +1,4 @@
-"""The table of examples on tai and its peers: how it runs them, and what it says of them."""
+"""The table of examples on tai and its peers: the runs, and the entries about them."""
 
 import argparse
 import importlib.util
@@ -73,7 +73,7 @@ LINE = """echo '{"ms": [%s], "losses": [0.5]}'"""
 @pytest.mark.parametrize(
     "does, expected",
     [
-        # Whoever does not get to the end has the iterations until then.
+        # A system that does not finish is reported with the iterations it has done.
         (
             [LINE % 9000, LINE % 7, LINE % 8, "exec sleep 60"],
             {"ms": 7.5, "iterations": 3, "first_s": 9.0, "note": "3 iterations in 1 s"},

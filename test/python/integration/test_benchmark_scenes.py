@@ -28,7 +28,7 @@ def test_gradient(scene: str):
     problem = problems.PROBLEMS[scene](True)
     loss, gradient = problem.reference()
     program = tai_scenes.SCENES[scene](problem)
-    # The second run starts from what the first one left in fields and adjoints.
+    # The second run starts from the fields and adjoints that the first one left.
     for _ in range(2):
         program.run()
         assert program.loss() == pytest.approx(loss, rel=2e-5)

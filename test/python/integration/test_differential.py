@@ -45,9 +45,9 @@ DETERMINISTIC = [
 
 
 def difference(found, expected):
-    """What differs, by name and in relation to the largest number.
+    """Fields that differ, by name and in relation to the largest number.
 
-    What is small beside other gradients may be what is left where larger numbers cancel.
+    Numbers that are small beside other gradients may be remainders of a cancellation.
     """
     least = FLOOR * max(float(np.max(np.abs(v))) for n, v in expected.items() if "loss" not in n)
     assert found.keys() == expected.keys()

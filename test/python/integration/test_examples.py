@@ -12,7 +12,7 @@ EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 
 def run(name, tmp_path, *options):
-    """What an example prints; its picture must be an animation."""
+    """The printed output of an example; its picture must be an animation."""
     command = [sys.executable, EXAMPLES / f"{name}.py", *options, "--out", tmp_path]
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=True)
     picture = re.search(r"picture\s+(\S+)", done.stdout).group(1)
@@ -100,7 +100,7 @@ def test_active_blocks(tmp_path):
     most, total, visited = numbers(sparse, "blocks")[0]
     assert total == 32**2 and visited < 0.5 * total and most < total
     assert numbers(dense, "blocks")[0][2] == total
-    # Leaving out what is at rest does not change the wave.
+    # Leaving out cells at rest does not change the wave.
     for one, other in zip(numbers(sparse, "wave")[0], numbers(dense, "wave")[0], strict=True):
         assert one == pytest.approx(other, rel=1e-3) and other > 100
     picture = Image.open(tmp_path / "active_blocks.png")

@@ -1,4 +1,4 @@
-"""The page of the simulators: what it names exists, and takes the options that it names."""
+"""The page of the simulators: its programs exist, and take the options that it names."""
 
 import re
 import subprocess

@@ -45,7 +45,7 @@ def test_what_the_script_makes(folders, monkeypatch):
     assert (folders / "gallery.md").read_text() == (ROOT / "docs/gallery.md").read_text()
     for path in (folders / "pictures").iterdir():
         assert (ROOT / "docs/pictures" / path.name).is_file()
-    # None of those that the page shows is left as somebody once made it.
+    # Every picture that the page shows is made again.
     shown = re.findall(r"\(pictures/([^)]+)\)", (ROOT / "docs/gallery.md").read_text())
     assert {path.name for path in (folders / "pictures").iterdir()} == set(shown)
     last = Image.open(folders / "pictures/liquid.png").convert("L")

@@ -1,7 +1,7 @@
-"""Whole programs in IR do on a GPU what they do on the CPU.
+"""Whole programs in IR have the same results on a GPU as on the CPU.
 
-The commands are those of the tests in `test/Integration/CPU`: what these check of the CPU's output
-holds for the GPU's, which may differ in the last digits of numbers. Without `--arch=cuda`, on the
+The commands are those of the tests in `test/Integration/CPU`: their checks of the CPU's output hold
+for the GPU's, which may differ in the last digits of numbers. Without `--arch=cuda`, on the
 emulated device.
 """
 
@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "test" / "Integration" / "CPU"
 BIN = Path(os.environ.get("TAI_BUILD_DIR", ROOT / "build")) / "bin"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-# What the CPU does alone: it counts visited cells, has assembly, merges loops as host functions,
-# keeps sums of which no digit is lost.
+# Options for the CPU alone: it counts visited cells, has assembly, merges loops as host functions,
+# keeps sums without a lost digit.
 ABOUT_THE_CPU = (
     "--skips", "--compile-profile", "--print-ir=asm", "--threads=2", "--threads=7",
     "--sums=compensated",

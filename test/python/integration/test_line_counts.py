@@ -1,4 +1,4 @@
-"""What counts as an essential line of a simulator."""
+"""The definition of an essential line of a simulator."""
 
 import subprocess
 import sys

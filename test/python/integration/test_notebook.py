@@ -19,7 +19,7 @@ def folders(tmp_path, monkeypatch):
 
 
 def run(cells, tmp_path):
-    """Runs cells one after the other; returns what each printed or showed."""
+    """Runs cells one after the other; returns the output of each."""
     client = nbclient.NotebookClient(cells, timeout=280, resources={"metadata": {"path": tmp_path}})
     client.execute()
     shown = []

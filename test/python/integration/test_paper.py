@@ -1,4 +1,4 @@
-"""The paper's experiments as one command: each once, and what is said when something is amiss."""
+"""The paper's experiments as one command: each once, and the messages about failures."""
 
 import json
 import os
@@ -49,7 +49,7 @@ def test_each_experiment_once(tmp_path, name):
         assert Image.open(tmp_path / picture).size[0] > 400
 
 
-# A folder of examples in which programs do what a test wants.
+# A folder of examples whose programs a test writes.
 
 FRAME = "def plot(*args, **options): pass\n"
 TOI = """import sys, pathlib, time
@@ -143,7 +143,7 @@ def test_an_interrupted_run_goes_on(tmp_path, examples, number):
     assert process.returncode == 130 and "Traceback" not in errors
     line = errors.splitlines()[-1]
     assert line.startswith("paper: stopped in toi; 1 of 2 experiments are kept in ")
-    # What is done is not run again, and its place on the page stays.
+    # Finished experiments are not run again, and their places on the page stay.
     examples()
     (folder / "mass_spring_simple.py").write_text("1 / 0")
     done = paper(out, "--examples", folder, "--only", "lengths", "toi", "--resume")
@@ -182,7 +182,7 @@ def test_a_new_start_forgets_its_experiments_and_no_others(tmp_path, examples):
     assert paper(out, "--examples", examples(), "--only", "toi").returncode == 0
     (out / "runs/billiards").mkdir()
     assert "toi" in results(out)
-    # What an interrupted run has not done must not be taken from the run before it.
+    # Experiments that an interrupted run has not done must not be taken from the run before it.
     interrupted(tmp_path, examples, signal.SIGINT)
     assert list(results(out)) == ["lengths"]
     assert (out / "runs/billiards").is_dir()

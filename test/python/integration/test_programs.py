@@ -23,7 +23,7 @@ PROGRAMS = Path(__file__).parents[1] / "programs"
 
 
 def run(name, *arguments, cwd=PROGRAMS):
-    """What the program reports when it runs on its own."""
+    """The report of the program when it runs on its own."""
     environment = dict(os.environ, PYTHONWARNINGS="error::SyntaxWarning")
     # Whatever target they ask for.
     environment.setdefault("TI_ARCH", "cpu")
@@ -144,9 +144,9 @@ def test_billiards(tmp_path):
 
 
 def test_electric():
-    # The controller reads slots that hold what the last run left there, and that are
-    # overwritten later. The system of the paper takes the gradient of the first layer at the
-    # new values, so only what does not depend on it can be compared: see
+    # The controller reads slots that hold values of the last run, and that are overwritten later.
+    # The system of the paper takes the gradient of the first layer at the new values, so that only
+    # results independent of it can be compared: see
     # test_slots_that_are_read_before_they_are_written.
     found = run("electric")
     np.testing.assert_allclose(found["losses"][0], 2.43744, rtol=1e-5)

@@ -61,7 +61,7 @@ def test_what_failed_once(file, word, tmp_path):
 
 
 def test_configurations_reach_every_threshold():
-    """Of few seeds: each target, level, number of threads and size, said in one word."""
+    """A few seeds reach each target, level, number of threads and size, written as one word."""
     drawn = [configurations.draw(seed, ("cpu", "emulated")) for seed in range(1000)]
     assert {c.arch for c in drawn} == {"cpu", "emulated"}
     assert {c.level for c in drawn} == {0, 1, 2, 3}
@@ -120,7 +120,7 @@ def run():
 
 
 def test_rounding_of_parts_that_cancel_is_measured(tmp_path):
-    """Of this program's derivative by `s`, 819 and 825 leave 8.3."""
+    """The derivative of this program by `s` is 8.3, as the difference of parts of 819 and 825."""
     where = configurations.parse("cpu-3t-O1-67n")
     found = outcome.judge(programs.program(3204), 3204, False, tmp_path, where)
     assert found.kind in ("agree", "undecided"), found

@@ -1,4 +1,4 @@
-"""Random programs give in a kernel what they give in Python.
+"""Random programs give the same results in a kernel as in Python.
 
 Kernels are Python syntax, so each program is one text, run once by Python and once compiled.
 Integers stay small enough not to wrap; floats are f64 on both sides. Each seed draws where it runs
@@ -233,7 +233,7 @@ def test_gradient(seed, tmp_path, where):
     with ti.ad.Tape(module.loss):
         module.total()
     gradient = module.x.grad.to_numpy()
-    # Of many, those at both ends, and some between.
+    # The points at both ends, and some between.
     for k in {*range(8), *range(13, len(points), 97), len(points) - 2, len(points) - 1}:
         if k >= len(points):
             continue

@@ -1,4 +1,4 @@
-"""The simulators of grids and particles, against what was measured and against NumPy.
+"""The simulators of grids and particles, against measured values and against NumPy.
 
 Where a test gives numbers without a source, they were measured on the paper's published programs,
 in f32 and with atomics.
@@ -293,7 +293,7 @@ def test_water_renderer(tmp_path):
     pytest.importorskip("torch")
     found = descent("water_renderer", tmp_path, "--quick")
     assert found["probability"][-1] > found["probability"][0]
-    # Of a run in two parts, too, the first probability is that before the first step.
+    # If a run is in two parts, too, the first probability is that before the first step.
     first = f"{100 * found['probability'][0]:.2f} % -> "
     assert first in printed("water_renderer", tmp_path, "--quick", "--iterations", 4, "--resume")
     assert "classes are 0 to 3" in refused("water_renderer", tmp_path, "--quick", "--label", 4)
@@ -330,7 +330,8 @@ def test_water_renderer_without_torch(tmp_path, error, words):
     ],
 )
 def test_particles_that_leave_the_grid(tmp_path, name, options):
-    """By a step of descent that is far too long; what was learned before it stays."""
+    """A step of descent that is far too long makes them leave; the parameters learned before it
+    stay."""
     done = start(name, tmp_path, *options, "--iterations", 3)
     assert done.returncode == 2, done.stderr
     assert "the loss of iteration 1 is not finite" in done.stderr.splitlines()[-1]

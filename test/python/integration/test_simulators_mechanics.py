@@ -77,7 +77,7 @@ def test_billiards(tmp_path):
     expected = [0.045418, 0.029303, 0.028748, 0.025674, 0.023475, 0.022155]
     close(found["loss"], expected, 1e-4)
     close(exact["loss"][[10, 19, 49]], [0.0137214, 0.0060098, 7.0467e-4], 1e-4)
-    # Of f32: rounding moves what a descent has come to by some thousandths.
+    # Bounds for f32: rounding moves the result of a descent by some thousandths.
     close(found["loss"][[10, 19, 49]], [0.013615, 0.005971, 7.05e-4], 1e-2)
     close(found["loss"][[99, 199]], [2.27e-5, 2.23e-5], 2e-2)
     slope = [found[name][0] for name in ("dx", "dy", "dvx", "dvy")]
@@ -183,7 +183,8 @@ def test_electric_as_published(tmp_path):
 
 
 def test_what_rereading_slots_costs(tmp_path):
-    # Until the first gradient, all is the same; what the second layer has read was not changed.
+    # Until the first gradient, all is the same; the values that the second layer has read did not
+    # change.
     options = ("--controller", "published", "--iterations", 1)
     right = descent("electric", tmp_path, *options)
     wrong = descent("electric", tmp_path, *options, "--gradient", "reread")

@@ -1,4 +1,4 @@
-"""The frame that the simulators share: options, interrupts, what is written."""
+"""The frame that the simulators share: options, interrupts, output files."""
 
 import argparse
 import os
@@ -93,7 +93,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, capsys, number):
 
 
 def test_the_best_is_kept(tmp_path):
-    # The fourth iteration has the least loss, by what the third one left.
+    # The fourth iteration has the least loss, with the parameters of the third one.
     args = parse(tmp_path, "--iterations", 4)
     Toy(args).optimise()
     toy = Toy(args)
@@ -207,7 +207,7 @@ def test_a_loss_that_is_no_number(tmp_path, capsys, value):
 
 
 def test_a_full_disk_in_the_middle(tmp_path, monkeypatch):
-    # Whoever is interrupted while a checkpoint is written has the one before.
+    # If a run is interrupted while a checkpoint is written, the checkpoint before it stays.
     Toy(parse(tmp_path, "--iterations", 4)).optimise()
     before = (tmp_path / "toy.npz").read_bytes()
 
@@ -346,7 +346,7 @@ def test_pictures(tmp_path, capsys):
     args.movie = "png"
     studio.movie(args, [np.zeros((4, 6, 3), np.uint8)], framerate=2)
     assert len(list((tmp_path / "toy").glob("*.png"))) == 2
-    # Frames of a longer film do not stay, and what is not a frame does.
+    # Frames of a longer film are deleted, and other files stay.
     (tmp_path / "toy/0002.png").touch()
     (tmp_path / "toy/7 of mine.png").touch()
     studio.movie(args, [np.zeros((4, 6, 3), np.uint8)], framerate=2)
@@ -386,7 +386,7 @@ def test_colours():
 
 
 def test_settings_are_those_of_the_scene(tmp_path):
-    # What differs here does not change what is computed, or is meant to be changed.
+    # Settings that differ here do not change the results, or are meant to be changed.
     Toy(parse(tmp_path, "--iterations", 2)).optimise()
     words = ("--resume", "--iterations", 3, "--rate", 0.2, "--no-picture", "--movie", "png")
     assert len(Toy(parse(tmp_path, *words)).optimise()) == 3

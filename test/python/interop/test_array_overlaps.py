@@ -90,7 +90,7 @@ def test_parts_that_overlap():
             double(one, other)
     assert z.tolist() == list(range(8))
     double(z[:0], z[2:2])
-    # What is only read may overlap.
+    # Arrays that are only read may overlap.
     assert total(z[:-1], z[1:]) == sum(i * (i + 1) for i in range(7))
     assert total(z[::2], z[:4]) == 0 * 0 + 2 * 1 + 4 * 2 + 6 * 3
     a = ti.ndarray(ti.f64, shape=8)
@@ -212,7 +212,7 @@ def test_the_gradient_of_a_kernel_by_hand():
 
 
 def test_one_array_twice_under_a_tape():
-    """Which value the gradient is to read, it cannot tell."""
+    """A tape cannot tell which value the gradient has to read."""
     loss = ti.field(ti.f64, shape=(), needs_grad=True)
     p = ti.field(ti.f64, shape=(), needs_grad=True)
     p[None] = 3

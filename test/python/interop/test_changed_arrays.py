@@ -48,7 +48,7 @@ def set_to(array, value):
 @pytest.mark.parametrize("n", [1, 5, 65_537])
 @pytest.mark.parametrize("make", [np.copy, as_ndarray, lambda v: np.repeat(v, 2)[::2]])
 def test_a_constant_array_that_changes_in_the_block(n, make):
-    """Each launch is differentiated with what the array held at that time."""
+    """Each launch is differentiated with the contents of the array at that time."""
     x, loss = make_fields(n)
     w = make(np.full(n, 2.0))
     with ti.ad.Tape(loss) as tape:
@@ -62,7 +62,7 @@ def test_a_constant_array_that_changes_in_the_block(n, make):
     with pytest.raises(ti.TaiRuntimeError, match="array 'w' of kernel 'weigh' was changed") as info:
         tape.replay()
     assert "of its own" in info.value.hint
-    set_to(w, 2)  # what it held at the last launch
+    set_to(w, 2)  # its contents at the last launch
     tape.replay()
     assert loss[None] == 17 * n * (n + 1) / 2
     assert (x.grad.to_numpy() == 17).all()

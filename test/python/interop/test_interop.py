@@ -1,7 +1,7 @@
 """Fields and arrays shared with other libraries, by DLPack and as arguments of kernels.
 
-Where there is no GPU, the emulated one stands in: its memory is not that of the host's side, so
-what is not shared is not seen.
+Without a GPU, the emulated one stands in: its memory is not that of the host's side, so that
+missing shares show.
 """
 
 import gc
@@ -75,7 +75,7 @@ def test_the_host_reads_often_what_others_change(arch):
 
 
 def test_no_kernel_uses_a_field_and_an_array_of_its_memory(arch):
-    """Code takes fields and arrays for apart, and keeps what it has read."""
+    """Compiled code assumes that fields and arrays are apart, and keeps loaded values."""
     x, y = ti.field(ti.f32, shape=8), ti.field(ti.f32, shape=8)
 
     @ti.kernel
@@ -98,7 +98,7 @@ def test_no_kernel_uses_a_field_and_an_array_of_its_memory(arch):
         shift(data)
     assert x.to_numpy().tolist() == [2.0] * 8
     assert y.to_numpy().tolist() == [3.0] * 8
-    # A part of it, and what lies beside it.
+    # A part of it, and memory beside it.
     z = ti.field(ti.f32, shape=(4, 8))
 
     @ti.kernel
@@ -253,7 +253,7 @@ def test_arrays_of_others_are_taken_as_they_are(arch):
 
 
 class OnGpu:
-    """What an array on a GPU says of itself."""
+    """The interface of an array on a GPU."""
 
     def __init__(self, shape=(4,), typestr="<f4", strides=None, number=0):
         self.__cuda_array_interface__ = {

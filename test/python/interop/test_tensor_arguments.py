@@ -90,7 +90,7 @@ def test_gradients_by_hand(library, slow_calls):
         assert library.numpy(x.grad).tolist() == [0, 20 * n, 400 * n]
         assert library.numpy(y.grad).tolist() == [0, 0, 0]
     assert slow_calls == ["square.grad"]
-    # What is missing is made.
+    # Missing gradients are made.
     x.grad = None
     y.grad.copy_(np.ones(3) if library.torch is None else library.tensor(np.ones(3)))
     square.grad(x, y)
@@ -211,7 +211,7 @@ def test_kernels_on_the_cpu(library, monkeypatch):
 
 
 def test_arrays_of_elements_and_of_numbers():
-    """What has the same extents is not the same."""
+    """An array of vectors is not the same as an array of numbers with the same extents."""
 
     @ti.kernel
     def first(x: ti.types.ndarray()) -> ti.f64:
@@ -351,7 +351,7 @@ def test_torch_checks_the_gradient(torch):
 
 
 def test_tapes_without_torch_knowing(torch):
-    """What torch has switched off is no matter to a tape."""
+    """A tape ignores settings that switch torch's gradients off."""
     loss = ti.field(ti.f64, shape=(), needs_grad=True)
     x = torch.arange(3, dtype=torch.float64, requires_grad=True)
     y = torch.zeros(3, dtype=torch.float64, requires_grad=True)

@@ -44,7 +44,7 @@ def test_gradient_through_two_kernels(library):
         total(y, loss)
     assert loss[None] == 14
     np.testing.assert_allclose(library.numpy(x.grad), [2, 4, -6])
-    # The store ended the life of what was in y before.
+    # The store ended the life of the earlier values of y.
     assert library.numpy(y.grad).tolist() == [0, 0, 0]
     assert library.numpy(y).tolist() == [1, 4, 9]
 
@@ -116,7 +116,7 @@ def test_a_tensor_changed_in_place(library):
 
 
 def test_a_tensor_that_is_written_again(library):
-    """The adjoint of the first kernel reads what the second one overwrites."""
+    """The adjoint of the first kernel reads elements that the second one overwrites."""
     x, y, z = (array(library, values) for values in ([1, 2], [0, 0], [0, 0]))
     loss = scalar_loss()
 
@@ -351,7 +351,7 @@ def test_less_memory(library):
         np.testing.assert_allclose(run(checkpoint=checkpoint), expected, rtol=1e-12)
 
 
-# Launches that only read what the tape knows
+# Launches that only read arrays the tape knows
 
 
 STEPS, N = 6, 5
@@ -432,7 +432,7 @@ def test_what_changes_between_is_seen(library, slow_calls):
         for i in range(N):
             b[i] = 0.5
 
-    # By a kernel: what was there is put back for those before.
+    # A kernel changes the array: its former contents are restored for the launches before.
     with ti.ad.Tape(scene.loss):
         for t in range(STEPS):
             if t == 3:

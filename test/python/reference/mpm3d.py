@@ -67,7 +67,7 @@ def mean_x(
         grid = momentum / (grid_mass + 1e-10)[..., None]
         grid[..., 1] -= DT * GRAVITY
         for axis in (0, 2, 1):
-            layers = np.moveaxis(grid, axis, 0)  # a view: what is set is set in the grid
+            layers = np.moveaxis(grid, axis, 0)  # a view: assignments change the grid
             layers[:3][layers[:3, ..., axis] < 0] = 0
             layers[N - 2 :][layers[N - 2 :, ..., axis] > 0] = 0
 

@@ -32,7 +32,7 @@ def yy(n: int) -> np.ndarray:
 
 
 def wave_target(n: int) -> np.ndarray:
-    """The symbol minus its mean: what the wave is driven towards, n x n."""
+    """The symbol minus its mean: the target of the wave, n x n."""
     picture = yy(n)
     return picture - picture.mean()
 

@@ -1,4 +1,4 @@
-"""What tests of interrupted programs share, on the CPU and on devices."""
+"""Helpers of the tests of interrupted programs, on the CPU and on devices."""
 
 import contextlib
 import os

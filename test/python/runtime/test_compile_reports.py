@@ -1,4 +1,4 @@
-"""What `print_ir` and `TAI_COMPILE_PROFILE` write to the standard error."""
+"""The output of `print_ir` and `TAI_COMPILE_PROFILE` on the standard error."""
 
 import os
 import subprocess
@@ -28,7 +28,8 @@ with ti.ad.Tape(loss):
 @pytest.mark.skipif(not hasattr(os, "pipe2"), reason="pipes that keep writes apart are Linux's")
 @pytest.mark.parametrize("stages", ["", "autodiff"])
 def test_a_report_is_written_at_once(stages, tmp_path):
-    """Other threads write there too: what is written in parts gets their lines in between."""
+    """Other threads write there too, so that a report written in parts would get their lines in
+    between."""
     read, write = os.pipe2(os.O_DIRECT)  # each read returns one write
     environment = {
         **os.environ,
@@ -90,7 +91,7 @@ for step in (advance, advance, cube):
 
 
 def test_a_gradient_launched_by_hand_is_compiled_once(tmp_path):
-    """Of its forms the one that the launch takes is begun with the kernel."""
+    """The compilation of the form that the launch takes begins with the kernel."""
     environment = {
         **os.environ,
         "TAI_COMPILE_PROFILE": "1",

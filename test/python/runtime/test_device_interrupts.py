@@ -1,6 +1,6 @@
 """Ctrl-C while a kernel runs on a device: on the emulated one, or on the GPU with --arch=cuda.
 
-The kernels here would go on for hours: that they end is what is tested.
+The kernels here would go on for hours: the tests check that they end.
 """
 
 import os

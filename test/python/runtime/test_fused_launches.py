@@ -162,7 +162,7 @@ def test_rows_that_are_written_out_are_known():
 
 
 def test_another_order_runs_the_same_kernels():
-    """Which steps wait for which changes with the parameters, and their order with it."""
+    """The parameters decide which steps wait for which, and thereby their order."""
     # Without deterministic, which runs scatters on one thread in their order.
     ti.init(offline_cache=False, fuse_launches=True)
     x = ti.field(ti.f64, shape=(6, N), needs_grad=True)

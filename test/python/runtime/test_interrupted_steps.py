@@ -1,4 +1,4 @@
-"""Ctrl-C at every step of the package: what a program does next is right."""
+"""Ctrl-C at every step of the package: the program behaves correctly afterwards."""
 
 import _weakrefset
 import dis
@@ -56,7 +56,7 @@ class Steps:
             return error
         finally:
             sys.settrace(outer)
-        # Python itself loses what is raised in a `__del__`, say.
+        # Python itself loses some exceptions, such as those raised in a `__del__`.
         assert wanted >= len(self.seen)
         return None
 
@@ -72,7 +72,7 @@ class Steps:
             if event != "opcode":
                 return follow
             code, here = frame.f_code, frame.f_lasti
-            # What is raised here must be caught where that of a handler is.
+            # An exception raised here must be caught at the place where that of a handler is.
             looked = last is not None and catcher(code, last) == catcher(code, here)
             last = here if calls_handlers(frame) else None
             step = (code, here, frame.f_back.f_code, frame.f_back.f_lasti)
@@ -86,7 +86,7 @@ class Steps:
 
 
 class Program:
-    """Fields and kernels, and what comes of them."""
+    """Fields and kernels, and their results."""
 
     def __init__(self):
         self.x = ti.field(ti.f64, shape=3, needs_grad=True, needs_dual=True)
@@ -143,8 +143,8 @@ def interrupt_everywhere(files, make, program, after=lambda: None):
     """Interrupts work at each of its steps in the files, and does it again.
 
     Args:
-        make: gives new work, and what checks its result.
-        after: looks at what is there when it was interrupted.
+        make: gives new work, and a check of its result.
+        after: looks at the state after an interruption.
     """
     steps, number, limit = Steps(files), 0, sys.getrecursionlimit()
     while True:
@@ -250,7 +250,7 @@ def test_a_compilation(program):
 
 
 def test_fields_that_are_allocated(program):
-    """What was placed before is there afterwards."""
+    """Fields that were placed before still exist afterwards."""
 
     def make():
         x = ti.field(ti.f64, shape=3, needs_grad=True)

@@ -1,6 +1,6 @@
 """Ctrl-C, and other threads, while kernels run, sweep or are compiled.
 
-All programs here would go on for hours: that they end is what is tested.
+All programs here would go on for hours: the tests check that they end.
 """
 
 import os
@@ -79,7 +79,7 @@ def endless_in_one_iteration(s):
 
 
 def endless_in_many_loops(s):
-    """As many as are compiled as several functions."""
+    """The kernel has so many loops that they are compiled as several functions."""
 
     @ti.kernel
     def run():
@@ -139,7 +139,8 @@ def scene_that_asks(number):
 
 
 def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
-    """It looks at a property to see whether the code still holds, and forgets what that raises."""
+    """The launcher looks at a property to see whether the code still holds, and drops the
+    exceptions of the property."""
     scene = scene_that_asks(signal.SIGINT)
     for _ in range(3):
         scene.run()
@@ -274,7 +275,7 @@ def test_a_compilation_is_interrupted():
 
 
 def test_a_plan_that_was_interrupted_is_made_again():
-    """The exception is that of the handler, and what was not planned is no failure to keep."""
+    """The exception is that of the handler, and the missing plan is not recorded as a failure."""
     ti.init(arch=ti.cpu, default_fp=ti.f64, offline_cache=False)
     x = ti.field(ti.f64, shape=4, needs_grad=True)
     loss = ti.field(ti.f64, shape=(), needs_grad=True)
@@ -317,7 +318,7 @@ def test_a_plan_that_was_interrupted_is_made_again():
 
 
 def test_a_handler_that_raises_in_the_front_end():
-    """What it raises is no error of the kernel, whatever statement is being compiled."""
+    """An exception of the handler is no error of the kernel, at any compiled statement."""
     ti.init(arch=ti.cpu, offline_cache=False)
     x = ti.field(ti.f64, shape=3)
 

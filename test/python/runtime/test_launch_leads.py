@@ -1,6 +1,7 @@
 """Launches between the replays of a tape, which become part of the next replay.
 
-Whatever is kept and for how long, fields hold what they hold on the CPU, and what NumPy computes.
+Whether and for how long launches are kept, fields have the values that they have on the CPU, and
+that NumPy computes.
 """
 
 import gc
@@ -21,7 +22,7 @@ def device(monkeypatch, request):
     monkeypatch.setenv("TI_ARCH", "cuda")
     if request.config.getoption("--arch") != "cuda":
         monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
-    # As long as it takes: the clock decides nothing here.
+    # Long enough that the clock decides nothing here.
     monkeypatch.setenv("TAI_KEEP_LAUNCHES_US", "1000000000")
 
 

@@ -12,7 +12,7 @@ from tai._impl.base import native, option_rows, options
 TABLE = {name: (initial, expects) for name, initial, expects, _ in native.options()}
 # Set while a program runs, or from the environment alone.
 NOT_OF_INIT = {"forward_mode", "compile_profile", "order_seed"}
-# What no option of that kind takes.
+# Texts that no option of that kind takes.
 WRONG = {"true or false": "perhaps", "off, clamp or check": "sometimes"}
 
 

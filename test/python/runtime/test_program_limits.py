@@ -134,7 +134,7 @@ def test_names_that_are_not_english():
 
 
 def test_reports_have_names_that_are_not_english():
-    """IR knows letters of English alone; errors and the profiler say what the program says."""
+    """IR has ASCII names only; errors and the profiler use the names of the program."""
     ti.init(debug=True, kernel_profiler=True, offline_cache=False)
     größe = ti.field(ti.f32, 3, needs_grad=True)
     zweite = ti.field(ti.f32, 3, name="größe")

@@ -55,7 +55,7 @@ def test_sets_that_grow_while_they_are_read():
 
 
 def test_a_handler_raises_while_a_set_is_read():
-    """What says that the set has grown is of the same class."""
+    """The exception that reports a grown set is of the same class."""
 
     class Late(RuntimeError):
         pass

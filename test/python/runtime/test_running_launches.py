@@ -24,7 +24,7 @@ class Runner:
         @ti.kernel
         def run():
             for _ in range(1):
-                # Which of the two is read, the compiler cannot know.
+                # The compiler cannot know which of the two is read.
                 while flags[which[None]] == 0:
                     flags[1] += 1
                     x[0] += 1.0

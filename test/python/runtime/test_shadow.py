@@ -40,7 +40,7 @@ def test_finds_the_line_of_a_cancellation(type_, small):
     assert row.filename == __file__
     assert row.lost == row.cancellations == 8
     assert row.flips == row.non_finite == 0
-    # From the rounding of the type to what is left.
+    # Bits are lost from the rounding of the type to the remainder.
     worst = max(abs(y[i] - small) / small for i in range(8))
     bits = 24 if type_ == ti.f32 else 53
     assert row.error == pytest.approx(min(worst, 1), rel=2e-2)
@@ -103,7 +103,7 @@ def test_sum_that_cancels_is_found_in_serial_and_parallel_loops():
     serial()
     parallel()
     rows = {row.lineno: row for row in ti.tools.shadow_report()}
-    # What threads sum is added up where the loop begins.
+    # The partial sums of threads are added up where the loop begins.
     wanted = {line_of(serial, "# serial"), line_of(parallel, "# parallel")}
     assert wanted <= set(rows) <= wanted | {line_of(parallel, "for i in x")}
     assert all(row.operation == "+" and row.lost for row in rows.values())
@@ -230,7 +230,7 @@ def test_shadows_in_fields_follow_kernels_and_host_writes():
     assert row.lineno == line_of(take, "# takes")
     assert row.lost == 4
     ti.tools.clear_shadow_report()
-    # What the host writes is exact.
+    # Values that the host writes are exact.
     x.from_numpy(np.full(4, 1e4 + 0.0625, np.float32))
     take(1e4)
     x[0] = 5e3

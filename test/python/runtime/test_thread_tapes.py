@@ -19,7 +19,8 @@ def program():
 
 
 def in_threads(*tasks, barrier=None):
-    """Runs functions, each in a thread of its own, and raises what one of them has raised.
+    """Runs functions, each in a thread of its own, and raises an exception that one of them has
+    raised.
 
     One that fails does not come to the barrier any more: the others wait no longer.
     """
@@ -45,7 +46,7 @@ def in_threads(*tasks, barrier=None):
 
 
 class Problem:
-    """A small simulation with fields and kernels of its own, and what it computes."""
+    """A small simulation with fields and kernels of its own, and its results."""
 
     steps, n = 6, 40
 
@@ -106,7 +107,7 @@ def test_gradients_of_many_threads(options):
         for _ in range(4):
             _, result = problems[number].gradient(barrier.wait, **options)
             barrier.wait()
-            # What others did meanwhile has changed nothing.
+            # Work of other threads meanwhile has changed nothing.
             assert result == expected[number]
             assert problems[number].result() == expected[number]
 

@@ -1,7 +1,7 @@
 """Calls that wait for another thread's give Python's lock away, and return with it.
 
-A thread holds the context, for as long as a large kernel is compiled, and others ask their tapes
-meanwhile for what cannot fail. Whoever goes on without the lock ends the process.
+A thread holds the context while a large kernel is compiled, and other threads meanwhile query their
+tapes by calls that cannot fail. A thread that goes on without the lock would end the process.
 """
 
 import subprocess
@@ -198,7 +198,7 @@ INTERRUPTED = """
 
 
 def test_ctrl_c_while_a_field_goes(tmp_path):
-    """What ends an object cannot raise: the interpreter does it afterwards."""
+    """A destructor cannot raise: the interpreter does it afterwards."""
     program = tmp_path / "program.py"
     program.write_text(textwrap.dedent(INTERRUPTED))
     command = [sys.executable, program]
@@ -271,7 +271,7 @@ def test_threads_that_want_one_kernel_while_it_is_made(what, tmp_path):
 
 
 def test_gradients_that_are_given_up_hide_no_error():
-    """Adjoints are compiled side by side; where one is refused, that is what is said."""
+    """Adjoints are compiled side by side; if one is refused, its error is reported."""
     ti.init(offline_cache=False)
     n = 64
     x = ti.field(ti.f64, shape=n, needs_grad=True)

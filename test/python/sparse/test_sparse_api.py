@@ -177,7 +177,7 @@ def test_deactivate_all_and_peak(kind):
     outer.deactivate_all()
     assert (x[3], x[20], outer.num_active) == (0, 0, 0)
     x[0] = 1
-    # Of what was in use, the most at any time.
+    # The peak counts the cells in use at one time.
     assert outer.num_active == 1 and outer._num_dynamically_allocated == 2
 
 

@@ -1,4 +1,4 @@
-"""What random trees have shown once: writes, fills and lists of sparse levels."""
+"""Cases that random trees have shown once: writes, fills and lists of sparse levels."""
 
 import numpy as np
 import pytest

@@ -193,7 +193,7 @@ def small(growing=False):
 
 
 def slope_of(growing):
-    """The gradient by x of the program above, and its value, at what it starts from."""
+    """The gradient by x of the program above, and its value, at the initial fields."""
     i = np.arange(24)
     x = np.where(i < 6, 0.3 * i + 1, 0.0)
 
@@ -312,7 +312,7 @@ def test_custom_gradient_in_a_growing_program():
 
 
 def loss_ends(loss):
-    """Nothing: what comes last on the tape is a launch, as in most programs."""
+    """Adds nothing: it makes a launch the last record of the tape, as in most programs."""
 
     @ti.kernel
     def end():
@@ -370,7 +370,7 @@ def test_append_of_a_value_with_a_gradient():
             ti.ad.Tape(loss):  # fmt: skip
         add()
         total()
-    # What the error says to do instead.
+    # The remedy that the error names.
     items.deactivate_all()
     with ti.ad.Tape(loss):
         store()

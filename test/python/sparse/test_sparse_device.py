@@ -19,7 +19,7 @@ def emulated(monkeypatch):
 
 
 def fetched():
-    """How often the host has waited to see what is active."""
+    """The number of times that the host has waited for lists of active cells."""
     return ti.profiler.skips()["unchanged-lists"]["fetched"]
 
 
@@ -213,7 +213,7 @@ def test_gradients_by_hand_know_what_the_loops_went_over():
     drop()
     with pytest.raises(ti.TaiRuntimeError, match="were deactivated since kernel 'square'"):
         square.grad()
-    # What was dropped before the launch is no matter.
+    # Cells dropped before the launch do not matter.
     activate(4)
     square()
     square.grad()
@@ -244,7 +244,7 @@ def test_out_of_memory_names_the_level_and_the_program_goes_on():
     assert "of 4.0 KiB each" in str(caught.value)
     assert "all of 1.0 MiB" in str(caught.value)
     assert "x[1024 * b] = 1.0" in str(caught.value)
-    # What was refused was not written either.
+    # Refused cells were not written either.
     assert level.num_active == 256
     assert np.count_nonzero(x.to_numpy()) == 256
     drop()
@@ -407,7 +407,7 @@ def test_a_tape_records_and_replays_without_the_host():
 
 
 def test_a_tape_keeps_values_without_the_host():
-    """What is overwritten in few cells is kept whether they are active or not."""
+    """Overwritten elements of few cells are kept whether these are active or not."""
     n, steps = CELLS * BLOCK, 9
     x, w = ti.field(ti.f64), ti.field(ti.f64, shape=(), needs_grad=True)
     loss = ti.field(ti.f64, shape=(), needs_grad=True)

@@ -1,5 +1,5 @@
 # ruff: noqa: B007 -- loops over fields often only count
-"""What sparse levels refuse, and what the messages say."""
+"""Operations that sparse levels refuse, and the messages."""
 
 import numpy as np
 import pytest
@@ -518,7 +518,7 @@ def test_out_of_memory_in_a_kernel(threads):
     ):  # fmt: skip
         write(100, 100000)
     assert 100 <= level.num_active <= 256 + threads
-    # What was there is there, and what is freed can be used again.
+    # Existing cells keep their values, and freed memory can be used again.
     assert x[1024 * 99] == 1
     level.deactivate_all()
     write(500, 200)

@@ -95,7 +95,7 @@ def numbers(*shape, seed=0):
     return np.random.default_rng(seed).uniform(0.5, 1.5, shape)
 
 
-# What loops go over
+# Domains of loops
 
 
 def test_stencil_reads_inactive_neighbours(kind):
@@ -132,7 +132,7 @@ def test_stencil_reads_inactive_neighbours(kind):
 
     (expected,) = slopes(reference, values)
     actual = x.grad.to_numpy()
-    # What an inactive cell would add is nothing that an input made.
+    # A contribution of an inactive cell does not come from any input.
     close(actual[: len(inside)], expected[: len(inside)])
     close(loss[None], reference(values))
 
@@ -171,7 +171,7 @@ def test_loop_goes_over_what_it_went_over(kind, host):
         else:
             fill(18, 24)
         total()
-    # Cells that became active later were not visited: y kept what it had.
+    # Cells that became active later were not visited: y kept its values.
     i = np.arange(N)
     block = {pointer: 4, hashed: 3}.get(kind, 2)
     reached = i < (6 + block - 1) // block * block
@@ -464,12 +464,12 @@ def test_deactivation_after_the_tape():
         x.grad.fill(0)
 
 
-# What the tape keeps
+# Values that the tape keeps
 
 
 @pytest.mark.parametrize("saving", [*SAVING, {"validation": True}], ids=str)
 def test_huge_box(saving):
-    """Cost follows what is active: the box has 2^36 elements."""
+    """Cost follows the number of active cells: the box has 2^36 elements."""
     box = 1 << 12
     x, y = (ti.field(ti.f32, needs_grad=True) for _ in range(2))
     block = ti.root.pointer(ti.ijk, box // 8)

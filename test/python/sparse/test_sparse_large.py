@@ -14,7 +14,7 @@ SIZE = BLOCKS * BLOCK
 
 @pytest.fixture(autouse=True)
 def on_device(request, monkeypatch):
-    """A GPU where it is asked for, else what stands for one."""
+    """A GPU if the options ask for it, else the emulated one."""
     if request.config.getoption("--arch") != "cuda":
         monkeypatch.setenv("TI_ARCH", "cuda")
         monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
@@ -217,7 +217,7 @@ except ti.TaiMemoryError as error:
     print(str(error).replace(chr(10), " "))
 some = blocks.num_active
 print(80 < some < 8192)
-# What is there can be used, and emptied for something else.
+# The existing cells can be used, and emptied for others.
 print(total() >= 440)
 blocks.deactivate_all()
 scatter(0, 3)

@@ -35,7 +35,7 @@ def test_trees_behave_as_the_model(seed, tmp_path):
 
 
 def test_trees_are_of_all_kinds():
-    """That the seeds draw what they are for."""
+    """The seeds draw all the kinds that they are for."""
     forests = [random_forest(random.Random(seed)) for seed in range(200)]
     levels = [level for forest in forests for level in forest.levels]
     fields = [spec for forest in forests for spec in forest.fields]

@@ -1,4 +1,4 @@
-"""What the stress cases share: figures that are measured, with their bounds."""
+"""A fixture that the stress cases share: measured figures, with their bounds."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The stress cases: what each is, what is expected, and where else than here it is tested."""
+"""The stress cases: description, expected result, and further tests of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of stress cases is whole: each case has tests, and what it names is there."""
+"""The table of stress cases is whole: each case has tests, and all tests that it names exist."""
 
 from pathlib import Path
 

@@ -64,7 +64,8 @@ class Ball:
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(("dtype", "bound"), [("f64", 1e-12), ("f32", 1e-5)])
 def test_s29_time_of_impact(dtype, bound, mode, measure):
-    """Who starts higher comes back later: -1. Without the time of impact it is +1, and wrong."""
+    """A ball that starts higher comes back later: -1. Without the time of impact it is +1, and
+    wrong."""
     ti.init(offline_cache=False, default_fp=TYPES[dtype])
     heights = [0.3 + 0.037 * k for k in range(10)]
     ball = Ball(dtype, mode, exact=True)
@@ -217,7 +218,7 @@ def clamped(dim, rows):
 def test_s36_clamped_deformation(dim, dtype, bound, mode, measure):
     """U clamp(S) V' of F: dF inside; outside, the clamped directions do not move.
 
-    What U and V lose is the reciprocal of the gaps: 50 for gaps of 0.02.
+    U and V lose accuracy by the reciprocal of the gaps: 50 for gaps of 0.02.
     """
     ti.init(offline_cache=False, default_fp=TYPES[dtype])
     w = np.random.default_rng(3).standard_normal((dim, dim)).astype(number(dtype)).astype(float)

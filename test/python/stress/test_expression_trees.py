@@ -70,7 +70,7 @@ class Undefined(Exception):
 
 
 def exact(mp, tree, x, y):
-    """The value of the tree by mpmath; what is not taken is not computed."""
+    """The value of the tree by mpmath; arms that are not taken are not computed."""
     if isinstance(tree, float):
         return mp.mpf(tree)
     if isinstance(tree, str):
@@ -160,7 +160,7 @@ def is_moderate(mp, tree, point):
 
 
 def examine(tree, points=POINTS, moderate=False):
-    """What is wrong with the derivatives of a tree, in words; perhaps at moderate points alone."""
+    """The errors of the derivatives of a tree, in words; perhaps at moderate points alone."""
     mpmath = pytest.importorskip("mpmath")
     ti.init(offline_cache=False, default_fp=ti.f64)
     results = [
@@ -223,7 +223,7 @@ def test_trees_whose_operands_share_a_factor(tree):
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("x", [5e-324, -1e-310, 3.0, 1e200])
 def test_a_shared_factor_has_no_slope(x, mode):
-    """x / (x y), atan2(x, x y) and (x y) / (x y y): what is left by y is right to rounding."""
+    """x / (x y), atan2(x, x y) and (x y) / (x y y): the slope by y is right to rounding."""
     ti.init(offline_cache=False, default_fp=ti.f64)
     y = 2.0
     functions = [

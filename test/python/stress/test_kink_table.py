@@ -73,13 +73,13 @@ ROWS = [
     # The arm that is not taken gets a zero adjoint.
     ("S15 select at -1", lambda x: ti.select(x[0] > 0, ti.sqrt(x[0]), 0.0), [-1], 0, [0]),
     ("S15 select at 0", lambda x: ti.select(x[0] > 0, ti.sqrt(x[0]), 0.0), [0], 0, [0]),
-    # What does not run has no derivative.
+    # An arm that does not run has no derivative.
     ("S16 if at -1", lambda x: root_in_a_branch(x[0]), [-1], 0, [0]),
     # inf / inf ** 2 is the flat end of the curve.
     ("S17 sigmoid", lambda x: 1 / (1 + ti.exp(-x[0])), [-800], 0, [0]),
     # x - floor(x / y) y, the quotient being constant.
     ("S18 remainder", lambda x: x[0] % x[1], [5.5, 2], 1.5, [1, -2]),
-    # dR = R [w] with the axis of half of what is not symmetric.
+    # dR = R [w] with the axis of half of the antisymmetric part.
     ("S20 polar, 2", rotation_01(2), EYE[2], 0, [0, 0.5, -0.5, 0]),
     ("S20 polar, 3", rotation_01(3), EYE[3], 0, [0, 0.5, 0, -0.5, 0, 0, 0, 0, 0]),
     # The gradient is U V', at equal singular values too.
@@ -95,7 +95,7 @@ WAYS = {
     "plain": (65, {"opt_level": 0, "cpu_max_num_threads": 1}),
     "fast": (65, {"fast_math": True}),
 }
-# With fast_math the squares of a norm may under- and overflow: what it gives then.
+# With fast_math the squares of a norm may under- and overflow: its results then.
 FAST = {"S4 norm(tiny)": (0, [0, 0, 0]), "S5 norm(huge)": (INF, [0, 0, 0])}
 
 

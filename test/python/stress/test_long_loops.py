@@ -78,7 +78,7 @@ def test_s22_recomputed_in_parts(history, measure):
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("count", [1, 5, 1000])
 def test_s23_while_in_a_branch(count, mode, measure):
-    """As many steps as the data of each point asks for: differences of the same steps, 1e-7."""
+    """The data decides the number of steps: differences of the same steps, 1e-7."""
     ti.init(offline_cache=False, default_fp=ti.f64)
     x, y = make(count, "f64", mode), make(count, "f64", mode)
     total = make((), "f64", mode)
@@ -201,7 +201,7 @@ def test_s28_logistic_map_in_one_kernel(n, bound, mode, measure):
 @pytest.mark.parametrize("where", ["one kernel", "a launch a step"])
 @pytest.mark.parametrize(("dtype", "bound"), [("f64", 1e-11), ("f32", 1e-4)])
 def test_s39_damped_spring(dtype, bound, where, mode, measure, long):
-    """What contracts forgets its roundings: 1e5 steps, against numbers of 60 bits and more.
+    """A contraction forgets its roundings: 1e5 steps, against numbers of 60 bits and more.
 
     Relative to the greatest of the gradients of the mean over the last tenth.
     """

@@ -10,7 +10,8 @@ from points import TYPES
 
 
 class Rods:
-    """A row of coupled pendulums in place, whose steps overwrite what the reverse sweep needs."""
+    """A row of coupled pendulums in place, whose steps overwrite values that the reverse sweep
+    needs."""
 
     def __init__(self, n):
         self.n = n

@@ -198,7 +198,8 @@ def test_s43_fast_functions(name, count, measure):
 @pytest.mark.skipif(ON_GPU, reason="approximate instructions of a GPU make denormal numbers zero")
 @pytest.mark.parametrize("count", [1, 1027])
 def test_s43_fast_functions_of_denormals(count):
-    """exp that is denormal, log of what is: by polynomials they were 0, and log of 1.2e-38."""
+    """exp with a denormal result, and log of denormals: by polynomials they were 0, and log of
+    1.2e-38."""
     ti.init(offline_cache=False, fast_math=True)
     numbers = [1e-38, 1e-40, 3e-45]
     for at, of in zip(np.log(numbers), numbers, strict=True):
@@ -222,7 +223,7 @@ def test_s43_fast_functions_of_denormals(count):
 @pytest.mark.parametrize("dtype", ["f64", "f32"])
 @pytest.mark.parametrize("count", [1, 1027])
 def test_s43_nan_and_infinity_are_known(count, dtype, fast):
-    """isnan(v), v != v, isinf and comparisons mean what they do, under fast flags too."""
+    """isnan(v), v != v, isinf and comparisons keep their meaning, under fast flags too."""
     ti.init(offline_cache=False, fast_math=fast)
     real = TYPES[dtype]
     x = ti.field(real, shape=count)

@@ -15,7 +15,7 @@ LOW, HIGH = 0.7, 1.4
 GAPS = [10.0**-k for k in range(1, 18)] + [0.0]
 EPSILON = {"f64": 2.0**-52, "f32": 2.0**-23}
 
-# Of one value alone: in a kernel, and by mpmath.
+# Functions of one value alone: in a kernel, and by mpmath.
 ALONE = {
     "square": (lambda s: s * s, lambda s: s * s),
     "reciprocal": (lambda s: 1 / s, lambda s: 1 / s),
@@ -167,7 +167,7 @@ def check(name, form, n, dtype, mode, way, least=0.9):
     for matrix, gradient in zip(a, found, strict=True):
         right = expected(matrix, w, name, form)
         if form == "Q Q":
-            # What is above the diagonal is not read.
+            # Elements above the diagonal are not read.
             gradient = (
                 np.tril(gradient, -1) / 2 + np.tril(gradient, -1).T / 2 + np.diag(np.diag(gradient))
             )
@@ -221,7 +221,7 @@ def test_s36_however_it_is_written(n, way, mode, measure):
 @pytest.mark.parametrize("dtype", ["f64", "f32"])
 @pytest.mark.parametrize("form", ["U V", "Q Q"])
 def test_s36_a_kink_between_near_values(form, dtype, mode, measure):
-    """No value is at the kink, and no smooth limit is right: what is left is eps / gap."""
+    """No value is at the kink, and no smooth limit is right: an error of eps / gap remains."""
     errors = check("clamp", form, 2, dtype, mode, "anew", least=float(number(dtype)(HIGH)))
     apart = np.array(GAPS) > 64 * EPSILON[dtype]
     allowed = bound(dtype) + 32 * EPSILON[dtype] / np.array(GAPS)[apart]

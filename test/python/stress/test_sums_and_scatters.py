@@ -50,7 +50,7 @@ def test_s25_f32(deterministic, measure):
 
 
 def test_s25_f64_accumulator(measure):
-    """The sum is an f64: what is rounded is the sum of f32, which are exact in it."""
+    """The sum is an f64: the f32 terms are exact in it, and only their sum is rounded."""
     ti.init(offline_cache=False)
     program = make_sum(10**6, "f32", "f64")
     errors = [error_of(*program, ill_conditioned(10**6, 1e6, s, "f32")) for s in range(8)]

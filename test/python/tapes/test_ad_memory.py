@@ -1,4 +1,4 @@
-"""Values that are overwritten: what the tape saves, and what it computes again."""
+"""Values that are overwritten: the tape saves some, and computes others again."""
 
 import math
 import subprocess
@@ -109,7 +109,7 @@ def test_state_without_time():
         model.run(steps)
     last = model.state()
     np.testing.assert_allclose(model.gradient(), expected(model, steps), rtol=1e-12)
-    # Once more, from what the tape has kept, and again after a forward replay.
+    # Once more, from the saved values, and again after a forward replay.
     tape.grad()
     np.testing.assert_allclose(model.gradient(), expected(model, steps), rtol=1e-12)
     assert (model.state() == last).all()
@@ -168,7 +168,7 @@ def test_linear_updates_save_nothing():
 
 
 def test_indices_and_masks_that_change():
-    """What tells which elements were stored is read in reverse as well."""
+    """Fields that select the stored elements are read in reverse as well."""
     x, y, loss = real_field(4), real_field(4), real_field()
     order = ti.field(ti.i32, shape=4)
     mask = ti.field(ti.i32, shape=4)
@@ -298,7 +298,7 @@ def test_recomputation_is_near_the_optimum(snapshots):
     # Each record runs once more than if the end had been known when it came.
     n = tape.num_records
     assert stats.optimum <= stats.recomputed <= stats.optimum + n
-    # What is kept: snapshots, the end, and the values of one record.
+    # The memory holds snapshots, the end, and the values of one record.
     state = stats.snapshot_bytes
     assert state == 8 * (2 * model.n + 1)
     assert stats.peak_bytes <= 1.1 * (snapshots + 2) * state
@@ -316,7 +316,7 @@ def test_periodic_snapshots():
     with ti.ad.Tape(model.loss) as tape:
         model.run(steps)
     everything = tape.stats().peak_bytes
-    # Snapshots, the end, and what is saved in the longest segment.
+    # The memory holds snapshots, the end, and the values saved in the longest segment.
     longest = 2 * n / stats.snapshots
     formula = (stats.snapshots + 1) * stats.snapshot_bytes + everything * longest / n
     assert stats.peak_bytes <= 1.1 * formula
@@ -460,7 +460,7 @@ def test_kernels_that_overwrite_what_they_read(which, options):
 
 
 def test_slots_that_are_read_before_they_are_written():
-    """Each step reads what the run before left in the slot that it then writes."""
+    """Each step reads a value that the last run left in the slot, and then writes the slot."""
     steps = 8
     x, weight, loss = real_field(steps), real_field(), real_field()
 

@@ -1,4 +1,4 @@
-"""Where reverse sweeps start, and what is said about gradients that cannot be meant."""
+"""The starts of reverse sweeps, and the messages about gradients that cannot be meant."""
 
 import warnings
 

@@ -1,4 +1,5 @@
-"""A gradient that ends in a field without one is said, once; what is meant, or is none, is not."""
+"""A gradient that ends in a field without one is reported, once; gradients that are meant to end,
+and zero ones, are not."""
 
 import inspect
 import warnings

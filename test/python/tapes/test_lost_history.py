@@ -67,7 +67,7 @@ def energy(s):
     return r + 0.0
 
 
-# Each is a line that loses a history, by what the warning says of it.
+# Each function has a line that loses a history, keyed by the text of the warning.
 def f_math(s):
     r = square(s.x)
     add(s.loss, s.x, math.sin(r))

@@ -344,7 +344,7 @@ def test_what_python_overwrites_in_between(length, step):
 
     silent(run, program.loss)
 
-    # Where Python does it before, the kernel's values are what is read.
+    # If Python writes earlier, the kernel's values are read.
     def run_before():
         for _ in range(3):
             kept[:] = 1.0

@@ -129,7 +129,7 @@ def test_tangents_of_before():
         program.go_on()
         program.total()
 
-    # What v holds has no tangent by x.
+    # The value of v has no tangent by x.
     silent(run, program.loss, program.x)
     v.dual.fill(1.0)
     (line,) = warnings_of(run, program.loss, program.x, clear_gradients=False)

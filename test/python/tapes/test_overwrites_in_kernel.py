@@ -1,4 +1,4 @@
-"""Kernels that overwrite what they have read: gradients against central differences."""
+"""Kernels that overwrite elements they have read: gradients against central differences."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ class World:
         self.plain = ti.field(ti.f64, shape=N)
         self.p = ti.field(ti.i32, shape=N)
         self.wanted = [self.x, self.y, self.g, self.grid, self.v, self.m, self.a]
-        # What the fields start from: gradients are those of these.
+        # The fields that hold the initial values: gradients are those of these.
         self.sources = [real(N), real(N), real(2 * N), real(2 * N, 3)]
         self.sources.append(ti.Vector.field(2, ti.f64, shape=N, needs_grad=True))
         self.sources.append(ti.Matrix.field(2, 2, ti.f64, shape=N, needs_grad=True))

@@ -1,4 +1,4 @@
-"""One rule: after a sweep, `.grad` is by what the element held when the tape began."""
+"""One rule: after a sweep, `.grad` is by the value of the element when the tape began."""
 
 import numpy as np
 import pytest
@@ -361,7 +361,7 @@ def test_sparse(level):
 
 
 def looks_at(x, how):
-    """What the gradient holds, as somebody who looks in another way sees it."""
+    """The values of the gradient, as an observer that uses `how` sees them."""
     if how == "kernel":
         out = ti.field(ti.f64, shape=x.shape)
 

@@ -73,12 +73,12 @@ def test_says_how_many():
     tape, *_ = make_chain(9)
     lines = tape.explain().splitlines()
     assert sum(f"calls the 19 launches {PLAIN}" in line for line in lines) == 1
-    # Those that shake are skipped.
+    # The adjoints of `shake` are skipped.
     assert sum(f"calls the 10 adjoints {PLAIN}" in line for line in lines) == 1
 
 
 def test_values_that_are_put_back():
-    """Each launch overwrites what the adjoint of the one before reads."""
+    """Each launch overwrites elements that the adjoint of the one before reads."""
     ti.init(arch=ti.cpu)
     x = ti.field(ti.f64, shape=3, needs_grad=True)
     loss = ti.field(ti.f64, shape=(), needs_grad=True)

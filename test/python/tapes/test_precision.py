@@ -89,7 +89,7 @@ def test_lines_that_lose_digits(name):
 
 
 def test_what_a_field_would_lose():
-    """What f16 does to the loss is what the report says, to a factor of ten."""
+    """The effect of f16 on the loss is the reported one, to a factor of ten."""
     ti.init(default_fp=ti.f64)
     run, loss = make(same_types(ti.f64))
 
@@ -244,7 +244,7 @@ def test_tune_where_the_fields_are(arithmetic, capsys):
 
 
 def test_tune_makes_the_program_again():
-    """What is emulated is what narrower fields do."""
+    """The emulation has the results of narrower fields."""
     ti.init(default_fp=ti.f32)
     run, loss = make(same_types(ti.f32))
     emulated = ti.ad.tune_precision(run, loss, error=1e-2, verbose=False)

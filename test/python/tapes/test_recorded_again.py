@@ -1,7 +1,7 @@
 """Tapes that are recorded anew in each iteration, whose launches are collected.
 
-Whatever is collected, fields hold in each iteration, bit by bit, what they hold where each launch
-is queued by itself; and what NumPy computes, or the CPU.
+Whether launches are collected or not, fields have in each iteration the same bits as if each launch
+were queued by itself; and the values that NumPy computes, or the CPU.
 """
 
 import os
@@ -41,7 +41,8 @@ def counts(tape):
 def compare(run, **options):
     """Runs it collected, launch by launch, and on the CPU.
 
-    `run` returns all that it has seen, and its last tape. Returns what was seen and the counts.
+    `run` returns all results that it has seen, and its last tape. Returns the results and the
+    counts.
     """
     seen = {}
     for name, fuse, arch in [("collected", True, "cuda"), ("queued", False, "cuda"),
@@ -310,7 +311,7 @@ def test_sweeps_that_come_later_or_never():
 
 
 def test_values_that_are_overwritten():
-    """Steps in place: the tape keeps what was there, at the same addresses each time."""
+    """Steps in place: the tape keeps the former values, at the same addresses each time."""
 
     def run():
         w = ti.field(ti.f64, shape=N, needs_grad=True)

@@ -107,7 +107,8 @@ class Network:
 
 
 def forms(tape):
-    """How often the tape loads what a launch has stored, and how often it does not."""
+    """The number of launches whose stored results the tape loads, and of those that it computes
+    again."""
     text = tape.explain()
     return text.count("; loads what it stored"), text.count("; computes again what it")
 
@@ -234,7 +235,7 @@ def test_outputs_that_nobody_else_reads_may_change_after_the_tape(how):
 def test_a_gradient_launched_by_hand_reads_fields_as_they_are_now():
     network = Network()
     network.layer(2, 2)
-    # Neither what was stored, nor what was read then.
+    # Neither the stored values nor the inputs of that time.
     network.h.fill(0.25)
     x = RNG.uniform(-1, 1, (T + 1, N))
     network.x.from_numpy(x)
@@ -287,7 +288,7 @@ def test_an_output_that_the_kernel_reads_again():
 
 
 def test_a_function_with_its_own_gradient():
-    """It launches gradients by hand, and may do to fields what the tape does not see."""
+    """It launches gradients by hand, and may change fields without the tape's knowledge."""
     network = Network()
 
     @ti.ad.grad_replaced
@@ -312,7 +313,7 @@ def test_a_function_with_its_own_gradient():
         network.measure()
     assert forms(tape) == (0, T // 2)
     expected = complex_step(lambda w: forward(w, X0), W)
-    # What it wrote in reverse, the adjoint of `step` before it reads.
+    # The adjoint of the earlier `step` reads values that it wrote in reverse.
     assert not np.allclose(network.w.grad.to_numpy(), expected, rtol=1e-11)
     assert np.allclose(
         network.x.grad.to_numpy()[0],
@@ -430,7 +431,7 @@ def test_vectors_and_their_components():
 
 
 def test_serial_loops():
-    """Each iteration loads what it has stored itself."""
+    """Each iteration loads values that it has stored itself."""
     x, y, loss = real(N), real(2, N, 3), real()
 
     @ti.kernel
@@ -456,7 +457,7 @@ def test_serial_loops():
 
 @pytest.mark.parametrize("count", [0, 1, 7])
 def test_results_of_loops(count):
-    """What a loop carries is recorded or computed; what comes after it is loaded."""
+    """Values carried by a loop are recorded or computed; values after it are loaded."""
     x, y, loss = real(N), real(2, 2, N), real()
 
     @ti.kernel
@@ -506,7 +507,7 @@ def test_stores_that_a_later_iteration_repeats(last):
 
 
 def test_in_place():
-    """The adjoint of the argument wants what was there before, and so does the rest."""
+    """The adjoint of the argument reads the former values, and so does the rest."""
     x, w, loss = real(N), real(N), real()
 
     @ti.kernel

@@ -29,7 +29,7 @@ def start(script, *options):
 
 
 def measured(folder, *options):
-    """A small run; `(rows by mode, what was printed)`."""
+    """A small run; `(rows by mode, printed output)`."""
     out = folder / "rows.csv"
     done = start(
         "run.py", "--size", "tiny", "--scenes", "sin", "--systems", "tai", "--modes", "f64;f32",
@@ -92,7 +92,7 @@ def test_a_run_goes_on_where_it_stopped(run, tmp_path):
 
 
 def test_a_mode_that_is_missing_loses_no_other(tmp_path):
-    """What this build, or this machine, does not have stands in the table with its reason."""
+    """A system that the build or the machine lacks stands in the table with its reason."""
     rows, done = measured(tmp_path, "--systems", "tai,jax", "--peers", tmp_path / "nowhere")
     found = {(row["system"], row["mode"]): row for row in rows}
     assert found["jax", "f32"]["status"] == "missing"

@@ -32,7 +32,7 @@ print("done")
 
 
 def on_terminal(tmp_path, options=""):
-    """What a program writes to a terminal as its standard error."""
+    """The output of a program to a terminal as its standard error."""
     file = tmp_path / "program.py"
     file.write_text(PROGRAM.format(options=options))
     reader, writer = pty.openpty()

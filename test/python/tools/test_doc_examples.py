@@ -1,4 +1,4 @@
-"""The check of the examples itself: what it must find wrong."""
+"""The check of the examples itself: errors that it must find."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""Names that are loaded on first use stay what they are, whichever comes first."""
+"""Names that are loaded on first use stay the same, in any order of use."""
 
 import subprocess
 import sys

@@ -82,7 +82,7 @@ exit 1
 
 
 def test_a_crash_of_the_parser_is_known_without_names_of_functions(tmp_path):
-    """It is there without passes, and goes with what the parser cannot read."""
+    """A crash without passes is one of the parser, and disappears if the text cannot be parsed."""
     sys.path.insert(0, str(ROOT / "test/reliability"))
     import r1_text_mutants as r1
 
@@ -243,7 +243,7 @@ def test_cases_of_runs_add_up_until_one_misses(soak):
     changed = make_row(soak, "yes", "8 modules", "c", "w")
     soak.add_up(changed, third, 1300, adds=True)
     assert (changed["total"], changed["commit"], changed["runs"]) == ("8", "c", "1")
-    # What missed is seen again by the next run, which begins the count anew.
+    # The seed that missed is drawn again by the next run, which begins the count anew.
     missed = make_row(soak, "no", "70 modules", "c")
     soak.add_up(missed, third, 1300, adds=True)
     assert (missed["total"], missed["next"]) == ("0", "1300")
@@ -327,7 +327,7 @@ def test_a_process_that_computes_is_not_idle(soak):
 
 
 def test_the_page_is_that_of_the_scripts(soak):
-    """docs/reliability.md is made of the scripts and of what is kept of their runs."""
+    """docs/reliability.md is generated from the scripts and from the kept results of their runs."""
     short = {name for name, path in soak.scripts().items() if path in SHORT}
     assert set(soak.SECONDS) == short and len(soak.scripts()) == len(BARS)
     assert sum(soak.SECONDS.values()) <= 90 * 60

@@ -1,4 +1,4 @@
-"""The rule about rooms itself: what it must find, on tables and includes made up here."""
+"""The rule about rooms itself: violations that it must find, in made-up tables and includes."""
 
 import sys
 from pathlib import Path

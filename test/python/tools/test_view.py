@@ -1,4 +1,4 @@
-"""What programs draw, in a window or as files."""
+"""The drawings of programs, in a window or as files."""
 
 import os
 import subprocess
@@ -131,7 +131,7 @@ def test_keys_and_mice(window):
     did(window, "key_press_event", key="escape", x=20, y=10)
     assert gui.has_key_event() and gui.is_pressed("q", gui.RMB) and not gui.is_pressed("a")
     assert gui.get_cursor_pos() == (0.5, 0.5)  # of the wheel
-    # What does not fit is skipped; what comes behind can wait.
+    # Events that do not fit are skipped; events behind them can wait.
     assert gui.get_event("a") and gui.event == (gui.PRESS, "a", (0.25, 0.25), (gui.CTRL,), (0, 0))
     assert gui.get_event((gui.PRESS, gui.RMB)) and gui.event.pos == (0.75, 0.5)
     (wheel,) = gui.get_events([gui.WHEEL])

@@ -19,7 +19,7 @@ def make(dtype=ti.f32, n=None, kind="pointer", offset=None, rank=3):
 
 
 def fill(x, count=7, seed=0):
-    """Writes a few elements; returns what the field is then, as a dense array from zero."""
+    """Writes a few elements; returns the expected field, as a dense array from zero."""
     choice = np.random.default_rng(seed)
     expected = np.zeros(x.shape + x.element_shape, x.dtype.numpy)
     offset = np.array(x.offset or (0,) * len(x.shape))

@@ -1,4 +1,4 @@
-"""What docs/developing.md says one more of each takes, as changes that apply to the tree."""
+"""The recipes of docs/developing.md for one more of each, as changes that apply to the tree."""
 
 import json
 import os
@@ -67,7 +67,7 @@ def changed_files(title: str, folder: Path) -> list[Path]:
 
 
 def compile_changed(folder: Path, like: str, *how: str) -> None:
-    """Compiles as the build does with a source, but with what is changed in the folder first."""
+    """Compiles a source as the build does, but with the changed headers of the folder first."""
     words, place = compiler_of(ROOT / like)
     at = next(at for at, word in enumerate(words) if word.startswith("-I"))
     words[at:at] = [f"-I{folder / 'include'}", "-iquote", str((ROOT / like).parent)]
@@ -149,7 +149,8 @@ def test_the_row_of_an_option_becomes_a_row_of_the_page_and_of_python():
 
 
 def compiler_of(source: Path) -> tuple[list[str], Path]:
-    """How the build compiles a source, up to what it makes, and where."""
+    """The command by which the build compiles a source, up to its output, and the folder of the
+    command."""
     database = ROOT / "build/compile_commands.json"
     entries = json.loads(database.read_text()) if database.exists() else []
     for entry in entries:
@@ -160,7 +161,7 @@ def compiler_of(source: Path) -> tuple[list[str], Path]:
 
 
 def test_the_row_of_an_option_is_all_that_the_sources_need(tmp_path):
-    """The session compiles with it, sets what it names, and lists it in its errors."""
+    """The session compiles with the option, sets it by its name, and lists it in its errors."""
     changed = tmp_path / "tai/Support/Options.def"
     changed.parent.mkdir(parents=True)
     changed.write_text(changed_options())
