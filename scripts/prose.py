@@ -89,7 +89,6 @@ ABOVE: dict[str, tuple[int, int]] = {
     "scripts": (25, 31),
     "test/fuzz": (22, 23),
     "test/reliability": (42, 71),
-    "test/unit": (69, 88),
 }
 
 OPENERS = "What Who Whose Whoever Those Of None Nobody Which".split()

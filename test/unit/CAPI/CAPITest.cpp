@@ -243,7 +243,7 @@ TEST(CAPIErrors, Layouts) {
   EXPECT_EQ(taiContextAddTree(context, "t", "!tai.root<{x: f64}> and more"),
             TAI_ERROR_SYNTAX);
   EXPECT_TRUE(contains(context.message(), "and more"));
-  // None of them left a tree behind.
+  // No refused tree is left behind.
   context.ok(taiContextAddTree(context, "t", "!tai.root<{x: f64}>"));
   EXPECT_EQ(taiContextAddTree(context, "t", "!tai.root<{x: f64}>"),
             TAI_ERROR_USAGE);
@@ -504,7 +504,7 @@ TEST(CAPIErrors, WordsThatContradict) {
           "options 'math=\"strict\"' and 'fast_math' contradict one another: "
           "the first rounds every operation by itself, the second reorders "
           "them; choose one");
-  // What is refused leaves all as it was.
+  // A refused option leaves all as it was.
   context.set("math", "fast");
   refuses("strict", "true",
           "options 'strict' and 'math=\"fast\"' contradict one another");
@@ -545,7 +545,7 @@ TEST(CAPI, WordsOfAContextStandOnItsKernels) {
   context.ok(taiFieldWriteF64(context.x, &first, 0, 1e8));
   context.ok(taiKernelLaunch(kernel, nullptr, 0, nullptr));
   EXPECT_EQ(context.read(context.y), 1e16 + 4); // 3, rounded
-  // Only what is created afterwards has other words.
+  // Only kernels created afterwards have the new words.
   context.set("sums", "default");
   context.set("ftz", "false");
   TaiKernel plain = context.kernel("squares", squares("1.0"));

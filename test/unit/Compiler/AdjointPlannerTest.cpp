@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The plan is data: it is made here, and compared with what an adjoint would
-// ask of the primal, without any adjoint.
+// The plan is data: the tests make it, and compare it with the demands of an
+// adjoint on the primal, without any adjoint.
 //
 //===----------------------------------------------------------------------===//
 
@@ -79,8 +79,8 @@ protected:
 using Names = std::vector<std::string>;
 } // namespace
 
-// Only the store to what was read before has an adjoint that another access
-// must not see.
+// Only the store to an element that was read before has an adjoint that another
+// access must not see.
 constexpr llvm::StringLiteral kUpdate = R"(
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
@@ -116,8 +116,8 @@ TEST_F(AdjointPlannerTest, AccumulatesIntoAdjointsOfActiveReads) {
   EXPECT_FALSE(isAccumulated("gy"));
 }
 
-// A read that is overwritten is made on what was there before; one that is not
-// has its value afterwards.
+// An overwritten element is read from the former version; any other has its
+// value afterwards.
 TEST_F(AdjointPlannerTest, ChoosesTheVersionThatHoldsTheValue) {
   AdjointPlanner planner = plan(kUpdate);
   PrimalDemands demands;
@@ -225,7 +225,7 @@ TEST_F(AdjointPlannerTest, AsksForPartsBetweenLoops) {
   EXPECT_FALSE(planner.needsParts());
 }
 
-// What the kernel stored is there, unless the adjoint runs on what was before.
+// A stored value is in memory, unless the adjoint runs on the former version.
 TEST_F(AdjointPlannerTest, FindsWhatWasStored) {
   AdjointPlanner planner = plan(kUpdate);
   PrimalDemands demands;

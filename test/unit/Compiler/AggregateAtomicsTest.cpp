@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs the code for the threads of a warp, in step, and compares what they add
-// to memory with what they would have added one by one.
+// Runs the code for the threads of a warp, in step, and compares the sums in
+// memory with those of adding one by one.
 //
 //===----------------------------------------------------------------------===//
 
@@ -36,7 +36,8 @@ constexpr unsigned warp = 32;
 /// A value of each thread; floats are exact as doubles here.
 using Values = std::array<double, warp>;
 
-/// Threads of one warp, in step. Understands what the pass writes.
+/// Threads of one warp, in step. Interprets the instructions that the pass
+/// writes.
 struct Warp {
   std::map<const Value *, Values> values;
   std::map<std::string, double> memory;
@@ -62,7 +63,7 @@ struct Warp {
           call->arg_size() > 1 ? get(call->getArgOperand(1)) : Values();
       unsigned distance =
           call->arg_size() > 2 ? bits(get(call->getArgOperand(2))[lane]) : 0;
-      // What a thread gets from one that is not here is undefined.
+      // A value from a thread that is not here is undefined.
       auto from = [&](unsigned other) {
         return other < warp && (active >> other & 1) ? given[other] : 12345.0;
       };
@@ -165,7 +166,7 @@ struct Warp {
   }
 };
 
-/// What is known of the elements, and which they are.
+/// Facts that are known about the elements.
 enum class Elements { Uniform, Own, Loaded, LoadedAndMixed };
 
 /// Lets a warp of which these threads are there add to so many elements.

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What becomes of jobs when the process ends, forks, or has no more threads.
+// The fate of jobs when the process ends, forks, or has no more threads.
 //
 //===----------------------------------------------------------------------===//
 
@@ -130,7 +130,7 @@ TEST(Background, WhatIsWaitedForWaitsForNoOtherJob) {
   bool ran = false;
   EXPECT_TRUE(background.runAside([&] { ran = true; }));
   EXPECT_TRUE(ran && !first.isWhole());
-  // Nor does what comes from several threads at once.
+  // Jobs from several threads at once do not wait either.
   std::atomic<int> begun{0};
   std::vector<std::thread> callers;
   for (int i = 0; i < 40; ++i)
@@ -190,7 +190,7 @@ TEST(Background, ChildrenInheritNoHalfJob) {
 
 #if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)
 TEST(Background, NeedsNoThread) {
-  // Nobody has addresses for such a stack, so that no thread starts.
+  // The address space has no room for such a stack, so that no thread starts.
   pthread_attr_t usual, impossible;
   ASSERT_EQ(pthread_getattr_default_np(&usual), 0);
   ASSERT_EQ(pthread_getattr_default_np(&impossible), 0);

@@ -41,7 +41,7 @@ std::string getKernel(int size) {
   return bytes;
 }
 
-/// What is said of a program of so many kernels; nothing where it is made.
+/// The error for a program of so many kernels; empty if it is made.
 std::string makeProgramOf(int kernels, int size) {
   auto compiler = DeviceCompiler::create({runtime::DeviceKind::Cuda, "sm_90"},
                                          CodegenOptions());

@@ -179,7 +179,7 @@ TEST(EngineCache, ObjectsThatDoNotLinkAreCompiledAnew) {
     Program second(folder.path);
     EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
     EXPECT_EQ(second.hits(), 0u);
-    // What stands there now does link.
+    // The new entry links.
     Program third(folder.path);
     EXPECT_EQ(third.run(), std::make_pair(36.0, 6.0));
     EXPECT_EQ(third.hits(), 2u);
@@ -210,14 +210,14 @@ TEST(EngineCache, ImagesThatAreRefusedAreCompiledAnew) {
       EXPECT_EQ(next.run(), std::make_pair(36.0, 6.0));
       EXPECT_EQ(next.hits(), 2u);
     }
-    // What stands there now is what was there before.
+    // The entries have their former contents again.
     replaceObjects(folder.path, [&](CompiledObject &object) {
       EXPECT_TRUE(llvm::is_contained(good, object.image->bytes));
     });
   };
   expectAnew([](std::string &image) { image.assign(100, 'x'); });
   expectAnew([](std::string &image) { image.resize(image.size() / 2); });
-  // What is taken, and holds other functions.
+  // An entry that is accepted, but holds other functions.
   std::string other;
   replaceObjects(folder.path, [&](CompiledObject &object) {
     std::swap(object.image->bytes, other);

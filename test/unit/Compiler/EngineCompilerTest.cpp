@@ -175,7 +175,7 @@ TEST_F(EngineCompiler, ModulesThatAreNotValidLeaveAReproducer) {
   EXPECT_TRUE(StringRef(takeReproducer(failure)).contains("llvm.func @helper"));
 }
 
-// What no pass has lowered is no error of the program's.
+// An operation that no pass has lowered is no error of the program's.
 TEST_F(EngineCompiler, OperationsThatAreLeftLeaveAReproducer) {
   Compiler::Pipelines pipelines;
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
@@ -213,7 +213,7 @@ TEST_F(EngineCompiler, FailuresOfLLVMLeaveAReproducer) {
   }
 }
 
-// Who looks at the stages of a kernel that fails.
+// A failing kernel whose stages are printed.
 TEST_F(EngineCompiler, PrintingLeavesAReproducer) {
   Compiler::Pipelines pipelines;
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {

@@ -116,7 +116,7 @@ TEST_F(EngineDevice, EmulatedImageRuns) {
   ASSERT_TRUE(static_cast<bool>(linked));
   double target = 0.5;
   uint64_t slots[4];
-  // What is behind a parameter in its slot is nobody's.
+  // The bytes behind a parameter in its slot are undefined.
   std::memset(slots, 0xff, sizeof(slots));
   double *pointer = &target, x = 0.25;
   bool on = true;

@@ -60,8 +60,8 @@ define <8 x bfloat> @vectors(<8 x float> %x) {
   EXPECT_EQ(after, 0);
 }
 
-/// What f64 rounds to is the business of a function of the runtime, and other
-/// types are left alone.
+/// A function of the runtime rounds f64, and other types are left
+/// alone.
 TEST(ExpandBfloat, OthersStay) {
   auto [before, after] = countRoundings(R"(
 define half @halves(float %x, half %y) {

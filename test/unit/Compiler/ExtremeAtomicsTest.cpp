@@ -71,7 +71,7 @@ define double @used(ptr %p, double %x) {
             SmallVector<StringRef>{"ogt"});
 }
 
-/// Sums always change what is there; stronger orders say more than a load.
+/// Sums always change the element; stronger orders say more than a load.
 TEST(ExtremeAtomics, OthersStay) {
   EXPECT_EQ(findTests(R"(
 define void @others(ptr %p, i32 %i, float %x) {

@@ -100,7 +100,7 @@ HugeBodyLimits getLimits(unsigned block, unsigned part,
   return limits;
 }
 
-/// What the function returns and leaves in memory, divided or not.
+/// The result and the memory of the function, divided or not.
 std::vector<int64_t> run(int steps, unsigned part, int64_t n) {
   LLVMContext context;
   std::unique_ptr<Module> module = parse(getLoopText(steps), context);
@@ -225,7 +225,7 @@ exit:
 } // namespace
 
 TEST(HugeBodies, LoopsThatWouldBeHugeStayScalar) {
-  // Eight calls and what it takes to have them, or one instruction.
+  // Eight calls with the moves around them, or one instruction.
   EXPECT_TRUE(staysVectorizable("llvm.sin.f32", 10, 1000));
   EXPECT_FALSE(staysVectorizable("llvm.sin.f32", 100, 1000));
   EXPECT_TRUE(staysVectorizable("llvm.fabs.f32", 100, 1000));

@@ -159,7 +159,7 @@ TEST(InsertSafepoints, PollsInEachLoopOfANestThatMayLast) {
             1);
 }
 
-/// Only kernels and bodies of parallel loops know what a return means.
+/// Only kernels and bodies of parallel loops may return early.
 TEST(InsertSafepoints, LeavesOtherFunctionsAlone) {
   std::string endless = loop("%n") + "  ret void\n";
   EXPECT_EQ(countPolls("void @f(ptr %frame, i64 %n)", endless), 0);

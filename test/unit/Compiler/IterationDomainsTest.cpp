@@ -35,7 +35,7 @@ protected:
     forms = std::make_unique<IndexForms>(kernel);
   }
 
-  /// What the printed value is.
+  /// The form of the printed value.
   LinearForm formOf() { return forms->formOf(print.getArgs().front()); }
   IterationDomain domainOf() {
     return IterationDomains(kernel, *forms).domainOf(print->getBlock());
@@ -123,7 +123,7 @@ TEST_F(IterationDomainsTest, ConditionsAreUnions) {
   EXPECT_TRUE(domainOf().pieces.empty());
 }
 
-// What data decides may or may not run.
+// A statement that depends on data may or may not run.
 TEST_F(IterationDomainsTest, DataMakesUncertain) {
   parse(R"(
     %r = tai.random stream 0 : i1

@@ -113,8 +113,8 @@ ManyLoopsLimits getLimits(unsigned loops, unsigned part) {
   return limits;
 }
 
-/// What the function returns and leaves in memory for several numbers of
-/// iterations, divided or not.
+/// The result and the memory of the function for several numbers of iterations,
+/// divided or not.
 std::vector<int64_t> run(int count, unsigned part) {
   LLVMContext context;
   std::unique_ptr<Module> module = parse(getText(count), context);
@@ -171,7 +171,8 @@ TEST(ManyLoops, OtherFunctionsStay) {
   std::unique_ptr<Module> module = parse(getText(199), context);
   EXPECT_FALSE(divideManyLoops(*module));
   EXPECT_EQ(module->size(), 1u);
-  // An iteration may end in between: what is behind it has no one beginning.
+  // An iteration may end in between: the code behind it has more than one
+  // beginning.
   std::string text = getText(60);
   for (int k = 1; k <= 60; ++k) {
     std::string from = "  br label %head" + number(k) + "\nafter";

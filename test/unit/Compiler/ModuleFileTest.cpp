@@ -99,7 +99,7 @@ TEST_F(ModuleFile, ZerosAreNoText) {
   EXPECT_EQ(read(""), "");
 }
 
-// What ends the process in MLIR's parser.
+// Text that ends the process in MLIR's parser.
 TEST_F(ModuleFile, FatalTextIsRefused) {
   EXPECT_EQ(read("module attributes {\n  a = array < index : 1>} {}"),
             "given:2:13: error: an array attribute holds integers of known "

@@ -91,7 +91,7 @@ using Kernel = void (*)(int32_t *x, int32_t *y, int32_t *z, int32_t *ends,
 
 class UnrollGridLoops : public testing::Test {
 protected:
-  /// The kernel for the CPU. `carried` is what the sum adds up.
+  /// The kernel for the CPU. `carried` is the term of the sum.
   Kernel compile(const std::string &carried, bool unrolls, size_t &blockCount) {
     LLVMContext context;
     std::string text = kernelText;
@@ -148,8 +148,8 @@ protected:
 };
 
 TEST_F(UnrollGridLoops, DoTheSame) {
-  // A sum of what is read early, and one of what was written before, which
-  // keeps the iterations in order.
+  // A sum of values that are read early, and one of values that were written
+  // before, which keeps the iterations in order.
   for (const char *carried : {"%vx", "%again"}) {
     size_t plainBlocks, unrolledBlocks;
     Kernel plain = compile(carried, false, plainBlocks);
@@ -158,7 +158,7 @@ TEST_F(UnrollGridLoops, DoTheSame) {
     for (int32_t n : {-3, 0, 1, 7, 8, 9, 24, 25, 31, 32, 33, 40, 63, 64, 100})
       EXPECT_EQ(run(plain, n), run(unrolled, n)) << carried << ", n = " << n;
   }
-  // And what that is: thread 1 has 1, 9, 17, …, 97.
+  // And the expected values: thread 1 has 1, 9, 17, …, 97.
   size_t count;
   std::vector<int32_t> result = run(compile("%vx", true, count), 100);
   EXPECT_EQ(result[9], 3 * ((5 - 81) + (1 + 63)));

@@ -106,7 +106,7 @@ template <typename T> std::vector<T> makeArguments(double least, double most) {
     // Of all sizes.
     x.push_back(std::ldexp(value, -int(random() % 100)));
   }
-  // Then what is special, in the midst of what is not.
+  // Then special numbers, in the midst of ordinary ones.
   using Limits = std::numeric_limits<T>;
   T special[] = {0,
                  -T(0),
@@ -146,7 +146,8 @@ void expectAccurate(const char *option, const char *mode) {
         worst = off;
         where = x[i];
       }
-    // Those of libm are up to three units off, and these have no others.
+    // Functions of libm are up to three units off, and these have no other
+    // form.
     bool isOfLibm =
         !hasVectorForms() || llvm::is_contained({"asinh", "acosh", "atanh"},
                                                 std::string(function.name));
@@ -195,8 +196,8 @@ TEST(VectorMath, FunctionsOfTwoNumbersAreWithinOneUnit) {
     expectAccuratePairs<float>("atan2", atan2l);
 }
 
-/// What an element becomes does not depend on where in a loop it stands, on how
-/// long the loop is, or on the processor's vectors.
+/// The result for an element depends neither on its place in a loop, nor on the
+/// length of the loop, nor on the processor's vectors.
 template <typename T> void expectSameBits(const char *deterministic) {
   std::vector<T> x = makeArguments<T>(-1, 1);
   x.resize(1031);

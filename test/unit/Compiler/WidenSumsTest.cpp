@@ -20,8 +20,8 @@ using namespace llvm;
 using namespace mlir::tai;
 
 namespace {
-/// What is left of a function after the pass: how many phis of f32 and of f64,
-/// additions of f32 and of f64, and roundings to f32.
+/// The contents of a function after the pass: numbers of phis of f32 and of
+/// f64, of additions of f32 and of f64, and of roundings to f32.
 struct Counts {
   int phis32 = 0, phis64 = 0, sums32 = 0, sums64 = 0, roundings = 0;
   std::string text;
@@ -57,7 +57,7 @@ Counts widen(const std::string &function) {
   return counts;
 }
 
-/// Two vectors of sums, and what is done with them behind the loop.
+/// Two vectors of sums, and their use behind the loop.
 std::string lanes(const std::string &flags, const std::string &in = "",
                   const std::string &behind = "") {
   return "define double @f(ptr %x, i64 %n, double %before) {\n"
@@ -160,7 +160,7 @@ std::string sums(int count) {
          "exit:\n  ret float %b0\n}\n";
 }
 
-/// Those of f64 would have no registers.
+/// More sums of f64 would have no registers.
 TEST(WidenSumsTest, ManySumsAtOnceStay) {
   EXPECT_EQ(widen(sums(8)).phis64, 1);
   EXPECT_EQ(widen(sums(9)).phis64, 0);

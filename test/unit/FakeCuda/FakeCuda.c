@@ -6,25 +6,25 @@
 //===----------------------------------------------------------------------===//
 //
 // The functions of libcuda.so.1 that the runtime calls, over memory of the
-// host. The environment variable TAI_FAKE_CUDA says what is wrong, as a list of
-// words: no-device, zero-devices, old, busy, small (a megabyte of memory),
-// no-pools, bad-ptx, fault (launches fail when they are waited for),
-// heap-in-use (its size cannot be changed),
-// no-graphs, fixed-graphs (their parameters stay), any-function (modules have
-// functions of all names, which do nothing), overlaps (launches can), likes-512
-// (a launch takes 400 microseconds in blocks of 512 threads, and 900 else),
-// list-graphs (what they consist of is written to standard error), side-first
-// (branches of graphs come as early as they may, else as late). The clock of
-// the device advances by a microsecond with each piece of work, and by a launch
-// of "scale" by one for each thousand numbers. A module has the functions
-// "scale" (double *x, int64_t n, double factor), "add" (the same), "where"
-// (int32_t *blocks_and_threads) and "until" (uint32_t *word), whatever its text
-// is, and those of Rows.cu. The last one runs until somebody writes a number to
-// the word, which it then writes behind it.
-// With TAI_FAKE_CUDA_IMAGES, a folder, what is loaded is kept there: 000.ptx and
-// so on.
-// Compiled with -finstrument-functions, it counts how often it is called.
-// Graphs are lists of launches, fills and copies.
+// host. The environment variable TAI_FAKE_CUDA is a list of words for
+// faults and features: no-device, zero-devices, old, busy, small (a
+// megabyte of memory), no-pools, bad-ptx, fault (launches fail when they
+// are waited for), heap-in-use (its size cannot be changed), no-graphs,
+// fixed-graphs (their parameters stay), any-function (modules have
+// functions of all names, which do nothing), overlaps (launches can),
+// likes-512 (a launch takes 400 microseconds in blocks of 512 threads, and
+// 900 else), list-graphs (their nodes are written to standard error),
+// side-first (branches of graphs come as early as they may, else as late).
+// The clock of the device advances by a microsecond with each piece of
+// work, and by a launch of "scale" by one for each thousand numbers. A
+// module has the functions "scale" (double *x, int64_t n, double factor),
+// "add" (the same), "where" (int32_t *blocks_and_threads) and "until"
+// (uint32_t *word), whatever its text is, and those of Rows.cu. The last
+// one runs until somebody writes a number to the word, which it then
+// writes behind it. With TAI_FAKE_CUDA_IMAGES, a folder, loaded modules
+// are kept there: 000.ptx and so on. Compiled with -finstrument-functions,
+// it counts how often it is called. Graphs are lists of launches, fills
+// and copies.
 //
 //===----------------------------------------------------------------------===//
 
@@ -79,7 +79,7 @@ typedef struct FakeGraph {
 /// Each thread has a context of its own, or none.
 static __thread void *current;
 static int context, stream, side, module, faulted;
-/// What "until" looks at while it runs; null while it does not.
+/// The word that "until" looks at while it runs; null while it does not.
 static volatile uint32_t *awaited;
 /// A word that is copied behind a running "until": one, at most.
 static struct {
@@ -243,8 +243,8 @@ Result cuEventDestroy_v2(void *event) {
 /// While a graph is recorded.
 NOT_COUNTED static int isRecording(void);
 NOT_COUNTED static Result branch(void *given, void *on);
-/// What streams have waited for others: "a>b " for b, which waits for a, ours
-/// being 's'.
+/// The waits of streams for others: "a>b " for b, which waits for a, ours being
+/// 's'.
 char tai_fake_cuda_waits[256];
 NOT_COUNTED static char letter(void *given) {
   return given == &stream ? 's' : (char)('0' + (char)(uintptr_t)given);
@@ -387,7 +387,7 @@ NOT_COUNTED static Result fill(Address to, unsigned value, size_t count,
   FakeNode node = {.kind = 2, .values = {to, value, count, bytes}};
   return submit(&node);
 }
-/// Of bytes, by the driver: those refuse memory of two allocations.
+/// Fills of bytes by the driver, which refuses memory of two allocations.
 int tai_fake_cuda_memsets;
 Result cuMemsetD8Async(Address to, unsigned char value, size_t count,
                        void *on) {
@@ -537,15 +537,15 @@ NOT_COUNTED static Result perform(const FakeNode *node) {
   return 0;
 }
 
-/// What is being recorded; null for nothing.
+/// The graph that is being recorded; null for none.
 static FakeGraph *recording;
 /// How often the driver was asked for work on the device, and to record or
 /// change some.
 int tai_fake_cuda_submissions, tai_fake_cuda_records, tai_fake_cuda_changes;
 
-/// What the other stream is given while one is recorded: it comes as late as it
-/// may, or with the word "side-first" as early. `branches` is 1 where nothing
-/// waits for it yet.
+/// The work of the other stream while a graph is recorded: it comes as late as
+/// it may, or with the word "side-first" as early. `branches` is 1 where
+/// nothing waits for it yet.
 static FakeGraph *beside;
 static int branches;
 
@@ -576,7 +576,7 @@ NOT_COUNTED static Result submit(const FakeNode *node) {
   graph->nodes[graph->count++] = *node;
   return 0;
 }
-/// What was filled by a kernel last.
+/// The last fill by a kernel.
 TaiFillTable tai_fake_cuda_fills;
 
 NOT_COUNTED static void setLaunch(FakeNode *node, const char *function,
@@ -660,7 +660,7 @@ Result cuStreamBeginCapture_v2(void *given, int mode) {
   branches = 0;
   return recording && beside ? 0 : 2;
 }
-/// Of what was recorded last: all pieces of work, and those that may start
+/// Counts of the last recording: all pieces of work, and those that may start
 /// while the one before them runs.
 int tai_fake_cuda_nodes, tai_fake_cuda_overlapping;
 Result cuStreamEndCapture(void *given, void **graph) {
@@ -678,7 +678,7 @@ Result cuStreamEndCapture(void *given, void **graph) {
 /// Graphs that are ready to run.
 int tai_fake_cuda_graphs;
 
-/// What is used after that is found to be empty.
+/// Later uses find the graph empty.
 NOT_COUNTED static void forget(FakeGraph *graph) {
   memset(graph->nodes, 0, (size_t)graph->count * sizeof(FakeNode));
   graph->count = 0;

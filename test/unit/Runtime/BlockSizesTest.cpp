@@ -233,7 +233,7 @@ TEST_F(BlockSizes, AreNotKeptWithoutTrials) {
   EXPECT_EQ(run([](Runtime &r) { r.keepBlockSizes({}); }), 512);
 }
 
-// A folder of the cache, and what may become of an entry there.
+// A folder of the cache, and the possible faults of an entry there.
 TEST_F(BlockSizes, LieInTheCache) {
   std::string folder = ::testing::TempDir() + "tai-block-sizes-XXXXXX";
   ASSERT_NE(mkdtemp(folder.data()), nullptr);

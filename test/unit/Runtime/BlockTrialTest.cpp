@@ -125,7 +125,7 @@ TEST(BlockTrial, KeepsTheQuickest) {
 
 TEST(BlockTrial, ComparesIterations) {
   Launches launches;
-  // What is launched with one size has ten times as many as with the others.
+  // A launch with one size has ten times as many as with the others.
   int number = 0;
   for (int i = 0; i < 40; ++i, ++number)
     launches.run(

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // Above a driver without a GPU, whose function "until" runs until it is told to
-// end. What the compiler makes of loops is tested from Python.
+// end. The code that the compiler makes of loops is tested from Python.
 //
 //===----------------------------------------------------------------------===//
 

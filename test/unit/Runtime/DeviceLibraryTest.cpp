@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // Calls the library's build for the host, as the emulated device does, and
-// reads what it leaves.
+// reads its results.
 //
 //===----------------------------------------------------------------------===//
 
@@ -29,7 +29,7 @@ using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
 namespace {
-// Which thread of the emulated device this is.
+// The number of this thread of the emulated device.
 thread_local int32_t blockId = 0;
 int32_t gridDim = 1;
 int32_t getZero() { return 0; }
@@ -347,7 +347,7 @@ TEST_F(DeviceLibrary, SaysWhereTheHeapIsUsedUp) {
 // Reductions and barriers
 //===----------------------------------------------------------------------===//
 
-/// What a reduction makes of a target and a value.
+/// The result of a reduction on a target and a value.
 template <typename T> T combined(void (*reduce)(T *, T), T target, T value) {
   reduce(&target, value);
   return target;
@@ -551,7 +551,7 @@ TEST_F(DeviceLibrary, ActivatesCells) {
   EXPECT_EQ(tree.gone[0], 2u);
   EXPECT_TRUE(tree.activity[1].changes & TAI_DEVICE_CELLS_REMOVED);
 
-  // What has not changed says nothing.
+  // An unchanged cell prints nothing.
   tree.activity[0] = tree.activity[1] = {0, 0, 1};
   EXPECT_EQ(activate(frame, tree.base(), 1, 200, ""), 1);
   deactivate(frame, tree.base(), 0, 1, "");
@@ -718,7 +718,7 @@ TEST_F(DeviceLibrary, ListsActiveCells) {
       expect();
       ASSERT_GT(expected.size(), 10000u);
 
-      // A list that shows what is active is not made again.
+      // A list that shows the active cells is not made again.
       uint64_t version = cells.activity.version;
       cells.list[4] = -7;
       update();

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The table of fills, whose code is that of the GPU, and what the queue makes
-// of fills in sequences, above a CUDA driver that needs no GPU. Memory must
-// hold what the same work leaves there one by one.
+// The table of fills, whose code is that of the GPU, and the queue's treatment
+// of fills in sequences, above a CUDA driver that needs no GPU. Memory must be
+// the same as after the same work one by one.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,7 +25,7 @@ using namespace mlir::tai::runtime::test;
 namespace {
 constexpr uint64_t pattern = 0x8877665544332211;
 
-/// What rows of memory hold, byte by byte.
+/// Fills rows of memory byte by byte.
 void fillBytes(char *memory, const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
   for (int64_t group = 0; group < rows.outer; ++group)
@@ -275,7 +275,7 @@ protected:
     std::memcpy(&expected[size_t(to * 8)], &expected[size_t(from * 8)],
                 size_t(count * 8));
   }
-  /// As often as it takes until it runs as it will.
+  /// Repeats the work until the queue has chosen its final form.
   template <typename Work> void replay(const Work &work, int times = 8) {
     for (int i = 0; i < times; ++i) {
       queue->beginCollecting();
@@ -323,7 +323,7 @@ TEST_F(QueuedFills, BetweenLaunchesMoveToTheFront) {
       fill(0, 100, 0);
       launch(0);
       launch(8);
-      // Of memory that nobody has touched since it was cleared.
+      // A fill of memory that no launch has touched since it was cleared.
       fill(20, 2, 1);
       launch(16);
       launch(24);
@@ -407,7 +407,7 @@ TEST_F(QueuedFills, ThatLieSideBySideAreOneWhateverComesBetween) {
     fill({16, 32, 8, 20}, 0);
     fill(310, 1, 2);
     fill({24, 32, 8, 20}, 0);
-    // And again what is filled already.
+    // And again memory that is filled already.
     fill(300, 1, 1);
     fill(303, 2, 0);
     launch(0);
@@ -492,7 +492,7 @@ TEST_F(QueuedFills, RunBesideLaunchesThatDoNotTouchTheirMemory) {
     EXPECT_NE(text.find("fills beside them (42 nodes)"), std::string::npos)
         << text;
     check();
-    // With 8, nothing but the last launch touches what is filled beside.
+    // With 8, only the last launch touches the memory that is filled beside.
     for (int64_t next : {int64_t(1001), int64_t(8)}) {
       touched = next;
       replay(work, 3);
@@ -513,7 +513,7 @@ TEST_F(QueuedFills, RunBesideWhatComesBehindAHead) {
       for (int64_t at = 0; at < 40; ++at)
         launch(at < 30 ? at % 10 * 8 : 1000 + at);
       EXPECT_OK(queue->endCollecting());
-      // It reads what is filled then.
+      // It reads the filled memory.
       launch(1000);
       launch(2000);
     }

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The queue above a CUDA driver that needs no GPU and counts what it is asked
-// for. Whatever is collected, memory must hold what the same work leaves there
-// one by one.
+// The queue above a CUDA driver that needs no GPU and counts its calls.
+// Whatever is collected, memory must be the same as after the same work one by
+// one.
 //
 //===----------------------------------------------------------------------===//
 

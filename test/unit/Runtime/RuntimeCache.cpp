@@ -269,7 +269,7 @@ TEST_F(RuntimeCache, BelievesNoSize) {
   EXPECT_EQ(warnings.size(), 1u);
 }
 
-// Whoever may rename a folder above puts another one in its place.
+// A user who may rename a folder above can replace it by another one.
 TEST_F(RuntimeCache, RefusesFoldersBelowOpenOnes) {
   mkdir((root + "/a").c_str(), 0700);
   chmod((root + "/a").c_str(), 0777);
@@ -281,7 +281,7 @@ TEST_F(RuntimeCache, RefusesFoldersBelowOpenOnes) {
     EXPECT_NE(warnings[0].find("/a' above it"), std::string::npos)
         << warnings[0];
   }
-  // In a sticky one, each has what is theirs.
+  // In a sticky folder, each user renames their own entries only.
   chmod((root + "/a").c_str(), 01777);
   CacheStore store(root + "/a/b", 1 << 30, collect());
   EXPECT_TRUE(store.usable());
@@ -382,7 +382,7 @@ TEST_F(RuntimeCache, PrunesWhatWasUsedLongAgo) {
   EXPECT_FALSE(store.get("b"));
   EXPECT_TRUE(store.get("e"));
   EXPECT_GE(store.stats().pruned, 1);
-  // What a killed process left behind goes after a while.
+  // Files that a killed process left behind are deleted after a while.
   spill(folder + "/.tmp-1-2-3", "half");
   store.prune();
   EXPECT_EQ(access((folder + "/.tmp-1-2-3").c_str(), F_OK), 0);
@@ -466,7 +466,7 @@ TEST_F(RuntimeCache, ClaimsEndWithTheirOwners) {
   EXPECT_TRUE(warnings.empty());
 }
 
-// Whoever is asked to end waits no longer, and wait it would for days.
+// A claim ends its wait when it is asked to, though it would wait for days.
 TEST_F(RuntimeCache, ClaimsAreWaitedForAsLongAsIsWanted) {
   CacheStore store(folder, 1 << 30, collect());
   CacheStore::Claim claim = store.claim("k");

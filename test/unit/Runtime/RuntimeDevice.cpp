@@ -309,7 +309,7 @@ TEST_F(RuntimeDevice, SaysWhatFailedWhenItWaits) {
   runtime.setDebug(true);
   EXPECT_EQ(launch(*kernel, {}).message(), "it broke");
   EXPECT_OK(runtime.synchronize());
-  // So does reading what the kernel has written.
+  // So does reading a field that the kernel has written.
   runtime.setDebug(false);
   EXPECT_OK(launch(*kernel, {}));
   double value;
@@ -566,7 +566,7 @@ static void checkScaling() {
 TEST_F(RuntimeCuda, HasAHeapOfTheSizeThatIsWanted) {
   use(TAI_FAKE_CUDA_LIBRARY, "heap-in-use");
   std::unique_ptr<Device> device;
-  // What nobody has asked for is not missed.
+  // A size that was not asked for causes no error.
   EXPECT_OK(openCudaDevice(0, device));
   setDeviceHeapBytes(1 << 20);
   EXPECT_OK(openCudaDevice(0, device));

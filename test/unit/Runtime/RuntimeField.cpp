@@ -38,7 +38,7 @@ TEST(RuntimeTree, RefusesWhatDoesNotFit) {
   EXPECT_EQ(status.message(),
             "out of memory: tree 'large' needs 700.0 KiB, 600.0 KiB of 1.0 MiB "
             "are taken by 1 other trees");
-  // The runtime is alive, and what was freed can be had again.
+  // The runtime is alive, and freed memory can be allocated again.
   ASSERT_OK(runtime.destroyTree("small"));
   EXPECT_OK(runtime.addTree("large", 700 << 10, large));
   EXPECT_EQ(runtime.addTree("huge", INT64_MAX, small).code(),

@@ -28,7 +28,7 @@ TEST(RuntimeInterop, LendsFieldsByTheirStrides) {
   EXPECT_EQ(exported.strides, (std::vector<int64_t>{32, 8, 4}));
   static_cast<float *>(exported.address)[2 * 8 + 1 * 2 + 1] = 5;
   EXPECT_EQ(get(*x, {2, 1}, 1), 5.0);
-  // Who has the address may have written.
+  // An owner of the address may have written.
   EXPECT_TRUE(x->dirty());
   // The memory outlives the tree.
   EXPECT_OK(runtime.destroyTree("x_tree"));

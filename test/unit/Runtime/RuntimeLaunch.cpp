@@ -408,7 +408,7 @@ TEST(RuntimeLoop, MeasuresWhatEstimatesLeaveOpen) {
   }
   EXPECT_GE(measured, 4);
   EXPECT_LE(measured, 10);
-  // What disturbs a run only makes it longer.
+  // A disturbance of a run only makes it longer.
   for (double nanoseconds : {500.0, 20.0, 30000.0, 21.0})
     entry->add(nanoseconds);
   EXPECT_GE(entry->perIteration(), 20);

@@ -22,7 +22,7 @@ using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::test;
 
 namespace {
-/// Storage, and what it is made of.
+/// Storage, and its parts.
 struct Stored {
   Workers workers{2};
   SkipSet skips;
@@ -48,7 +48,7 @@ struct Stored {
   }
 };
 
-/// What the host does to it.
+/// Storage with the parts that the host uses.
 struct Hosted : Stored {
   Printer printer;
   DeviceHost devices{{printer, memory, skips, counters}};
@@ -58,7 +58,7 @@ struct Hosted : Stored {
   HostWrites writes{store, memory, recordings, copies, devices};
 };
 
-/// A tape that notes what it hears.
+/// A tape that notes its calls.
 struct Heard final : Recorder {
   explicit Heard(const FieldPtr &used = nullptr) : used(used) {}
 
@@ -186,7 +186,7 @@ TEST(TreeStore, LinksPartnersInAnyOrder) {
 }
 
 //===----------------------------------------------------------------------===//
-// What the host does
+// Work of the host
 //===----------------------------------------------------------------------===//
 
 TEST(DeviceHost, WithoutADeviceThereIsNothingToDo) {
@@ -305,7 +305,7 @@ TEST(Recordings, RefuseWhatAnotherThreadIsChanging) {
             "another thread runs kernel 'k', which adds to the gradient of "
             "field 'x', while a tape of this thread reads it: give each thread "
             "fields of its own, or wait until the kernel has returned");
-  // What is refused is not held.
+  // A refused field is not held.
   std::thread([&] {
     EXPECT_OK(scene.recordings.check(*adjoint, HoldKind::Write));
     EXPECT_EQ(scene.recordings.check(*y, HoldKind::Read).code(),
@@ -352,7 +352,8 @@ TEST(Gradients, ClearWhatIsDirtyAndOfThisThread) {
   scene.gradients.clear();
   EXPECT_EQ(scene.counters.get(SkipCount::FieldsNotCleared), 1);
   std::thread([&] { ASSERT_OK(scene.writes.fillF64(*adjoint, 2)); }).join();
-  // What another thread has left is no concern of a tape that does not use it.
+  // A gradient left by another thread does not concern a tape that does not use
+  // it.
   Heard apart, user(adjoint);
   scene.gradients.clear(&apart);
   EXPECT_EQ(get(*adjoint, {0}), 2);

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The second launch of a kernel goes a shorter way than the first: what must
-// hold all the same when something has changed between two launches, and how
-// often the driver of a GPU is called for each.
+// The second launch of a kernel goes a shorter way than the first: invariants
+// that must hold all the same when something has changed between two launches,
+// and the number of driver calls for each.
 //
 //===----------------------------------------------------------------------===//
 
@@ -165,7 +165,7 @@ TEST(RuntimePrepared, CountsArgumentsAndWantsNoResults) {
     result = 0;
     EXPECT_OK(runtime.launch(*kernel, args, 1, &result));
     EXPECT_EQ(result, 42u);
-    // Who wants no results need not have room for them.
+    // A caller that wants no results passes no memory for them.
     EXPECT_OK(runtime.launch(*kernel, args, 1, nullptr));
     EXPECT_EQ(runtime.launch(*kernel, args, 2, &result).message(),
               "kernel 'k' takes 1 argument slots, but got 2");
@@ -185,7 +185,7 @@ TEST(RuntimePrepared, ReportsFailures) {
     EXPECT_EQ(runtime.launch(*kernel, &fails, 1, nullptr).ok(), fails == 0);
 }
 
-// The seed and the number of a launch decide what it draws.
+// The seed and the number of a launch decide its random numbers.
 TEST(RuntimePrepared, SeesTheSeedAndTheNumber) {
   Runtime runtime;
   static std::vector<std::pair<uint64_t, uint64_t>> seen;
@@ -335,7 +335,7 @@ TEST_F(RuntimePreparedCuda, CallsTheDriverOnceForEachLaunch) {
   EXPECT_EQ(get(*x, {0}), 8.0);
 }
 
-// One call more for what has changed.
+// A changed parameter takes one call more.
 TEST_F(RuntimePreparedCuda, ChangesParametersOfARepeatedLaunch) {
   for (int i = 0; i < 60; ++i)
     EXPECT_OK(scale(i % 2 ? 4.0 : 0.25));
@@ -344,7 +344,7 @@ TEST_F(RuntimePreparedCuda, ChangesParametersOfARepeatedLaunch) {
   EXPECT_EQ(countCalls([&] { EXPECT_OK(scale(3.0)); }), 2);
   EXPECT_EQ(countCalls([&] { EXPECT_OK(scale(3.0)); }), 1);
   EXPECT_EQ(get(*x, {0}), 72.0);
-  // What is timed stands between events, in the same way.
+  // A timed launch stands between events, in the same way.
   runtime->setProfiler(true);
   EXPECT_OK(scale(0.5));
   EXPECT_EQ(get(*x, {0}), 36.0);
@@ -376,7 +376,7 @@ TEST_F(RuntimePreparedCuda, LaunchesByItselfWhereThereAreNoGraphs) {
   }
 }
 
-// Events stand around what is profiled.
+// Events stand around a profiled launch.
 TEST_F(RuntimePreparedCuda, CallsItOnceAgainWithoutTheProfiler) {
   auto launch = [&] { EXPECT_OK(scale(2.0)); };
   runtime->setProfiler(true);
@@ -465,7 +465,7 @@ TEST_F(RuntimePreparedCuda, TakesOtherCode) {
   EXPECT_EQ(found[1], 64);
 }
 
-// What a call could not say is said by the next launch.
+// The next launch reports an error that a call could not report.
 TEST_F(RuntimePreparedCuda, ReportsWhatHasFailedBefore) {
   EXPECT_OK(scale(2.0));
   setenv("TAI_FAKE_CUDA", "fault", 1);

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What a running kernel uses is not freed, and what it changes is no part of a
-// tape that another thread begins meanwhile.
+// Memory that a running kernel uses is not freed, and its changes are no part
+// of a tape that another thread begins meanwhile.
 //
 //===----------------------------------------------------------------------===//
 

@@ -245,8 +245,8 @@ TEST(RuntimeSparse, ListsMadeInParallelAreTheSame) {
   }
 }
 
-// A list that is asked for while cells become active holds what was active
-// before, each cell once.
+// A list that is made while cells become active holds the cells that were
+// active before, each once.
 TEST(RuntimeSparse, ListsWhileOthersActivate) {
   Runtime runtime;
   Path path;
@@ -426,7 +426,7 @@ TEST(RuntimeSparse, RunningOutNamesTheLevel) {
             "out of memory: one more cell of level 0 above @x of 256.0 KiB "
             "each; its 4 active cells take 1.0 MiB, and all fields take 1.0 "
             "MiB of 1.0 MiB");
-  // What is active can be written to, and what goes makes room.
+  // Active cells can be written to, and deactivated ones make room.
   EXPECT_OK(write(1000));
   path.nodes[0]->deactivate(0);
   EXPECT_OK(write(5));
@@ -435,11 +435,11 @@ TEST(RuntimeSparse, RunningOutNamesTheLevel) {
 }
 
 //===----------------------------------------------------------------------===//
-// What compiled code calls
+// Functions that compiled code calls
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// What a kernel is to call, and with which cell.
+/// The function that a kernel has to call, and its cell.
 struct Call {
   Tree *tree;
   char what;

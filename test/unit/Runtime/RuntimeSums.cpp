@@ -87,7 +87,7 @@ TEST(RuntimeScratch, OutOfMemoryFailsTheLaunchOnly) {
   options.memoryLimit = 1 << 20;
   Runtime runtime(options);
   auto kernel = [](TaiFrame *frame) {
-    // The kernel may go on to write what it asked for.
+    // The kernel may go on to write the memory that it has allocated.
     auto *memory = static_cast<char *>(tai_rt_scratch(frame, 40 << 20));
     for (int64_t b = 0; b < (40 << 20); b += 1000)
       memory[b] = 1;
@@ -226,7 +226,8 @@ template <typename T> static int32_t addToSome(TaiFrame *frame) {
   return 0;
 }
 
-// The memory of a launch is used again: what is known to be zero must be.
+// The memory of a launch is used again: memory that is known to be zero must be
+// zero.
 TEST(RuntimeCombine, LeavesZeros) {
   for (int threads : {1, 3}) {
     Runtime runtime(withThreads(threads));

@@ -82,7 +82,7 @@ struct Scene {
     return runtime.findTree(field.tree().name());
   }
 
-  /// All elements, as what a launch stores whatever fields hold.
+  /// All elements, as the stores of a launch in any layout.
   static std::shared_ptr<const std::vector<StoredBox>> everything() {
     return std::make_shared<const std::vector<StoredBox>>(
         std::vector<StoredBox>{{{{{0, 0, {}}, {0, n, {}}}}, {}}});
@@ -329,7 +329,7 @@ TEST(RuntimeTape, ReplaysOnNewContents) {
     }
     EXPECT_NEAR(get(*scene.loss), loss, 1e-14);
   }
-  // Without the forward part, the gradient is that of what is stored.
+  // Without the forward part, the gradient is that of the stored values.
   ASSERT_OK(tape->replay(false, true));
   EXPECT_NEAR(get(*scene.x->adjoint(), {1}), scene.expected(1.2, 1, 2), 1e-14);
 }
@@ -346,10 +346,11 @@ TEST(RuntimeTape, AccumulatesOverTapesUnlessCleared) {
     ASSERT_OK(tape->backward());
   }
   EXPECT_NEAR(get(*scene.x->adjoint(), {0}), scene.expected(0.3, 0), 1e-15);
-  // Nothing is left of what was overwritten.
+  // The gradients of overwritten elements are zero.
   for (int64_t i = 0; i < n; ++i)
     EXPECT_EQ(get(*scene.y->adjoint(), {i}), 0);
-  // As in the paper's system: what the adjoints held before is propagated too.
+  // As in the paper's system: the former values of the adjoints are propagated
+  // too.
   set(*scene.y->adjoint(), {0}, 2 * std::sin(0.3));
   auto tape = scene.begin(/*clear=*/false);
   scene.launch(step);

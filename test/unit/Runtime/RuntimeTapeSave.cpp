@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // States without a time axis. Kernels and adjoints are written by hand, with
-// plans of what the adjoints read; the derivatives are closed forms.
+// plans of the values that the adjoints read; the derivatives are closed forms.
 //
 //===----------------------------------------------------------------------===//
 
@@ -250,7 +250,7 @@ TEST(RuntimeTapeSave, OnlyWhatReallyChanges) {
   scene.launch(kick);
   scene.launch(none);
   EXPECT_EQ(tape->stats().savedBytes, 0);
-  // It still is what the first launch needs.
+  // The first launch still needs these values.
   scene.launch(scene.drift());
   EXPECT_EQ(tape->stats().savedBytes, n * 8);
 }
@@ -360,7 +360,8 @@ TEST(RuntimeTapeSave, StridedLayouts) {
                         }});
   for (uint64_t j : {1, 2, 1})
     EXPECT_OK(scene.runtime.launch(*touch, &j, 1, nullptr));
-  // The third launch meets what the first reads: a column of a and of b.
+  // The third launch overwrites elements that the first reads: a column of a
+  // and of b.
   EXPECT_EQ(tape->stats().savedBytes, 2 * 4 * 8);
   ASSERT_OK(tape->backward());
   EXPECT_EQ(seen, (std::vector<double>{102, 112, 122, 132, 503, 513, 523, 533}))
@@ -500,7 +501,7 @@ TEST(RuntimeTapeSave, ChangedAfterwards) {
   scene.launch(drift);
   EXPECT_FALSE(tape->backward().ok()) << "changed by a kernel";
   ASSERT_OK(tape->replay(true, true));
-  // What no adjoint reads is worth a warning only.
+  // An element that no adjoint reads is worth a warning only.
   ASSERT_OK(scene.runtime.fillF64(*scene.y, 3));
   scene.runtime.clearGradients();
   ASSERT_OK(tape->backward());
@@ -706,7 +707,7 @@ TEST(RuntimeTapeSave, RefusesBadPolicies) {
   EXPECT_NE(status.message().find("a memory budget of 10 B is too small"),
             std::string::npos)
       << status.message();
-  // What nobody can run again.
+  // A launch that cannot be run again.
   tape.reset();
   tape = scene.begin();
   ASSERT_OK(tape->setCheckpoints({Kind::Periodic, 0, 0}));
@@ -718,7 +719,7 @@ TEST(RuntimeTapeSave, RefusesBadPolicies) {
 }
 
 TEST(RuntimeTapeSave, WhatWasNotPlannedIsNotLaunched) {
-  // There is an adjoint, but nobody knows what the tape should keep for it.
+  // There is an adjoint, but no plan of the values that the tape keeps for it.
   Scene scene;
   KernelInfo info;
   info.name = "square";

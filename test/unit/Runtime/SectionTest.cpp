@@ -19,7 +19,7 @@ using namespace mlir::tai::runtime::test;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// What the handler of a test does; handlers are plain functions.
+/// The action of the handler of a test; handlers are plain functions.
 std::function<void()> handled;
 
 class Sections : public ::testing::Test {
@@ -54,7 +54,7 @@ TEST_F(Sections, AreClosedToHandlersInTheirMiddle) {
     EXPECT_EQ(Section::Entry(section).check().code(), StatusCode::Usage);
     Section::Entry entry(other);
     EXPECT_OK(entry.check());
-    // Of its own work it is inside.
+    // The handler may enter the section of its own work.
     EXPECT_OK(Section::Entry(other).check());
   };
   {
@@ -157,8 +157,8 @@ TEST_F(DeviceHandlers, CopyWhileACopyWaits) {
 // Threads
 //===----------------------------------------------------------------------===//
 
-// What owes zeros and what does not any more is looked at by all that use a
-// field; whoever looks returns when they are there.
+// Fields that owe zeros, or have stored them, are looked at by all their users;
+// a look returns when the zeros are there.
 TEST(OwedZerosOfThreads, AreStoredOnceAndSeenByAll) {
   constexpr int64_t n = 1 << 12;
   constexpr int numThreads = 4, rounds = 200;

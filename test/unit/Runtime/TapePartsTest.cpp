@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What tapes hold, keep, launch and look at, each part without the others that
-// stand on it.
+// The parts of a tape that hold, keep, launch and look, each without the others
+// that stand on it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,7 +27,7 @@ using namespace mlir::tai::runtime::test;
 namespace {
 constexpr int64_t n = 4;
 
-/// What kernels have been called with, and with which number.
+/// The calls of kernels, with their arguments and numbers.
 struct Call {
   char kind;
   uint64_t argument, number;
@@ -70,7 +70,7 @@ struct Scene {
   FieldPtr x = makeDifferentiable(runtime, "x", ScalarKind::F64, {n});
   FieldPtr y = makeDifferentiable(runtime, "y", ScalarKind::F64, {n});
   FieldPtr loss = makeDifferentiable(runtime, "loss", ScalarKind::F64, {});
-  /// In whose name fields are held; what it records is not looked at.
+  /// The tape in whose name fields are held; its records are not looked at.
   std::unique_ptr<Tape> tape = begin();
   TapeHolds holds{services, *tape, true};
 
@@ -159,7 +159,7 @@ TEST(SweepSeeds, FindsLiveFields) {
   EXPECT_EQ(seeds.liveFields(false, scene.holds),
             (Fields{scene.x.get(), scene.loss.get()}));
   EXPECT_EQ(seeds.liveFields(true, scene.holds), Fields{scene.loss.get()});
-  // What another thread has left counts if the tape uses it.
+  // A gradient left by another thread counts if the tape uses it.
   std::thread([&] { scene.y->adjoint()->markDirty(); }).join();
   EXPECT_EQ(seeds.liveFields(false, scene.holds).size(), 2u);
   ASSERT_OK(scene.holds.add(scene.runtime.findField("y_grad"), HoldKind::Add));
@@ -187,7 +187,7 @@ TEST(ChangeWatch, TellsWhatMatters) {
   EXPECT_FALSE(changes.check(memory, notes, lostStored).ok());
   changes.begin(memory);
   EXPECT_OK(changes.check(memory, notes, lostStored));
-  // What the sequence has nothing to do with.
+  // A change that does not concern the sequence.
   ASSERT_OK(scene.runtime.fillF64(*scene.loss, 3));
   EXPECT_OK(changes.check(memory, notes, lostStored));
   EXPECT_TRUE(notes.empty());

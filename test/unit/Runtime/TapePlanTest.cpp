@@ -173,7 +173,7 @@ TEST(Overwrites, TellsFixedIndicesApart) {
   scene.record(kernel, {2});
   Overwrites found = findOverwrites(scene.recording, scene.services.nextMark());
   EXPECT_EQ(found.isRepeated, (std::vector<bool>{false, false, true, false}));
-  // Which elements they store is not known.
+  // The elements that they store are not known.
   EXPECT_TRUE(found.storedOnce.empty());
 }
 
@@ -251,7 +251,7 @@ TEST(TapePlan, CountsOnNothingBeforeAHostFunction) {
   using D = Decision;
   EXPECT_EQ(scene.decide({z.get()}),
             (std::vector<D>{D::Replay, D::Callback, D::SkipUnreached}));
-  // What it has really touched is known when its turn has come.
+  // The touched fields are known when its turn has come.
   scene.plan.decideAgain(scene.recording, 0);
   EXPECT_EQ(scene.plan[0], D::SkipUnreached);
   y->adjoint()->markDirty();

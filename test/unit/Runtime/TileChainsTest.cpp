@@ -80,7 +80,7 @@ protected:
 
   FunctionAccesses sweep = function(
       {at(reads, 1, 1), at(reads, 1, -1), at(reads, 1, 0, 2), at(writes, 2)});
-  /// Adds to what is there.
+  /// The kernel adds to the elements.
   FunctionAccesses gather = function(
       {at(reads, 1, 1), at(reads, 1, 0, -1), at(reads, 2), at(writes, 2)});
 };
@@ -104,7 +104,7 @@ TEST_F(TileChains, EarlierLaunchesHaveWiderHalos) {
   EXPECT_FALSE(chain->mustWait);
   EXPECT_TRUE(chain->isCyclic[0] && chain->isCyclic[1]);
   EXPECT_EQ(chain->stages[1].firstSlot, 3u);
-  // Of all ways to make four tiles, that with the fewest cells.
+  // The chosen tiling has the fewest cells of all that make four tiles.
   EXPECT_EQ(chain->numTiles(), 4);
   EXPECT_EQ(chain->tile, (std::vector<int64_t>{5, 4}));
   EXPECT_EQ(chain->mostCells(), 9 * 8);
