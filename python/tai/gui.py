@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ._impl.base.files import save_picture
 from .errors import TaiRuntimeTypeError
 
 # Shapes are drawn this many times larger and then reduced: smooth edges.
@@ -258,7 +259,7 @@ class GUI:
             folder = os.path.dirname(str(file))
             if folder:
                 os.makedirs(folder, exist_ok=True)
-            self.picture().save(str(file))
+            save_picture(self.picture(), file)
         if self.screen:
             self.screen.show(self.picture())
         self.frame += 1

@@ -10,10 +10,10 @@ import json
 import math
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from ._impl.base import state
+from ._impl.base.files import write_text
 from ._impl.base.locks import snapshot
 from ._impl.base.skips import Skips as Skips
 from ._impl.base.skips import clear_skips as clear_skips
@@ -211,7 +211,7 @@ def save_trace(path: Any) -> None:
             begin = {"pid": host, "tid": event["thread"], "ts": event["queued"]}
             events.append({"ph": "s", **arrow, **begin})
             events.append({"ph": "f", "bp": "e", **arrow, **where, "ts": event["start"]})
-    Path(path).write_text(json.dumps({"traceEvents": events, "displayTimeUnit": "ms"}))
+    write_text(path, json.dumps({"traceEvents": events, "displayTimeUnit": "ms"}))
 
 
 def clear_kernel_profiler_info() -> None:

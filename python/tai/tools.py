@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ._impl.base.files import replacing_name, save_picture
 from ._impl.base.shadows import ShadowReport as ShadowReport
 from ._impl.base.shadows import ShadowRow as ShadowRow
 from ._impl.base.shadows import clear_shadow_report as clear_shadow_report
@@ -35,7 +36,8 @@ def imwrite(image: Any, filename: str) -> None:
     from PIL import Image
 
     pixels = cook_image_to_bytes(image)
-    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(filename)
+    picture = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+    save_picture(picture, filename)
 
 
 def imread(filename: str, channels: int = 0) -> np.ndarray:
@@ -81,8 +83,9 @@ def write_gif(frames: list, filename: str, framerate: float = 24) -> None:
         GUI.screen.play(frames, framerate)
     pictures = [f if isinstance(f, Image.Image) else Image.fromarray(f) for f in frames]
     colors = [p.convert("P", palette=Image.Palette.ADAPTIVE, colors=64) for p in pictures]
-    colors[0].save(
-        filename, save_all=True, append_images=colors[1:], duration=round(1000 / framerate), loop=0
+    each = round(1000 / framerate)
+    save_picture(
+        colors[0], filename, save_all=True, append_images=colors[1:], duration=each, loop=0
     )
 
 
@@ -127,11 +130,8 @@ class VideoManager:
             try:
                 import imageio
 
-                imageio.mimwrite(
-                    self.get_output_filename(".mp4"),
-                    [np.asarray(p) for p in pictures],
-                    fps=self.framerate,
-                )
+                with replacing_name(self.get_output_filename(".mp4")) as part:
+                    imageio.mimwrite(part, [np.asarray(p) for p in pictures], fps=self.framerate)
             except (ImportError, ValueError) as error:
                 raise TaiRuntimeError(
                     f"no mp4: {error}", "pip install imageio-ffmpeg, or make_video(mp4=False)"

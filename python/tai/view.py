@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from ._impl.base.files import save_picture
 from .gui import GUI, Event
 
 BACKENDS = ("QtAgg", "TkAgg", "GTK4Agg", "GTK3Agg", "MacOSX")
@@ -191,7 +192,8 @@ class Frames:
         """Writes the next picture."""
         from PIL import Image
 
-        Image.fromarray(np.asarray(picture)).save(self.folder / f"{self.count:06d}.png")
+        picture = Image.fromarray(np.asarray(picture))
+        save_picture(picture, self.folder / f"{self.count:06d}.png")
         self.count += 1
 
     def play(self, frames: Sequence[Any], framerate: float) -> None:

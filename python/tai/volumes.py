@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ._impl.base.dtypes import f16, f32
+from ._impl.base.files import replacing, replacing_name
 from ._impl.fields.active import write_elements
 from ._impl.fields.field import Field
 from ._impl.fields.matrix_field import MatrixField
@@ -141,6 +142,8 @@ def from_numpy(field: Field, where: Any, values: Any) -> None:
 def save(path: str | os.PathLike, **fields: Field) -> None:
     """Writes the active elements of fields, under the names given, to a file.
 
+    A file that is there is replaced when the new one is complete: after a failure it is as it was.
+
     Args:
         path: `.npz` for a NumPy archive, which holds `name.coordinates` and `name.values` of each
             field; `.vdb` for an OpenVDB file, of fields of three dimensions that hold f16 or f32
@@ -216,7 +219,8 @@ def _save_npz(path: Any, fields: dict[str, Field]) -> None:
     arrays: dict[str, Any] = {"tai.volumes": np.array(_FORMAT)}
     for name, field in fields.items():
         arrays[f"{name}.coordinates"], arrays[f"{name}.values"] = to_numpy(field)
-    np.savez_compressed(path, **arrays)
+    with replacing(path) as stream:
+        np.savez_compressed(stream, **arrays)
 
 
 def _load_npz(path: Any, fields: dict[str, Field]) -> dict[str, tuple]:
@@ -289,7 +293,8 @@ def _save_vdb(path: Any, fields: dict[str, Field]) -> None:
         for at, value in zip(where.tolist(), values.tolist(), strict=True):
             accessor.setValueOn(tuple(at), tuple(value) if field.element_shape else value)
         grids.append(grid)
-    vdb.write(os.fspath(path), grids=grids)
+    with replacing_name(path) as part:
+        vdb.write(part, grids=grids)
 
 
 def _load_vdb(path: Any, fields: dict[str, Field]) -> dict[str, tuple]:

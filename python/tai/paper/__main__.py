@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from .._impl.base.files import replacing_name, write_text
 from . import __doc__ as text
 from . import page
 from .experiments import EXPERIMENTS, Experiment
@@ -131,13 +132,11 @@ class _Store:
             shutil.rmtree(self.runs / name, ignore_errors=True)
             (self.folder / f"{name}.json").unlink(missing_ok=True)
         self.runs.mkdir(exist_ok=True)
-        made.write_text(content)
+        write_text(made, content)
 
     def save(self, result: Result) -> None:
         content = {"settings": self.settings, "result": dataclasses.asdict(result)}
-        part = self.folder / f"{result.name}.part"
-        part.write_text(json.dumps(content))
-        os.replace(part, self.folder / f"{result.name}.json")
+        write_text(self.folder / f"{result.name}.json", json.dumps(content))
 
     def load(self, name: str) -> Result | None:
         """The result of an earlier run, if it was made with the same settings."""
@@ -177,15 +176,18 @@ def _copy_page(lab: Lab, text: str, rows: list[page.Row], docs: Path) -> None:
     suffix = "" if lab.arch == "cpu" else f"-{lab.arch}"
     folder = docs / "pictures"
     folder.mkdir(exist_ok=True)
-    for old in folder.glob(f"paper{suffix}_*.png"):
-        old.unlink()
+    gone = set(folder.glob(f"paper{suffix}_*.png"))
     for _, _, _, result in rows:
         for kind, *content in result.blocks:
             if kind == "picture":
                 name = content[0].replace("/paper_", f"/paper{suffix}_", 1)
                 text = text.replace(f"]({content[0]})", f"]({name})")
-                shutil.copyfile(lab.out / content[0], docs / name)
-    (docs / f"paper{suffix}.md").write_text(text)
+                with replacing_name(docs / name) as part:
+                    shutil.copyfile(lab.out / content[0], part)
+                gone.discard(docs / name)
+    write_text(docs / f"paper{suffix}.md", text)
+    for old in gone:
+        old.unlink()
 
 
 def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
@@ -209,8 +211,8 @@ def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
         f"Machine: {'; '.join(machines)}; arch {lab.arch}. {times}",
     ]
     path = lab.out / "paper.md"
-    path.write_text(page.markdown(head, rows))
-    (lab.out / "paper.html").write_text(page.hypertext(head, rows, lab.out))
+    write_text(path, page.markdown(head, rows))
+    write_text(lab.out / "paper.html", page.hypertext(head, rows, lab.out))
     if copy:
         _copy_page(lab, path.read_text(), rows, copy)
     return path

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import tai
+from tai._impl.base.files import write_text
 
 
 class _Tape(tai.ad.Tape):
@@ -36,7 +37,7 @@ class _Tape(tai.ad.Tape):
 
 def _write(path: Path) -> None:
     if _Tape.rows:  # a resumed program that had nothing to do leaves the file alone
-        path.write_text(json.dumps(_Tape.rows))
+        write_text(path, json.dumps(_Tape.rows))
 
 
 def main() -> None:
