@@ -10,7 +10,7 @@ limit=$((40 * 1024 * 1024))
 test -f build-portable/build.ninja || cmake --preset portable
 ninja -C build-portable -j"$jobs"
 
-version=$(sed -n 's/^project(Tai VERSION \([0-9.]*\).*/\1/p' CMakeLists.txt)
+version=$(sed -n 's/^__version__ = "\(.*\)"/\1/p' python/tai/_version.py)
 name=tai-portable-$version-linux-$(uname -m)
 root=dist/$name
 rm -rf "$root" "$root.tar.xz"

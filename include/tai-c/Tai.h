@@ -59,7 +59,11 @@ typedef enum TaiStatus {
 // Context
 //===----------------------------------------------------------------------===//
 
+/// The version of tai, as in Python: "0.2.0", or "0.2.0.dev0" between releases.
 TAI_EXPORT const char *taiVersion(void);
+
+/// The version of the LLVM and MLIR that libtai was built with.
+TAI_EXPORT const char *taiLLVMVersion(void);
 
 TAI_EXPORT TaiContext taiContextCreate(void);
 TAI_EXPORT void taiContextDestroy(TaiContext context);

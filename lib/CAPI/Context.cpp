@@ -7,6 +7,7 @@
 
 #include "Impl.h"
 #include "mlir/CAPI/IR.h"
+#include "llvm/Config/llvm-config.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -18,6 +19,8 @@ static StringRef toRef(const char *text) { return text ? text : ""; }
 //===----------------------------------------------------------------------===//
 
 const char *taiVersion(void) { return TAI_VERSION; }
+
+const char *taiLLVMVersion(void) { return LLVM_VERSION_STRING; }
 
 TaiContext taiContextCreate(void) { return new TaiContextImpl(); }
 

@@ -10,6 +10,7 @@
 PYBIND11_MODULE(_core, module) {
   module.doc() = "binding of tai's C API; use the package `tai` instead";
   module.def("version", &taiVersion);
+  module.def("llvm_version", &taiLLVMVersion);
   taipy::bindSafepoints();
   taipy::bindRuntime(module);
   taipy::bindBuilder(module);

@@ -26,7 +26,7 @@ from typing import Any
 
 from . import types
 from ._impl import alias
-from ._impl.base import dtypes
+from ._impl.base import dtypes, native
 from ._impl.base.dtypes import (
     bf16,
     f16,
@@ -165,6 +165,7 @@ from ._impl.values.ops import (
     zero,
 )
 from ._impl.values.types import template
+from ._version import __version__
 from .errors import (
     TaiAssertionError,
     TaiAutodiffError,
@@ -189,8 +190,7 @@ from .errors import (
 )
 from .errors import did_you_mean as _did_you_mean
 
-__version__ = "0.1.0"
-
+native.check_built()
 alias.install()
 
 # Loaded when they are first used: the extension module with libtai behind it, and what
@@ -206,6 +206,7 @@ _LAZY = {
         "types": "BitpackedFields",
         "_impl.fields.array_kinds": "ScalarNdarray VectorNdarray MatrixNdarray",
         "_impl.base.log_level": "set_logging_level is_logging_effective",
+        "about": "info",
         "_impl.values.ops": "loop_unique",
         "_impl.interop.device_arrays": "from_dlpack",
         "_impl.interop.streams": "wait_for_stream let_stream_wait",

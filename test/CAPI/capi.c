@@ -76,7 +76,7 @@ static TaiStatus onBackward(void *user) {
 }
 
 int main(void) {
-  printf("version %s\n", taiVersion());
+  printf("version %s, LLVM %s\n", taiVersion(), taiLLVMVersion());
   context = taiContextCreate();
   check(taiContextAddTree(
       context, "t",

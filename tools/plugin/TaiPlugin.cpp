@@ -17,7 +17,7 @@
 
 extern "C" LLVM_ATTRIBUTE_WEAK mlir::DialectPluginLibraryInfo
 mlirGetDialectPluginInfo() {
-  return {MLIR_PLUGIN_API_VERSION, "tai", "0.1.0",
+  return {MLIR_PLUGIN_API_VERSION, "tai", TAI_VERSION,
           [](mlir::DialectRegistry *registry) {
             mlir::tai::registerAll(*registry);
           }};
@@ -25,6 +25,6 @@ mlirGetDialectPluginInfo() {
 
 extern "C" LLVM_ATTRIBUTE_WEAK mlir::PassPluginLibraryInfo
 mlirGetPassPluginInfo() {
-  return {MLIR_PLUGIN_API_VERSION, "tai", "0.1.0",
+  return {MLIR_PLUGIN_API_VERSION, "tai", TAI_VERSION,
           mlir::tai::registerAllPasses};
 }
