@@ -1,8 +1,9 @@
-"""On what a random program runs: target, threads, level of optimisation, number of elements.
+"""The configurations of random programs: target, threads, level of optimisation, number of
+elements.
 
-Each seed draws a configuration of its own, so that what the compiler does above some size, with
-several threads, at some level or on a device is met by random programs too. A configuration is
-one word, such as `emulated-64t-O3-1031n`, by which a seed is run again:
+Each seed draws a configuration of its own, so that random programs, too, meet the compiler's
+choices that depend on a size, on several threads, on a level or on a device. A configuration is one
+word, such as `emulated-64t-O3-1031n`, by which a seed is run again:
 
     python test/fuzz/run.py --seed 17 --configuration emulated-64t-O3-1031n
 """
@@ -72,7 +73,7 @@ class Configuration:
 
     @property
     def options(self) -> dict:
-        """What `ti.init` is given."""
+        """The arguments of `ti.init`."""
         return {
             "cpu_max_num_threads": self.threads if self.arch == "cpu" else 1,
             "opt_level": self.level, "deterministic": self.deterministic,

@@ -85,7 +85,7 @@ VECTOR = "vector<2xf64>"
 
 
 class Scope:
-    """What a statement can name: SSA values by what they are good for."""
+    """The names of a statement: SSA values by their use."""
 
     def __init__(self, **names: list[str]):
         self.floats = list(names.get("floats", []))
@@ -138,7 +138,7 @@ class Generator:
         )
 
     def squash(self, value: str) -> str:
-        """Keeps what goes round in loops from growing."""
+        """Keeps values that go round in loops from growing."""
         return self.unary("math.tanh", value)
 
     # Expressions
@@ -207,7 +207,7 @@ class Generator:
     # Statements
 
     def block(self, outer: Scope, depth: int) -> Scope:
-        """Writes a few statements; returns what is known after them."""
+        """Writes a few statements; returns the scope after them."""
         scope = outer.copy()
         for _ in range(self.random.randrange(1, 5)):
             self.statement(scope, depth)
@@ -293,7 +293,7 @@ class Generator:
         self.emit("}")
 
     def while_loop(self, scope: Scope, depth: int) -> None:
-        """A loop that ends by what it computes, or at a bound."""
+        """A loop that ends by a computed value, or at a bound."""
         pick = self.random.choice
         value, count, result = self.name("w"), self.name("k"), self.name()
         bound = pick(scope.bounds)

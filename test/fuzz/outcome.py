@@ -1,4 +1,4 @@
-"""What becomes of one random program: agree, refused, undefined or FAIL."""
+"""The outcome of one random program: agree, refused, undefined or FAIL."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ MOST_FOR_DIFFERENCES = 300
 
 _LAST_DIGITS = "reverse and forward mode differ in the last digits"
 
-# To see at a point beside how a program amplifies rounding: what the sum of all elements, which a
-# program may read, is off by, for each of them.
+# The disturbance of each element of the sum of all elements, which a program may read: at a point
+# beside, it shows how a program amplifies rounding.
 JITTER = 1e-15
 
 # Where the loss is off by as much at a point beside, the program repeats a map that pulls points
@@ -103,8 +103,8 @@ def judge(
     try:
         found, values = at(configuration, _judge)
         if found.reason == _LAST_DIGITS and not kinked and configuration.arch == "cpu":
-            # Parts of a derivative that cancel within one element leave the rounding of the sums
-            # that they were, which is much beside what is left. With exact sums they agree.
+            # Parts of a derivative that cancel within one element leave the rounding of their sums,
+            # which is large beside the remainder. With exact sums they agree.
             exact = _with_exact_sums(at, configuration, _judge)
             if exact and exact[0].kind in ("agree", "kink"):
                 return Outcome("undecided", "rounding of sums decides", found.detail)
@@ -113,8 +113,8 @@ def judge(
             return found
         expected, *beside = at(reference, _run_beside)
         differs = _compare(values, expected, beside)
-        # What rounding of sums does to the plain configuration, measured: equal terms are all
-        # rounded to the same side, and the sum is off by as much as by their number.
+        # The effect of the rounding of sums in the plain configuration, measured: equal terms are
+        # all rounded to the same side, and the error grows with their number.
         exact = differs and _with_exact_sums(at, reference, lambda module, *_: _run(module)[1])
         differs = _compare(values, expected, [*beside, exact]) if exact else differs
         if differs and _noise("loss", expected, beside) > CHAOTIC:
@@ -130,7 +130,7 @@ def judge(
 
 
 def _with_exact_sums(at: Callable, where: Configuration, work: Callable) -> Any:
-    """What `work` finds where sums have twice the digits; None where they cannot be kept apart."""
+    """The result of `work` with sums of twice the digits; None if they cannot be kept apart."""
     try:
         return at(replace(where, compensated=True), work)
     except TaiError:
@@ -177,7 +177,7 @@ def _scale(values: np.ndarray) -> float:
 
 
 def _noise(name: str, reference: dict, beside: list[dict]) -> float:
-    """What rounding does to a value, by the points beside."""
+    """The effect of rounding on a value, by the points beside."""
     expected = reference[name]
     off = (float(np.max(np.abs(other.get(name, expected) - expected))) for other in beside)
     return max(off) / _scale(expected)
@@ -313,9 +313,9 @@ def _check_forward(program, f, mask, gradient, generator, kinked, bound, beside=
     if error <= 1e-9 and singular.is_below_rounding(program, off):
         return Outcome("agree")
     if beside:
-        # Each mode ran the program once. Where threads add in another order each time, they have
-        # seen other sums, and a program may amplify what these differ by: a cosine of a sum.
-        # However much it amplifies, some digits are the same.
+        # Each mode ran the program once. If threads add in another order each time, they have seen
+        # other sums, and a program may amplify their differences: a cosine of a sum. However much
+        # it amplifies, some digits are the same.
         noise = abs(float(np.sum((beside() - gradient)[finite] * along[finite]))) / scale
         if error <= min(100 * noise, 1e-4):
             return Outcome("undecided", "rounding decides")

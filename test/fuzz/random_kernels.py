@@ -78,7 +78,7 @@ HUGE = (1e150, -1e200, 1e300, -1e18)
 
 
 class Scope:
-    """What can be named: expressions of each type, and fields by what may be done to them."""
+    """The names of a program: expressions of each type, and fields by the allowed accesses."""
 
     def __init__(self) -> None:
         self.floats: list[str] = []
@@ -90,7 +90,7 @@ class Scope:
         self.trips: list[str] = ["2", "3"]  # of loops
         self.element: str | None = None  # of a parallel loop; None where anything goes
         self.own: set[str] = set()  # fields written at the element of the loop alone
-        self.tidy = False  # what is written is not read
+        self.tidy = False  # written fields are not read
         self.sinks: set[str] = set()  # fields accumulated anywhere, and not read
         self.in_loop = False
 
@@ -268,7 +268,7 @@ class Generator:
         return f"({simple})"
 
     def squash(self, value: str) -> str:
-        """What is stored stays of moderate size, most of all in smooth programs."""
+        """Stored values stay of moderate size, most of all in smooth programs."""
         if self.kinked and self.chance(0.5):
             return value
         return self.pick(f"ti.tanh({value})", f"ti.sin({value})", f"(0.3 * ti.cos({value}))")

@@ -1,14 +1,15 @@
-"""What may be infinite, or noise, though the slopes of the program are not, and how to tell.
+"""Derivatives that may be infinite, or noise, though the slopes of the program are not, and tests
+for them.
 
 Things that floats and the conventions of docs/derivatives.md leave:
 
 - The derivative of a part is beyond the range, such as that of log at a denormal number, and
   comes back into it later. A gradient is linear in its seed: with a small one it must be right.
-- Of a tie all goes to one operand, and the slope of that one is infinite, as in min(x, sqrt(x))
-  at zero.
+- At a tie one operand gets the whole gradient, and its slope is infinite, as in
+  min(x, sqrt(x)) at zero.
 - A derivative that is infinite in itself, such as that of sqrt at zero, was stored in a field by
   one kernel and meets a factor of zero in another. Rule 1 holds within kernels.
-- Rounding decides: what is left of a derivative after it has cancelled.
+- Rounding decides: the remainder of a derivative after it has cancelled.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ def is_lost_in_rounding(program, f, along: np.ndarray, error: float) -> bool:
 def is_below_rounding(program, error: float) -> bool:
     """Whether the error is nothing beside the greatest derivative of the program.
 
-    What is left of parts that cancel inside of a program has the rounding of these.
+    A remainder of parts that cancel inside of a program has their rounding.
     """
     gradients = program.sweep([np.ones(())]).values()
     greatest = max(float(np.max(np.abs(g[np.isfinite(g)]), initial=0.0)) for g in gradients)

@@ -1,4 +1,4 @@
-"""What levels and fields should do, with dictionaries and sets.
+"""The expected behaviour of levels and fields, by dictionaries and sets.
 
 Cells and elements are tuples of indices from zero, one for each axis divided so far, by
 ascending axis.
@@ -96,7 +96,7 @@ class Model:
                 self.active[above].add(own)
 
     def deactivate(self, level: Level, *cells: Cell) -> None:
-        """Of a sparse level. Of a list, the whole."""
+        """Deactivates cells of a sparse level. If the level is a list, it empties the whole."""
         if level.is_list:
             keys = {list_of(level, cell)[0] for cell in cells}
 
@@ -186,7 +186,7 @@ class Model:
         return [self.values[spec, c].get(element, 0) for c in range(spec.components)]
 
     def fill(self, spec: FieldSpec, value: int) -> None:
-        """Sets what is active."""
+        """Sets the active cells."""
         for place in spec.places:
             for element in self.elements(place.level):
                 for component in place.components:

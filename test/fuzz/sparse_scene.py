@@ -55,7 +55,7 @@ def weighed(spec: FieldSpec, at: str) -> str:
 
 
 def commands(forest: Forest) -> list[tuple[str, str]]:
-    """What the kernel `run` knows; a command is its position here."""
+    """The commands of the kernel `run`; a command is its position here."""
     table = []
     for spec in forest.fields:
         table += [("write", spec.name), ("add", spec.name), ("read", spec.name)]
@@ -139,7 +139,7 @@ def visit_kernel(forest: Forest, choice: random.Random) -> list[str]:
 
 
 def loops(forest: Forest) -> list[tuple[str, int]]:
-    """What `visit` loops over, with the number of indices."""
+    """The fields and levels that `visit` loops over, with the number of indices."""
     found = [(spec.name, spec.level.rank) for spec in forest.fields]
     for level in forest.levels:
         if any(below.places for below in level.below()):
@@ -185,7 +185,7 @@ def copy_kernel(source: FieldSpec, target: FieldSpec, add: bool) -> list[str]:
 
 
 def clear_kernel(level: Level, above: Level) -> list[str]:
-    """Deactivates cells above what is looped over, while the loop runs."""
+    """Deactivates cells above the visited ones, while the loop runs."""
     parts = []
     for axis, extent in above.cells.items():
         d = list(level.cells).index(axis)
@@ -234,7 +234,7 @@ def weigh_kernel(spec: FieldSpec) -> list[str]:
 
 
 def choose_kernels(forest: Forest, choice: random.Random) -> dict[str, tuple]:
-    """Which fields and levels the kernels with loops are about, by kernel."""
+    """The fields and levels that the kernels with loops use, by kernel."""
     fields, chosen = forest.fields, {}
     chosen["spread"] = (choice.choice(fields),)
     source = choice.choice(fields)

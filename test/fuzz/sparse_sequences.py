@@ -32,7 +32,7 @@ def expect(what: str, got: Any, wanted: Any) -> None:
 
 
 class Runner:
-    """A program for the forest of a seed, and what can be done with it."""
+    """A program for the forest of a seed, and the operations on it."""
 
     def __init__(self, seed: int, folder: Path, **options: Any):
         choice = random.Random(seed)
@@ -248,7 +248,7 @@ class Runner:
         for cell in np.ndindex(spec.shape):
             for place in spec.places:
                 values = flat[cell][list(place.components)].tolist()
-                # What holds zeros alone is not made active.
+                # A cell that would hold zeros alone is not made active.
                 if any(values):
                     self.model.activate(place.level, cell)
                 for c, number in zip(place.components, values, strict=True):
@@ -270,7 +270,7 @@ class Runner:
         visited = list(self.model.elements(spec.level))
         out = np.zeros(1, np.int64)
         self.module.spread(out, a, v)
-        # What the loop makes active does not join it.
+        # Cells that the loop activates do not join it.
         expect(f"visits of {spec.name}", out[0], len(visited))
         values = [v + c for c in range(spec.components)]
         for element in visited:
@@ -294,7 +294,7 @@ class Runner:
         visited = list(self.model.elements(level))
         out = np.zeros(1, np.int64)
         self.module.clear(out, a)
-        # What the loop deactivates, it still visits.
+        # Cells that the loop deactivates are still visited.
         expect(f"visits of {level.name}", out[0], len(visited))
         gone = [cell for cell in visited if (sum(cell) + a) % 2 == 0]
         self.model.deactivate(above, *(project(cell, level, above) for cell in gone))
@@ -325,7 +325,7 @@ class Runner:
                     raise Mismatch(f"expected a full list, but got: {error}") from error
             else:
                 raise Mismatch("no error where a list is full")
-            # Which appends came first is open.
+            # The order of appends is open.
             top = level.path()[0]
             self.of(top).deactivate_all()
             self.model.deactivate_all(top)

@@ -2,7 +2,7 @@
 
 A tree has one to four levels on a path, over one to three axes, and may branch; fields stand at
 any level. Nothing here needs the package: `sparse_scene` writes a program for a tree, and
-`sparse_model` says what that program should do.
+`sparse_model` predicts its results.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class Worker:
         other.close()
 
     def poll(self) -> list[dict]:
-        """What came in; may replace the process."""
+        """Returns results that have come in; may replace the process."""
         found = []
         if self.finished:
             return found
@@ -134,7 +134,7 @@ def judge_all(
 
 
 def _command(row: dict) -> str:
-    """What runs this seed again."""
+    """The command that runs this seed again."""
     if "configuration" not in row:
         return ""
     script = Path(sys.argv[0]).name

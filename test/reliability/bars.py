@@ -1,4 +1,4 @@
-"""What the scripts of this folder share: their options, and the line that each ends with."""
+"""The frame of the scripts of this folder: their options, and the last line of each."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ BUSY = 0.1
 
 
 class Bar:
-    """One bar: its name, what is counted, and how many cases a long and a short run take.
+    """One bar: its name, the counted cases, and their numbers in a long and a short run.
 
-    `target` and `miss` are for the page of all bars: what must hold, and what one miss is. `archs`
-    are the devices on which the script can run, if there is a choice, the first by default. `adds`
-    says that runs with other seeds are other cases, whose numbers add up; `apart` that the bar
-    takes too long for a soak of all and has no short form.
+    `target` and `miss` are for the page of all bars: the invariant, and the meaning of one miss.
+    `archs` are the devices on which the script can run, if there is a choice, the first by default.
+    `adds` says that runs with other seeds are other cases, whose numbers add up; `apart` that the
+    bar takes too long for a soak of all and has no short form.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """Kernels of which the compile cache keeps the code, and processes that run them.
 
-A process is forked from one that has imported all that a kernel makes Python import, but has no
-program and no thread of its own: what it takes is compiling and loading. What it prints to the
-standard error is kept, with a line for each function that says whether the cache had it.
+A process is forked from one that has imported all modules that a kernel makes Python import, but
+has no program and no thread of its own: its time is compiling and loading. Its standard error is
+kept, with a line for each function that says whether the cache had it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def run_kernels(first: int, count: int) -> list[list[float]]:
 
 
 def expected(first: int, count: int) -> list[list[float]]:
-    """What they must be: all numbers have few bits, so that no sum is rounded."""
+    """The expected results: all numbers have few bits, so that no sum is rounded."""
     squares = sum((i / N) ** 2 for i in range(N))
     return [[(k + 0.5) * squares, 2 * (k + 0.5) * 3 / N] for k in range(first, first + count)]
 
@@ -92,7 +92,7 @@ class Ended:
     """How a process ended.
 
     Attributes:
-        problem: what is wrong with that, or nothing. A process that was killed has none.
+        problem: the fault, or nothing. A process that was killed has none.
         warnings: the lines of its standard error.
         compiled: how often each function was compiled, by its name.
         hits: how many functions came from the cache.
@@ -131,7 +131,7 @@ class Process:
             if prepare:
                 prepare()
             answer = run_kernels(self.first, self.count)
-            ti.reset()  # writes what is still to be written
+            ti.reset()  # writes the buffered output
             with os.fdopen(write, "wb") as pipe:
                 pipe.write(json.dumps(answer).encode())
             status = 0

@@ -1,4 +1,4 @@
-"""What a random module is made of: its fields, its text, and the values in scope."""
+"""The parts of a random module: its fields, its text, and the values in scope."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Field:
 
 @dataclass
 class Module:
-    """A module: its text, in parts, and what a launch is given."""
+    """A module: its text, in parts, and the arguments of a launch."""
 
     seed: int
     trees: dict[str, str] = field(default_factory=dict)

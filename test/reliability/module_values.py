@@ -31,8 +31,8 @@ class Values:
         self.count = 0
         self.depth = 2
         self.locals: list[tuple[str, str]] = []
-        # In the loop at hand: indices, what may be read, what is written or added to at
-        # those indices, and whether iterations come one after another.
+        # State of the current loop: indices, fields that may be read, fields that are written or
+        # added to at those indices, and whether iterations come one after another.
         self.ivs: list[str] = []
         self.readable: list[Field] = []
         self.own: list[Field] = []
@@ -99,7 +99,7 @@ class Values:
         """Some value of the type."""
         known = scope.values.get(type_, [])
         if known and (effort <= 0 or self.budget <= 0 or self.rng.random() < 0.45):
-            # What was made last is most interesting.
+            # The latest values are the most interesting ones.
             return known[-1 - min(int(self.rng.expovariate(0.4)), len(known) - 1)]
         if effort <= 0 or self.budget <= 0:
             return self.constant(type_, scope)
@@ -258,7 +258,7 @@ class Values:
             b = self.number_of(scalar, scope, effort)
             return self.op(f"math.copysign {a}, {b} : {type_}", type_, scope)
         if draw < 0.36:
-            # Which zero comes out of two is not said.
+            # The choice between two zeros is not specified.
             b = self.value(type_, scope, effort - 1)
             name = rng.choice(("maxnumf", "minnumf"))
             a = self.op(f"arith.{name} {a}, {b} : {type_}", type_, Scope())

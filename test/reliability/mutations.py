@@ -189,7 +189,7 @@ class Mutator:
         return "\n".join(lines) + "\n"
 
     def change_region(self, text: str) -> str:
-        """Empties or doubles what stands in braces, or takes the braces away."""
+        """Empties or doubles a block in braces, or takes the braces away."""
         starts = [i for i, c in enumerate(text) if c == "{"]
         if not starts:
             return text

@@ -1,8 +1,8 @@
 """R10: sparse layouts that run out of memory say so, and the program goes on.
 
 Each case is a layout, a limit of memory, and a way to ask for more cells than fit. The exception
-must name the level and say sizes; what was there before must be there still, a kernel on other
-fields must work, and so must the same layout once its cells are given back.
+must name the level and give sizes; earlier cells must still be there, a kernel on other fields must
+work, and so must the same layout once its cells are given back.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Case:
     def __init__(self, choose: random.Random, arch: str):
         self.arch = choose.choice(("cpu", "cpu", "emulated")) if arch == "both" else arch
         self.layout = choose.choice(LAYOUTS)
-        # Where cells take no more than what is written of them, or are small, all is written.
+        # If cells take no more memory than their written elements, or are small, all are written.
         ways = {"dynamic": ["append"], "bitmasked": WAYS[:3], "nested": WAYS[:4]}
         self.way = choose.choice(ways.get(self.layout, WAYS))
         self.block = choose.choice((64, 256, 1024, 1000))

@@ -1,9 +1,9 @@
 """R11: a GPU that runs out of memory says for what and who holds it, and the program goes on.
 
-In each cycle the memory of the device runs out where a tree is made, where cells are in a launch,
-and in a tape. Each exception must say what was wanted, what the limit is, and which trees and tapes
-hold how much. After what was too much is gone, kernels and tapes give the right numbers, and
-neither this process nor the device holds more than in the first cycles.
+In each cycle the memory of the device runs out when a tree is made, when a launch activates cells,
+and in a tape. Each exception must name the request, the limit, and the trees and tapes with their
+sizes. After the request is gone, kernels and tapes give the right numbers, and neither this process
+nor the device holds more than in the first cycles.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ HOLDS = re.compile(r"this program holds ([\d.]+ \w+): (.+)")
 
 
 class Scene:
-    """What is there in all cycles, with kernels on it."""
+    """Fields that exist in all cycles, with kernels on them."""
 
     def __init__(self, cache: str):
-        # Kernels on a new tree are compiled in each cycle; what that leaves is a matter of R12.
+        # Kernels on a new tree are compiled in each cycle; R12 tests the memory that this leaves.
         ti.init(offline_cache_file_path=cache, device_memory_limit=LIMIT)
         self.small = small = ti.field(ti.f64, shape=1000, name="small", needs_grad=True)
         self.loss = loss = ti.field(ti.f64, shape=(), name="loss", needs_grad=True)
@@ -103,7 +103,7 @@ class Scene:
             tree.destroy()
 
     def check(self, a: float) -> str:
-        """What is wrong with the program afterwards."""
+        """The faults of the program afterwards."""
         self.fill(a)
         with ti.ad.Tape(self.loss):
             self.measure()
@@ -121,7 +121,7 @@ class Scene:
 
 
 def run_cycle(scene: Scene, choose: random.Random, a: float) -> tuple[list[str], str]:
-    """What is wrong in a cycle, and what the device held where no tree found room."""
+    """The faults of a cycle, and the contents of the device when a tree found no room."""
     problems, held = [], ""
     for what in choose.sample(("tree", "launch", "tape"), 3):
         try:

@@ -1,4 +1,4 @@
-"""R12: what a program makes and throws away leaves nothing behind.
+"""R12: objects that a program makes and drops leave nothing behind.
 
 Trees of fields, with and without kernels and tapes, tapes, kernels that are defined again, arrays,
 threads and whole programs are made and dropped. Memory must stay as it is after the first tenth,
@@ -143,7 +143,7 @@ PARTS = [(tree, 1.0), (tree_with_kernel, 0.1), (tree_of_another_size, 0.1),
 
 
 def other_work():
-    """What has nothing to do with tai."""
+    """Work that does not use tai."""
     table = {}
     for i in range(1000):
         table[str(i)] = [i] * 20

@@ -1,8 +1,8 @@
 """R13: reports of sanitizers over the tests of the presets asan and tsan.
 
-Builds each preset and runs its tests, as `make test PRESET=asan` does, and counts what they say
-at the end. Takes long: most of it is the build, which is kept. With `--rooms`, whole folders of
-test/python run in the place of the files that scripts/sanitizers.py names.
+Builds each preset and runs its tests, as `make test PRESET=asan` does, and counts the results and
+reports at the end. Takes long: most of it is the build, which is kept. With `--rooms`, whole
+folders of test/python run in the place of the files that scripts/sanitizers.py names.
 
     python test/reliability/r13_sanitizers.py [--presets asan] [--jobs 2] [--rooms tapes interop]
 
@@ -21,7 +21,7 @@ from bars import ROOT, Bar
 
 PRESETS = ("asan", "tsan")
 KINDS = ("lit", "gtest", "pytest")
-# What the tests of a preset need of its build, where that is not all.
+# The targets that the tests of a preset need, if not all.
 TARGETS = {"tsan": ["_core", "tai-unit-tests"]}
 
 
@@ -74,7 +74,7 @@ def main() -> None:
     words, totals = [], Counter()
     for preset in args.presets:
         counted = run(preset, args.jobs, args.rooms)
-        # What did not come to its end says nothing of reports.
+        # A run that did not end shows nothing about reports.
         whole += "reports" in counted and not args.rooms
         totals["missing"] += "reports" not in counted
         totals["reports"] += counted.pop("reports", (0, 0))[1]

@@ -1,4 +1,5 @@
-"""What r18_reproducers.py runs: one kernel, launched in the way that the argument names.
+"""The program that r18_reproducers.py runs: one kernel, launched in the way that the argument
+names.
 
 A sequence of launches that comes again becomes one program of a device. Where that cannot be made,
 they are launched one by one, and the tape says why.
@@ -43,8 +44,8 @@ def run() -> None:
     ti.sync()
 
 
-# Twice: what is tried again leaves no second file. Indices are clamped where a kernel is made,
-# and the next try makes another one; a second tape makes a sequence of other launches come again.
+# Twice: a second try leaves no second file. Indices are clamped where a kernel is made, and the
+# next try makes another one; a second tape makes a sequence of other launches come again.
 for _ in range(1 if WHAT in ("clamp", "program") else 2):
     try:
         run()

@@ -2,8 +2,8 @@
 
 A failure is injected into each step from a kernel to code that runs. The error of the Python
 program must name the one file that was written, and `tai-opt --run-reproducer` must fail on it
-as the program did, or, where passes were not what failed, pass. What is put together of the code of
-several kernels of a device is LLVM IR, for `opt`.
+as the program did, or, where passes were not what failed, pass. The joined code of several kernels
+of a device is LLVM IR, for `opt`.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from bars import ROOT, Bar
 
 PROGRAM = ROOT / "test/reliability/r18_program.py"
 LLVM_BIN = Path(os.environ.get("TAI_LLVM_BIN", "/usr/lib/llvm-22/bin"))
-# What the program does, on which device, and the steps that are made to fail. A gradient is
-# compiled while its kernel is linked, and both would fail there.
+# The launch of the program, its device, and the steps that are made to fail. A gradient is compiled
+# while its kernel is linked, and both would fail there.
 PASSES = ("lower", "lower-invalid")
 CODE = ("translate", "optimize", "emit")
 CASES = [
@@ -36,7 +36,7 @@ CASES = [
 
 
 def start(what: str, arch: str, cache: Path, files: Path, step: str = "") -> str:
-    """Runs the program; returns what it printed."""
+    """Runs the program; returns its output."""
     environment = os.environ | {
         "PYTHONPATH": str(ROOT / "python"),
         "TAI_CACHE_DIR": str(cache),
@@ -54,7 +54,7 @@ def start(what: str, arch: str, cache: Path, files: Path, step: str = "") -> str
 
 
 def judge(build: Path, what: str, arch: str, step: str) -> str:
-    """What is wrong with the reproducer of a case, or nothing."""
+    """The fault of the reproducer of a case, or nothing."""
     with tempfile.TemporaryDirectory() as folder:
         cache, files = Path(folder) / "cache", Path(folder) / "files"
         files.mkdir()

@@ -3,7 +3,7 @@
 Several contexts at once; an LLVM of another version in the process, before tai and after it; a
 program with a static LLVM of its own, or with threads that each have an MLIRContext; the plugin in
 a stock mlir-opt, next to other plugins; libraries that are built elsewhere against the headers of
-tai. None may meet an option or an object that is there already, and all must get right results.
+tai. No case may meet an option or an object of another copy, and all must get right results.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ assert other.LLVMContextCreate()
 
 
 def start(command: list[object], **options) -> str:
-    """What went wrong with a command, or nothing."""
+    """The fault of a command, or nothing."""
     run = subprocess.run(list(map(str, command)), capture_output=True, text=True, **options)
     return f"ended with {run.returncode}:\n{run.stdout}{run.stderr}" if run.returncode else ""
 
@@ -112,7 +112,7 @@ def libraries_from_outside(build: Path) -> str:
 
 
 def programs_with_llvm(build: Path) -> str:
-    """Those of embedding/, which CMake builds against the installed headers."""
+    """The programs of embedding/, which CMake builds against the installed headers."""
     folder = build / "reliability/embedding"
     configure = ["cmake", "-G", "Ninja", "-S", ROOT / "test/reliability/embedding", "-B", folder,
                  f"-DTai_DIR={build}/lib/cmake/tai", "-DCMAKE_CXX_FLAGS=-O0",

@@ -1,10 +1,10 @@
 """R1: mutants of the .mlir files of the tests, through tai-opt.
 
 Each mutant is parsed and goes through whole pipelines, and through the passes of the file that
-it comes from. Errors are what is expected; signals and hangs are not. Many mutants go through one
+it comes from. Errors are expected; signals and hangs are misses. Many mutants go through one
 process, which may compute for no longer than one of them may; where it dies or hangs, the mutant
 that did it is found by halves and kept. A process that still computes when the time of the run is
-up is ended and named; what it was given does not count as tried.
+up is ended and named; its mutants do not count as tried.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ PIPELINES = [
 class Upstream:
     """A crash of MLIR 22 before any code of ours sees the module.
 
-    It is known by what a text needs for it, because a stripped or static build names no function:
-    the text crashes without any pass, and the same text with something harmless in place of the
-    construct gets through all passes.
+    It is known by the construct that a text needs for it, because a stripped or static build names
+    no function: the text crashes without any pass, and the same text with something harmless in
+    place of the construct gets through all passes.
     """
 
     reason: str
     construct: re.Pattern
     harmless: Callable[[re.Match], str]
-    report: str = ""  # a part of what the process writes
+    report: str = ""  # a part of the process's output
 
 
 COMPOSITE = r"\b(?:(?:tensor|memref|tuple|complex)<[^<>\n]*>|none\b|index\b)"
@@ -67,7 +67,7 @@ KNOWN_UPSTREAM = [
     Upstream("%r#2147483647: room for as many", re.compile(r"#\d{8,}"), lambda _: "#0",
              "LLVM ERROR: out of memory"),
 ]  # fmt: skip
-# What may be such a crash goes through a process of its own, and takes no others with it.
+# A text that may crash so goes through a process of its own, and takes no others with it.
 RISKY = re.compile("|".join(f"(?:{crash.construct.pattern})" for crash in KNOWN_UPSTREAM))
 # A frame as the loader names it, which knows the exported functions, and by a symbolizer.
 FRAME = re.compile(
@@ -94,7 +94,7 @@ class Outcome:
 
 
 def limit(seconds: int) -> None:
-    """What a child may take: a mutant that wants all memory dies instead of the machine."""
+    """The limits of a child: a mutant that wants all memory dies instead of the machine."""
     resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -128,7 +128,7 @@ def run_limited(
     On a busy machine the first takes many times as long by the clock.
 
     Returns:
-        How it ended ('ok', 'hang' or 'late'), its status, and what it wrote.
+        How it ended ('ok', 'hang' or 'late'), its status, and its output.
     """
     process = subprocess.Popen(
         command, stderr=subprocess.PIPE, preexec_fn=lambda: limit(seconds), **more
@@ -195,8 +195,8 @@ def find_failures(
     """The texts of a batch that end their process, by halves.
 
     Args:
-        left: the seconds that are left of the run. What is not tried when they are over, comes as
-            one text that is 'late'.
+        left: the seconds that are left of the run. Texts that are not tried when they are over come
+            as one text that is 'late'.
     """
     outcome = call(tool, options, texts, folder, left())
     if outcome.kind == "ok":

@@ -1,8 +1,8 @@
 """R20: the tests pass in any order, several at a time.
 
 The Python tests run with `--shuffle` and as many workers as the bar asks for, those of lit and
-GoogleTest in random orders. What fails in a run is run again by itself, in its usual order: a
-test that then passes is a flake, one that fails again is broken. Both are counted as failures.
+GoogleTest in random orders. A test that fails is run again by itself, in its usual order: one that
+then passes is a flake, one that fails again is broken. Both are counted as failures.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from bars import ROOT, Bar
 
 LIT = Path(os.environ.get("TAI_LLVM_BIN", "/usr/lib/llvm-22/bin")) / "lit"
-# Those of a short run: many small tests that share a process.
+# The tests of a short run: many small tests that share a process.
 FEW = ("test_api", "test_errors", "test_fields", "test_control_flow")
 
 

@@ -170,7 +170,7 @@ def main() -> None:
         sys.exit("a file that is not damaged was refused")
     choose = random.Random(args.seed)
     checked = run(bar, library.load, lambda: damage(choose, files, 0), args.count)
-    # The reader alone sees what stands behind the checksum.
+    # Only the reader sees bytes behind the checksum.
     raw = run(
         bar,
         library.read_raw,

@@ -32,8 +32,8 @@ NEAR = {"f16": 2, "f32": 4, "f64": 4}
 LOOSE = {"f32": 2e-5, "f64": 1e-13}
 DTYPES = {"i1": np.uint8, "i8": np.int8, "i16": np.int16, "i32": np.int32, "i64": np.int64,
           "f16": np.float16, "bf16": np.uint16, "f32": np.float32, "f64": np.float64}  # fmt: skip
-# The first is what all others are compared with. Sums of floats are exact, and products stay what
-# they are only where nothing is contracted: in deterministic mode.
+# All other configurations are compared with the first one. Sums of floats are exact, and products
+# keep their value only if nothing is contracted: in deterministic mode.
 CONFIGURATIONS: dict[str, dict[str, str]] = {
     "interpreter": {"arch": "interpreter"},
     "interpreter-shuffled": {"arch": "interpreter", "order_seed": "7"},
@@ -43,7 +43,7 @@ CONFIGURATIONS: dict[str, dict[str, str]] = {
     "emulated": {"arch": "cuda", "opt_level": "3", "deterministic": "true"},
     "cuda": {"arch": "cuda", "opt_level": "3", "deterministic": "true"},
 }
-# Messages of modules that are refused, and rightly so: what is constant is known to fail.
+# Messages of modules that are refused, rightly: a constant operation is known to fail.
 REFUSALS = ("divided by zero", "is divided by -1")
 
 
@@ -88,7 +88,7 @@ class Context:
             self.fail()
 
     def run(self, module: random_modules.Module, inputs: dict[str, np.ndarray]) -> dict:
-        """What each field holds, and which cells are active, after a launch."""
+        """The elements of each field, and the active cells, after a launch."""
         library = self.library
         kernel = ctypes.c_void_p()
         made: list[str] = []
@@ -152,7 +152,7 @@ class Context:
 
 
 def make_inputs(module: random_modules.Module) -> dict[str, np.ndarray]:
-    """What fields hold before: corner cases among the rest. Some stay zero."""
+    """The fields before the launch: corner cases among the rest. Some stay zero."""
     rng = np.random.default_rng(module.seed)
     inputs = {}
     for f in module.fields:

@@ -1,9 +1,9 @@
 """R4: the gradients of random Python kernels agree with forward mode and with differences.
 
 The programs are those of test/fuzz: each seed draws a program and where it runs (target, threads,
-level of optimisation, number of elements). What cannot be differentiated must be refused at its
-line. A process that dies or hangs is a failure of the seed it was at; test/fuzz/run.py --seed shows
-one.
+level of optimisation, number of elements). A program that cannot be differentiated must be refused
+at its line. A process that dies or hangs is a failure of the seed it was at; test/fuzz/run.py
+--seed shows one.
 """
 
 from __future__ import annotations

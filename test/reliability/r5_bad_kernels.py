@@ -22,7 +22,7 @@ from bars import ROOT, Bar
 
 FILES = sorted((ROOT / "test/python").rglob("bad_*.py"))
 LEAST = 150
-# What only those know who write the compiler.
+# Words that only authors of the compiler know.
 INTERNAL = re.compile(
     r"memref|\btai\.|NoneType|mlir|llvm\.|arith\.|scf\.|\bcf\.|\bSSA\b|'@\w|<class|object at 0x|"
     r"Traceback|[A-Z]\w+(Value|Argument|Place|Node)\b|assert(ion)? failed in",
@@ -32,7 +32,7 @@ SECONDS = 60  # for one kernel; more is a hang
 
 
 def judge(function, kind: type[Exception]) -> list[str]:
-    """What the error of one kernel lacks."""
+    """The parts that the error of one kernel lacks."""
     import tai as ti
 
     ti.init(arch=ti.cpu, offline_cache=False)

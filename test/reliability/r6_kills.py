@@ -2,8 +2,8 @@
 
 A process compiles some kernels into a cache and is killed after a random time of the processor,
 which is the same share of its work however busy the machine is; in half of the cases another
-process wants the same kernels at the same time. Whoever comes after must get the right
-numbers, wait for no lock of the dead, find the entries that were whole, and complain of none.
+process wants the same kernels at the same time. A later process must get the right numbers, wait
+for no lock of the dead one, find the entries that were whole, and complain of none.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SECONDS = 50  # a claim that nobody gives back ends after 60
 
 
 def judge(first: int, cache: Path, delay: float, with_another: bool, counts: Counter) -> list[str]:
-    """What is wrong after one kill."""
+    """The faults after one kill."""
     killed = cold_kernels.Process(first, KERNELS, cache)
     another = cold_kernels.Process(first, KERNELS, cache) if with_another else None
     while killed.seconds() < delay and not killed.has_ended():
@@ -78,7 +78,7 @@ def main() -> None:
         begin = min(begin for begin, _ in usual)
         end = max(end for _, end in usual)
         while done < args.count and bar.left() > 0:
-            # What many kills leave behind is in one folder.
+            # The remains of many kills are in one folder.
             cache = Path(folder) / f"cache-{done // 50}"
             # A tenth before anything is compiled, and some when all is.
             delay = choose.uniform(0.7 * begin if choose.random() < 0.9 else 0, 1.05 * end)

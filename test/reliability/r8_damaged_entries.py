@@ -118,7 +118,7 @@ def other_version(data: bytes, choose: random.Random, other: bytes) -> bytes:
 
 
 def other_cpu(data: bytes, choose: random.Random, other: bytes) -> bytes:
-    """The CPU is part of what the key is a hash of."""
+    """The key is a hash of the CPU among other things."""
     entry = Entry(data)
     entry.key = choose.randbytes(len(entry.key) // 2).hex().encode()
     return entry.sealed()
@@ -148,7 +148,7 @@ def damage(path: Path, choose: random.Random, others: list[bytes], counts: Count
 
 
 def judge(cache: Path, kernels: int, damaged: int) -> list[str]:
-    """What is wrong with the two runs after so many entries were damaged."""
+    """The faults of the two runs after so many entries were damaged."""
     ended = cold_kernels.run(0, kernels, cache)
     after = cold_kernels.run(0, kernels, cache)
     problems = [one.problem for one in (ended, after) if one.problem]

@@ -1,8 +1,8 @@
 """R9: a cache that cannot be used, or must not be, costs time and a warning, and nothing else.
 
 Each case is a state of the disk or of the environment. A program that begins in it must get the
-right numbers, and say once, or not at all where there is nothing to say, what is wrong with the
-cache. Where others could put code into the folder, nothing in it is read or written.
+right numbers, and report the fault of the cache once, or not at all if there is none. If others
+could put code into the folder, nothing in it is read or written.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ NOBODY = 65534
 
 @dataclass
 class State:
-    """What a case has made of the disk.
+    """The state of the disk that a case has made.
 
     Attributes:
         cache: the folder that the program is told to use; None: the one below HOME.
         says: a word of the one warning; "" where there is to be none.
         uses: whether the cache serves a second run.
         untouched: a folder of which nothing may be read or written.
-        prepare: what the process does before all else.
+        prepare: actions of the process before all others.
     """
 
     cache: Path | None
@@ -44,7 +44,7 @@ class State:
 
 
 def become_nobody() -> None:
-    """Root may write everywhere. What Python imports late may be out of reach afterwards."""
+    """Root may write everywhere. Modules imported later by Python may be out of reach."""
     if os.getuid() == 0:
         folder = os.environ.get("TAI_CACHE_DIR")
         os.environ["TAI_CACHE_DIR"] = ""
@@ -85,7 +85,7 @@ def case(function: Callable[[Path], Iterator[State]]):
 
 
 def shared(folder: Path) -> Path:
-    """A folder that holds what was compiled before, and good entries."""
+    """A folder with earlier compiled code, and good entries."""
     cache = folder / "cache"
     cold_kernels.run(0, KERNELS, cache)
     return cache
@@ -325,7 +325,7 @@ def snapshot(folder: Path) -> dict[str, tuple]:
 
 
 def judge(one: Case) -> list[str]:
-    """What is wrong with a case."""
+    """The faults of a case."""
     problems = []
     with tempfile.TemporaryDirectory(prefix="tai-r9-") as name, one(Path(name)) as state:
 

@@ -1,10 +1,10 @@
 """Random valid modules of tai IR, as text, whose results no order of iterations decides.
 
-An iteration of a parallel loop writes to elements of its own, reads what the loop does not write,
-and meets others in atomics alone, of one kind for each field, whose old values it does not use.
-Sums of floats are of small whole numbers, which every order gets right, and of so few that none
-leaves the whole numbers its type holds: a sum may be kept in a wider float. What an operation
-leaves undefined is kept out: shifts are masked, casts clamped, indices taken modulo their extent.
+An iteration of a parallel loop writes to elements of its own, reads fields that the loop does not
+write, and meets others in atomics alone, of one kind for each field, whose old values it does not
+use. Sums of floats are of small whole numbers, which every order gets right, and of so few that
+none leaves the whole numbers its type holds: a sum may be kept in a wider float. Operations with
+undefined results are kept out: shifts are masked, casts clamped, indices taken modulo their extent.
 
 Results of operations that are not exact (functions of libm, decompositions) go straight into
 fields of their own, whose names say how near they must come: `near_…` to some units in the last
@@ -27,13 +27,13 @@ from module_text import (
 )
 from module_values import Values
 
-# Up to here a float holds every whole number, less the one that a field holds before. Those of
-# f32 and f64 are beyond what a module adds up.
+# Up to here a float holds every whole number, less the one that a field holds before. The limits of
+# f32 and f64 are beyond the sums of a module.
 EXACT = {"bf16": 255, "f16": 2047}
 
 
 class Generator(Values):
-    """Writes one module: what it declares, and loops over it."""
+    """Writes one module: its declarations, and loops over its fields."""
 
     # Declarations.
 

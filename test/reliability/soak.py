@@ -4,13 +4,13 @@
     make soak ARGS="--only R5 R8"        # these rows of the page alone
     make soak ARGS="--only R4 --count 5000 --seconds 7200"
     python test/reliability/soak.py --arch cuda     # on a GPU: those that can run there
-    python test/reliability/soak.py --page          # the page, from what was kept
+    python test/reliability/soak.py --page          # the page, from the kept results
 
     python test/reliability/soak.py --lines run.log --seed 5000 --commit 1a2b3c4
-                                         # what a script has printed that was run by itself
+                                         # the output of a script that was run by itself
 
-What was seen is kept in benchmarks/results, one file for CPUs and one for GPUs: the page is made
-of both. A row stays what it was until its bar runs again.
+Results are kept in benchmarks/results, one file for CPUs and one for GPUs: the page is made of
+both. A row stays the same until its bar runs again.
 
 Cases of several runs add up where each run has other ones (`adds` of a bar), as long as none
 missed and the scripts mean the same: a run begins behind the last seed of those before. After a
@@ -63,14 +63,14 @@ LINE = re.compile(r"^(R\d+) (.+?): (.+?); (.+) \(bar (.+)\)$", re.MULTILINE)
 HEAD = """\
 # Reliability
 
-What must not happen, counted. Each bar is a script of [test/reliability](../test/reliability),
-which ends with a line of numbers and a status other than zero below its bar. `make soak` runs them
-all and writes this page; `make soak ARGS="--only R5"` writes one row of it. A row says what was
-seen on the day, machine and commit that it names, and how many cases that were: fewer than the
-target names are said to be fewer. Where each run has cases of its own, those of several runs add
-up until one misses: a row that says so names all their commits, and beside the count what the last
-of them saw. Where a bar can run on a GPU, what was seen there has a column of its own; an emulated
-device is not one. Short forms run with `make test`.
+This page counts failures that must not happen. Each bar is a script of
+[test/reliability](../test/reliability), which ends with a line of numbers and a status other than
+zero below its bar. `make soak` runs them all and writes this page; `make soak ARGS="--only R5"`
+writes one row of it. A row holds the results for the day, machine and commit that it names, and the
+number of cases: a number below the target is marked. If each run has cases of its own, the cases of
+several runs add up until one misses: such a row names all their commits, and beside the count the
+result of the last run. If a bar can run on a GPU, its results there have a column of their own; an
+emulated device is not a GPU. Short forms run with `make test`.
 """
 
 
@@ -91,7 +91,7 @@ def environment() -> dict[str, str]:
 
 
 def facts(script: Path) -> dict:
-    """What a script says of its bar."""
+    """The facts of a script about its bar."""
     command = [sys.executable, script, "--facts"]
     run = subprocess.run(command, env=environment(), capture_output=True, text=True, check=True)
     return json.loads(run.stdout.splitlines()[-1])
@@ -118,7 +118,7 @@ def commit() -> str:
 
 
 def version(script: Path) -> str:
-    """A number that changes with what the cases of a bar are: its code and that of its helpers.
+    """A number that changes with the cases of a bar: with its code and that of its helpers.
 
     Comments and descriptions do not count, nor does bars.py, which knows of no cases.
     """
@@ -180,7 +180,7 @@ def add_up(row: dict[str, str], before: dict[str, str] | None, seed: int, adds: 
 def read_line(
     text: str, name: str, script: Path, returned: int, args: argparse.Namespace
 ) -> dict[str, str]:
-    """The row of what a script has printed."""
+    """The row for the output of a script."""
     found = [line for line in LINE.findall(text) if line[0] == name]
     row = dict.fromkeys(COLUMNS, "")
     row |= {"bar": name, "met": "yes" if returned == 0 else "no", "version": version(script)}
@@ -264,7 +264,7 @@ def show_cases(row: dict[str, str]) -> str:
 
 
 def make_page() -> str:
-    """The page, from the scripts and what is kept of their runs."""
+    """The page, from the scripts and the kept results of their runs."""
     cpu, gpu = read_rows("cpu"), read_rows("gpu")
     known = scripts()
     lines = [HEAD, "| bar | target | seen | cases | seen on a GPU | date, machine, commit |",

@@ -1,5 +1,5 @@
 # seed 22, smooth
-# What one launch reads, the next one overwrites, at an index from a field.
+# A launch overwrites elements that the one before reads, at an index from a field.
 
 
 @ti.kernel

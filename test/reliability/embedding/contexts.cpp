@@ -30,7 +30,7 @@ static llvm::cl::opt<int> rounds("rounds", llvm::cl::init(4));
 static llvm::cl::opt<bool> cache("cache"), debugMode("tai-debug"),
     arch("tai-arch");
 
-/// What the kernels of the file become, or nothing.
+/// The lowered kernels of the file, or nothing.
 static std::string lower(MLIRContext &context) {
   auto module = parseSourceFile<ModuleOp>(file, &context);
   if (!module)
