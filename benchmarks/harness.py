@@ -68,7 +68,7 @@ class Program(ABC):
         return False
 
     def sync(self) -> None:
-        """Waits for what is queued."""
+        """Waits for the queued work."""
         return None
 
 
@@ -167,8 +167,8 @@ def measure_scene(
         if batches:
             accuracy = _accuracy(program, expected)
             report(scene, "queued", **statistics_of(batches, problem.units), **accuracy)
-    # Building and running once, less what a run costs when everything is compiled. Of few runs
-    # most may be those in which ways to run a sequence are tried.
+    # Building and running once, less the time of a run when everything is compiled. In a short
+    # measurement, most runs may be those in which ways to run a sequence are tried.
     usual = min(f + b for f, b in times)
     phase = "compile_cold" if cold else "compile_warm"
     report(scene, phase, **statistics_of([max(first - usual, 0.0)]))

@@ -105,7 +105,7 @@ class RobotProblem:
 
 @dataclass(frozen=True)
 class FirstKernelProblem:
-    """The sum of the squares of x (n,): what a first kernel and its gradient cost."""
+    """The sum of the squares of x (n,): the cost of a first kernel and its gradient."""
 
     x: np.ndarray
 
@@ -160,5 +160,5 @@ PROBLEMS: dict[str, Callable[[bool], object]] = {
     "first_kernel": first_kernel_problem,
 }
 
-# What a GPU is timed with besides. There is no time for their f64 adjoints.
+# Problems that are timed on a GPU in addition. There is no time for their f64 adjoints.
 LARGE_PROBLEMS: dict[str, Callable[[bool], object]] = {"diffmpm_large": large_mpm_problem}

@@ -143,7 +143,7 @@ def judged(record: dict) -> dict:
 
 
 def complaints(records: list[dict], scenes: list[str]) -> list[str]:
-    """What is wrong with our own side, in words."""
+    """The faults of our own side, in words."""
     found = []
     for scene in scenes:
         own = [r for r in records if r["peer"] == OURS and r["scene"] == scene]

@@ -40,7 +40,7 @@ class TapeProgram(Program):
     """A program whose forward pass is recorded by a tape."""
 
     def __init__(self, loss, unknowns, forward, prepare=lambda: None):
-        """`forward` launches kernels, `prepare` clears what they accumulate into."""
+        """`forward` launches kernels, `prepare` clears the fields that they accumulate into."""
         self._loss = loss
         self._unknowns = unknowns
         self._forward = forward

@@ -1,9 +1,9 @@
 """A wave in a medium at rest, and the blocks of memory that follow it.
 
 The medium is excitable, as heart muscle is (Barkley's model): a spark makes a ring that runs
-outward, and behind it the medium comes to rest. Only what is not at rest is stored and computed:
-blocks of 64×64 cells hold blocks of 8×8 cells. A block becomes active when the wave reaches its
-neighbour, and inactive when it is at rest again; memory at rest holds zeros.
+outward, and behind it the medium comes to rest. Only cells that are not at rest are stored and
+computed: blocks of 64×64 cells hold blocks of 8×8 cells. A block becomes active when the wave
+reaches its neighbour, and inactive when it is at rest again; memory at rest holds zeros.
 
 The picture shows the wave with the blocks of both levels drawn around it.
 
@@ -33,7 +33,7 @@ if N % COARSE:
     parser.error(f"--n: {N} is no multiple of {COARSE}")
 DX, DT = 0.5, 0.01
 A, B, EPSILON = 0.75, 0.02, 0.02
-REST = 1e-3  # what is nearer to zero than this is at rest
+REST = 1e-3  # values nearer to zero are at rest
 
 ti.init(arch=ti.cpu)
 

@@ -67,7 +67,7 @@ def place_balls():
 
 @ti.kernel
 def collide(t: int):
-    """What each ball gets from all others in the step that leads to t."""
+    """The pushes that each ball gets from all others in the step that leads to t."""
     for i in range(N):
         gained, moved = ti.Vector([0.0, 0.0]), ti.Vector([0.0, 0.0])
         xi, vi = x[at(t - 1), i], v[at(t - 1), i]
@@ -162,7 +162,7 @@ def show_scan(part):
 
 
 def ask_health():
-    """What the health report of a tape says of a push that misses."""
+    """The health report of a tape for a push that misses."""
     push[None] = 0.0, 0.3
     with ti.ad.Tape(loss, health=True) as tape:
         forward()

@@ -7,7 +7,7 @@ its velocity at the start. The reverse sweep needs states of the forward pass:
     grid      one grid: the gradient of a step fills it again first (by hand)
     segments  and particles of the first step of each segment alone: the gradient of a segment
               runs it again first (by hand)
-    tape      all in place, one slot and one grid: the tape saves what is overwritten
+    tape      all in place, one slot and one grid: the tape saves the overwritten values
     budget    in place, within --budget megabytes: the tape keeps snapshots, and recomputes
 
     python examples/checkpointing.py                    # memory and time of each, same gradient
@@ -218,7 +218,7 @@ class Block:
 
     @ti.kernel
     def carry_gradient(self, s: ti.i32):
-        """What came back to slot 0 belongs to the end of the segment."""
+        """The gradient that came back to slot 0 belongs to the end of the segment."""
         for p in range(N):
             self.x.grad[s, p], self.v.grad[s, p] = self.x.grad[0, p], self.v.grad[0, p]
             self.C.grad[s, p], self.F.grad[s, p] = self.C.grad[0, p], self.F.grad[0, p]
@@ -242,7 +242,7 @@ class Block:
         compute_loss()
 
     def reverse(self):
-        """What a tape does, by hand."""
+        """Does by hand the work of a tape."""
         ti.ad.clear_all_gradients()
         loss.grad[None] = 1.0
         compute_loss.grad()

@@ -103,7 +103,7 @@ class Simulation:
             ti.Vector.field(3, float, nodes, needs_grad=True) for _ in range(2)
         )
         self.mass = ti.field(float, nodes, needs_grad=True)
-        # What is learned: the waves that a muscle follows.
+        # The parameters of the descent: the waves that a muscle follows.
         self.weights = ti.field(float, (self.muscles, N_WAVES), needs_grad=True)
         self.bias = ti.field(float, self.muscles, needs_grad=True)
         self.actuation = ti.field(float, (steps, self.muscles), needs_grad=True)
@@ -156,7 +156,7 @@ class Simulation:
             J = F.determinant()
             stress = ti.Matrix.zero(float, 3, 3)
             mass = 0.0
-            if self.solid[p] == 1:  # neo-Hookean, and what the muscle pulls along z
+            if self.solid[p] == 1:  # neo-Hookean, and the pull of the muscle along z
                 mass = SOLID_MASS
                 stress = STIFFNESS * F @ F.transpose()
                 pressure = STIFFNESS * (ti.log(J) - 1)
@@ -283,7 +283,7 @@ def learn(args, simulation):
 
 
 def animate(args, simulation):
-    """What was learned, as a movie; muscles are red when they pull and blue when they push."""
+    """The result as a movie; muscles are red when they pull and blue when they push."""
     if not args.picture:
         return
     simulation.forward()

@@ -9,11 +9,11 @@ the goal are and how they move; gradient descent through the whole flight teache
     python examples/electric.py --controller published --double --check
 
 The paper's program calls the network for a slot before that slot is computed, so that it sees
-the ball where the run before this one left it. `--controller published` does so, too. What the
-network has seen is overwritten afterwards; the tape keeps it, and the gradient is right.
-`--gradient reread` goes back by hand and reads the slots as they are then, which is what Taichi
-does: a gradient that is off by some per cent at once, and the numbers of the paper's program.
-(The paper's program asks for 200 000 iterations.)
+the ball where the run before this one left it. `--controller published` does so, too. The states
+that the network has seen are overwritten afterwards; the tape keeps them, and the gradient is
+right. `--gradient reread` goes back by hand and reads the slots as they are then, as Taichi does: a
+gradient that is off by some per cent at once, and the numbers of the paper's program. (The paper's
+program asks for 200 000 iterations.)
 """
 
 import math
@@ -124,7 +124,7 @@ def by_tape():
 
 
 def reread():
-    """Goes back by hand. `hidden_layer` reads what the slots hold now, not what it saw."""
+    """Goes back by hand. `hidden_layer` reads the present slots, not the ones it saw."""
     loss[None] = 0
     forward()
     for field in (x, v, hidden, charge, *WEIGHTS.values()):
@@ -183,7 +183,7 @@ def iteration(number):
 
 
 def slopes(gradient, seen):
-    """The loss of the first path and its gradients, where the network sees what it saw first."""
+    """The loss of the first path and its gradients, where the network sees the first states."""
     for field, values in zip((x, v), seen):
         field.from_numpy(values)
     gradient()

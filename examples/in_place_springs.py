@@ -116,7 +116,8 @@ def segment_in_reverse(number):
         states.append((x.to_numpy(), v.to_numpy()))
         step()
     for position, velocity in reversed(states):
-        # What `apply_springs` read; the other kernels are linear, and their gradients read nothing.
+        # The state that `apply_springs` read; the other kernels are linear, and their gradients
+        # read nothing.
         x.from_numpy(position)
         v.from_numpy(velocity)
         drift.grad()

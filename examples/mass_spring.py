@@ -122,7 +122,7 @@ def find_centre(t: int):
 
 @ti.kernel
 def gather_inputs(t: int):
-    """What the network sees: waves, the points around their centre, the goal."""
+    """The inputs of the network: waves, the points around their centre, the goal."""
     for j in range(N_WAVES):
         seen[at(t), j] = ti.sin(10.0 * t * DT + 2 * math.pi / N_WAVES * j)
     for j in range(N):
@@ -145,7 +145,7 @@ def hidden_layer(t: int):
 
 @ti.kernel
 def output_layer(t: int):
-    """The output layer: what each muscle is told, from -1 to 1."""
+    """The output layer: the command of each muscle, from -1 to 1."""
     for i in range(N_SPRINGS):
         total = b2[i]
         for j in range(N_HIDDEN):
@@ -167,7 +167,7 @@ def apply_springs(t: int):
 
 @ti.kernel
 def integrate(t: int):
-    """From the slot before t to t. What meets the floor stays."""
+    """From the slot before t to t. A point that meets the floor stays."""
     for i in range(N):
         place = x[at(t - 1), i]
         fall = math.exp(-DT * DAMPING) * v[at(t - 1), i]

@@ -3,9 +3,9 @@
 Random points have gaps and clusters. Here each pair closer than a radius has an energy, and
 descent on its gradient spreads the points over a square without edges ("blue noise").
 
-Who is near whom is found by cells of the size of the radius. Each cell has a list of its
-points, on a `dynamic` level: `append` puts a point into the list, and the list has a length.
-Lists hold at most 32 points; one more would be an error, with the line that appended it.
+Neighbours are found by cells of the size of the radius. Each cell has a list of its points, on a
+`dynamic` level: `append` puts a point into the list, and the list has a length. Lists hold at most
+32 points; one more would be an error, with the line that appended it.
 
     python examples/neighbours.py
     python examples/neighbours.py --points 20000 --iterations 100

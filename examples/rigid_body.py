@@ -185,7 +185,7 @@ def clear():
 
 @ti.kernel
 def gather_inputs(t: int):
-    """What the network sees: waves, the bodies around the head, the goal."""
+    """The inputs of the network: waves, the bodies around the head, the goal."""
     for j in range(N_WAVES):
         seen[at(t), j] = ti.sin(30.0 * t * DT + 2 * math.pi / N_WAVES * j)
     for j in range(N):
@@ -211,7 +211,7 @@ def hidden_layer(t: int):
 
 @ti.kernel
 def output_layer(t: int):
-    """The output layer: what each muscle is told, from -1 to 1."""
+    """The output layer: the command of each muscle, from -1 to 1."""
     for i in range(N_SPRINGS):
         total = b2[i]
         for j in range(N_HIDDEN):

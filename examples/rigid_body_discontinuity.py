@@ -63,7 +63,7 @@ def move(t: int, friction: float):
                     up = -(1 + RESTITUTION) * speed[1] / hard
                     along = -speed[0] / inverse_effective_mass(r, ti.Vector([1.0, 0.0]))
                     along = ti.min(ti.max(along, -friction * up), friction * up)
-                # Lifts what is below the floor, whether it goes down or up.
+                # A corner below the floor is lifted, whether it goes down or up.
                 up -= DT * PENALTY * depth / hard
                 impulse = ti.Vector([along, up])
                 delta_v += impulse / MASS

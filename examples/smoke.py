@@ -39,8 +39,8 @@ studio.start(args)
 N, STEPS, SWEEPS = args.n, args.steps, args.sweeps
 DX = 1 / N
 
-# A slot for each step and each sweep. In place there is one, and what is computed from old values
-# of the neighbours takes turns between two fields.
+# A slot for each step and each sweep. In place there is one, and values computed from old values of
+# the neighbours take turns between two fields.
 SLOTS, PRESSURES, TURNS = (1, 1, 2) if args.in_place else (STEPS, STEPS * SWEEPS + 1, 1)
 
 
@@ -79,7 +79,8 @@ def at(t):
 
 @ti.func
 def backtrace(q: ti.template(), slot, w, i, j):
-    """The quantity q where what is now in cell (i, j) was before (semi-Lagrangian)."""
+    """The quantity q at the former place of the matter that is now in cell (i, j)
+    (semi-Lagrangian)."""
     x, y = i - w[0], j - w[1]
     x0, y0 = ti.floor(x), ti.floor(y)
     fx, fy = x - x0, y - y0

@@ -5,9 +5,9 @@ whole room, but only blocks of 8×8 nodes that the ball touches are in use: a `p
 above a `dense` one. The time of a step follows the ball, and not the room, which the program
 shows with two rooms.
 
-The unknown is the velocity at the start, and the ball bounces before it lands. One grid serves
-all steps, and its blocks are dropped after each: the tape keeps what a step overwrites, and goes
-back through the same blocks.
+The unknown is the velocity at the start, and the ball bounces before it lands. One grid serves all
+steps, and its blocks are dropped after each: the tape keeps the overwritten values, and goes back
+through the same blocks.
 
     python examples/sparse_mpm.py
     python examples/sparse_mpm.py --room 1024 --large 65536
@@ -167,7 +167,7 @@ class Ball:
 
 
 def measure(nodes, push):
-    """A simulation, and what a step of it costs."""
+    """A simulation, and the cost of a step."""
     ball = Ball(nodes)
     ball.gradient(push)
     begin = time.perf_counter()

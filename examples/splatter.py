@@ -36,7 +36,7 @@ class Splatter:
     Args:
         width, height: of the pictures, in pixels.
         radius: of a particle.
-        eye, target: where the camera is, and what it looks at.
+        eye, target: the place of the camera, and the point that it looks at.
         floor: height of the floor.
         background: colour behind the floor, three numbers from 0 to 1.
     """

@@ -1,10 +1,10 @@
 """A decomposition by an iterative solver, with a gradient written by hand.
 
 The forward pass takes 3x3 matrices apart, M = U S V*, by as many Jacobi sweeps as asked for.
-Differentiating the iterations would be slow and inexact; the derivative of what they converge
-to has a closed form. `complex_kernel` wraps the solver, and `complex_kernel_grad` gives it
-that derivative. Gradient descent then deforms the matrices until their rotations U V* and
-their stretches S are the wanted ones.
+Differentiating the iterations would be slow and inexact; the derivative of their limit has a closed
+form. `complex_kernel` wraps the solver, and `complex_kernel_grad` gives it that derivative.
+Gradient descent then deforms the matrices until their rotations U V* and their stretches S are the
+wanted ones.
 
     python examples/svd_gradient.py
     python examples/svd_gradient.py --matrices 64 --sweeps 8 --iterations 200

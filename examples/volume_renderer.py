@@ -1,4 +1,4 @@
-"""Which body casts these shadows? A density is found from pictures of it.
+"""Finds the body that casts given shadows. A density is found from pictures of it.
 
 Rays pass through a unit box of voxels and add up the density on their way; seven cameras stand
 around it. The unknown is the density of each of two million voxels: gradient descent makes its

@@ -1,9 +1,9 @@
-"""Which ripple makes a picture below the water look like something else?
+"""Finds a ripple that makes a picture below the water look like something else.
 
 A picture lies under water. A wave runs over the water, light is refracted at its surface, and an
-image classifier of PyTorch looks at what comes out. Its gradient goes through the refraction and
+image classifier of PyTorch looks at the result. Its gradient goes through the refraction and
 through 256 steps of the wave to the water's height at the start, which is changed until the
-classifier sees what it should.
+classifier gives the wanted answer.
 
 With the weights of VGG-16 and a photograph this is the paper's experiment, where a squirrel
 becomes a goldfish. Without them a small network learns to tell patterns that the program draws,
@@ -40,7 +40,7 @@ N, STEPS = args.n, args.steps
 DX = 1 / N
 REFRACTION = 2.0  # pixels by which a slope of 1 moves the ray
 SEED = 0.001  # the classifier's gradient is made smaller by this
-MARGIN = N // 16  # what the classifier does not look at
+MARGIN = N // 16  # the frame that the classifier does not look at
 PATTERNS = ["stripes", "checks", "dots", "rings"]
 
 start = ti.field(float, shape=(N, N), needs_grad=True)  # the unknown
@@ -176,7 +176,7 @@ def load_photo():
 
 
 def look(classifier, label):
-    """The loss by what the classifier sees, its gradient by the picture, and the probability."""
+    """The loss of the classifier's answer, its gradient by the picture, and the probability."""
     seen = torch.tensor(picture.to_numpy(), dtype=torch.float32, requires_grad=True)
     crop = seen[MARGIN : N - MARGIN, MARGIN : N - MARGIN].permute(2, 0, 1)[None]
     scores = classifier(crop)

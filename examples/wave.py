@@ -1,4 +1,4 @@
-"""Which ripple, let go now, will be a picture in a moment?
+"""Finds a ripple that, let go now, will be a picture in a moment.
 
 A wave runs over a square of water. Its initial height is found by gradient descent so that
 after 256 steps the water shows the yin-yang sign, or a picture of yours.
@@ -31,7 +31,7 @@ LAST = 0 if args.in_place else STEPS - 1
 
 start = ti.field(float, shape=(N, N), needs_grad=True)  # the height at the start, to be found
 u = ti.field(float, shape=(LAST + 1, N, N), needs_grad=True)
-change = ti.field(float, shape=(N, N), needs_grad=True)  # in place: what the last step added
+change = ti.field(float, shape=(N, N), needs_grad=True)  # in place: the last step's increment
 target = ti.field(float, shape=(N, N))
 loss = ti.field(float, shape=(), needs_grad=True)
 
@@ -44,7 +44,7 @@ def height(t, i, j):
 
 @ti.func
 def laplacian_step(t, i, j):
-    """What the Laplacian adds in a step, by central differences."""
+    """The increment of a step by the Laplacian, by central differences."""
     neighbours = height(t, i - 1, j) + height(t, i + 1, j)
     neighbours += height(t, i, j - 1) + height(t, i, j + 1)
     return (SPEED * DT / DX) ** 2 * (neighbours - 4 * u[t, i, j])
@@ -63,8 +63,8 @@ def step(t: ti.i32):
         u[t, i, j] = 2 * u[t - 1, i, j] - u[t - 2, i, j] + laplacian_step(t - 1, i, j)
 
 
-# The same in place. All updates are linear and add to what is there: the reverse sweep needs
-# nothing of it, and the tape keeps nothing.
+# The same in place. All updates are linear and add to the state: the reverse sweep needs no values,
+# and the tape keeps none.
 
 
 @ti.kernel

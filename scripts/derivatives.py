@@ -84,7 +84,7 @@ def snake(name: str) -> str:
 
 
 def missing(page: str) -> list[str]:
-    """What the rules say and the page does not."""
+    """Differences between the rules and the page."""
     problems = []
     mnemonics = {}
     for file in sorted(DIALECT.glob("*.td")):

@@ -16,7 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"```mlir\n(.*?)```", re.S)
-# Between what a pass is given and what it makes of it: two examples.
+# Separates the input of a pass from its output: two examples.
 BECOMES = re.compile(r"^\s*// becomes\b.*\n", re.M)
 OWNER = re.compile(r"^def (\w+)", re.M)
 MISMATCH = re.compile(
@@ -66,13 +66,13 @@ def defined(text: str) -> set[str]:
 
 
 def wrap(text: str, given: dict[str, str]) -> str:
-    """The text with what it is given, in a kernel where it is not a module of its own."""
+    """The text with its free values defined, in a kernel if it is not a module of its own."""
     values = "".join(f'%{n[1:]} = "given.value"() : () -> {t}\n' for n, t in given.items())
     if text.lstrip().startswith("!"):
         return f"!example = {text.strip()}\n"
     top = r"^\s*(tai\.(kernel|tree|field)|func\.func|gpu\.module|llvm\.func|![\w]+ =|#\w+ =)"
     if re.search(top, text, re.M):
-        # Lines of the module, with what a body may be given in front of each body.
+        # A module: the free values are defined at the beginning of each body.
         return re.sub(r"(tai\.kernel @\w+\([^{]*\)[^{\n]*\{\n)", rf"\1{values}", text)
     return f"tai.kernel @example() {{\n{values}{text}\ntai.return\n}}\n"
 
@@ -88,7 +88,7 @@ def parse(opt: str, source: str, verify: bool) -> str:
 
 
 def check(opt: str, example: Example) -> str:
-    """What is wrong with an example, or nothing."""
+    """The fault of an example, or nothing."""
     text = example.text
     used = set(re.findall(r"%\w+", re.sub(r"//.*", "", text)))
     given = dict.fromkeys(sorted(used - defined(text)), "index")

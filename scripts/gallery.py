@@ -20,7 +20,7 @@ from PIL import Image, ImageSequence
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "gallery.md"
 PICTURES = ROOT / "docs" / "pictures"
-# What a "last" frame is cut to: left, top, right and bottom as shares of it.
+# The part of a "last" frame that is kept: left, top, right and bottom as shares of it.
 CUT = (0.13, 0.24, 0.865, 0.977)
 
 

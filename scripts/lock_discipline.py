@@ -1,14 +1,14 @@
 """Finds calls of libtai after which the extension module may go on without Python's lock.
 
 A call of libtai may give the lock (GIL) up; `afterCall` of python/src/Safepoint.h takes it
-back. Whoever forgets it ends the process, but only where the call has waited, so that tests
-seldom see it. A call is right
+back. A call without it ends the process, but only if the call has waited, so that tests seldom see
+it. A call is right
 
 - as an argument of one of `TAKERS`, which end in `afterCall`;
 - where `Teardown` stands before it in its block, for destructors;
 - where one of the next lines of its block is an `afterCall`.
 
-`NEVER_WAIT` are those that only read what the caller holds.
+`NEVER_WAIT` are the functions that only read data of the caller.
 """
 
 from __future__ import annotations

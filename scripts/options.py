@@ -31,7 +31,7 @@ ROW = re.compile(
 
 
 class Row(NamedTuple):
-    """What users set: name, kind, initial text, what is expected and what it is for."""
+    """An option of users: name, kind, initial text, expected values and purpose."""
 
     name: str
     kind: str
@@ -70,7 +70,7 @@ def module(source: str) -> str:
     lines = [
         '"""The options of a context, made of Options.def by scripts/options.py --fix.',
         "",
-        "A row is the name, the kind, the initial text, what is expected and what it is for.",
+        "A row holds the name, the kind, the initial text, the expected values and the purpose.",
         '"""',
         "",
         "# ruff: noqa: E501",

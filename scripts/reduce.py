@@ -29,7 +29,7 @@ def run(command: list[str], path: Path) -> subprocess.CompletedProcess:
 
 
 def find_message(result: subprocess.CompletedProcess) -> str:
-    """What tells this failure from others: the first error, without its place."""
+    """The mark that tells this failure from others: the first error, without its place."""
     match = re.search(r"error: (.*)", result.stderr)
     return match[1] if match else ""
 

@@ -20,7 +20,8 @@ PAGE = ROOT / "docs/architecture.md"
 MOST_FILES = 40
 MOST_SOURCES = 2
 
-# Room: the rooms whose headers it may include. What is listed and not needed is an error, too.
+# Room: the rooms whose headers it may include. A room that is listed and not needed is an error,
+# too.
 ARROWS: dict[str, str] = {
     "ABI": "",
     "Support": "",
@@ -40,8 +41,8 @@ ARROWS: dict[str, str] = {
     "CAPI": "ExecutionEngine Runtime Support",
 }
 
-# The same for the rooms of the runtime. Those that include one another are listed in
-# KNOWN_CIRCLES and nowhere else: parts of one class that are still to be separated.
+# The same for the rooms of the runtime. Rooms that include one another are listed in KNOWN_CIRCLES
+# and nowhere else: parts of one class that are still to be separated.
 RUNTIME_ARROWS: dict[str, str] = {
     "Cache": "",
     "Math": "",
@@ -61,7 +62,7 @@ RUNTIME_ARROWS: dict[str, str] = {
 }
 KNOWN_CIRCLES: set[tuple[str, str]] = set()
 
-# Of dialects: those below know those above by traits and interfaces alone.
+# The same for dialects: lower ones use upper ones by traits and interfaces alone.
 DIALECT_ARROWS: dict[str, str] = {
     "Tai": "",
     "TaiRT": "Tai",
@@ -128,7 +129,7 @@ def read_graph(*, within: str = "") -> Graph:
 
 
 def check_arrows(table: dict[str, str], graph: Graph, circles: set[tuple[str, str]]) -> list[str]:
-    """What the includes do that the table does not allow, and what it allows and nobody uses."""
+    """Includes that the table does not allow, and entries of the table that nobody uses."""
     problems = []
     for (room, other), examples in sorted(graph.arrows.items()):
         if room not in table:
@@ -165,8 +166,8 @@ def slices() -> dict[str, set[str]]:
     for name in sources():
         if name.endswith(".cpp"):
             for match in method.finditer((ROOT / name).read_text()):
-                # Without namespaces. Ops are defined by ODS; their methods stand with
-                # what they are about.
+                # Without namespaces. Ops are defined by ODS; their methods stand with their
+                # subject.
                 classes = [part for part in match.group(1).split("::") if part[0].isupper()]
                 if classes and not classes[-1].endswith("Op"):
                     found["::".join(classes)].add(name)

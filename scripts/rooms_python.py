@@ -1,6 +1,6 @@
 """Checks the layering of `python/tai`: which packages may import which.
 
-    python scripts/rooms_python.py          # what is wrong, if anything
+    python scripts/rooms_python.py          # the problems, if any
     python scripts/rooms_python.py --graph  # which package imports which
 
 A package may import from those that `ALLOWED` lists for it, and its modules from one another, but
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tai"
-# Of compiled code; `_impl.base.native` loads it when it is needed.
+# The module of compiled code; `_impl.base.native` loads it when it is needed.
 EXTENSION = "_core"
 MOST_FILES = 40
 
@@ -89,7 +89,7 @@ class _Imports(ast.NodeVisitor):
 
     def _note(self, target: str, line: int) -> None:
         while target and target not in self.modules and target != EXTENSION:
-            target = target.rpartition(".")[0]  # what is imported is no module, but in one
+            target = target.rpartition(".")[0]  # the import is of a name in a module
         if target != self.module:
             self.found.append(Import(self.module, target, line, self.depth > 0, self.types > 0))
 
@@ -159,7 +159,7 @@ def find_circles(arrows: dict[str, set[str]]) -> Iterator[list[str]]:
 
 
 def problems(root: Path, allowed: dict[str, set[str]] = ALLOWED) -> list[str]:
-    """What breaks the rules, a line each."""
+    """Breaches of the rules, a line each."""
     found = []
     modules: dict[str, set[str]] = defaultdict(set)
     for one in find_imports(root):

@@ -24,7 +24,7 @@ LLVM_BIN = Path(os.environ.get("TAI_LLVM_BIN", "/usr/lib/llvm-22/bin"))
 
 @dataclass
 class Result:
-    """What one runner reported."""
+    """The result of one runner."""
 
     kind: str
     passed: int = 0
@@ -160,7 +160,7 @@ def run_sanitized(
     return [*results, found.close(0)]
 
 
-# What the normal run repeats as on a GPU; `pytest --arch=emulated` takes all there is.
+# Tests that the normal run repeats as on a GPU; `pytest --arch=emulated` takes all.
 EMULATED = """
     access_rules ad_check ad_memory ad_seeds api argument_gradients arithmetic array_gradients
     benchmark_scenes control_flow fields forward_mode gradients loop_gradients matrices

@@ -68,8 +68,8 @@ class Sanitizer:
             "TAI_BUILD_DIR": str(build),
         }
         if self.name == "asan":
-            # What CPython keeps to the end looks like leaks. Its own allocator hides objects that
-            # are used after they are gone.
+            # Memory that CPython keeps to the end looks like leaks. Its own allocator hides objects
+            # that are used after they are gone.
             variables["ASAN_OPTIONS"] += ":detect_leaks=0"
             variables["PYTHONMALLOC"] = "malloc"
             variables["TI_SANITIZE"] = "address"
@@ -94,11 +94,11 @@ SANITIZERS = {
         ["gtest", "pytest"],
         THREADS,
         {
-            # What LLVM, CPython and NumPy do to memory is not seen, so that a call of memcpy or
-            # free from there says nothing of who else may use the memory. Locks count everywhere.
+            # Accesses by LLVM, CPython and NumPy are not seen, so that their calls of memcpy or
+            # free do not show who else may use the memory. Locks count everywhere.
             "ignore_noninstrumented_modules": "1",
             "suppressions": str(ROOT / "test/tsan.supp"),
-            # Of a test that forks; a report does not end the process.
+            # Options of a test that forks; a report does not end the process.
             "die_after_fork": "0",
             "exitcode": "0",
         },
@@ -129,7 +129,7 @@ def find_reports(folder: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    # For a shell: what one test needs.
+    # Prints the environment of one test for a shell.
     chosen = SANITIZERS[sys.argv[1]]
     for name, value in chosen.python_environment(ROOT / f"build-{chosen.name}", None).items():
         print(f"export {name}={shlex.quote(value)}")

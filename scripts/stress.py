@@ -111,8 +111,8 @@ def files() -> list[str]:
 
 
 INTRODUCTION = """
-    Kinks, long loops, ill-conditioned sums, contacts, degenerate matrices, denormals: what is
-    expected of values and gradients there, and what was measured. Kinks and matrices are tested in
+    Kinks, long loops, ill-conditioned sums, contacts, degenerate matrices, denormals:
+    the expected values and gradients there, and the measured ones. Kinks and matrices are tested in
     f32 and f64 and in reverse and forward mode; solves, checkpoints, storage and sums as their rows
     say, in reverse mode. `make stress` runs all at the sizes of the table and prints it
     (`ARGS=--short`: the small sizes of the normal test run; `ARGS="--arch emulated"`: as on a GPU;

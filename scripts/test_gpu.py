@@ -14,9 +14,9 @@ the interpreter that runs this script, copies the tests beside it, and runs the 
               -k test_ takes all of them
 
 Without a choice, tests, bench and fuzz. Needs Python 3.11 or newer with NumPy, pytest and pybind11,
-and a C++ compiler; no LLVM. What each step found goes into one report and one log in --out,
-also when the time is up or a step dies. `--arch emulated` and `--arch cpu` do the same without
-a GPU; `--build build` takes a build of this checkout instead of the bundle.
+and a C++ compiler; no LLVM. The results of each step go into one report and one log in --out, also
+when the time is up or a step dies. `--arch emulated` and `--arch cpu` do the same without a GPU;
+`--build build` takes a build of this checkout instead of the bundle.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks" / "gpu"))
 
-# What tests read besides the package.
+# Files that tests read besides the package.
 TREE = ["test", "benchmarks", "examples", "docs", "scripts", "README.md", "pyproject.toml"]
 # How the time is shared among the steps.
 SHARES = {"tests": 4, "bench": 5, "fuzz": 1, "ensemble": 2, "bars": 3, "sanitize": 4}
-# What runs under compute-sanitizer: each kind of access once, it is slow.
+# Tests that run under compute-sanitizer: each kind of access once, it is slow.
 SANITIZED = (
     "test_fields or test_gradients or test_atomic_gradients or test_loop_gradients or "
     "test_sparse_gradients or test_benchmark_scenes"
@@ -56,7 +56,7 @@ TOOLS = ["memcheck", "racecheck", "initcheck"]
 
 @dataclass
 class Step:
-    """What a step found, for the report."""
+    """The result of a step, for the report."""
 
     name: str
     seconds: float = 0.0
@@ -66,7 +66,7 @@ class Step:
 
 
 class Log:
-    """The one log: every command, and what it printed."""
+    """The one log: every command, and its output."""
 
     def __init__(self, path: Path):
         self.stream = path.open("w")
@@ -104,7 +104,7 @@ class Machine:
             output, _ = process.communicate(timeout=max(seconds, 1.0))
             status = process.returncode
         except subprocess.TimeoutExpired:
-            # A test runner that is interrupted still says what it has found.
+            # An interrupted test runner still reports its results.
             os.killpg(process.pid, signal.SIGINT)
             try:
                 output, _ = process.communicate(timeout=10.0)
@@ -144,7 +144,7 @@ class Stage:
         return done.stdout.strip()
 
     def prepare(self) -> str:
-        """Makes the folder; returns in words what it holds."""
+        """Makes the folder; returns a description of its contents."""
         origin = self._unpack()
         if self.options.tree_python:
             for name in ("tai", "src"):
@@ -245,7 +245,7 @@ def pytest_command(
 
 
 def cases(junit: Path, output: str) -> tuple[Counter, list[str], Counter]:
-    """Counts of outcomes, the names of failures and how often what was a reason to skip a test.
+    """Counts of outcomes, the names of failures, and how often each reason skipped a test.
 
     From the XML or, where there is none, from the output.
     """
@@ -386,7 +386,7 @@ def run_ensemble(stage: Stage, seconds: float) -> Step:
 
 
 def run_bars(stage: Stage, seconds: float) -> Step:
-    """What they see goes into a table, which docs/reliability.md shows."""
+    """Their results go into a table, which docs/reliability.md shows."""
     step, options = Step("bars"), stage.options
     arch = "cpu" if options.arch == "cpu" else "cuda"
     results = stage.root / f"benchmarks/results/reliability-{'cpu' if arch == 'cpu' else 'gpu'}.csv"
@@ -435,7 +435,7 @@ def run_sanitizers(stage: Stage, seconds: float) -> Step:
 
 @dataclass
 class Sanitized:
-    """What a tool found in a part of the tests."""
+    """The findings of a tool in a part of the tests."""
 
     text: str
     summaries: list[int]
@@ -474,7 +474,7 @@ def sanitize(
     texts = [log.read_text(errors="replace") for log in sorted(logs.iterdir())]
     text = "".join(texts)
     summaries = re.findall(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)", text)
-    # Processes that were stopped have said what they have found until then.
+    # Stopped processes have reported their findings until then.
     stopped = "".join(text for text in texts if " SUMMARY: " not in text)
     found = re.findall(r"^========= (?!COMPUTE-SANITIZER|Target application)(\S.*)", stopped, re.M)
     chosen = re.search(r"^(\d+) tests chosen$", output, re.MULTILINE)

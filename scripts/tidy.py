@@ -116,7 +116,7 @@ def findings(sources: set[str], build: Path, jobs: int) -> Iterator[str]:
 
 
 def why_not(build: Path) -> str:
-    """What clang-tidy lacks; empty if nothing."""
+    """The reason why clang-tidy cannot run; empty if it can."""
     if not shutil.which(TIDY):
         return f"{TIDY} is not installed: apt-get install clang-tidy-22"
     if not (build / "compile_commands.json").exists():

@@ -63,7 +63,7 @@ def arguments(name: str, npt: type, per_exponent: int, rng: np.random.Generator)
 
 
 def compute(name: str, mode: str, dt: ti.types.DataType, x: np.ndarray, y: np.ndarray | None):
-    """What a kernel makes of the numbers."""
+    """The results of a kernel for the numbers."""
     ti.init(arch=ti.cpu, math=mode, default_fp=dt)
     n = len(x)
     a, b, c = (ti.field(dt, shape=n) for _ in range(3))

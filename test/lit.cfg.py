@@ -28,7 +28,7 @@ llvm_config.use_default_substitutions()
 # capture cannot satisfy another's check.
 config.environment["FILECHECK_OPTS"] = "-enable-var-scope --allow-unused-prefixes=false"
 
-# The verifiers of MLIR and LLVM look at what each pass of the JIT has made.
+# The verifiers of MLIR and LLVM check the IR after each pass of the JIT.
 config.environment["TAI_VERIFY_EACH"] = "1"
 
 # LLVM's allocators poison memory that the package's own, not instrumented, code
@@ -59,7 +59,7 @@ if importlib.util.find_spec("psutil"):
     lit_config.maxIndividualTestTime = 300
 
 # Features, for REQUIRES lines.
-# A stock mlir-opt cannot load what needs a sanitizer.
+# A stock mlir-opt cannot load a plugin that needs a sanitizer.
 if os.path.exists(config.tai_plugin) and not config.tai_sanitize:
     config.available_features.add("plugin")
 for tool in tai_tools:

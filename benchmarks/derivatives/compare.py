@@ -70,7 +70,7 @@ def gathered() -> list[float]:
 
 @dataclass
 class Snippet:
-    """A function of the snippet files, what it shows, and its gradient."""
+    """A function of the snippet files, its title, and its gradient."""
 
     name: str
     title: str
@@ -119,7 +119,7 @@ def shorten(number: float | None) -> str:
 
 
 def judge(snippet: Snippet, done: subprocess.CompletedProcess) -> tuple[str, str]:
-    """What a run came to, and a remark."""
+    """The outcome of a run, and a remark."""
     for line in done.stdout.splitlines():
         if line == "NOTHING":
             return "—", ""
@@ -204,7 +204,7 @@ def page(results: dict[str, dict[str, tuple[str, str]]], versions: dict[str, str
 
 
 def in_a_simulator() -> list[str]:
-    """What a state that is overwritten costs in a program of the DiffTaichi paper."""
+    """The effect of an overwritten state in a program of the DiffTaichi paper."""
     program = "examples/electric.py"
     options = ["--controller", "published", "--double", "--check"]
     with tempfile.TemporaryDirectory() as folder:

@@ -518,7 +518,7 @@ def random_numbers():
 
 
 def returned_value():
-    """The gradient of what a kernel returns."""
+    """The gradient of the result of a kernel."""
     x = numbers(3.0)
 
     @ti.kernel

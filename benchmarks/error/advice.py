@@ -60,7 +60,7 @@ def of(scene: str, size: str, mode: str) -> dict:
 
 
 def judge(exact: dict, rounded: dict) -> tuple[float, float]:
-    """What was measured, and the estimate of the program in f32 as a multiple of it."""
+    """The measured error, and the estimate of the program in f32 as a multiple of it."""
     digit = 2.0**-24 * abs(exact["loss"])
     measured = max(abs(rounded["loss"] - exact["loss"]), digit)
     return measured, max(rounded["expected"], digit) / measured

@@ -279,7 +279,7 @@ PEER_MAKERS = {
 
 
 def exact(name: str, size: str) -> dict | None:
-    """What a micro-kernel gives exactly; None for scenes, which tai in f64 answers."""
+    """The exact result of a micro-kernel; None for scenes, which tai in f64 answers."""
     return micro.data_of(name, size).exact() if name in micro.NAMES else None
 
 

@@ -122,7 +122,7 @@ def _flat(key: Any) -> tuple[int, ...]:
 
 
 class Field:
-    """Values by index; what was never written is zero."""
+    """Values by index; an element that was never written is zero."""
 
     grad = None
 
@@ -249,7 +249,7 @@ def init(**_: Any) -> None:
 
 
 class _Anything(types.SimpleNamespace):
-    """What scenes name and do not need here."""
+    """A stand-in for names that scenes use and that do not matter here."""
 
     def __getattr__(self, name: str) -> Any:
         return _Anything()

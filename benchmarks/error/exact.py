@@ -46,7 +46,7 @@ def in_f64(scene: str) -> tuple[float, np.ndarray]:
 
 
 def unknowns_of(program) -> list[tuple]:
-    """(field, indices) of what the gradient is by."""
+    """Pairs (field, indices) of the unknowns of the gradient."""
     import tai_scenes
 
     if hasattr(program, "module"):

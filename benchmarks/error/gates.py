@@ -23,7 +23,7 @@ CONTENDED = {"scatter", "one_cell"}
 
 @dataclass
 class Gate:
-    """A bar, what was found for it, and where it is not kept."""
+    """A bar, the figures found for it, and the cases that break it."""
 
     name: str
     found: list[str] = field(default_factory=list)

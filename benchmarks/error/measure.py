@@ -37,7 +37,7 @@ def start(system: str, mode: modes.Mode, arch: str, threads: int, cache: Path):
     """Starts a system in a mode; a name that looks like `tai` is there afterwards."""
     if system in ("tai", "taichi", "quadrants"):
         library = __import__(system)
-        # What asks for tai gets this one.
+        # Modules that import tai get this one.
         sys.modules["tai"] = library
         options = dict(mode.options)
         if "default_fp" in options:
@@ -112,7 +112,7 @@ def cosine(found: np.ndarray, expected: np.ndarray) -> float:
 
 
 def worst_ulp(found: np.ndarray, expected: np.ndarray, bits: int) -> float:
-    """The greatest distance in units of the last place of what is expected."""
+    """The greatest distance in units of the last place of the expected number."""
     digits = {32: np.finfo(np.float32), 64: np.finfo(np.float64)}[bits]
     exponent = np.frexp(np.asarray(expected, np.float64))[1] - 1
     ulp = np.ldexp(np.longdouble(1), np.maximum(exponent, digits.minexp) - digits.nmant)
@@ -202,7 +202,7 @@ def measure(given: argparse.Namespace) -> dict:
     mode = modes.find(given.system, given.mode)
     import harness
 
-    # Of one thread the processor's time, which other programs do not lengthen much.
+    # The time of one thread is the processor's, which other programs do not lengthen much.
     is_one = given.threads == 1 and given.arch == "cpu"
     harness.clock = time.process_time if is_one else time.perf_counter
     found = {"version": version_of(given.system), "clock": "processor" if is_one else "wall"}

@@ -143,7 +143,7 @@ class Polar:
 
 
 def _inverse(m: np.ndarray) -> np.ndarray:
-    """Of 3×3 matrices in their own precision."""
+    """The inverses of 3×3 matrices in their own precision."""
     rows = [np.cross(m[:, (k + 1) % 3], m[:, (k + 2) % 3]) for k in range(3)]
     return np.stack(rows, 2) / (m[:, 0] * rows[0]).sum(1)[:, None, None]
 

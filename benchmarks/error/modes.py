@@ -14,7 +14,7 @@ class Mode:
 
     Attributes:
         name: in tables.
-        bits: of the floats in which it computes, which is what an ulp is counted in.
+        bits: of the floats in which it computes; ulps are counted in them.
         options: of `init`, where `default_fp` is the name of a type.
     """
 
@@ -56,7 +56,7 @@ TAI = [
     _storage("bf16"),
 ]
 
-# Of taichi and quadrants `fast_math` is the default.
+# The default of taichi and quadrants is `fast_math`.
 _TAICHI = [_mode("f64", 64), _mode("f32", 32), _mode("f32 exact", 32, fast_math=False)]
 _ARRAYS = [_mode("f64", 64), _mode("f32", 32)]
 
@@ -71,7 +71,7 @@ MODES: dict[str, list[Mode]] = {
 }
 PEERS = [name for name in MODES if name != OURS]
 
-# What a mode is for, in the words of the page.
+# The purpose of a mode, in the words of the page.
 ABOUT = {
     REFERENCE: "the reference: the same bits in each run",
     "f64": "when in doubt, and to judge the others by",
@@ -90,7 +90,7 @@ ABOUT = {
 }
 
 
-# What fronts of time and error do not show, and these modes are for.
+# The purpose of modes that fronts of time and error do not show.
 JUSTIFIED = {"f16 storage": "half the memory", "bf16 storage": "half the memory"}
 
 

@@ -21,7 +21,7 @@ ROOT = HERE.parents[1]
 PAGE = ROOT / "docs" / "accuracy.md"
 PICTURES = ROOT / "docs" / "pictures"
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-10)
-# What cannot be drawn on a logarithmic axis: no error at all.
+# A value for errors of zero, which cannot be drawn on a logarithmic axis.
 LEAST = 1e-17
 ORDER = [mode.name for mode in modes.TAI]
 
@@ -38,7 +38,7 @@ def groups_of(found: list[dict]) -> dict[tuple, list[dict]]:
 def merged(groups: dict[tuple, list[dict]]) -> dict[tuple, list[dict]]:
     """The same with one group for each card, whatever machine it is in.
 
-    Of rows that two machines have, that of the machine with more of the scene is kept.
+    If two machines have the same rows, those of the machine with more of the scene are kept.
     """
     cards: dict[tuple, list[dict]] = {}
     for key in sorted(groups, key=lambda key: -len(groups[key])):
@@ -133,7 +133,7 @@ def choice(group: list[dict]) -> list[str]:
 
 
 def prices(groups: dict[tuple, list[dict]]) -> list[str]:
-    """What each mode costs and gains next to f32, over all scenes."""
+    """The cost and the gain of each mode next to f32, over all scenes."""
     lines = ["| mode | time next to f32 | error next to f32 | for what |", "|---|---|---|---|"]
     for name in ORDER:
         slower, worse = [], []
@@ -155,7 +155,7 @@ def prices(groups: dict[tuple, list[dict]]) -> list[str]:
 
 
 def trouble(found: list[dict]) -> list[str]:
-    """What failed or is missing, in one line for each reason."""
+    """Failures and missing peers, in one line for each reason."""
     reasons: dict[tuple, set[str]] = {}
     for row in found:
         if row["status"] != "ok":
@@ -186,8 +186,8 @@ def bars(found: list[dict]) -> list[str]:
 INTRODUCTION = """
     How long an iteration takes (forward and backward) and how far its loss and its gradient are
     off, for each mode of numbers, on the examples at small sizes and on single kernels. This page
-    is written by `make bench-error`; `make bench-error ARGS=--quick` takes ten minutes. What the
-    fields hold at the start are numbers of f32 in all modes: the error is that of computing.
+    is written by `make bench-error`; `make bench-error ARGS=--quick` takes ten minutes. The
+    initial values of fields are numbers of f32 in all modes: the error is that of computing.
     Scenes are compared with f64 and deterministic sums, which at a tiny size agrees with numbers of
     50 digits (`benchmarks/error/exact.py`); kernels with sums that are rounded once and with
     80-bit floats."""
@@ -197,12 +197,12 @@ HINT = """
     their times are a hint, and the marks that rest on them as well."""
 
 BARS = """
-    What `benchmarks/error/gates.py` asks of the figures. Times are the least of the runs, and each
-    is compared with the other mode's of the same run."""
+    `benchmarks/error/gates.py` checks these bars on the figures. Times are the least of the runs,
+    and each is compared with the other mode's of the same run."""
 
 CARDS = """
-    Rows of one card may be of several machines that have it; what a mode costs next to another
-    is compared on one machine alone."""
+    Rows of one card may be of several machines that have it; the cost of
+    a mode next to another is compared on one machine alone."""
 
 LEGEND = """
     *Loss* and *gradient* are relative errors (L2), *cosine* is between the gradient and the true

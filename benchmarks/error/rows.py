@@ -23,7 +23,7 @@ def key_of(row: dict) -> tuple[str, ...]:
 
 
 def read(path: Path) -> list[dict]:
-    """The rows of a file; numbers are numbers, and what is empty is None.
+    """The rows of a file; numbers are numbers, and an empty text is None.
 
     Raises:
         ValueError: the file has other columns, or what should be a number is none.

@@ -40,7 +40,7 @@ from setup_peers import peers_python
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-# Of the columns that say what is being measured.
+# Widths of the columns that name the measurement.
 WIDTHS = (16, 5, 10, 18, 4, 3)
 # Steps of descent after which a loss is compared.
 STEPS = {"tiny": 2, "quick": 5, "full": 10}
@@ -100,7 +100,7 @@ class Runner:
         return [*found, "--threads", "0" if threads == "all" else "1", "--cache", str(cache)]
 
     def process(self, command: list[str]) -> dict:
-        """What a measurement says; a failure says why."""
+        """The output of a measurement; a failure has its reason."""
         environment = dict(os.environ, PYTHONPATH=str(ROOT / "python"))
         with self.log.open("a") as log:
             log.write(f"$ {' '.join(command)}\n")
@@ -145,7 +145,7 @@ class Runner:
             command = self.command(scene, system, name, arch, threads)
             command += ["--reference", str(reference), "--runs", str(self.given.runs)]
             command += ["--budget", str(self.given.budget)]
-            # Of tai, to compare its modes; and the sizes of steps are those of its scenes.
+            # Descents of tai compare its modes; and the sizes of steps are those of its scenes.
             if scene in cases.EXAMPLES and system in cases.TAICHI:
                 command += ["--steps", str(STEPS[self.given.size])]
             count = 20 if system == modes.OURS or self.given.size == "full" else 5
@@ -190,7 +190,7 @@ class Runner:
 
 
 def better(old: dict, new: dict) -> dict:
-    """Of two rounds: the times of the quicker, and the worse of all else."""
+    """Merges two rounds: the times of the quicker, and the worse of all else."""
     times = min(old, new, key=lambda row: float(row["ms"]))
     row = new | {name: times[name] for name in ("ms", "p10", "p90", "n")}
     row["least"] = min(float(old["least"]), float(new["least"]))

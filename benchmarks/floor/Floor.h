@@ -5,10 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The floor is what a person would write by hand with oneTBB for the forward
-// pass of a scene: structure of arrays, every slot stored as a differentiable
-// run needs it, no tricks that a scene's formulas do not suggest. Each scene
-// returns its loss, which is compared with the f64 references.
+// The floor is code that a person would write by hand with oneTBB for the
+// forward pass of a scene: structure of arrays, every slot stored as a
+// differentiable run needs it, no tricks that a scene's formulas do not
+// suggest. Each scene returns its loss, which is compared with the f64
+// references.
 //
 //===----------------------------------------------------------------------===//
 

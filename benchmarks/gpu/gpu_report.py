@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 PEERS = ["jax", "torch", "warp", "quadrants", "taichi"]
-# Of tai's ways to run a scene, the quickest first: replays queued one behind the other, a
-# replay and a wait, recording the tape and its gradient.
+# Tai's ways to run a scene, the quickest first: replays queued one behind the other, a replay and a
+# wait, recording the tape and its gradient.
 OURS = ["queued", "replay"]
 
-# What peers took on an H200, in milliseconds; used on that device beside what a run measures.
+# Times of peers on an H200, in milliseconds; used on that device beside the measured ones.
 KNOWN_PEERS = {
     ("diffmpm", "warp in a graph"): 0.0248,
     ("smoke", "warp in a graph"): 4.0,

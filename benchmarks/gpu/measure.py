@@ -84,7 +84,7 @@ def launch(_options) -> None:
 
 
 def chain(_options) -> None:
-    """A tape of launches that do next to nothing, replayed: what each of them costs."""
+    """A tape of launches that do next to nothing, replayed: the cost of a launch."""
     width = 64
     x = ti.field(ti.f32, shape=(CHAIN + 1, width), needs_grad=True)
     loss = ti.field(ti.f32, shape=(), needs_grad=True)

@@ -155,7 +155,7 @@ class Run:
         return {"peer": job.peer, "scene": job.group, "phase": phase, "reason": reason}
 
     def do(self, job: Job) -> None:
-        """Runs a job and keeps what it printed."""
+        """Runs a job and keeps its output."""
         left = self.deadline - time.monotonic()
         if left < 5.0:
             self.add([self.trouble(job, "not run", "the time was up")])
@@ -177,7 +177,7 @@ class Run:
         try:
             output, errors = process.communicate(timeout=timeout)
         except subprocess.TimeoutExpired:
-            # With what it may have started, a compiler for example.
+            # Ends its children as well, a compiler for example.
             os.killpg(process.pid, signal.SIGKILL)
             output, errors = process.communicate()
             late = True
@@ -266,7 +266,7 @@ def own_jobs(run: Run) -> list[Job]:
             runs, budget = (options.runs, options.budget)
             command = [sys.executable, str(BENCHMARKS / "peers/peer_tai.py"), "--scene", group]
             command += ["--arch", options.arch, "--cache", str(caches / group), *sizes]
-            # The driver keeps what it has compiled, too: empty at first, and full later.
+            # The driver caches compiled code, too: empty at first, and full later.
             driver = {"CUDA_CACHE_PATH": str(caches / f"{group}-driver")}
             first = [*command, "--runs", str(runs), "--budget", str(budget)]
             jobs.append(Job("tai", group, first, 120, driver))
@@ -298,7 +298,7 @@ def peer_jobs(run: Run) -> list[Job]:
 
 
 def present(python: str, peers: list[str]) -> list[str]:
-    """Those peers that the interpreter can import."""
+    """The peers that the interpreter can import."""
     modules = {"warp": "warp"}
     found = []
     for peer in peers:

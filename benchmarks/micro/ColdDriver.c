@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // The driver for tests (test/unit/FakeCuda), which also measures the time that
-// launches spend in it, so that the rest is what the caller pays for a launch.
-// A real driver reads memory and code of its own, which evicts the caller's
-// data from the caches: tai_cold_bytes is the amount of both that a launch
-// reads. See launch.py.
+// launches spend in it, so that the rest is the caller's cost of a launch. A
+// real driver reads memory and code of its own, which evicts the caller's data
+// from the caches: tai_cold_bytes is the amount of both that a launch reads.
+// See launch.py.
 //
 //===----------------------------------------------------------------------===//
 

@@ -61,7 +61,7 @@ static const char text[] =
     "  .param .u64 l, .param .u64 m, .param .u64 n, .param .u64 o,\n"
     "  .param .u64 q) { ret; }\n";
 
-/// What is launched, and where.
+/// The launched function, and its arguments.
 static Handle function, stream, graph;
 static void *parameters[16], *extra[5];
 static uint64_t values[16];
@@ -99,7 +99,7 @@ static int compare(const void *a, const void *b) {
   double difference = *(const double *)a - *(const double *)b;
   return difference < 0 ? -1 : difference > 0;
 }
-/// Of `work` that queues `launches` launches.
+/// Measures `work`, which queues `launches` launches.
 static double measure(const char *what, void (*work)(void), int times,
                       int launches) {
   double ns[Batches];

@@ -75,7 +75,7 @@ static KernelPtr makeKernel(Runtime &runtime, TaiKernelFn function,
   info.argSlots = slots;
   info.function = function;
   info.summary = std::move(summary);
-  // One that zeroes what is stored again, too.
+  // A kernel with an adjoint also zeroes the adjoints of stored elements.
   info.zeroesAdjoints = adjoint != nullptr;
   info.adjoint = std::move(adjoint);
   return runtime.createKernel(info);

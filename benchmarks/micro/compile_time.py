@@ -20,7 +20,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 
-# What the source of a kernel for `n` statements is. `x`, `y`: fields; `m`: one of matrices.
+# The sources of a kernel for `n` statements. `x`, `y`: fields; `m`: one of matrices.
 SHAPES = {}
 
 
@@ -185,7 +185,7 @@ def serial(n):
 
 @shape(100, 400, 1600)
 def variables(n):
-    """As many numbers at once."""
+    """All `n` numbers are alive at once."""
     lines = [f"v{k} = ti.sin(x[i] + {k}.0)" for k in range(n)]
     lines += [f"v{k} = v{k} * v{(k * 7 + 1) % n}" for k in range(n)]
     lines += ["b = 0.0", *[f"b += v{k}" for k in range(n)], "y[i] = b"]

@@ -1,4 +1,4 @@
-"""Scatters in deterministic mode: what a fixed result costs over atomic additions in any order.
+"""Scatters in deterministic mode: the cost of a fixed result over atomic additions in any order.
 
     python benchmarks/micro/deterministic_scatters.py --arch cuda
     python benchmarks/micro/deterministic_scatters.py --sizes 6400 --modes default,deterministic

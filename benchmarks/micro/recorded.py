@@ -31,7 +31,7 @@ SCENES = ["chain", "mass_spring", "smoke", "diffmpm", "diffmpm_large"]
 
 
 def make_chain(ti, small: bool):
-    """The loss, what comes before the tape, what it records, and a step."""
+    """The loss, the work before the tape, the recorded work, and a step."""
     n, steps = 4096, 50 if small else 500
     x = ti.field(ti.f32, shape=(steps + 1, n), needs_grad=True)
     loss = ti.field(ti.f32, shape=(), needs_grad=True)

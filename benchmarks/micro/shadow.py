@@ -1,4 +1,4 @@
-"""What shadow execution costs: the benchmark's scenes with `shadow=True` and with `strict=True`.
+"""The cost of shadow execution: the benchmark's scenes with `shadow=True` and with `strict=True`.
 
     python benchmarks/micro/shadow.py [--scene wave] [--rounds 3] [--plain strict]
 
@@ -26,7 +26,7 @@ KINDS = {"shadow": {"shadow": True}, "strict": {"strict": True}, "default": {}}
 
 
 def measure(scene: str, kind: str, runs: int, small: bool) -> dict:
-    """Least times of a scene in this process, and what was reported in its last run."""
+    """Least times of a scene in this process, and the report of its last run."""
     harness.clock = time.process_time
     import tai as ti
 

@@ -49,7 +49,8 @@ def tell(stream: Any, found: dict) -> None:
 
 
 def adapt(module: Any, cache: Path, threads: int) -> None:
-    """Gives another module what the frame of the examples takes from tai, and its own defaults."""
+    """Gives another module the names that the frame of the examples takes from tai, and its own
+    defaults."""
     begin = module.init
 
     @functools.wraps(begin)

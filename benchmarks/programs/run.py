@@ -43,7 +43,7 @@ from setup_peers import peers_python  # noqa: E402
 SAME_FILE = ["taichi", "quadrants"]
 SCENES = ["warp", "jax"]
 BAR = 2.0
-# What stands in the table, by the first word of a reason; all else is the peer's own words.
+# Entries of the table, by the first word of a reason; other entries are the peer's own words.
 WORDS = {
     "ended": "ended by a signal", "longer": "longer", "missing": "missing", "not": "not run",
     "wall": "wall", "wrong": "wrong",
@@ -52,7 +52,7 @@ FIELDS = [
     *("program", "peer", "round", "ms", "iterations", "first_s", "first_loss", "second_loss"),
     *("note", "reason"),
 ]
-# A process gets this many times its even share of what is left of --minutes: most take less.
+# A process gets this many times its even share of the remaining --minutes: most take less.
 SHARE = 4.0
 
 
@@ -65,7 +65,7 @@ class Program(NamedTuple):
     call: str = ""
     scene: str = ""  # of ../problems.py, with the same settings
     units: int = 1  # the scene's times are of one in so many
-    note: str = ""  # in what the scene differs
+    note: str = ""  # the difference of the scene
     tolerance: float = 2e-3  # of the first two losses
 
     @property
@@ -126,7 +126,7 @@ class Clock:
 
 
 def answers(text: str | bytes | None) -> list[dict]:
-    """The lines of JSON in what a process has said."""
+    """The lines of JSON in the output of a process."""
     text = text.decode(errors="replace") if isinstance(text, bytes) else text or ""
     found = []
     for line in text.splitlines():
@@ -138,7 +138,7 @@ def answers(text: str | bytes | None) -> list[dict]:
 
 
 def call(command: list, limit: float, **more) -> tuple[list[dict], str]:
-    """What a process answers, and why that is not all of it."""
+    """The answers of a process, and the reason why they are not complete."""
     words = list(map(str, command))
     try:
         done = subprocess.run(words, capture_output=True, text=True, timeout=limit, **more)
@@ -294,7 +294,7 @@ def versions(peers: list[str], python: Path) -> str:
 
 
 def page(rows: list[dict], programs: list[Program], args: argparse.Namespace, load: float) -> str:
-    """The table with what was measured, and where."""
+    """The table with the results, and their machine."""
     kind = "processor time of one thread" if args.processor else "wall time, all threads"
     if args.arch == "cuda":
         kind = f"wall time on {gpu()}"
@@ -312,7 +312,7 @@ def page(rows: list[dict], programs: list[Program], args: argparse.Namespace, lo
 
 
 def write(rows: list[dict], path: Path) -> None:
-    """All rows, after each of them: an interrupted run keeps what it has."""
+    """All rows, after each of them: an interrupted run keeps its results."""
     with path.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, FIELDS, lineterminator="\n")
         writer.writeheader()

@@ -20,7 +20,7 @@ WARM_UPS, SECONDS, FEWEST = 3, 1.5, 15
 
 
 def least(run, ti) -> float:
-    """Milliseconds of the fastest of many runs: what a busy machine disturbs least."""
+    """Milliseconds of the fastest of many runs, which a busy machine disturbs least."""
     for _ in range(WARM_UPS):
         run()
     ti.sync()
@@ -151,7 +151,7 @@ def bodies(ti, layout: str, count: float) -> dict:
 
 
 def band(ti, layout: str, size: float) -> dict:
-    """A band of four cells around a sphere in a box of size³: what it takes in memory."""
+    """A band of four cells around a sphere in a box of size³: its memory."""
     n = int(size)
     x = ti.field(ti.f32)
     getattr(ti.root, layout)(ti.ijk, n // B).dense(ti.ijk, B).place(x)

@@ -59,7 +59,7 @@ def jobs(with_taichi: bool) -> list[tuple]:
 def straightness(points: list[tuple[int, float]]) -> tuple[float, float]:
     """Nanoseconds a cell of the line through the origin, and the largest excess over it.
 
-    The excess, in microseconds, is what a launch costs whatever is active.
+    The excess, in microseconds, is the cost of a launch without active cells.
     """
     slope = sum(c * ms for c, ms in points) / sum(c * c for c, _ in points)
     return 1e6 * slope, 1e3 * max(ms - slope * cells for cells, ms in points)

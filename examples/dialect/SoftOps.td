@@ -28,8 +28,8 @@ def Soft_PlusOp : Op<Soft_Dialect, "plus", [
   let assemblyFormat = "$value attr-dict `:` type($value)";
 }
 
-// An op that accesses a field. Passes that ask what a kernel accesses, such as
-// tai-summarize-kernels and tai-check-bounds, count it among the reads.
+// An op that accesses a field. Passes that list the accesses of a kernel, such
+// as tai-summarize-kernels and tai-check-bounds, count it among the reads.
 def Soft_ReadOp : Op<Soft_Dialect, "read", [
     DeclareOpInterfaceMethods<MemoryEffectsOpInterface>,
     DeclareOpInterfaceMethods<Tai_FieldAccessOpInterface,

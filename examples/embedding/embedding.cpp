@@ -7,7 +7,7 @@
 //
 // Three calls are all that a compiler on MLIR needs: `registerAll` for its
 // registry, `buildPipeline` for its pass manager, which takes kernels to the
-// LLVM dialect, and its own `run`. This one prints what a kernel becomes.
+// LLVM dialect, and its own `run`. This one prints the lowered kernels.
 //
 //   embedding [file.mlir]     the kernels of a file instead of the one below
 //

@@ -39,7 +39,7 @@ struct LevelStorage : TypeStorage {
   KeyTy key;
 };
 
-/// What both kinds have in common.
+/// The parts that both kinds share.
 template <typename Derived>
 struct LevelType : Type::TypeBase<Derived, Type, LevelStorage,
                                   tai::SNodeTypeInterface::Trait> {

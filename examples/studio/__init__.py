@@ -1,5 +1,5 @@
 # ruff: noqa: F401
-"""What all simulators here share: options, the loop of descent, pictures. No physics.
+"""The frame of all simulators here: options, the loop of descent, pictures. No physics.
 
     options = studio.options(__doc__, "billiards", iterations=200, steps=1024, rate=0.01)
     options.add_argument("--in-place", action="store_true", help="state without a time axis")
@@ -16,8 +16,8 @@
     if args.picture:
         studio.animate(args, draw, range(0, args.steps, 8))
 
-An interrupt (Ctrl-C, SIGTERM) keeps what was learned, and `--resume` goes on there. What a
-person can mend (an impossible size, a folder that cannot be written, a library that is not
+An interrupt (Ctrl-C, SIGTERM) keeps the learned fields, and `--resume` goes on there. An error that
+the user can mend (an impossible size, a folder that cannot be written, a library that is not
 installed) ends the program with one line and exit code 2.
 """
 

@@ -39,7 +39,7 @@ def _settings(args: argparse.Namespace) -> dict:
 
 
 class _Run:
-    """The state of a descent: what is kept, and the numbers of each iteration."""
+    """The state of a descent: the kept fields, and the numbers of each iteration."""
 
     def __init__(self, args: argparse.Namespace, kept: dict):
         self.args, self.fields = args, kept
@@ -62,7 +62,7 @@ class _Run:
             self.columns.setdefault(name, []).append(float(value))
         loss = self.losses()[-1]
         if np.isfinite(loss) and loss < self.least:
-            self.least, self.best = loss, self.state  # what it was before this iteration
+            self.least, self.best = loss, self.state  # the state before this iteration
 
     def take(self) -> None:
         """Copies the state, so that an interrupt amid the next iteration does no harm."""
@@ -112,8 +112,8 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
         args: the options; `--iterations` counts from the very start, also with `--resume`.
         iteration: does one step; returns its loss, or a dictionary of numbers whose first is
             the loss. They become the columns of `NAME.losses.csv`.
-        kept: the fields in which the state between two iterations is: what is learned, and
-            whatever else the next iteration reads. (Anything with `to_numpy` and `from_numpy`.)
+        kept: the fields with the state between two iterations: parameters, and all else that the
+            next iteration reads. (Anything with `to_numpy` and `from_numpy`.)
     """
     run = _Run(args, kept)
     _runs[:] = [run]
@@ -160,7 +160,7 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
 
 
 def take_best(**kept) -> None:
-    """Puts back into the fields of `optimise` what had the least loss; for a film, say.
+    """Restores the state with the least loss in the fields of `optimise`; for a film, say.
 
     Not from the checkpoint: another run in the same folder may have written its own by now.
     """
@@ -194,7 +194,7 @@ def _interruptible():
 
 @contextlib.contextmanager
 def _uninterrupted():
-    """Ctrl-C and SIGTERM wait for what is in here: an impatient second one loses nothing."""
+    """Ctrl-C and SIGTERM wait for the end of the block: an impatient second one loses nothing."""
     came = []
     with _handled([signal.SIGINT, signal.SIGTERM], lambda *_: came.append(True)):
         yield

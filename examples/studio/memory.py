@@ -1,4 +1,4 @@
-"""State with a slot for each time, or updated in place: the options, and what each costs."""
+"""State with a slot for each time, or updated in place: the options, and the cost of each."""
 
 import argparse
 import subprocess
@@ -30,7 +30,7 @@ def tape(args: argparse.Namespace, loss) -> ti.ad.Tape:
 
 
 def report_memory(args: argparse.Namespace, *state) -> None:
-    """Prints what the fields of the state, their gradients and the tape hold."""
+    """Prints the memory of the state's fields, their gradients and the tape."""
     fields = 2 * sum(field.to_numpy().nbytes for field in state)
     kept = _tapes[0].stats().peak_bytes if _tapes else 0
     again = _tapes[0].stats().recomputed if _tapes else 0
@@ -47,7 +47,7 @@ def _size(count: float) -> str:
 
 
 def compare(arguments: list[str]) -> None:
-    """Runs the program in each way, and prints what each says of its time and memory."""
+    """Runs the program in each way, and prints the time and memory of each."""
     place = arguments.index("compare") if "compare" in arguments else None
     if place is None:
         arguments = [a for a in arguments if not a.startswith("--state")]

@@ -15,7 +15,7 @@ from .memory import compare
 
 
 def checkpoint(args: argparse.Namespace) -> Path:
-    """Where a descent keeps what it has learned."""
+    """The file in which a descent keeps its fields."""
     return args.out / f"{args.name}.npz"
 
 
@@ -59,7 +59,7 @@ def at_least(minimum: float, kind: type = int, most: float | None = None) -> Cal
 
 
 PACKAGES = {"PIL": "pillow"}
-# Of NumPy's older generators.
+# The largest seed of NumPy's older generators.
 LARGEST_SEED = 2**32 - 1
 
 
@@ -96,7 +96,7 @@ def options(
     """The parser of an example.
 
     Args:
-        doc: what the example is, shown by `--help`.
+        doc: the description of the example, shown by `--help`.
         name: of the example, and of the files that it writes.
         iterations, steps, rate: defaults of these options; those that an example has no use for
             are left out. Without `iterations` there is no `--resume`.
@@ -157,7 +157,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def start(args: argparse.Namespace, **more) -> None:
-    """`ti.init` with what the options say; `float` becomes f32 or, with --double, f64."""
+    """`ti.init` with the chosen options; `float` becomes f32 or, with --double, f64."""
     given = {
         "arch": getattr(ti, args.arch),
         "default_fp": ti.f64 if args.double else ti.f32,
@@ -172,7 +172,7 @@ def start(args: argparse.Namespace, **more) -> None:
 
 
 def _explain(kind, error, trace) -> None:
-    """What does not fit, a full disk or Ctrl-C are no errors of the program: no traceback."""
+    """Too little memory, a full disk or Ctrl-C are no errors of the program: no traceback."""
     if issubclass(kind, KeyboardInterrupt):
         fail("interrupted", code=130)
     if issubclass(kind, ModuleNotFoundError) and error.name:

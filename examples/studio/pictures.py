@@ -11,7 +11,7 @@ import tai as ti
 
 from .options import fail, need
 
-# Paper and ink, a soft grey for what stands still, and colours for what is compared, in order.
+# Paper and ink, a soft grey for things that stand still, and colours for compared curves, in order.
 PAPER, INK, SOFT = 0xF4F1EA, 0x2B3A55, 0x9A9484
 BLUE, RED, GOLD, GREEN, PLUM, TEAL = 0x3E7CB1, 0xC8553D, 0xE0A458, 0x6A994E, 0x7B506F, 0x3A8F8A
 SERIES = (BLUE, RED, GOLD, GREEN, PLUM, TEAL)
@@ -27,7 +27,7 @@ def plot(
         curves: the values of each curve by its name, or a pair of positions and values, or a
             list of runs, which are drawn thin with their mean. The name of a single curve is
             not shown.
-        x, y: what the axes are, with units.
+        x, y: labels of the axes, with units.
         log: a logarithmic y axis.
         dots: points instead of lines.
     """
@@ -59,7 +59,7 @@ def plot(
             axes.plot(*pair, "." if dots else "-", markersize=3.5, label=name)
         if x == "iteration":
             axes.xaxis.get_major_locator().set_params(integer=True)
-        # Of numbers that are all zero there is no logarithm.
+        # Numbers that are all zero have no logarithm.
         has_log = log and any(line.get_ydata().max() > 0 for line in axes.lines)
         axes.set(xlabel=x, ylabel=y, title=title, yscale="log" if has_log else "linear")
         if len(curves) > 1:
@@ -96,7 +96,7 @@ def blend(one: int, other: int, share) -> np.ndarray:
 
 
 def signed(value) -> np.ndarray:
-    """Blue for -1, grey for 0, red for 1, and what is between."""
+    """Blue for -1, grey for 0, red for 1, and blends between."""
     value = np.asarray(value, float)
     return np.where(value < 0, blend(SOFT, BLUE, -value), blend(SOFT, RED, value))
 

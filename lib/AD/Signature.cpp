@@ -55,7 +55,7 @@ LogicalResult mlir::tai::checkHasDerivative(FunctionOpInterface function,
     takes |= counts && isRead;
     gives |= counts && !isRead;
   });
-  // What is only written is taken out of the gradient, which is a use too.
+  // An array that is only written has its gradient read, which is a use too.
   if (gives && (takes || positions.empty()))
     return success();
   InFlightDiagnostic diag = function.emitError()

@@ -82,9 +82,9 @@ private:
   std::unique_lock<std::recursive_timed_mutex> lock;
 };
 
-/// For calls that threads make side by side on the CPU. The queue of a device
-/// is one: what it has been given by one thread may be what another one waits
-/// for.
+/// For calls that threads make side by side on the CPU. A device has
+/// one queue: a thread may wait for work that another one has
+/// queued.
 class DeviceLock {
 public:
   DeviceLock(TaiContextImpl &context,

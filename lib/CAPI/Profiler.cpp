@@ -32,7 +32,7 @@ TaiStatus taiProfilerTrace(TaiContext context, const TaiTraceEvent **events,
   ContextLock lock(*context);
   std::vector<runtime::TraceEvent> found =
       context->session.getRuntime().trace(*lost);
-  // What holds others comes before them.
+  // An event that holds others comes before them.
   llvm::sort(found,
              [](const runtime::TraceEvent &a, const runtime::TraceEvent &b) {
                return std::make_pair(a.startNs, -a.durationNs) <

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What a program in another language does: declares fields, gives kernels as
-// IR, launches, differentiates through a tape, and meets errors.
+// This program stands for one in another language: it declares fields, gives
+// kernels as IR, launches, differentiates through a tape, and meets errors.
 //
 //===----------------------------------------------------------------------===*/
 

@@ -65,7 +65,7 @@ def check(text, name, spread, special, seed):
     at = [numbers.randrange(spread) for _ in range(COUNT)]
     v, w = ([draw(numbers, code) for _ in range(COUNT)] for code in "fd")
     a, d = ([draw(numbers, code) for _ in range(CELLS)] for code in "fd")
-    # Zeros, subnormal numbers, and what is no number.
+    # Zeros, subnormal numbers, infinities and NaN.
     for i, value in enumerate([0.0, -0.0, 1e-45, -3e-39, *special]):
         v[5 * i] = to_single(value)
         w[5 * i] = value * 1e-280 if abs(value) < 1 else value

@@ -1,8 +1,8 @@
 """Runs the PTX of a kernel as the threads of blocks, one instruction at a time.
 
 Threads of a warp run in a random order and by themselves between the instructions at which a warp
-meets: what is right here does not depend on how a GPU happens to run them. Two lanes that touch the
-same bytes between two meetings, one of them writing, are an error, and so is a meeting to which
+meets: a result that is right here does not depend on the scheduling of a GPU. Two lanes that touch
+the same bytes between two meetings, one of them writing, are an error, and so is a meeting to which
 not all of them come.
 """
 

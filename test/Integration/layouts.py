@@ -4,7 +4,7 @@
 
 The RUN lines of each file in FOLDER are run on a copy in which the dense levels at the roots of
 the trees stand below levels of another kind, and where `@main` makes all cells active before it
-does anything else. What the RUN lines check is the same. A tool is a path; RUN lines name it by
+does anything else. The checks of the RUN lines are the same. A tool is a path; RUN lines name it by
 its last part.
 """
 
@@ -25,7 +25,7 @@ AXES = "ijklmnopqrst"
 
 @dataclass
 class Level:
-    """A level in the text of a tree: [begin, end) of it, and of what stands before its children."""
+    """A level in the text of a tree: [begin, end) of it, and its text before the children."""
 
     kind: str
     extents: dict[str, int]
@@ -136,7 +136,7 @@ def run_lines(file: Path, tools: dict[str, str]) -> list[str]:
 
 
 def run(file: Path, tools: dict[str, str]) -> str:
-    """Runs the commands of a file; returns what the first failing one said."""
+    """Runs the commands of a file; returns the output of the first failing one."""
     for command in run_lines(file, tools):
         done = subprocess.run(
             ["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True

@@ -185,7 +185,7 @@ static OwningOpRef<ModuleOp> extract(ModuleOp file, KernelOp kernel) {
   return module;
 }
 
-/// Declares what the file declares.
+/// Declares the symbols of the file.
 static LogicalResult declare(Session &session, ModuleOp file) {
   for (TreeOp tree : file.getOps<TreeOp>())
     if (failed(session.addTree(tree)))

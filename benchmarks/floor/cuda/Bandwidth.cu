@@ -150,7 +150,7 @@ int run(const Options &options) {
     fillKernel<<<dim3(unsigned(n / 256), unsigned(n)), 256, 0, stream>>>(
         x.get(), y.get(), n);
   };
-  // What is timed adds up over the runs; the values are those of one run.
+  // The timed work adds up over the runs; the values are those of one run.
   auto time = [&](const char *variant, double arrays, const auto &queue) {
     if (!options.wants(variant))
       return;

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The floors are what a person would write by hand in CUDA C++ for a scene of
-// the benchmark and its gradient: f32, adjoints derived by hand. The bodies of
-// their kernels are functions for both sides, so that the same formulas can be
-// checked on a machine without a GPU: with HOST_CHECK defined, any C++ compiler
-// makes a program that runs them one after another, on the CPU.
+// The floors are code that a person would write by hand in CUDA C++ for a scene
+// of the benchmark and its gradient: f32, adjoints derived by hand. The bodies
+// of their kernels are functions for both sides, so that the same formulas can
+// be checked on a machine without a GPU: with HOST_CHECK defined, any C++
+// compiler makes a program that runs them one after another, on the CPU.
 //
 //===----------------------------------------------------------------------===//
 
@@ -48,7 +48,7 @@ struct alignas(16) Quad {
 
 /// Adds to memory that other threads may add to as well. The adds of two and
 /// four floats are single instructions on compute capability 9.0, for memory of
-/// the device; nobody waits for what was there before.
+/// the device; they do not wait for the former value.
 TAI_BOTH void addTo(float *p, float v) {
 #ifdef __CUDA_ARCH__
   atomicAdd(p, v);
@@ -95,7 +95,7 @@ template <typename Body> TAI_BOTH void forEach(int count, const Body &body) {
 #endif
 }
 
-/// What comes after sees what all threads of this block did before.
+/// Code behind it sees all earlier writes of the threads of this block.
 TAI_BOTH void blockSync() {
 #ifdef __CUDA_ARCH__
   __syncthreads();

@@ -64,7 +64,7 @@ private:
   size_t count_;
 };
 
-/// What a function queues on a stream, kept as a graph.
+/// The work that a function queues on a stream, kept as a graph.
 class Graph {
 public:
   template <typename Queue> Graph(cudaStream_t stream, const Queue &queue) {
@@ -119,8 +119,8 @@ Times measure(cudaStream_t stream, int runs, double units, const Queue &queue) {
   return {quantile(0.5), quantile(0.1), quantile(0.9), runs};
 }
 
-/// What kernels begin with that may be launched before the one before them has
-/// ended: lets the next be launched, and waits for the end of the one before.
+/// Begins kernels that may be launched before the one before them has ended:
+/// lets the next be launched, and waits for the end of the one before.
 __device__ __forceinline__ void followPrevious() {
   cudaTriggerProgrammaticLaunchCompletion();
   cudaGridDependencySynchronize();

@@ -193,7 +193,7 @@ __global__ void gatherKernel(Mpm s, int t) {
     gatherBody(s, t, p);
 }
 
-/// Adds up what the threads of a warp have, then to memory.
+/// Adds up the parts of a warp's threads, then adds them to memory.
 __device__ void addLoss(float *loss, float part) {
   for (int lane = 16; lane > 0; lane /= 2)
     part += __shfl_xor_sync(0xffffffffu, part, lane);
@@ -325,7 +325,7 @@ struct Scene {
   size_t stored() const { return size_t(s.slots) * size_t(s.count); }
   size_t grids() const { return size_t(s.slots - 1) * size_t(s.nodes()); }
 
-  /// What every run starts with: nothing on the grids, no loss.
+  /// The start of every run: zeros on the grids, no loss.
   void clear() {
     grid.clear(stream);
     velocityBar.clear(stream);

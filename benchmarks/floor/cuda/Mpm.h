@@ -89,7 +89,7 @@ TAI_BOTH Quad deform(const Mpm &s, Quad c, Quad f) {
           f.w + s.dt * (c.z * f.y + c.w * f.w)};
 }
 
-/// Stress times its factor, plus C: what a particle's momentum varies by.
+/// Stress times its factor, plus C: the factor of a particle's momentum.
 TAI_BOTH Quad affineOf(const Mpm &s, Quad c, Quad f) {
   const float even = f.x + f.w, odd = f.z - f.y;
   const float scale = 1.0f / sqrtf(even * even + odd * odd);
@@ -466,7 +466,8 @@ template <int components> struct Window {
   }
 };
 
-/// The least of what the threads have; one of a warp's threads writes for all.
+/// Lowers `p` to the least value of the threads; one of a warp's threads writes
+/// for all.
 TAI_BOTH void lower(int *p, int v) {
 #ifdef __CUDA_ARCH__
   const unsigned active = __activemask();

@@ -31,8 +31,8 @@ TAI_BOTH float sineAt(const Robot &r, int k) {
 
 #ifdef HOST_CHECK
 
-/// Runs a part for all threads, and what comes after it with the sums over
-/// groups of `lanes` threads.
+/// Runs a part for all threads, and `rest` with the sums over groups of `lanes`
+/// threads.
 template <typename Part, typename Rest>
 void forSums(int lanes, const Part &part, const Rest &rest) {
   float parts[robotThreads];

@@ -11,9 +11,9 @@
 // and their adjoints are in registers, spread over the threads. Springs add to
 // points in the order of the points' lists, so the sums are the same each time.
 //
-// A phase is what threads do between two barriers. Where a phase ends in a sum
-// over neighbouring threads it has two parts: what a thread contributes, and
-// what is done with the sum. On the CPU a loop over threads runs each part.
+// A phase is the work of threads between two barriers. If a phase ends in a sum
+// over neighbouring threads it has two parts: the contribution of a thread, and
+// the use of the sum. On the CPU a loop over threads runs each part.
 //
 //===----------------------------------------------------------------------===//
 
@@ -70,13 +70,13 @@ struct RobotMemory {
   Pair dBar[springs];
   float zBar2[springs], zBar1[hiddenCount], inputBar[inputs];
   float seen[inputs];
-  // What does not change.
+  // The constants of the robot.
   int first[springs], second[springs];
   float rest[springs], stiffness[springs], amount[springs];
   int incidentStart[points + 1], incident[2 * springs];
 };
 
-/// What one thread keeps in registers.
+/// The registers of one thread.
 struct RobotThread {
   float w1[own1], w2[own2], w2Transposed[own3], w1Transposed[own4];
   float w1Bar[own1], w2Bar[own2], b1Bar, b2Bar;
@@ -264,7 +264,7 @@ TAI_BOTH void seedPhase(RobotMemory &m, int thread) {
   m.vBar[thread] = {0.0f, 0.0f};
 }
 
-/// A thread's share of what the forward pass stored of slot t.
+/// A thread's share of the stored values of slot t.
 struct Stored {
   Pair x, v, free;
   float hidden, output;
@@ -282,7 +282,7 @@ struct Stored {
   }
 };
 
-/// Phase 1: what was stored goes to shared memory; the points' adjoints pass
+/// Phase 1: the stored values go to shared memory; the points' adjoints pass
 /// the contact.
 TAI_BOTH void contactPhase(const Robot &r, RobotMemory &m, const Stored &s,
                            int thread) {
@@ -384,8 +384,9 @@ TAI_BOTH void layer1BarPhase(RobotMemory &m, int thread, float total) {
     m.inputBar[row] = total;
 }
 
-/// Phase 5: what the inputs and the springs give to the points. First what each
-/// point takes off the centre, then, with the sum of that, the rest.
+/// Phase 5: the contributions of the inputs and the springs to the points.
+/// First the part of each point that the centre loses, then, with its sum, the
+/// rest.
 TAI_BOTH Pair centrePart(const RobotMemory &m, int thread) {
   if (thread >= points)
     return {0.0f, 0.0f};

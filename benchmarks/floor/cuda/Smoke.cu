@@ -128,7 +128,8 @@ int run(const Options &options) {
 constexpr int threads = 128, blocks = (cells + threads - 1) / threads;
 constexpr int tileThreads = 512;
 
-/// What a kernel of one operation does. The number is t or, for the sweeps, k.
+/// The work of a kernel of one operation. The number is t or, for the sweeps,
+/// k.
 enum class Operation {
   AdvectVelocity,
   Diverge,

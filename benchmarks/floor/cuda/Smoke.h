@@ -175,7 +175,8 @@ TAI_BOTH void densityBarBody(const Smoke &s, int t, int cell) {
   s.vBar[now] = {s.vBar[now].x + shift.x, s.vBar[now].y + shift.y};
 }
 
-/// What the last but one sweep of the step before t gets from the velocity.
+/// The adjoint of the last but one sweep of the step before t, from the
+/// velocity.
 TAI_BOTH void projectBar(const Smoke &s, int t, int cell) {
   const Neighbours n(cell);
   const Pair *v = s.vBar + t * cells;
@@ -306,8 +307,8 @@ TAI_BOTH void forwardTile(const Smoke &s, int t, int tile, TileMemory &m) {
         (m.vectors[at + frameColumns].x - m.vectors[at - frameColumns].x +
          m.vectors[at + 1].y - m.vectors[at - 1].y);
   });
-  // Each thread reads what it wrote of `source`: the cells are numbered by the
-  // same radius in the first sweep, and by others later.
+  // Each thread reads its own elements of `source`: the cells are numbered by
+  // the same radius in the first sweep, and by others later.
   blockSync();
   TAI_UNROLL
   for (int sweep = 1; sweep <= sweeps; ++sweep) {
@@ -334,7 +335,7 @@ TAI_BOTH void backwardTile(const Smoke &s, int t, int tile, TileMemory &m) {
   const int now = t * cells, before = (t - 1) * cells;
   forEach(frameCells,
           [&](int k) { m.planes[0][k] = last[TileCell(k, reach).cell(tile)]; });
-  // The velocity's adjoint is complete with what the density gives it.
+  // The part from the density completes the velocity's adjoint.
   forEach(TileCell::count(1), [&](int k) {
     const TileCell c(k, 1);
     const int cell = c.cell(tile);

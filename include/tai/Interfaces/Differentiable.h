@@ -28,8 +28,8 @@ namespace mlir::tai {
 class AdjointBuilder;
 class TangentBuilder;
 
-/// What an access does to an element. `Update` is any combination with the old
-/// value that is not a sum.
+/// The kind of an access to an element. `Update` is any combination with the
+/// old value that is not a sum.
 enum class AccessKind { Read, Write, Accumulate, Update };
 
 /// The target of an access: a field, by symbol, or a memref, by value.

@@ -49,7 +49,7 @@ def Tai_FieldAccessOpInterface : OpInterface<"FieldAccessOpInterface"> {
     bool isElementAccess() {
       return ::mlir::tai::isElementAccess($_op.getFieldAccess());
     }
-    /// True if what the op yields depends on the field.
+    /// True if the op's result depends on the field.
     bool readsField() {
       return ::mlir::tai::readsField($_op.getFieldAccess());
     }

@@ -37,7 +37,7 @@ namespace interpreter {
 class Program;
 } // namespace interpreter
 
-/// A kernel or a host function (`func.func`) with what it calls.
+/// A kernel or a host function (`func.func`) with all functions that it calls.
 class Interpreter {
 public:
   ~Interpreter();

@@ -23,8 +23,8 @@
 
 namespace mlir::tai {
 
-/// Which kernels get an adjoint, and how. What a context sets comes from
-/// Options.def.
+/// The kernels that get an adjoint, and its form. Options of a context come
+/// from Options.def.
 struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
   AutodiffOptions() = default;
   // Options are bound to their parser and cannot be moved: copy the values.
@@ -110,7 +110,7 @@ template <> struct OptionWords<BoundsMode> {
   }
 };
 
-/// How kernels are lowered, wherever they run. What a context sets comes from
+/// How kernels are lowered, wherever they run. Options of a context come from
 /// Options.def.
 struct LoweringOptions : virtual ::mlir::detail::PassOptions {
   /// Options are bound to their parser and cannot be moved: copies the values.

@@ -36,8 +36,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Names the extended copy, on what it was made from.
-/// See getFunctionAttrName.
+/// Names the extended copy, as an attribute of the original. See
+/// getFunctionAttrName.
 static constexpr StringLiteral kTangent = "tangent";
 
 static bool hasTangentAlready(FunctionOpInterface function) {

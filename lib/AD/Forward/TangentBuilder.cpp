@@ -167,7 +167,7 @@ LogicalResult TangentBuilder::extendOp(Operation *op) {
     return rule.buildTangent(*this);
   if (llvm::any_of(op->getResultTypes(), isFloatOrVector))
     return refuseTangent(op, *this);
-  // Output and checks take what they like, and what is discrete is constant.
+  // Output and checks take any values, and discrete results are constant.
   if (isMemoryEffectFree(op) || isa<PrintOp, AssertOp, PreconditionOp>(op))
     return success();
   emitError(op, "a derivative is lost in '" + op->getName().getStringRef() +
@@ -207,7 +207,7 @@ LogicalResult TangentBuilder::extendAccess(Operation *op) {
   Storage storage = access.getAccessedStorage();
   if (Storage tangent = getTangentStorage(storage))
     return access.buildTangent(*this, tangent);
-  // A field without a dual is constant, as one without an adjoint is. What is
+  // A field without a dual is constant, as one without an adjoint is. A tangent
   // stored to an array would be read back as a constant without a word.
   if (storage.memref && access.getAccessKind() != AccessKind::Read &&
       getTangent(value)) {

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Which tangents loops and branches carry must be known before their bodies are
-// extended. The function is walked to a fixed point: once, and once more for
-// each level of nested loops.
+// The tangents that loops and branches carry must be known before their bodies
+// are extended. The function is walked to a fixed point: once, and once more
+// for each level of nested loops.
 //
 //===----------------------------------------------------------------------===//
 

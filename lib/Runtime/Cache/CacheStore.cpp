@@ -51,7 +51,7 @@ constexpr char temporaryPrefix[] = ".tmp-";
 constexpr char lockPrefix[] = ".lock-";
 /// More than any code; a file that says so is not one of ours.
 constexpr uint64_t mostEntryBytes = uint64_t(1) << 31;
-/// What a process that was killed left behind is older than this (seconds).
+/// Files that a killed process left behind are older than this (seconds).
 constexpr time_t temporaryLife = 3600;
 
 enum Trouble { FolderTrouble, EntryTrouble, WriteTrouble };
@@ -131,8 +131,9 @@ bool makeFolders(const std::string &path) {
   return true;
 }
 
-/// The first folder on the way to this one in which anybody may rename what is
-/// not theirs, if there is one. In a sticky folder, as /tmp is, nobody can.
+/// The first folder on the way to this one in which anybody may rename the
+/// files of others, if there is one. In a sticky folder, as /tmp is, nobody
+/// can.
 std::string findOpenFolder(const std::string &path) {
   char *real = realpath(path.c_str(), nullptr);
   if (!real)
@@ -436,7 +437,7 @@ CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds,
     }
     if (!isLocked || fstat(file.number, &info) != 0)
       return nullptr;
-    // Who had it has removed it: the next one is another file.
+    // The former owner has removed it: the next one is another file.
     if (info.st_nlink == 0) {
       if (Clock::now() >= end)
         return nullptr;
@@ -450,7 +451,7 @@ CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds,
   }
 }
 
-/// What is to be written, and the thread that writes it, if one runs.
+/// The entries to write, and the thread that writes them, if one runs.
 struct CacheStore::Writer {
   CacheStore *store;
   pid_t process = getpid();
@@ -486,7 +487,7 @@ struct CacheStore::Writer {
 };
 
 CacheStore::Writer &CacheStore::currentWriter() {
-  // A forked child has no such thread, and the parent writes what it began.
+  // A forked child has no such thread, and the parent writes its own entries.
   if (writer && writer->process != getpid())
     (void)writer.release();
   if (!writer)

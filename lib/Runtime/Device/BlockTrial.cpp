@@ -15,7 +15,7 @@ static constexpr size_t kRounds = 3;
 /// Launches between the last trial and the decision: the device has come there
 /// by then as a rule, so that nobody waits.
 static constexpr size_t kLaunchesBetween = 8;
-/// What another size must be quicker by than the usual one.
+/// The factor by which another size must beat the usual one.
 static constexpr double kGain = 0.97;
 
 bool BlockTrial::hasEnded() {
@@ -37,7 +37,7 @@ void BlockTrial::choose(size_t size) {
 Status BlockTrial::time(Device &device, int64_t iterations, size_t size,
                         const std::function<Status(Size)> &launch) {
   Timed now{size, iterations, nullptr, nullptr};
-  // What cannot be timed is launched all the same.
+  // A candidate that cannot be timed is launched without a measurement.
   bool isTimed = device.record(now.begin).ok();
   Status status = launch(sizes[size]);
   isTimed = isTimed && status.ok() && device.record(now.end).ok();
@@ -77,7 +77,7 @@ void BlockTrial::decide(Device &device) {
 Status BlockTrial::run(Device &device, int64_t iterations,
                        const std::function<Status(Size)> &launch) {
   std::unique_lock<std::mutex> lock(mutex);
-  // The first launch pays for what is there afterwards.
+  // The first launch has one-time costs.
   size_t number = launches++;
   size_t trials = kRounds * sizes.size();
   if (!isOver && number >= 1 && number <= trials)

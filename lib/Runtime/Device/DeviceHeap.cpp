@@ -11,7 +11,7 @@
 #include <cstring>
 
 static std::atomic<int64_t> heapBytes{0};
-/// Of the emulated device, by all threads together.
+/// The bytes in use on the emulated device, by all threads together.
 static std::atomic<int64_t> used{0};
 
 void mlir::tai::runtime::setDeviceHeapBytes(int64_t bytes) {

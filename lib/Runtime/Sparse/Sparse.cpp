@@ -225,7 +225,7 @@ int64_t SparseNode::append(int64_t list) {
 
 /// Zeroes memory, and gives whole pages back.
 static void release(char *begin, int64_t bytes) {
-  // Of a level without cells there is none.
+  // A level without cells has no memory.
   if (bytes == 0)
     return;
   static const int64_t page = sysconf(_SC_PAGESIZE);
@@ -372,7 +372,7 @@ constexpr int kCollapse = 25;
 /// active nearly everywhere get them.
 void SparseNode::useLargePages(const ActiveList &list) {
   constexpr int64_t kPage = int64_t(2) << 20;
-  // Of the region, so much must be active.
+  // The part of the region that must be active.
   constexpr int64_t kEnough = kPage / 8 * 7;
   if (static_cast<int64_t>(list.cells.size()) * cellBytes() < kEnough)
     return;
@@ -444,7 +444,7 @@ ActiveListPtr SparseNode::list() {
 }
 
 //===----------------------------------------------------------------------===//
-// What the host knows without waiting
+// State that the host knows without waiting
 //===----------------------------------------------------------------------===//
 
 SparseNode::Moment SparseNode::now() const {

@@ -19,7 +19,7 @@ namespace mlir::tai::runtime {
 std::string formatValues(const char *format, int32_t count,
                          const int32_t *kinds, const int32_t *shapes,
                          const uint64_t *slots);
-/// What is written for a printed text: a newline follows, or TAI_SAME_LINE
+/// The final form of a printed text: a newline follows, or TAI_SAME_LINE
 /// goes.
 std::string endPrinted(std::string text);
 std::string formatBytes(int64_t bytes);

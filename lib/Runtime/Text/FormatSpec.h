@@ -30,11 +30,11 @@ struct FormatSpec {
   char sign = '-';  // One of "-+ ".
   bool alternate = false;
   int width = 0;
-  int precision = -1; // As many digits as the number needs.
+  int precision = -1; // -1: all digits of the number.
   char type = 0;      // One of "bdoxXeEfFgG%", or 0.
   bool isUnsigned = false;
 
-  /// None if the text is not a specification.
+  /// Returns no value if the text is not a specification.
   static std::optional<FormatSpec> parse(std::string_view text);
 
   std::string apply(uint64_t magnitude, bool negative) const;

@@ -35,7 +35,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 //===----------------------------------------------------------------------===//
-// What can be fused
+// Candidates for fusion
 //===----------------------------------------------------------------------===//
 
 namespace {
@@ -115,8 +115,8 @@ static ValueRange getIndices(Operation *access) {
       .Case<LoadOp, StoreOp, AtomicOp>([](auto op) { return op.getIndices(); });
 }
 
-/// The form with arguments of the kernel as what the host passes, and with the
-/// induction variables given.
+/// The form with the host's operands for arguments of the kernel, and with the
+/// given induction variables.
 static LinearIndex translate(const LinearIndex &form, Candidate &from,
                              ValueRange ivs) {
   LinearIndex result;
@@ -214,8 +214,8 @@ static bool canFuse(Candidate &first, Candidate &second, bool deterministic) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Where an argument of the second kernel comes from: an argument of the new
-/// one, and what is to be added to it.
+/// The origin of an argument of the second kernel: an argument of the new one,
+/// and a difference to add.
 struct Source {
   unsigned argument;
   int64_t difference = 0;
@@ -240,7 +240,8 @@ static Source getSource(Value operand, SmallVectorImpl<Value> &operands) {
   return {static_cast<unsigned>(operands.size() - 1)};
 }
 
-/// Loads of what the same iteration has just stored become that value.
+/// Loads of elements that the same iteration has just stored become the stored
+/// value.
 static void reuseStoredValues(Block &body) {
   SmallVector<LoadOp> loads;
   body.walk([&](LoadOp load) { loads.push_back(load); });
@@ -315,7 +316,7 @@ static LaunchOp fuse(Candidate &first, Candidate &second,
     }
     other.map(argument, value);
   }
-  // What is computed in front of the loops, then one loop with both bodies.
+  // The code in front of the loops, then one loop with both bodies.
   for (Operation &op : second.kernel.getBody().front().without_terminator())
     if (&op != second.box.loop)
       builder.clone(op, other);

@@ -15,7 +15,7 @@ class AutodiffMode(Enum):
 
 
 class SNodeGradType(Enum):
-    """What a place holds: values, or something of their derivatives."""
+    """The contents of a place: values, or derivatives."""
 
     PRIMAL = 0
     ADJOINT = 1

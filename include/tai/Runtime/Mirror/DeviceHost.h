@@ -50,8 +50,8 @@ public:
                const std::vector<SparseInfo> &levels) const override;
   std::shared_ptr<Mirror> make(Tree &tree, SparseOnDevice *&levels) override;
 
-  /// Fails for a signal handler that has interrupted what is to be complete
-  /// before anything else is done; see DeviceQueue::checkHandler.
+  /// Fails for a signal handler that has interrupted a step that must be
+  /// complete before any other work; see DeviceQueue::checkHandler.
   Status checkHandler() const;
   /// Waits for queued work; returns failures, and prints the output of kernels.
   Status synchronize();

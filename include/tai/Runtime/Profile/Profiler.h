@@ -54,7 +54,7 @@ struct ProfileRow {
   /// once. Negative if not known.
   int64_t bytes = -1;
   DeviceFunctionFacts facts = {};
-  /// Of the last launch. Occupancy: resident threads of the function as a
+  /// Grid of the last launch. Occupancy: resident threads of the function as a
   /// fraction of those the device can hold; negative if not known.
   unsigned blocks = 0, threads = 0;
   double occupancy = -1;

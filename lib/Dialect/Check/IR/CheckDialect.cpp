@@ -36,7 +36,7 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Helpers of host functions are inlined with what they check.
+/// Helpers of host functions are inlined with their checks.
 struct CheckInlinerInterface : DialectInlinerInterface {
   using DialectInlinerInterface::DialectInlinerInterface;
 
@@ -102,7 +102,7 @@ FormerCheckGradientOp::verifySymbolUses(SymbolTableCollection &symbols) {
 // Former names
 //===----------------------------------------------------------------------===//
 
-/// Reads an op under its former name: what is created is the present one.
+/// Reads an op under its former name, and creates it under the present one.
 template <typename Op>
 static ParseResult parseFormer(OpAsmParser &parser, OperationState &state) {
   state.name = OperationName(Op::getOperationName(), parser.getContext());
