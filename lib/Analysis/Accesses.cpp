@@ -43,8 +43,8 @@ static void addScaled(LinearIndex &sum, const LinearIndex &other,
   }
 }
 
-/// True for integers of 8 or 16 bits: what is computed in them is likely to
-/// wrap around, unlike in 32, and then is no sum of what it was computed from.
+/// True for integers of 8 or 16 bits: unlike in 32 bits, a result is likely to
+/// wrap around, and then is no sum of its operands.
 static bool isNarrow(Value value) {
   auto type = dyn_cast<IntegerType>(value.getType());
   return type && type.getWidth() < 32;

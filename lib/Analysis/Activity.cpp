@@ -62,8 +62,8 @@ void mlir::tai::forEachForwarding(
     }
 }
 
-/// True if what the op does with an operand is said by its regions or by those
-/// of the op it ends.
+/// True if the op's regions, or those of the op it ends, define the flow of its
+/// operands.
 static bool passesThroughRegions(Operation *op) {
   return op->getNumRegions() != 0 || op->hasTrait<OpTrait::IsTerminator>();
 }
@@ -95,7 +95,7 @@ Activity::Activity(FunctionOpInterface function,
   llvm::for_each(inputs, markVaried);
   for (DifferentiableAccessInterface read : reads)
     markVaried(read.getAccessedValue());
-  // What a read-modify-write returns is a read too.
+  // The result of a read-modify-write is a read too.
   for (DifferentiableAccessInterface write : writes)
     for (Value result : write->getResults())
       markVaried(result);
@@ -113,7 +113,7 @@ Activity::Activity(FunctionOpInterface function,
         if (carriesDerivative(use))
           llvm::for_each(user->getResults(), markVaried);
       } else if (isFloatOrVector(value.getType())) {
-        // Not a condition or a bound: what it feeds is not known.
+        // If it is no condition or bound, its target is not known.
         bool isEnd = user->hasTrait<OpTrait::IsTerminator>();
         Operation *op = isEnd ? user->getParentOp() : user;
         llvm::for_each(op->getResults(), markVaried);

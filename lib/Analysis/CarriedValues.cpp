@@ -10,8 +10,8 @@
 // unknown value are solved for that value, until none is left.
 //
 // Integers wrap, so that addition, exclusive or and multiplication by an odd
-// number are exact both ways. Of the steps of floats only the change of sign
-// is: `(y + c) - c` is not `y`.
+// number are exact both ways. For floats, only the change of sign is exact: `(y
+// + c) - c` is not `y`.
 //
 //===----------------------------------------------------------------------===//
 

@@ -174,7 +174,7 @@ private:
   DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
   DenseMap<Value, SmallVector<Value, 2>> sources;
   SmallVector<Value> starts, wanted, bits;
-  /// Reads of memory that is not followed, and casts of what they read.
+  /// Reads of memory that is not followed, and casts of the loaded values.
   llvm::SetVector<Operation *> opaque;
   SmallVector<DifferentiableAccessInterface> writes;
 
@@ -244,7 +244,7 @@ void Paths::collectForeignAccess(FieldAccessOpInterface access) {
     wanted.push_back(access.getAccessedValue());
 }
 
-/// What reads memory by an op without a rule.
+/// Collects reads of memory by an op without a rule.
 void Paths::collectRead(Operation *op) {
   if (op->getNumRegions() != 0 || isa<DifferentiableOpInterface>(op) ||
       isa<CallOpInterface>(op) ||
@@ -308,8 +308,8 @@ void Paths::collect() {
   }
 }
 
-/// What depends on a start; without what only does so through refused ops, if
-/// they are known.
+/// Finds the values that depend on a start; without those that depend on it
+/// through refused ops only, if these are known.
 void Paths::findVaried(llvm::DenseSet<Value> &found, bool stopsAtRefused) {
   auto markVaried = [&](Value value) {
     if (found.insert(value).second)
@@ -329,8 +329,8 @@ void Paths::findVaried(llvm::DenseSet<Value> &found, bool stopsAtRefused) {
       if (isa<DifferentiableAccessInterface>(user) ||
           (isEnd && user->getParentOp() == function))
         continue;
-      // What is not handed on is a condition or a bound, unless the op does not
-      // say what it hands on.
+      // An operand that is not handed on is a condition or a bound, unless the
+      // op does not tell.
       Operation *op = isEnd ? user->getParentOp() : user;
       if (stopsAtRefused && isOnPath(op))
         continue;
@@ -397,7 +397,8 @@ bool Paths::isOnPath(Operation *op) {
           LocalLoadOp, LocalStoreOp, StackPopOp, StackPushOp>(op) ||
       op->hasTrait<OpTrait::IsTerminator>() || op->getNumResults() == 0)
     return false;
-  // What makes a local array is handed what the array holds, and hands it on.
+  // An op that makes a local array has the contents of the array as operands,
+  // and hands them on.
   bool isMade = op->getNumOperands() == 0 && op->getNumRegions() == 0;
   if (isMade || isMemory(op->getResultTypes().front()))
     return false;
@@ -419,7 +420,7 @@ LogicalResult Paths::refuse(Operation *op) {
   return failure();
 }
 
-/// What is stored as something else comes back without its derivative.
+/// A value stored under another type loses its derivative.
 LogicalResult Paths::checkStores() {
   LogicalResult result = success();
   auto report = [&](Operation *op, Type type) {

@@ -65,8 +65,8 @@ static std::optional<Interval> getConstantRange(Value value) {
 }
 
 /// Bounds as a result of type `type` can have them. Rounding is monotone, so
-/// that a rounded bound is one; what may underflow is 0. NaN, as of infinity
-/// less infinity, says nothing.
+/// that a rounded bound is one; a number that may underflow is 0. NaN, as of
+/// infinity less infinity, says nothing.
 static Interval makeRange(double low, double high, Type type) {
   if (std::isnan(low))
     low = -kInfinity;
@@ -127,7 +127,7 @@ static Interval square(Interval a, Type type) {
   return makeRange(least * least, kInfinity, type);
 }
 
-/// What `condition`, being `holds`, says of `value`.
+/// Narrows the range of `value` by `condition`, which is `holds`.
 static void narrow(Interval &range, Value value, Value condition, bool holds,
                    unsigned depth) {
   Operation *op = condition.getDefiningOp();
@@ -148,8 +148,9 @@ static void narrow(Interval &range, Value value, Value condition, bool holds,
   std::optional<Interval> bound = getConstantRange(lhs == value ? rhs : lhs);
   if (!bound)
     return;
-  // Which end of the range it bounds, with the value on the left. A comparison
-  // that fails holds in reverse, since the value is taken to be a number.
+  // Decides which end of the range it bounds, with the value on the left. A
+  // comparison that fails holds in reverse, since the value is taken to be a
+  // number.
   using P = arith::CmpFPredicate;
   bool isAbove;
   switch (compare.getPredicate()) {
@@ -186,7 +187,7 @@ Interval FloatFacts::getRange(Value value, Operation *at, unsigned depth) {
   Interval range = computeRange(value, at, depth);
   if (!usesConditions || !at)
     return range;
-  // What the branches around the place say.
+  // Conditions of the branches around the place.
   for (Operation *op = at; Operation *parent = op->getParentOp(); op = parent)
     if (auto branch = dyn_cast<scf::IfOp>(parent))
       narrow(range, value, branch.getCondition(),
@@ -343,7 +344,7 @@ bool FloatFacts::isNonZero(Value value, Operation *at) {
   if (matchConstant(
           value, [](const APFloat &x) { return x.isFinite() && !x.isZero(); }))
     return true;
-  // Zero has been replaced, and what is small divides nothing that is larger.
+  // Zero has been replaced, and a small divisor never meets a larger dividend.
   if (isNormalization(at) && at->getOperand(1) == value)
     return true;
   Interval range = getRange(value, at);
@@ -358,7 +359,8 @@ bool FloatFacts::isInUnitInterval(Value value, Operation *at) {
   return range.low >= -1 && range.high <= 1;
 }
 
-/// Of ops whose value can be infinite or NaN though all operands are finite.
+/// True for ops whose value can be infinite or NaN though all operands are
+/// finite.
 static bool makesNonFinite(Operation *op, FloatFacts &facts) {
   return llvm::TypeSwitch<Operation *, bool>(op)
       .Case<arith::DivFOp, arith::RemFOp>(
@@ -390,7 +392,7 @@ bool FloatFacts::mayBeNonFinite(Value value) {
     concludedFinite.push_back(value);
   } else if (isa<BlockArgument>(value)) {
     // While the answer was open it counted as no, since a loop asks for itself.
-    // What was concluded from that does not hold.
+    // Conclusions from that do not hold.
     for (Value later : ArrayRef(concludedFinite).drop_front(mark))
       nonFinite.erase(later);
     concludedFinite.truncate(mark);

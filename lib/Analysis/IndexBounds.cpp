@@ -23,8 +23,8 @@ bool tai::checksIndices(Operation *op) {
 
 void IndexBounds::checkPiece(const IterationDomain &domain, LinearSystem system,
                              BoundsAnswer &answer, bool &isExact) {
-  // Whether it happens in no launch at all. Ranges of what the launch is given
-  // help there, and stay out of what it is to check.
+  // Whether it happens in no launch at all. Ranges of launch values help there,
+  // and stay out of the checks.
   LinearSystem all = system;
   SmallVector<unsigned> used = system.getVariables();
   for (unsigned number : used) {
@@ -99,9 +99,9 @@ void IndexBounds::eliminateLoops(const IterationDomain &domain,
 // one for each launch, and so its largest and its smallest value are in a
 // corner of a box of iterations: each loop is in its first or in its last one.
 // There the index is a sum of launch values and of their products, which the
-// launch computes. What is found in a corner is an iteration that runs, as all
-// conditions around the access are asked for it; other iterations are not
-// looked at.
+// launch computes. A corner is an iteration that runs, since all
+// conditions around the access are checked for it; other iterations are
+// not looked at.
 
 /// Sums by which loop indices are replaced: an iteration.
 using Corner = llvm::SmallDenseMap<unsigned, LinearSum, 4>;

@@ -44,7 +44,7 @@ static NumberRange rangeOfType(Type type) {
   return {llvm::minIntN(width), llvm::maxIntN(width)};
 }
 
-/// What is left of `range` in `type`, where more would wrap around.
+/// The part of `range` that fits in `type`, where more would wrap around.
 static NumberRange fit(NumberRange range, Type type) {
   NumberRange most = rangeOfType(type);
   return range.isWithin(most) ? range : most;
@@ -211,7 +211,8 @@ bool IndexForms::isLaunchValue(Value value) {
   } else if (Operation *op = value.getDefiningOp();
              value.getType().isIntOrIndexOrFloat() &&
              op->getNumRegions() == 0 && isPure(op)) {
-    // What may fault is not done where the program might not do it.
+    // An op that may fault is not hoisted, since the program might not execute
+    // it.
     is = llvm::all_of(op->getOperands(),
                       [&](Value operand) { return isLaunchValue(operand); });
   }
@@ -343,7 +344,7 @@ std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
     form = formOf(op->getOperand(0));
   } else if (isa<arith::ExtUIOp, arith::IndexCastUIOp>(op)) {
     form = formOf(op->getOperand(0));
-    // Of the same bits, another number.
+    // The same bits are another number.
     if (rangeOf(op->getOperand(0)).low < 0) {
       form.facts.push_back(form.sum);
       form.isComplete = false;
@@ -355,7 +356,7 @@ std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
   return form;
 }
 
-/// Division by a constant and what is left over: d q <= a <= d q + d - 1.
+/// Division by a constant and its remainder: d q <= a <= d q + d - 1.
 std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   bool isFloor = isa<arith::FloorDivSIOp>(op);
   bool isDivision = isFloor || isa<arith::DivSIOp, arith::DivUIOp>(op);
@@ -381,8 +382,8 @@ std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   return form;
 }
 
-/// Of the smaller of two numbers it is known that it is no larger than both.
-/// That proves, but does not show that an iteration goes out of range.
+/// The smaller of two numbers is known to be no larger than both. That proves,
+/// but does not show that an iteration goes out of range.
 std::optional<LinearForm> IndexForms::makeExtreme(Operation *op) {
   if (!isa<arith::MinSIOp, arith::MaxSIOp>(op))
     return std::nullopt;
@@ -434,7 +435,7 @@ LinearForm IndexForms::makeForm(Value value) {
   return makeVariable(Kind::Data, range);
 }
 
-// By value: what is asked for next may move the table.
+// By value, since a later query may move the table.
 LinearForm IndexForms::formOf(Value value) {
   if (auto known = forms.find(value); known != forms.end())
     return known->second;

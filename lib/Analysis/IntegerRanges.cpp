@@ -20,8 +20,8 @@ static ConstantIntRanges getWhole(Value value) {
       ConstantIntRanges::getStorageBitwidth(value.getType()));
 }
 
-/// From the smallest value of one range to what is before the largest of
-/// another. Where there is nothing between them, no such index is ever there.
+/// From the smallest value of one range to the value before the largest of
+/// another. If there is nothing between them, no such index exists.
 static ConstantIntRanges getBetween(const ConstantIntRanges &low,
                                     const ConstantIntRanges &up,
                                     bool isUnsigned) {

@@ -48,7 +48,7 @@ static std::optional<int64_t> getConstant(Value value) {
   return constant.getSExtValue();
 }
 
-/// What is known of a term of an index.
+/// The known range of a term of an index.
 static Interval getInterval(Value value) {
   Interval range;
   if (auto rem = value.getDefiningOp<arith::RemSIOp>()) {
@@ -129,8 +129,8 @@ private:
 };
 } // namespace
 
-/// The form in terms of what a loop `scf.while` begins an iteration with: its
-/// second region is given values of the first one.
+/// The form in terms of the values with which a loop `scf.while` begins an
+/// iteration: its second region is given values of the first one.
 static LinearIndex getForm(Value value) {
   LinearIndex form = getLinearIndex(value);
   for (unsigned round = 0; round != 4; ++round) {
@@ -181,12 +181,12 @@ static bool areApart(const LinearIndex &first, const LinearIndex &second,
   };
   Difference difference;
   difference.addConstant(first.constant - second.constant);
-  // What cancels is not looked at: ranges come from the layout.
+  // Terms that cancel are not looked at: ranges come from the layout.
   auto addUnknown = [&](int64_t factor, Value value) {
     if (factor != 0)
       difference.addUnknown(factor, getInterval(value));
   };
-  // What moves lies a positive number of steps ahead.
+  // A moving term lies a positive number of steps ahead.
   int64_t perStep = 0;
   for (auto [value, step] : later.moving) {
     perStep -= second.getCoefficient(value) * step;

@@ -43,7 +43,7 @@ void IterationDomains::addComparison(Domain &domain, Value lhs, Value rhs,
   domain.addRow(difference.sum.plus(-gap));
 }
 
-/// The union of what the two make of the domain.
+/// The union of the domains that the two functions make of `domain`.
 void IterationDomains::addEither(Domain &domain,
                                  function_ref<void(Domain &)> first,
                                  function_ref<void(Domain &)> second) {

@@ -191,7 +191,7 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
                            ArrayRef<NamedAccess> accesses) {
   ArgumentSlots slots = findIntegerArguments(module);
   using Boxes = std::vector<runtime::StoredBox>;
-  // Of each access, unless something else stores there too.
+  // Boxes of each access, unless something else stores there too.
   std::vector<std::optional<Boxes>> found(accesses.size(), Boxes());
   auto add = [&](StringRef field,
                  const std::optional<runtime::FixedIndex> &fixed,
@@ -262,8 +262,8 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
     if (!llvm::is_contained(list, access))
       list.push_back(std::move(access));
   };
-  // What has effects and names a field without saying how it accesses it may do
-  // anything to it.
+  // An op that has effects and names a field without describing its access may
+  // do anything to it.
   auto addNamed = [&](Operation *op) {
     if (op->getNumRegions() != 0 || isa<SymbolOpInterface>(op) ||
         isMemoryEffectFree(op))

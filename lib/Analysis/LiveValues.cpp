@@ -58,7 +58,7 @@ void LiveValues::markOperands(Operation *op) {
   });
 }
 
-/// What decides whether and how often `inside` runs.
+/// Marks the values that decide whether and how often `inside` runs.
 void LiveValues::markControl(Operation *inside) {
   for (Operation *parent = inside->getParentOp();
        parent && region.isAncestor(parent->getParentRegion());

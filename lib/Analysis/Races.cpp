@@ -21,7 +21,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// What is known of one dimension of i and j.
+/// Known facts about one dimension of i and j.
 struct Unknown {
   std::optional<int64_t> i, j, difference; // j - i
 
@@ -121,7 +121,7 @@ Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
   ValueRange rhsParts = rhs.getAccessComponents();
   if (lhs.getAccessIndices().size() != rhs.getAccessIndices().size())
     return nullptr;
-  // Of most pairs the equations alone say that they do not meet: the bounds
+  // For most pairs the equations alone show that they do not meet: the bounds
   // are looked up for the rest.
   LoopBox unbounded{loop, {}, {}};
   SmallVector<Unknown> unknowns(loop.getInductionVars().size());

@@ -54,7 +54,7 @@ static SetVector<Operation *> findLoadsBehindStores(KernelOp kernel) {
       loads.insert(op);
     addValues(op->getOperands());
     addParents(op);
-    // What a loop or a branch computes may come from anything in it.
+    // The result of a loop or a branch may come from any operation in it.
     for (Region &region : op->getRegions())
       region.walk([&](Operation *inner) { slice.insert(inner); });
   }
@@ -169,7 +169,7 @@ public:
   std::string bytes;
 };
 
-/// Reads what a Writer wrote; at the end, `ok` says whether it was all there.
+/// Reads the output of a Writer; at the end, `ok` says whether it was complete.
 class Reader {
 public:
   explicit Reader(StringRef bytes) : bytes(bytes) {}

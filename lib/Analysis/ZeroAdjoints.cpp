@@ -7,9 +7,9 @@
 //
 // Skips iterations whose incoming adjoints are zero. Every contribution of most
 // adjoint loops is a product with an adjoint of the iteration's own cell. This
-// finds, for each loop, the fields that must be zero for it to do nothing: the
-// greatest fixed point of "this value is zero then", by what each op does to
-// zeros.
+// finds, for each loop, the fields that must be zero for it to have no effect:
+// the greatest fixed point of "this value is zero then", by the effect of each
+// op on zeros.
 //
 //===----------------------------------------------------------------------===//
 
@@ -160,7 +160,7 @@ bool LoopAnalysis::isHarmless(Operation *op) {
     return sources.contains(store.getFieldAttr().getAttr()) &&
            isOwn(op, store.getFieldAttr(), store.getIndices()) &&
            zeros.contains(store.getValue());
-  // What is the iteration's own goes with it.
+  // Memory of the iteration is dropped with it.
   if (isa<StackCreateOp, StackPushOp, StackPopOp, StackDestroyOp>(op))
     return llvm::all_of(op->getOperands(), [&](Value operand) {
       return !isa<StackType>(operand.getType()) ||

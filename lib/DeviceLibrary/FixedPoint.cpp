@@ -6,13 +6,13 @@
 //===----------------------------------------------------------------------===//
 //
 // Integers that are added up by atomics have the same sum in any order. The
-// unit of an element follows from the largest exponent of what is added to it:
-// 2^-30 of the power of two above the largest value of f32, and 2^-60 for f64,
-// in two integers of 30 bits. Each integer has 64 bits, so that 2^33 values
-// cannot overflow it.
+// unit of an element follows from the largest exponent of its terms: 2^-30 of
+// the power of two above the largest value of f32, and 2^-60 for f64, in two
+// integers of 30 bits. Each integer has 64 bits, so that 2^33 values cannot
+// overflow it.
 //
-// Where all lanes of a warp add to one element, they combine what they have
-// first: memory would do one after another.
+// If all lanes of a warp add to one element, they combine their terms first:
+// memory would do one after another.
 //
 //===----------------------------------------------------------------------===//
 
@@ -188,7 +188,7 @@ static void round(uint64_t *sum, uint32_t scale, double *element) {
     return;
   int exponent = static_cast<int>(scale) - unit;
   if (upper != 0) {
-    // What is cut off decides where the rest is half way between two numbers.
+    // The bits cut off decide a rest half way between two numbers.
     int shift = 64 - __builtin_clzll(upper);
     uint64_t rest = shift < 64 ? lower << (64 - shift) : lower;
     lower = (shift < 64 ? lower >> shift : 0) |

@@ -42,7 +42,7 @@ struct ListMaker {
   }
 
   int64_t *cells() const { return reinterpret_cast<int64_t *>(header + 1); }
-  /// Whether the list shows something else than what is active now.
+  /// Whether the list differs from the active cells.
   bool isOld() const {
     const TaiDeviceActivity &activity = *level.node.activity;
     return activity.isNew || header->version != activity.version;
@@ -261,7 +261,7 @@ void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list) {
   for (int64_t i = tai_dev_block_id(); i < maker.header->count;
        i += tai_dev_grid_dim()) {
     int64_t cell = maker.cells()[i];
-    // Else what it holds is of cells below, which have had their turn.
+    // Other contents belong to cells below, which have had their turn.
     if (!level.node.holdsCellsAlone)
       zero(level.addressOf(cell), level.node.cellBytes, thread, threads);
     clearBelow(level, number, cell, 1, thread, threads);

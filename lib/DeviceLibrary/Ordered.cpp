@@ -29,7 +29,7 @@ uint32_t tai_dev_ordered_lanes() {
   if (tai_dev_block_dim() == 1)
     return 1;
 #endif
-  // What follows waits for a whole warp.
+  // The code below waits for a whole warp.
   if (static_cast<unsigned>(tai_dev_block_dim()) < warpSize)
     __builtin_trap();
   return warpSize;
@@ -42,12 +42,12 @@ uint64_t tai_dev_ordered_plan(const void *address) {
   if (tai_dev_block_dim() == 1)
     return address ? writes : 0;
 #endif
-  // What the others have read is read before it is written.
+  // All lanes read before one writes.
   syncWarp();
   auto bits = reinterpret_cast<uint64_t>(address);
   uint32_t same = matchAny(bits);
   auto lane = getLane();
-  // Nobody is next of those that add nothing.
+  // Lanes that add nothing have no next one.
   uint32_t above = address ? same & ~((uint32_t(2) << lane) - 1) : 0;
   uint32_t next = above ? takes | __builtin_ctz(above) : lane;
   bool isLowest = address && !(same & ((uint32_t(1) << lane) - 1));
@@ -87,15 +87,15 @@ void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value) {
 // One after another
 //===----------------------------------------------------------------------===//
 
-// Of the lowest lane of an address: the others that have it, in the low bits;
-// the number of rounds of the warp; and whether this lane writes.
+// The result for the lowest lane of an address: the other lanes with it, in the
+// low bits; the number of rounds of the warp; and whether this lane writes.
 
 uint64_t tai_dev_ordered_turns(const void *address) {
 #ifndef __NVPTX__
   if (tai_dev_block_dim() == 1)
     return address ? writes : 0;
 #endif
-  // What the others have read is read before it is written.
+  // All lanes read before one writes.
   syncWarp();
   uint32_t same = matchAny(reinterpret_cast<uint64_t>(address));
   auto lane = getLane();

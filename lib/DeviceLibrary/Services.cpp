@@ -54,7 +54,7 @@ static char *putText(char *to, const char *text, uint32_t length) {
 }
 
 namespace {
-/// What a record is made of.
+/// The parts of a record.
 struct Content {
   int32_t kind;
   const char *text, *where;
@@ -68,7 +68,8 @@ struct Content {
 };
 } // namespace
 
-/// What of it a record holds. Values come first, then the place, then the text.
+/// Measures the parts that fit in a record. Values come first, then the place,
+/// then the text.
 TaiDeviceRecord Content::measure() const {
   uint32_t left = TAI_DEVICE_RECORD_BYTES - sizeof(TaiDeviceRecord) - 2;
   // Some of the text is always there.
@@ -102,7 +103,7 @@ TaiDeviceRecord Content::measure() const {
 void Content::write(const TaiDeviceRecord &header, void *to) const {
   auto *record = static_cast<TaiDeviceRecord *>(to);
   *record = header;
-  // What fills up the last word is fetched with it.
+  // The padding of the last word is fetched with it.
   reinterpret_cast<uint64_t *>(to)[header.bytes / 8 - 1] = 0;
   auto *slot = reinterpret_cast<uint64_t *>(record + 1);
   for (int32_t i = 0; i < header.slots; ++i)
@@ -206,7 +207,7 @@ TAI_RARE void tai_rt_stack_free(TaiStack *stack) {
 // Memory of a thread
 //===----------------------------------------------------------------------===//
 
-/// What nothing is read from or written to has an address, too.
+/// Memory of no bytes has an address, too.
 static void *const noBytes = reinterpret_cast<void *>(alignof(uint64_t));
 
 __attribute__((noinline)) void *tai_rt_local_alloc(TaiFrame *frame,

@@ -64,7 +64,7 @@ TAI_RARE int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
   int64_t wanted = level.countNew(cell);
   if (wanted == 0)
     return 1;
-  // Of a list, those before it too.
+  // In a list, the cells before it need room too.
   if (!takeRoom(frame, level, cell - wanted + 1, wanted, wanted, where))
     return 0;
   // Others may have been quicker.
@@ -80,7 +80,8 @@ TAI_RARE void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
   Level level(static_cast<char *>(tree), node);
   if (!check(frame, level, cell, where))
     return;
-  // Of a list, all cells go with one, and hold something as far as it is long.
+  // The cells of a list are deactivated together, and only the first ones, up
+  // to its length, have contents.
   int64_t count = 1, span = 1;
   if (level.node.isList) {
     int64_t list = cell / level.node.capacity;
@@ -107,7 +108,7 @@ TAI_RARE void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
     auto first = static_cast<int64_t>(values[2]);
     zeroContents(level, number, first, static_cast<int64_t>(values[3]), thread,
                  threads);
-    // Which cells below were active is known to all until then.
+    // All threads know the active cells below until then.
     all.meet();
     clearBelow(level, number, first, static_cast<int64_t>(values[4]), thread,
                threads);
@@ -136,7 +137,7 @@ TAI_RARE int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
                 nullptr, nullptr, nullptr);
     return -1;
   }
-  // Others may have been quicker: what comes of that is one piece.
+  // Others may have been quicker: then only one piece remains.
   if (at != next)
     level.takePieces(first + at, 1, /*isSure=*/true);
   if (at == 0)

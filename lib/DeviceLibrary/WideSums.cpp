@@ -6,12 +6,12 @@
 //===----------------------------------------------------------------------===//
 //
 // A sum of f64 of narrower floats, or one of f64 with its rounding errors
-// beside it: an atomic addition returns what was there before, from which its
-// error follows exactly (Knuth, TAOCP 4.2.2, theorem B). The errors add up in
-// any order.
+// beside it: an atomic addition returns the former value, from which its error
+// follows exactly (Knuth, TAOCP 4.2.2, theorem B). The errors add up in any
+// order.
 //
-// Where all lanes of a warp add to one sum, they combine what they have first:
-// memory would do one after another.
+// If all lanes of a warp add to one sum, they combine their terms first: memory
+// would do one after another.
 //
 //===----------------------------------------------------------------------===//
 

@@ -59,7 +59,7 @@ void Background::hold() {
 
 void Background::release(bool inChild) {
   isHeld = false;
-  // What the child wants of it is done when it asks.
+  // The child runs its jobs when it asks for them.
   if (!inChild && !queue.empty())
     callThread();
   mutex.unlock();
@@ -119,7 +119,7 @@ bool Background::callThread() {
   ended.clear();
   threads.emplace_front();
   auto self = threads.begin();
-  // Where there are no more, finish() does what is to be done.
+  // If there are no more threads, finish() does the work.
   if (self->start([this, self] { run(self); }, "tai-compile"))
     return true;
   threads.erase(self);
@@ -175,7 +175,7 @@ void Background::run(std::list<runtime::Thread>::iterator self) {
       break;
     ++idle;
     called.wait(lock, [&] { return calls > 0 || isHeld || maxThreads == 0; });
-    // Whoever calls takes it from those that are idle.
+    // The caller takes it from the idle threads.
     if (calls > 0)
       --calls;
     else
@@ -231,8 +231,8 @@ void Background::perform(Job &job) {
   currentJob = &job;
   currentOwner = this;
   job.task();
-  // What goes with it may cancel other jobs, and so take the lock, which
-  // whoever joins this thread holds.
+  // Its destructor may cancel other jobs, and so take the lock, which the
+  // thread that joins this one holds.
   job.task = nullptr;
   currentJob = nullptr;
 }

@@ -51,7 +51,7 @@ struct Image {
 };
 } // namespace
 
-/// What the library is called, and what it asks for.
+/// The name of the library, and its dependencies.
 void Image::readDynamicSection(const char *path) {
   soname = sys::path::filename(path);
   for (const ElfW(Phdr) &segment : segments) {

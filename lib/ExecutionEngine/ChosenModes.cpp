@@ -52,12 +52,12 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
                 "give it to ti.init, for all");
   if (modes.math)
     result.codegen.fastMath = modes.math == MathMode::Fast;
-  // What is accurate is said of functions, and leaves a strict context strict.
+  // `accurate` concerns functions, and leaves a strict context strict.
   bool isStrict = modes.math && !modes.isAccurate()
                       ? modes.math == MathMode::Strict
                       : !options.codegen.contract;
-  // Loops are cut differently for other numbers of threads, and what is fused
-  // may depend on where a vectorised loop ends.
+  // Loops are cut differently for other numbers of threads, and fusion may
+  // depend on the end of a vectorised loop.
   result.codegen.contract = !isStrict && !result.deterministic;
   result.codegen.combineScatters &= !isStrict && !result.deterministic;
   return result;

@@ -277,7 +277,7 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
 // Reproducers
 //===----------------------------------------------------------------------===//
 
-/// What makes code of what the lowering leaves, as a command.
+/// The command that makes code of the lowered module.
 static std::string getCodeCommand(const CompileOptions &options) {
   if (!options.device)
     return "tai-translate --mlir-to-llvmir | llc -O" +
@@ -302,7 +302,7 @@ void Compiler::addReproducer(CompileRequest request,
                               CompileRequest::zeroes(request.goal)
                                   ? worker.zeroingAutodiff
                                   : worker.autodiff);
-  // What was given to the step is made again.
+  // The input of the step is made again.
   CompileRequest before = request;
   before.forward = request.forward && step != Step::Forward;
   Prepared prepared;
@@ -361,8 +361,8 @@ std::string Compiler::getKey(CompileRequest request,
          << static_cast<int>(request.goal)
          << (request.forward ? " forward" : "") << '\n';
   OpPrintingFlags flags;
-  // Assertions and checks put the place they stand at into the code; so do
-  // adjoints, where a device has no memory for what they record.
+  // Assertions and checks put their source location into the code; so do
+  // adjoints, if a device has no memory for their records.
   bool isAdjoint = request.goal != CompileRequest::Goal::Primal;
   bool hasPlaces =
       options.debug || options.shadow || options.bounds == BoundsMode::Check ||
@@ -487,8 +487,8 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   prepared.object.reset();
   function.fromCache = object.has_value();
   if (object && failed(link(*object, request.name, function, failure))) {
-    // What another process has made may ask for what this one has not. The
-    // program is there to be compiled.
+    // Code of another process may need symbols that this one lacks. The program
+    // is there to be compiled.
     failure = Failure();
     object.reset();
     function.fromCache = false;

@@ -89,8 +89,8 @@ LogicalResult LLVMJob::translate(ModuleOp source, StringRef symbol,
   return success();
 }
 
-/// A failure of LLVM, which is a bug of ours: we gave it what it cannot
-/// compile.
+/// A failure of LLVM, which is a bug of ours: we gave it a module that it
+/// cannot compile.
 static LogicalResult failInLLVM(llvm::Error error, Failure &failure) {
   failure =
       Failure::get(FailureKind::Internal, "code generation failed: " +
@@ -140,7 +140,7 @@ getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
   return compiler.get();
 }
 
-/// What is refused before LLVM's passes run, is not a failure of theirs, and
+/// A module refused before LLVM's passes run is not a failure of theirs, and
 /// leaves no file.
 static void addProgramReproducer(const runtime::ProgramPlan &plan,
                                  const CompileOptions &options,
@@ -189,7 +189,7 @@ LogicalResult Compiler::compileDeviceCode(
   if (!deviceModule)
     return success();
   PhaseTimes &times = prepared.times;
-  // What is wrong with the target or lacks on this machine is not our bug.
+  // A wrong target, or one that this machine lacks, is not our bug.
   auto fail = [&](llvm::Error error) {
     failure =
         Failure::get(FailureKind::Usage, llvm::toString(std::move(error)));
@@ -278,8 +278,8 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   PhaseTimes &times = prepared.times;
   if (failed(lower(worker, request, prepared, object.trees, failure, nullptr)))
     return std::nullopt;
-  // What reports an error has its place in the code: without, the cache would
-  // take code of the same kernel at another line for its own.
+  // Code that reports an error holds its location: without the key, the cache
+  // would take code of the same kernel at another line for its own.
   if (prepared.module->lookupSymbol("tai_rt_fail"))
     object.places = getPlaces(request);
   for (auto [sum, amount] : llvm::zip(object.skipped, scope.getAmounts()))

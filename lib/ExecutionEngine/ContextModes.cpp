@@ -87,7 +87,7 @@ void ContextModes::addTo(ModuleOp module) const {
   };
   add("precision", precision);
   add("sums", sums);
-  // As in Python: what is accurate stays so with `strict`, which `shadow`
+  // As in Python: `accurate` stays with `strict`, which `shadow`
   // implies.
   add("math",
       (strict || shadow) && math != "accurate" ? "strict" : StringRef(math));

@@ -78,7 +78,7 @@ static std::string describeNode(RootType root, const SparseNode &node) {
   return label;
 }
 
-/// What the runtime must know of the sparse levels of a tree.
+/// The description of the sparse levels of a tree for the runtime.
 static std::vector<runtime::SparseInfo>
 describeSparse(RootType root, const DataLayout &dataLayout) {
   std::vector<runtime::SparseInfo> infos;
@@ -125,7 +125,7 @@ LogicalResult Declarations::destroyTree(StringRef name) {
       gone.insert(field.getSymName());
       symbols.erase(field);
     }
-  // What takes the name of an adjoint that is gone is another field.
+  // A field that takes the name of a destroyed adjoint is another field.
   for (FieldOp field : declared->getOps<FieldOp>()) {
     if (field.getAdjoint() && gone.contains(*field.getAdjoint()))
       field.removeAdjointAttr();
@@ -241,8 +241,8 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
     info.layout.sparseNode = storage.sparse.back().node;
   }
   for (const IndexDigit &digit : storage.digits) {
-    // What one step of the digit is worth in cells of the innermost sparse
-    // level: nothing for the digits below it.
+    // The number of cells of the innermost sparse level in one step of the
+    // digit: zero for the digits below it.
     int64_t cells = digit.level < innermost ? digit.weight : 0;
     for (unsigned level = digit.level + 1; level < innermost; ++level)
       cells *= layout->path.levels[level].type.getNumCells();

@@ -161,7 +161,7 @@ std::string mlir::tai::explainAdjoint(ModuleOp module, StringRef name,
       ++end;
     entries.push_back({&remarks[i], remarks.slice(i + 1, end - i - 1)});
   }
-  // Those of a line in their order.
+  // Remarks of one line stay in their order.
   llvm::sort(entries, [](const Entry &lhs, const Entry &rhs) {
     return std::pair(getLine(*lhs.remark), lhs.remark) <
            std::pair(getLine(*rhs.remark), rhs.remark);

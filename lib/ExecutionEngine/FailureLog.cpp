@@ -11,7 +11,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// What each thread failed at last. Of another session, it is of no use.
+/// The last failure of each thread. It is not used for another session.
 static thread_local Failure lastFailure;
 static thread_local const FailureLog *lastLog = nullptr;
 
@@ -36,7 +36,7 @@ runtime::Status FailureLog::keep(Failure failure) {
       runtime::StatusCode::Compile, failure.message, where,
       static_cast<int>(numDropped + kept.size()) + 1);
   kept.push_back(std::move(failure));
-  // Those of old are told by their status alone.
+  // Old failures are reported by their status alone.
   constexpr size_t mostFailures = 1024;
   if (kept.size() > mostFailures) {
     kept.pop_front();

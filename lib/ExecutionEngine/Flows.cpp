@@ -24,7 +24,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// What the program calls an argument.
+/// The name of an argument in the program.
 static std::string getName(BlockArgument argument) {
   if (auto name = argument.getLoc()->findInstanceOf<NameLoc>())
     return name.getName().str();
@@ -146,7 +146,7 @@ runtime::KernelFlows mlir::tai::findFlows(KernelOp kernel,
         add(value, result, end.getLoc(), false);
       }
   });
-  // What is only replaced matters too.
+  // An array that is only replaced matters too.
   for (BlockArgument argument : kernel.getArguments())
     if (auto array = dyn_cast<MemRefType>(argument.getType()))
       if (isFloatOrVector(array.getElementType()))

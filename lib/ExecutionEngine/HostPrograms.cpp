@@ -32,7 +32,8 @@ static void stubKernels(ModuleOp module) {
   }
 }
 
-/// Drops what has nothing to do with tai or with the program `entry`.
+/// Drops operations that use nothing of tai and do not belong to the program
+/// `entry`.
 static void keepReachable(ModuleOp module, StringRef entry) {
   llvm::SetVector<Operation *> needed = collectOwn(module, entry);
   for (size_t i = 0; i < needed.size(); ++i)

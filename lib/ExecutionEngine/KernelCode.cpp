@@ -172,7 +172,7 @@ KernelCode::compilePlannedAdjoint(Failure &failure) {
   // Shared, since the next step may outlive this function.
   auto first = std::make_shared<std::optional<Compiler::Prepared>>();
   {
-    // Who plans the tape waits for this step, but not for the next.
+    // A thread that plans the tape waits for this step, but not for the next.
     PrepareLock lock(prepareMutex);
     if (failed(prepareAdjoint(failure, /*claims=*/true)))
       return std::nullopt;
@@ -207,13 +207,13 @@ void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
   PrepareLock lock(prepareMutex);
   if (toBeRecorded || ahead)
     return;
-  // What runs while the tape is suspended has a gradient of the program's own,
-  // which launches the adjoint by hand: the form that zeroes, and that loads
-  // nothing of what was stored (see Launcher::launchAdjoint).
+  // A launch while the tape is suspended has a gradient of the program's own,
+  // which launches the adjoint by hand: the form that zeroes, and that loads no
+  // stored values (see Launcher::launchAdjoint).
   const runtime::Recorder *tape = services.rt.recordingTape();
   bool isByHand = tape && tape->isSuspended();
   planLoadsStored = !isByHand;
-  // One that came with the kernel is what it is.
+  // An adjoint that came with the kernel keeps its form.
   planZeroes = !getKernel().getAdjoint() &&
                (alwaysZeroes(kernel.summary()) ||
                 (isByHand && overwritesGradients(kernel.summary())));
@@ -243,8 +243,8 @@ runtime::Status KernelCode::compile(runtime::Kernel &kernel,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Of kernels that are launched with the arguments of the one they were made
-/// from, which usually outlives them.
+/// Provides kernels that are launched with the arguments of their primal, which
+/// usually outlives them.
 class FormProvider final : public runtime::KernelProvider {
 public:
   FormProvider(std::weak_ptr<KernelCode> code, Goal goal, bool forward)
@@ -254,8 +254,8 @@ public:
     std::shared_ptr<KernelCode> primal = code.lock();
     if (!primal || forward)
       return runtime::Status::success();
-    // What is stored need not have a dual: tangents come from what it was
-    // computed from.
+    // A stored value need not have a dual: tangents come from its
+    // operands.
     return primal->makeTangentOf(
         CompileRequest::getAdjointGoal(CompileRequest::zeroes(goal),
                                        /*stored=*/false),
@@ -301,8 +301,8 @@ std::string KernelCode::explainRefusalOf(Goal goal, bool forward,
   return failure.message;
 }
 
-/// Whether the form of the adjoint that loads what the kernel has stored reads
-/// no more than a tape was told, if it is there at all.
+/// Whether the form of the adjoint that loads stored values reads no more than
+/// the tape was told, if that form exists.
 bool KernelCode::canReadStored(Goal goal, const ToBeRecorded &told) {
   Failure failure;
   auto first =
@@ -332,7 +332,7 @@ runtime::Status KernelCode::makeAdjoint(runtime::Kernel &kernel,
     if (toBeRecorded)
       told = ToBeRecorded::deserialize(*toBeRecorded);
   }
-  // What was begun before anybody asked loads what is stored, if it can, unless
+  // A compilation begun ahead of need loads stored values, if it can, unless
   // the gradient is expected to be launched by hand.
   bool isPlanned =
       variant.zeroes == planZeroes &&
@@ -401,7 +401,7 @@ splitParts(ModuleOp parts) {
          llvm::make_early_inc_range(module->getOps<KernelOp>()))
       if (other.getSymName() != part.getSymName())
         other.erase();
-    // Which form of its adjoint is wanted shows later.
+    // The form of the adjoint is chosen later.
     auto copy = module->lookupSymbol<KernelOp>(part.getSymName());
     copy.removeAdjointAttr();
     copy.removePartOfAttr();
@@ -421,8 +421,8 @@ splitParts(ModuleOp parts) {
 
 runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
                                         runtime::AdjointPlan &plan) {
-  // Most kernels need no look at their adjoints. Arrays and results are among
-  // what a gradient may come from.
+  // Most kernels need no look at their adjoints. Arrays and results are
+  // possible sources of a gradient.
   bool reads = !kernel.arrays().empty();
   bool changes = kernel.callerAdjoints().hasSources();
   for (const runtime::Access &access : kernel.summary()) {
@@ -443,7 +443,7 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
     Failure failure;
     // It may take long until the code itself is asked for.
     if (!toBeRecorded && failed(prepareAdjoint(failure, /*claims=*/false))) {
-      // What was interrupted is planned again.
+      // An interrupted plan is made again.
       plan.provisional = failure.kind == FailureKind::Runtime;
       return services.failures.keep(std::move(failure));
     }
@@ -463,7 +463,7 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   plan.loadsStored = told->loadsStored;
   for (const NamedAccess &access : told->stored) {
     runtime::FieldPtr field = findField(access.field);
-    // No tape watches what is written to gradients.
+    // A tape does not watch writes to gradients.
     if (field && !field->isAdjoint())
       plan.stored.push_back({field, access.kind, access.fixed});
     else

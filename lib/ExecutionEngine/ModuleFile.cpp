@@ -38,7 +38,7 @@ static bool startsAsBytecode(StringRef bytes) {
   return isBytecode(llvm::MemoryBufferRef(bytes, "module"));
 }
 
-/// What is wrong with the header or with what follows it, if anything.
+/// The fault of the header or of the bytes behind it, if any.
 static std::string checkHeader(StringRef bytes) {
   if (bytes.size() < kHeaderSize)
     return "this bytecode is cut off: it has " + std::to_string(bytes.size()) +

@@ -43,7 +43,7 @@ public:
 };
 } // namespace
 
-/// What both lowerings are told of the options of a kernel.
+/// The options of a kernel that both lowerings get.
 static void setLowering(LoweringOptions &lowering,
                         const CompileOptions &options) {
 #define TAI_LOWERING_OPTION(type, member, from, argument, initial, about)      \

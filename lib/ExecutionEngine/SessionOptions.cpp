@@ -92,8 +92,8 @@ LogicalResult Session::setModes(const ContextModes &wanted) {
     compileOptions.deterministic = isDeterministic;
     rt->setDeterministic(isDeterministic);
   }
-  // Loops are cut differently for other numbers of threads, and what is fused
-  // may depend on where a vectorised loop ends. Shadows are of single
+  // Loops are cut differently for other numbers of threads, and fusion may
+  // depend on the end of a vectorised loop. Shadows are of single
   // operations.
   compileOptions.codegen.contract =
       !isDeterministic && !modes.isStrict() && !modes.shadow;

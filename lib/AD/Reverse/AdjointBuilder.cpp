@@ -67,7 +67,7 @@ LogicalResult AdjointBuilder::build() {
 }
 
 //===----------------------------------------------------------------------===//
-// What its parts do
+// Operations of the parts
 //===----------------------------------------------------------------------===//
 
 Value AdjointBuilder::getPrimal(Value value) {
@@ -294,7 +294,7 @@ static bool collectMakers(AdjointBuilder &b, Value value,
     if (makers.size() > kMany)
       return false;
     if (auto read = dyn_cast<DifferentiableAccessInterface>(op)) {
-      // Nor may what comes between touch the adjoint of the element.
+      // Accesses in between must not touch the adjoint of the element either.
       if (b.mayBeOverwritten(read))
         return false;
       continue;

@@ -67,8 +67,8 @@ bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {
   });
 }
 
-/// Refuses reads of what this launch wrote, in a storage that other operations
-/// need as it was before.
+/// Refuses reads of values that this launch wrote, in a storage that other
+/// operations need in its former version.
 LogicalResult
 AdjointPlanner::checkBefore(ArrayRef<DifferentiableAccessInterface> reads,
                             const PrimalDemands &demands) {
@@ -91,7 +91,7 @@ AdjointPlanner::checkBefore(ArrayRef<DifferentiableAccessInterface> reads,
   return success();
 }
 
-/// Decides which version of one storage holds what these reads need, or
+/// Decides which version of one storage has the values of these reads, or
 /// refuses.
 LogicalResult
 AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
@@ -106,7 +106,7 @@ AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
   FlatSymbolRefAttr field = lost.getAccessedStorage().field;
   if (plan.reexecution.isRewritten(getStorageKey(lost)) &&
       planReexecution(lost, reads)) {
-    // The second execution starts from what was there before.
+    // The second execution starts from the former version.
     before.push_back(field);
     return success();
   }

@@ -49,7 +49,7 @@ SmallVector<Value> mlir::tai::getElementPosition(AtomicOp atomic) {
 }
 
 //===----------------------------------------------------------------------===//
-// What can be done
+// Supported updates
 //===----------------------------------------------------------------------===//
 
 /// True if an index that is the same in all iterations keeps the two apart.
@@ -62,8 +62,8 @@ static bool areKeptApart(Operation *loop, ValueRange lhs, ValueRange rhs) {
          });
 }
 
-// Refuses what would make the element depend on the order of iterations, and
-// what needs it as it was between the loops of one kernel.
+// Refuses accesses that would make the element depend on the order of
+// iterations, and accesses that need its value between the loops of one kernel.
 LogicalResult ContendedAtomics::check(FunctionOpInterface kernel,
                                       ParallelForOp loop, AtomicOp atomic) {
   if (!isa<KernelOp>(kernel.getOperation())) {
@@ -119,7 +119,7 @@ static CountedLoop countLoop(AdjointBuilder &b, Value iv, Value lower,
                : b.createOrFold<arith::IndexCastOp>(b.getIndexType(), value);
   };
   lower = toIndex(lower);
-  // The distance may be beyond what has a sign.
+  // The distance may exceed the signed range.
   Value extent = b.createOrFold<arith::SubIOp>(
       b.createOrFold<arith::MaxSIOp>(toIndex(upper), lower), lower);
   if (step && matchPattern(step, m_One()))
@@ -253,7 +253,7 @@ LogicalResult ContendedAtomics::keepValues(FunctionOpInterface kernel,
     copy->erase();
     return failure();
   }
-  // What comes from around the loop, and what is read.
+  // Values from around the loop, and reads inside.
   llvm::SetVector<Value> used;
   llvm::SetVector<Operation *> reads;
   copy->walk([&](Operation *op) {

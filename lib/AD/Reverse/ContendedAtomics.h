@@ -7,7 +7,7 @@
 //
 // The derivatives of atomic products, minima and maxima of elements that
 // several iterations of a parallel loop update. See ContendedAtomics.cpp for
-// what the adjoint does, and Contention.cpp for the formulas.
+// the adjoint, and Contention.cpp for the formulas.
 //
 //===----------------------------------------------------------------------===//
 

@@ -68,7 +68,7 @@ Value Contention::toReal(Value value) {
   return arith::ExtFOp::create(b, real, value);
 }
 
-/// Adjoints may be wider than what they are of.
+/// Adjoints may be wider than their primals.
 static Type getNumberType(Storage storage, Operation *op) {
   return getElementTypeOrSelf(lookupField(op, storage.field).getType());
 }
@@ -234,8 +234,8 @@ KeptValues Contention::createKept(ArrayRef<CountedLoop> loops) {
 // Values
 //===----------------------------------------------------------------------===//
 
-/// What stood there before is left out: it may be so small that its product
-/// with the factors has no digits.
+/// The former value is left out: it may be so small that its product with the
+/// factors has no digits.
 void Contention::startProduct() {
   createElementLoop([&](const Element &element) {
     store(constant(1), total, element.number);
@@ -321,7 +321,7 @@ void Contention::createExtremeWeights() {
   createElementLoop([&](const Element &element) {
     Value g = loadElement(adjoint, element);
     Value number = load(count, element.number);
-    // What stood there before loses a tie.
+    // The former value loses a tie.
     Value wins = compare(kind == AtomicKind::Max ? arith::CmpFPredicate::OGE
                                                  : arith::CmpFPredicate::OLE,
                          load(total, element.number),

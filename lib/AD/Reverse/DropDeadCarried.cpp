@@ -67,7 +67,7 @@ static void dropFromWhile(scf::WhileOp loop, ArrayRef<bool> kept,
                           ArrayRef<bool> passed) {
   OpBuilder builder(loop);
   SmallVector<Value> inits(loop.getInits());
-  // Dead ops may use what is not passed on: any value will do.
+  // Dead ops may use results that are not passed on: any value will do.
   SmallVector<Value> dead;
   for (Type type : loop.getResultTypes())
     dead.push_back(

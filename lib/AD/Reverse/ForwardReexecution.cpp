@@ -18,7 +18,7 @@ using namespace mlir::tai;
 constexpr llvm::StringLiteral kRepeatedReadAttrName = "tai.rerun_read";
 
 //===----------------------------------------------------------------------===//
-// What is executed again
+// Repeated execution
 //===----------------------------------------------------------------------===//
 
 namespace {
@@ -159,8 +159,8 @@ void Slice::copyBlock(Block *from, Block *to) {
   }
 }
 
-/// Notes what a copied op reads, and refuses one that does what must not be
-/// done again.
+/// Notes the reads of a copied op, and refuses an op that must not run
+/// twice.
 void Slice::checkCopy(Operation *op, Operation *copy) {
   if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
     Value array = access.getAccessedStorage().memref;

@@ -59,7 +59,7 @@ struct ReexecutedBlock {
   SmallVector<Mirror> mirrors;
 };
 
-/// Emits what a ReexecutionPlan says.
+/// Emits the operations of a ReexecutionPlan.
 class ForwardReexecution {
 public:
   ForwardReexecution(AdjointBuilder &builder, const ReexecutionPlan &plan)

@@ -185,7 +185,7 @@ Value LoopHistory::createClosedForm(Frame &frame, const CarriedValue &value,
   return b.createOrFold<arith::AddIOp>(init, change);
 }
 
-/// What carried value `index` was when the next iteration began.
+/// The carried value `index` at the beginning of the next iteration.
 Value LoopHistory::getNext(unsigned index) {
   BlockArgument &next = nexts[index];
   if (!next)
@@ -297,7 +297,7 @@ ResultRange LoopHistory::close(ArrayRef<Value> yields,
   trajectory.release();
   b.countCarried(static_cast<int64_t>(carried.size()),
                  static_cast<int64_t>(trajectory.size()));
-  // Of a second form, all has been said of the first.
+  // The remarks about the first form hold for the second.
   if (loop->getContext()->getRemarkEngine() && !b.getPlan().options.loadsStored)
     remarkReversedLoop(summarize());
   return reverse.getResults().take_front(own);

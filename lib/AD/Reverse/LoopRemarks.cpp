@@ -59,7 +59,7 @@ void mlir::tai::remarkReversedLoop(const ReversedLoop &summary) {
            << remark::metric("BytesPerIteration", isRecorded ? bytes : 0)
            << remark::metric("BytesPerChunk", entry.isKeptByChunks ? bytes : 0);
     };
-    // That something is kept is what one may want to change.
+    // A record is a cost that one may want to change.
     if (isRecorded)
       says(remark::missed(entry.value.getLoc(), options("carried")));
     else

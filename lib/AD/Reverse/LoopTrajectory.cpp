@@ -110,9 +110,10 @@ int64_t LoopTrajectory::getBytesPerIteration() {
   return bytes;
 }
 
-/// Stores what is recorded at the beginning of the body of `recorder`, at the
-/// position of the iteration among those of `recorder`. The distance from the
-/// lower bound has no sign: it may be beyond the signed numbers of the type.
+/// Stores the recorded values at the beginning of the body of `recorder`, at
+/// the position of the iteration among those of `recorder`. The distance from
+/// the lower bound has no sign: it may be beyond the signed numbers of the
+/// type.
 void LoopTrajectory::storeRecorded(scf::ForOp recorder) {
   b.setInsertionPointToStart(recorder.getBody());
   Value position = recorder.getInductionVar();
@@ -211,7 +212,7 @@ void LoopTrajectory::record() {
   if (!room)
     room = b.createOrFold<arith::MaxSIOp>(count,
                                           arith::ConstantIndexOp::create(b, 0));
-  // What a chunk begins with stands behind the record of the value.
+  // The start of a chunk stands behind the record of the value.
   if (chunks.number)
     room = b.createOrFold<arith::AddIOp>(room, chunks.number);
   for (auto [index, buffer] : histories) {
@@ -256,8 +257,8 @@ std::pair<Value, Value> LoopTrajectory::createRange(Value begin, Value end) {
   return {first, after};
 }
 
-/// Turns the forward loop into one over chunks, which keeps what each begins
-/// with, around one over the iterations of a chunk.
+/// Turns the forward loop into one over chunks, which keeps the start of each,
+/// around one over the iterations of a chunk.
 void LoopTrajectory::recordChunks() {
   inner =
       scf::ForOp::create(b, forward.getLowerBound(), forward.getUpperBound(),
@@ -303,7 +304,7 @@ void LoopTrajectory::recordChunks() {
   }
 }
 
-/// Where the buffer of a carried value holds what a chunk begins with.
+/// The position of a chunk's start in the buffer of a carried value.
 Value LoopTrajectory::getStart(unsigned index, Value chunk) {
   return histories.contains(index)
              ? arith::AddIOp::create(b, chunks.room, chunk).getResult()
@@ -343,7 +344,7 @@ scf::ForOp LoopTrajectory::createReverseChunks(ReverseDraft &draft,
                                        outer.getInductionVar(), zero);
   Value rerunEnd = arith::SelectOp::create(b, isLast, begin, end);
   auto [lower, upper] = createRange(begin, rerunEnd);
-  // What the record does not depend on will be dropped.
+  // Operations that the record does not depend on will be dropped.
   SmallVector<Value> states(forward.getInitArgs());
   for (auto [index, start] : starts)
     states[index] = loadState(b, inner.getRegionIterArg(index).getType(), start,

@@ -156,7 +156,8 @@ static LogicalResult fillWith(FunctionOpInterface function,
   const AdjointPlan &plan = planner.getPlan();
   if (failed(verifyReversible(plan)))
     return failure();
-  // What the adjoint has to execute forward again shows when it is emitted.
+  // The operations that the adjoint has to execute forward again are known when
+  // it is emitted.
   while (true) {
     AdjointBuilder builder(shell, plan);
     LogicalResult built = builder.build();
@@ -188,7 +189,7 @@ static LogicalResult fillWith(FunctionOpInterface function,
     ReturnOp::create(builder, function.getLoc(), ValueRange());
   else
     func::ReturnOp::create(builder, function.getLoc());
-  // What is active is the business of the primal.
+  // The primal decides the activity.
   if (auto kernel = dyn_cast<KernelOp>(shell.getOperation());
       kernel && reachesSparse(shell))
     kernel.setKeepsActivity(true);
@@ -214,8 +215,8 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
   return fillWith(function, shell, signature, options, needsParts);
 }
 
-/// Decides by the loops as they were written how those of the adjoint, which
-/// take over what they say of themselves, are cut.
+/// Fixes the cost of the loops as they were written, which the loops of the
+/// adjoint take over.
 static void fixCosts(FunctionOpInterface function) {
   // A gradient zeroes about three times as long.
   constexpr double perPrimal = 3;
@@ -240,8 +241,8 @@ struct MakeAdjoint
     return {zeroesAll, loadsStored, historyBytes, skip.getValue()};
   }
 
-  /// The form of the adjoint that loads what the kernel has stored, where that
-  /// is worth having: beside the adjoint, which names it.
+  /// Makes the form of the adjoint that loads stored values, if it pays: beside
+  /// the adjoint, which names it.
   void makeStoredForm(FunctionOpInterface function, KernelOp adjoint,
                       const AdjointSignature &signature, SymbolTable &symbols) {
     // Nanoseconds of an iteration. Work may be left that others ask for.

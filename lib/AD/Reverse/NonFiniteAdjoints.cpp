@@ -42,7 +42,7 @@ static bool mayMakeInfinite(OpOperand &operand, FloatFacts &facts) {
       isa<arith::SelectOp, arith::MaximumFOp, arith::MinimumFOp, math::AbsFOp>(
           op))
     return false;
-  // Each factor is multiplied with what stands for the others.
+  // Each factor is multiplied with the value of the other.
   if (isa<arith::MulFOp, math::FmaOp, vector::FMAOp>(op)) {
     unsigned number = operand.getOperandNumber();
     return number < 2 && isNonFinite(op->getOperand(1 - number));
@@ -53,8 +53,8 @@ static bool mayMakeInfinite(OpOperand &operand, FloatFacts &facts) {
 }
 
 namespace {
-/// Which values may have an adjoint that is infinite, or that is NaN, as rules
-/// will say of them, and those among them that end a region or go into one.
+/// The values that may have an infinite adjoint, or a NaN, according to the
+/// rules, and those among them that end a region or go into one.
 class AdjointFlow {
 public:
   AdjointFlow(AdjointBuilder &b, DenseSet<Value> &infinite,
@@ -76,7 +76,8 @@ private:
     if (b.isActive(value))
       grown |= all[kind].insert(value).second;
   }
-  /// What has the value `to` behind a region or at its beginning is `from`.
+  /// `from` are the sources of the values `to` behind a region or at its
+  /// beginning.
   void pass(ValueRange from, ValueRange to) {
     for (auto [source, target] : llvm::zip(from, to))
       for (Kind kind : {Infinite, Undefined})
@@ -183,8 +184,8 @@ Value NonFiniteAdjoints::createInfinityTest() {
   return any;
 }
 
-/// What a rule has made of the adjoints that it starts from, with 1 in their
-/// place: the partial derivative. Null where it is not made by a few plain ops.
+/// The contribution of a rule with 1 in place of the adjoints: the partial
+/// derivative. Null where it is not made by a few plain ops.
 Value NonFiniteAdjoints::createUnitContribution(Value contribution) {
   SmallVector<Operation *> slice;
   DenseMap<Value, bool> known;
@@ -245,9 +246,9 @@ Value NonFiniteAdjoints::createTagged(Value drops, Value contribution) {
   return guard;
 }
 
-/// What an infinite adjoint contributes: nothing where the partial derivative
-/// is zero, and not the NaN that the product of both is. A partial that is
-/// itself no number stays one.
+/// The contribution of an infinite adjoint: zero if the partial derivative is
+/// zero, instead of the NaN of their product. A partial that is itself no
+/// number stays one.
 Value NonFiniteAdjoints::guard(Value value, Value contribution) {
   if (seedIsUndefined)
     mayBeUndefined.insert(value);

@@ -22,9 +22,9 @@ mlir::tai::reverseParallelBody(AdjointBuilder &b, Operation *loop,
   // lowering of loops sums into it in registers; see tai-relax-atomics.
   SmallVector<std::pair<Value, Value>> sums;
   auto end = [&](Frame &frame) {
-    // Most captured values come from a few reads. What each iteration
-    // contributes to them is added to the adjoint fields at once, which the
-    // lowering of accumulations knows how to do fast and in a fixed order.
+    // Most captured values come from a few reads. The contributions of each
+    // iteration are added to the adjoint fields at once, which the lowering of
+    // accumulations does fast and in a fixed order.
     b.sweepCaptured();
     for (auto [value, adjoint] : b.takeCaptured(frame)) {
       Type type = value.getType();

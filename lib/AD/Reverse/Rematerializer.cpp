@@ -131,8 +131,8 @@ void Rematerializer::recompute(Frame &frame, Operation *op) {
   Operation *copy = b.insert(op->cloneWithoutRegions(mapping));
   for (auto [from, to] : llvm::zip(op->getResults(), copy->getResults()))
     frame.values.map(from, to);
-  // What the regions capture is recomputed before the op: it must be known
-  // where the op stands.
+  // Values that the regions capture are recomputed before the op: the adjoint
+  // must have them there.
   frame.recomputed[op] = copy;
   if (op->getNumRegions() != 0)
     recomputeRegions(op, copy);

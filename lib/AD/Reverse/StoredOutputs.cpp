@@ -21,12 +21,12 @@ using namespace mlir::tai;
 constexpr double kWorthLoading = 8;
 
 //===----------------------------------------------------------------------===//
-// What stands in fields
+// Values in fields
 //===----------------------------------------------------------------------===//
 
-/// True for what the adjoint can compute at the start of any mirror of the
-/// block that it stands in: arguments of the function, induction variables, and
-/// arithmetic on these.
+/// True for values that the adjoint can compute at the start of any mirror of
+/// their block: arguments of the function, induction variables, and arithmetic
+/// on these.
 static bool isPlainIndex(Value value, unsigned depth = 16) {
   if (auto argument = dyn_cast<BlockArgument>(value)) {
     Operation *parent = argument.getOwner()->getParentOp();
@@ -41,8 +41,8 @@ static bool isPlainIndex(Value value, unsigned depth = 16) {
          });
 }
 
-/// True if what the op stores is what its element holds when the kernel is
-/// done, whatever other iterations do.
+/// True if the element holds the stored value when the kernel is done, whatever
+/// other iterations do.
 static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
   FieldOp field = lookupField(store, store.getFieldAttr());
   FailureOr<FieldLayout> layout =
@@ -50,14 +50,14 @@ static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
   // Where cells come and go, a store may find none.
   if (failed(layout) || layout->path.getFirstSparse())
     return false;
-  // No tape watches what is written to gradients.
+  // A tape does not watch writes to gradients.
   for (FieldOp other : store->getParentOfType<ModuleOp>().getOps<FieldOp>())
     if (other.getAdjointAttr() == store.getFieldAttr())
       return false;
   auto access = cast<DifferentiableAccessInterface>(store.getOperation());
   if (accesses.findLaterWrite(access))
     return false;
-  // Which of several iterations comes last is not known.
+  // The last of several iterations is not known.
   Operation *loop = getEnclosingParallelLoop(store);
   if (!loop)
     return true;
@@ -78,7 +78,7 @@ static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
 
 StoredOutputs::StoredOutputs(FunctionOpInterface function,
                              const AccessTable &accesses) {
-  // Nobody knows what a function does that was not inlined.
+  // The effects of a function that was not inlined are not known.
   if (!isa<KernelOp>(function.getOperation()) ||
       function->walk([](CallOpInterface) { return WalkResult::interrupt(); })
           .wasInterrupted())

@@ -125,7 +125,7 @@ void Verifier::checkAccess(DifferentiableAccessInterface access) {
 
 /// Nor have ops with other effects.
 void Verifier::checkSink(Operation *op) {
-  // Output and checks take what they like; regions are looked into.
+  // Output and checks take any values; regions are looked into.
   if (op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
       isa<PrintOp, AssertOp, PreconditionOp>(op))
     return;

@@ -45,8 +45,9 @@ using namespace mlir::tai;
 static constexpr unsigned warpSize = 32;
 /// Addresses are sums of few parts.
 static constexpr unsigned maxDepth = 12;
-/// Of groups with addresses that data choose: the additions (the components of
-/// a vector), the addresses that are compared, and the groups of a function.
+/// Limits of groups with data-dependent addresses: the additions (the
+/// components of a vector), the addresses that are compared, and the groups of
+/// a function.
 static constexpr unsigned maxChosen = 4, maxChosenBases = 2,
                           maxChosenGroups = 4;
 
@@ -220,9 +221,9 @@ bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
   });
 }
 
-/// True for what follows from loaded values, and from what is the same for all
-/// threads: whether threads have the same value is up to the data. Where the
-/// number of the thread takes part, most have elements of their own.
+/// True for values that follow from loaded ones and from uniform ones: the data
+/// decides whether threads have the same value. Where the number of the thread
+/// takes part, most have elements of their own.
 bool GroupFinder::isChosen(const Value *value, unsigned depth, bool &isLoaded) {
   if (uniformity.isUniform(value))
     return true;
@@ -321,7 +322,7 @@ void GroupEmitter::emitAdditions(ArrayRef<Value *> values) {
   }
 }
 
-/// True for what does not change while the function runs.
+/// True for values that do not change while the function runs.
 static bool isInvariant(const Value *value, unsigned depth) {
   if (isa<Argument, Constant>(value))
     return true;
@@ -499,7 +500,7 @@ mlir::tai::AggregateAtomics::run(Function &function,
     finder.find(block);
   if (!combinesScatters || finder.chosen.size() > maxChosenGroups)
     finder.chosen.clear();
-  // From the end, so that blocks stay whole in front of what is split.
+  // From the end, so that blocks stay whole in front of the splits.
   for (Group &group : reverse(finder.known))
     GroupEmitter(group).emit();
   for (Group &group : reverse(finder.chosen))

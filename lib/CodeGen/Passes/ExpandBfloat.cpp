@@ -13,8 +13,9 @@
 
 using namespace llvm;
 
-/// The upper half of the bits, rounded: of what is lost, a half is added, and
-/// the last bit that is kept decides a tie. A NaN stays one and becomes quiet.
+/// The upper half of the bits, rounded: half a unit is added to the dropped
+/// bits, and the last kept bit decides a tie. A NaN stays one and becomes
+/// quiet.
 static Value *roundToBfloat(IRBuilder<> &builder, Value *number, Type *type) {
   Type *wide = number->getType()->getWithNewType(builder.getInt32Ty());
   Type *narrow = wide->getWithNewType(builder.getInt16Ty());

@@ -13,7 +13,7 @@
 
 using namespace llvm;
 
-/// The comparison of what is there with what is given that says that nothing
+/// The comparison of the old value with the operand that is true if nothing
 /// changes. Floats: neither may be a NaN, and of two zeros the sign decides.
 static std::optional<CmpInst::Predicate>
 getStaysPredicate(const AtomicRMWInst &atomic) {

@@ -15,9 +15,9 @@ class Module;
 namespace mlir::tai {
 
 /// Puts atomic minima and maxima behind a load and a test of whether they
-/// change what is there. Most do not, and an exchange, which a CPU without an
+/// change the element. Most do not, and an exchange, which a CPU without an
 /// instruction for extremes repeats until it succeeds, takes the line of the
-/// cache from the other processors even where it writes what was there.
+/// cache from the other processors even if it writes the old value.
 void testExtremeAtomics(llvm::Module &module);
 
 } // namespace mlir::tai

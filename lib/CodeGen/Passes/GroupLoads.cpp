@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Adjoints add to many elements one after another: load, add, store, and again.
-// As long as the next load is after the store, each one waits for memory
-// separately, several hundred clocks each time. The same holds after an IEEE
-// 754 division or square root: ptxas expands it to branches, and moves nothing
-// across them.
+// If the next load is after the store, each one waits for memory separately,
+// several hundred clocks each time. The same holds after an IEEE 754 division
+// or square root: ptxas expands it to branches, and moves nothing across
+// them.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,8 +23,8 @@
 
 using namespace llvm;
 
-/// What the loads of a group may take, all together, in words of four bytes:
-/// each is a register that is in use for longer.
+/// The size of all loads of a group, in words of four bytes: each is a register
+/// that is in use for longer.
 static constexpr unsigned mostWords = 48;
 
 /// How many writes a load is compared with.
@@ -48,10 +48,10 @@ private:
   /// The last load of the group; those to come are placed behind it.
   Instruction *last = nullptr;
   unsigned words = 0;
-  /// What comes after `last` and is not part of the group.
+  /// Instructions behind `last` that are not part of the group.
   SmallVector<Instruction *> writes;
   SmallPtrSet<Instruction *, 32> behind;
-  /// Whether ptxas makes branches of what comes after `last`.
+  /// Whether ptxas makes branches of the code behind `last`.
   bool branches = false;
   bool changed = false;
 };
@@ -97,8 +97,8 @@ void LoadGrouping::startGroup(LoadInst *load) {
   branches = false;
 }
 
-/// Lists what a value needs of the instructions behind the group, in their
-/// order; false if that cannot be moved.
+/// Lists the instructions behind the group that a value needs, in their order;
+/// false if one of them cannot be moved.
 bool LoadGrouping::collectAddress(Value *value,
                                   SmallVectorImpl<Instruction *> &chain) {
   auto *instruction = dyn_cast<Instruction>(value);
@@ -153,7 +153,7 @@ bool LoadGrouping::run() {
         startGroup(load);
       continue;
     }
-    // Nothing moves past a barrier, or past what is not known.
+    // Nothing moves past a barrier, or past an unknown call.
     auto *call = dyn_cast<CallBase>(&instruction);
     bool isOpaque = isa<FenceInst>(instruction) || instruction.mayThrow() ||
                     (call && instruction.mayReadOrWriteMemory() &&

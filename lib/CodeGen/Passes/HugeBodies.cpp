@@ -36,7 +36,7 @@ namespace {
 /// The elements of a vector, as far as an estimate wants to know them.
 constexpr unsigned kLanes = 8;
 
-/// Of functions with a loop that has too many pairs of accesses.
+/// Marks functions with a loop that has too many pairs of accesses.
 constexpr StringLiteral kManyPairs = "tai-many-pairs";
 } // namespace
 
@@ -231,8 +231,8 @@ void BlockDivider::outline(const Part &part, unsigned number) {
   made->setLinkage(GlobalValue::InternalLinkage);
   made->setSubprogram(nullptr);
   made->setComdat(nullptr);
-  // What holds of the parameters, of memory and of the result, held of the
-  // whole.
+  // The attributes about parameters, memory and the result held for the whole
+  // function.
   AttrBuilder attributes(context, made->getAttributes().getFnAttrs());
   attributes.removeAttribute(Attribute::Memory);
   attributes.removeAttribute(Attribute::AlwaysInline);
@@ -293,7 +293,7 @@ void BlockDivider::divide() {
                               "shared");
   memory->setAlignment(Align(64));
 
-  // Who needs what from outside, and from others.
+  // Find the values from outside, and the values of one part that others use.
   SetVector<Value *> given;
   SmallVector<std::pair<Use *, Instruction *>> taken;
   for (auto [number, part] : enumerate(parts)) {
@@ -314,7 +314,7 @@ void BlockDivider::divide() {
       }
     }
   }
-  // What comes from outside is stored where it is made, or in front of the
+  // A value from outside is stored behind its definition, or in front of the
   // first part.
   for (Value *value : given) {
     auto *from = dyn_cast<Instruction>(value);
@@ -325,8 +325,8 @@ void BlockDivider::divide() {
   }
   for (auto [number, part] : enumerate(parts))
     outline(part, number);
-  // What others in this function use is loaded where they are, those in other
-  // blocks at the end of this one.
+  // Other uses in this function load the value at the use, uses in other blocks
+  // at the end of this one.
   DenseMap<Value *, Value *> atEnd;
   for (auto [use, user] : taken) {
     Value *value = use->get();
@@ -367,7 +367,7 @@ private:
 };
 } // namespace
 
-/// Of functions in which calls were kept.
+/// Marks functions in which calls were kept.
 constexpr StringLiteral kCallsKept("tai-calls-kept");
 
 bool Sizes::isHuge(const BasicBlock &block,
@@ -435,7 +435,7 @@ void mlir::tai::divideHugeBlocks(Module &module, const TargetMachine *machine,
 
 void mlir::tai::keepCallsInHugeFunctions(Module &module, StringRef prefix,
                                          HugeBodyLimits limits) {
-  // What is as short as this is no longer than its call.
+  // A function as short as this is no longer than its call.
   constexpr unsigned shortest = 10;
   for (Function &function : module) {
     if (function.getName().starts_with(prefix))

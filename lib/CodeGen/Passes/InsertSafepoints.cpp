@@ -181,7 +181,7 @@ PreservedAnalyses InsertSafepoints::run(Function &function,
   PollInserter inserter(function);
   for (Instruction *branch : backEdges)
     inserter.insertBefore(branch);
-  // What was found out about it held without the polls.
+  // The inferred memory effects held without the polls.
   if (function.hasFnAttribute(kLoopPart))
     function.removeFnAttr(llvm::Attribute::Memory);
   return PreservedAnalyses::none();

@@ -48,8 +48,8 @@ static bool isValid(Function &function) {
 }
 
 namespace {
-/// What a function has allocated and frees itself, each in a variable that is
-/// null while there is none.
+/// The memory that a function has allocated and frees itself, each block in a
+/// variable that is null while there is none.
 class OwnMemory {
 public:
   explicit OwnMemory(Function &function);
@@ -125,7 +125,7 @@ static void endWhereNull(CallInst &call, Value &address,
     phi.addIncoming(Constant::getNullValue(phi.getType()), lacking);
   if (isValid(function))
     return;
-  // The sums need what has not been computed.
+  // The sums need values that have not been computed.
   meeting->removePredecessor(lacking, /*KeepOneInputPHIs=*/true);
   leave->eraseFromParent();
   builder.SetInsertPoint(lacking);

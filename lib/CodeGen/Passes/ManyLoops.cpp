@@ -93,7 +93,7 @@ static bool mustStay(const Instruction &instruction) {
                   call->hasFnAttr(llvm::Attribute::ReturnsTwice));
 }
 
-/// Adds what is between two blocks, if it has one beginning and one end.
+/// Adds the blocks between two blocks, if they have one entry and one exit.
 void LoopDivider::addPart(BasicBlock *first, BasicBlock *next) {
   Part part;
   SmallVector<BasicBlock *> pending = {first};
@@ -118,7 +118,7 @@ void LoopDivider::addPart(BasicBlock *first, BasicBlock *next) {
 
 /// Parts of loops that have one parent.
 bool LoopDivider::findPartsOf(ArrayRef<Loop *> siblings) {
-  // Those that the last one of a chain is behind of.
+  // The siblings that dominate the last one of a chain.
   auto level = [&](const Loop *loop) {
     return tree.getNode(loop->getHeader())->getLevel();
   };
@@ -253,8 +253,8 @@ Function *LoopDivider::createPart(unsigned number) {
   part->setSubprogram(nullptr);
   part->setComdat(nullptr);
   part->setCallingConv(CallingConv::C);
-  // What holds of the parameters, of memory and of the result, held of the
-  // whole.
+  // The attributes about parameters, memory and the result held for the whole
+  // function.
   AttrBuilder attributes(context, function.getAttributes().getFnAttrs());
   attributes.removeAttribute(llvm::Attribute::Memory);
   attributes.removeAttribute(llvm::Attribute::AlwaysInline);
@@ -335,7 +335,7 @@ bool LoopDivider::divide() {
   for (unsigned number = 0; number != parts.size(); ++number)
     made.push_back(createPart(number));
 
-  // Loads first, so that what is stored is no use.
+  // Replace uses by loads first, so that the stores are not among the uses.
   DenseMap<std::pair<Value *, int>, Value *> loaded;
   for (auto &[value, place] : places)
     for (Use &use : make_early_inc_range(value->uses())) {
@@ -383,7 +383,7 @@ bool mlir::tai::divideManyLoops(Module &module, ManyLoopsLimits limits) {
     if (!divider.divide())
       continue;
     changed = true;
-    // What is left may have other loops to divide, and so may what was made.
+    // The rest may have other loops to divide, and so may the new functions.
     all.push_back(function);
     append_range(all, divider.getMade());
   }

@@ -25,8 +25,8 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-/// What every lane of a vector of integers or pointers adds to the one before,
-/// if that is the same for all.
+/// The difference of each lane of a vector of integers or pointers to the one
+/// before, if it is the same for all.
 static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
                                        unsigned depth = 0) {
   using namespace PatternMatch;
@@ -58,7 +58,7 @@ static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
   Value *a = nullptr, *b = nullptr;
   const APInt *factor = nullptr;
   if (auto *phi = dyn_cast<PHINode>(value)) {
-    // Where a loop starts, and what it adds to all lanes alike.
+    // A phi has the step of its start if the loop adds the same to all lanes.
     if (phi->getNumIncomingValues() != 2)
       return std::nullopt;
     for (unsigned i : {0u, 1u})
@@ -126,7 +126,7 @@ struct Rows {
   }
 };
 
-/// What is accessed in each row: so many bytes from an offset on.
+/// The accessed bytes of each row: their number, from an offset on.
 struct Columns {
   Rows rows;
   int64_t offset, bytes;
@@ -173,7 +173,7 @@ private:
   /// Instructions that access memory, and the place of each among them.
   SmallVector<Instruction *> memory;
   DenseMap<Instruction *, size_t> places;
-  /// What gathers, scatters, and rows in their place access.
+  /// The columns that gathers, scatters, and rows in their place access.
   DenseMap<Instruction *, Columns> known;
   /// Bytes from a row to the next, where they are known.
   std::map<Rows, std::optional<int64_t>> steps;
@@ -202,7 +202,7 @@ std::optional<Transposer::Matrix> Transposer::findColumn(CallBase &call,
   auto *mask = dyn_cast<Constant>(call.getArgOperand(stores ? 2 : 1));
   if (!type || !mask || !mask->isAllOnesValue() || !getChunk(type))
     return std::nullopt;
-  // What is added to all lanes alike is the offset.
+  // A term that is the same for all lanes is the offset.
   auto sizeOf = [&](GetElementPtrInst *address) {
     return static_cast<int64_t>(
         layout.getTypeAllocSize(address->getSourceElementType()));
@@ -292,7 +292,7 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
   auto emitLane = [&](Value *value, unsigned lane) -> Value * {
     if (!value->getType()->isVectorTy())
       return value;
-    // What a vector was made of is there already.
+    // The element that the vector was built from is already there.
     Value *scalar = findScalarElement(value, lane);
     return scalar ? scalar
                   : builder.CreateExtractElement(value, uint64_t(lane));
@@ -420,7 +420,7 @@ bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
                         : llvm::min_element(run, isBefore)->call;
   if (!canMove(run, to))
     return false;
-  // The rows are parts of what is accessed, and all of it.
+  // Together, the rows are all of the accessed memory.
   AAMDNodes nodes = run.front().call->getAAMetadata();
   for (const Column &column : run)
     nodes = nodes.merge(column.call->getAAMetadata());

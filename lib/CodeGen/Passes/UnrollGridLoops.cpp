@@ -92,8 +92,8 @@ static unsigned chooseFactor(const BasicBlock &block) {
   return size <= large && loads <= 16 ? 2 : 1;
 }
 
-/// Whether what is used behind the loop goes through values that its end
-/// chooses by where it comes from.
+/// Whether values used behind the loop go through phis at its
+/// exit.
 static bool isClosed(const BasicBlock &block, const BasicBlock &exit) {
   return all_of(block, [&](const Instruction &instruction) {
     return all_of(instruction.users(), [&](const User *user) {
@@ -138,8 +138,8 @@ static std::optional<GridLoop> match(Loop &loop) {
   return std::nullopt;
 }
 
-/// Those instructions that must stand in the order of the iterations: what
-/// writes, what reads after a write of its own iteration, and what uses that.
+/// The instructions that must stay in the order of the iterations: writes,
+/// reads after a write of their own iteration, and their users.
 static SmallPtrSet<const Instruction *, 16> findLate(const BasicBlock &block) {
   SmallPtrSet<const Instruction *, 16> late;
   bool written = false;
@@ -167,7 +167,7 @@ static SmallPtrSet<const Instruction *, 16> findLate(const BasicBlock &block) {
 }
 
 /// Emits several iterations, the first of which begins with `begin`. Fills in,
-/// for each, what the values of the loop are in it.
+/// for each, the values of the loop's instructions.
 static void emitIterations(const GridLoop &loop, IRBuilder<> &builder,
                            std::vector<ValueToValueMapTy> &maps,
                            ArrayRef<PHINode *> begin) {

@@ -38,7 +38,7 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
     forms[(name + "f").str()] = wide;
   };
   auto addSleef = [&](StringRef name, StringRef type, unsigned least) {
-    // Those that have the same bits for any number of lanes.
+    // SLEEF's functions that have the same bits for any number of lanes.
     Forms sleef;
     bool isDouble = type == "f64";
     std::string stem = ("Sleef_finz_" + name + (isDouble ? "d" : "f")).str();

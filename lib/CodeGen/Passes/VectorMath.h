@@ -45,7 +45,7 @@ public:
 
   VectorMath(const llvm::TargetMachine &machine, bool hasSleef);
 
-  /// The forms of what the call calls, if it may be replaced by them.
+  /// The forms of the called function, if they may replace it.
   const Forms *find(const llvm::CallInst &call) const;
 
 private:
@@ -62,9 +62,9 @@ struct NameVectorMath : llvm::PassInfoMixin<NameVectorMath> {
   const VectorMath *math;
 };
 
-/// Runs after the vectorisers: in a function that calls vector forms, what is
-/// left calls the scalar forms, which have the same bits, so that a result does
-/// not depend on where in a loop it is computed. Elsewhere libm, which is
+/// Runs after the vectorisers: in a function that calls vector forms, the
+/// remaining calls take the scalar forms, which have the same bits, so that a
+/// result does not depend on its place in a loop. Elsewhere libm, which is
 /// faster for one number, stays.
 struct MatchScalarMath : llvm::PassInfoMixin<MatchScalarMath> {
   explicit MatchScalarMath(const VectorMath &math) : math(&math) {}

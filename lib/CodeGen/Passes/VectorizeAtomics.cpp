@@ -76,7 +76,7 @@ private:
   DominatorTree *dominators = nullptr;
   const DataLayout *layout = nullptr;
   bool changed = false;
-  /// Those that wait, by base. They are moved to the last of them.
+  /// Additions that wait, by base. All are moved to the last one of a base.
   MapVector<Value *, SmallVector<Addition>> waiting;
   SmallVector<AtomicRMWInst *> order;
 };
@@ -86,8 +86,8 @@ char VectorizeAtomics::ID = 0;
 
 Pass *mlir::tai::createVectorizeAtomicsPass() { return new VectorizeAtomics(); }
 
-/// What is known of an address: like LLVM's own, which does not look through
-/// the cast from the generic to the global address space.
+/// The known alignment of an address: like LLVM's own, which does not look
+/// through the cast from the generic to the global address space.
 static Align getAlignment(Value *pointer, Instruction *at,
                           const DataLayout &layout,
                           AssumptionCache *assumptions = nullptr,
@@ -146,7 +146,7 @@ bool VectorizeAtomics::mayPass(Instruction &instruction) {
   if (auto *atomic = dyn_cast<AtomicRMWInst>(&instruction))
     if (isCandidate(*atomic))
       return true;
-  // What is never written while the kernel runs.
+  // Memory that is never written while the kernel runs.
   if (isa<LoadInst>(instruction) &&
       instruction.hasMetadata(LLVMContext::MD_invariant_load))
     return true;
@@ -241,7 +241,7 @@ void VectorizeAtomics::emit(ArrayRef<Addition> additions) {
       builder.CreateCall(InlineAsm::get(type, text, constraints + ",~{memory}",
                                         /*hasSideEffects=*/true),
                          arguments);
-  // What may pass the additions may pass this.
+  // An instruction that may pass the additions may pass this call.
   call->setMemoryEffects(MemoryEffects::argMemOnly());
   call->setDoesNotThrow();
   call->addFnAttr(Attribute::WillReturn);

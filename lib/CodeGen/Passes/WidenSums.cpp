@@ -28,8 +28,8 @@ using namespace mlir::tai;
 
 /// So many terms are added up in f32 before they are widened.
 static constexpr size_t kTermsInF32 = 4;
-/// Of more sums than these at once, those of f64 have no registers: the adjoint
-/// of a layer of a network adds to as many as it has inputs.
+/// The most sums at once that have registers in f64: the adjoint of a layer of
+/// a network adds to as many as it has inputs.
 static constexpr size_t kMostSums = 8;
 
 namespace {
@@ -62,10 +62,10 @@ private:
   bool skipRounding(Function &function);
 
   LoopInfo &loops;
-  /// What has been made of sums of f64 here.
+  /// Values that were made of sums of f64 here.
   SmallPtrSet<Value *, 8> rounded;
-  /// What nobody needs any more: deleted in the end, so that no other value
-  /// takes its address before.
+  /// Values without users: deleted in the end, so that no other value takes
+  /// their address before.
   SmallVector<WeakTrackingVH> dead;
   SmallVector<WeakVH> deadPhis;
 };
@@ -82,7 +82,7 @@ static BinaryOperator *getFreeSum(Value *value) {
   return sum;
 }
 
-/// The additions from what a loop carries to its value for the next iteration.
+/// The additions from a loop-carried value to its value for the next iteration.
 static std::optional<Chain> findChain(Loop &loop, PHINode &phi,
                                       const LoopInfo &loops) {
   BasicBlock *latch = loop.getLoopLatch();
@@ -161,8 +161,8 @@ static Value *emitSum(IRBuilder<> &builder, ArrayRef<Term> terms, size_t most) {
   return total;
 }
 
-/// Adds what the chains add in one sum of f64, beside them. Returns its value
-/// behind an iteration.
+/// Adds the terms of the chains in one sum of f64, beside them. Returns its
+/// value behind an iteration.
 static Value *emitWideChain(Loop &loop, ArrayRef<Chain> chains, size_t most) {
   BasicBlock *latch = loop.getLoopLatch(), *before = loop.getLoopPreheader();
   Type *wide = getWide(chains.front().phi->getType());
@@ -187,8 +187,8 @@ static Value *emitWideChain(Loop &loop, ArrayRef<Chain> chains, size_t most) {
   return next;
 }
 
-/// Adds up again, in f64, what a tree of additions adds up that only `user`
-/// needs: what is left of a loop that LLVM has unrolled. Each part is added
+/// Adds up again, in f64, the terms of a tree of additions that only `user`
+/// uses: the remainder of a loop that LLVM has unrolled. Each part is added
 /// where the last of its terms was. Returns nothing if there is no such tree.
 Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   SmallVector<BinaryOperator *> sums;
@@ -252,14 +252,14 @@ Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   return total;
 }
 
-/// Of a loop whose iterations end in one block, which is left from there alone.
+/// True for a loop whose iterations end in one block, which is its only exit.
 static bool isSimple(Loop &loop) {
   return loop.getLoopLatch() && loop.getLoopPreheader() &&
          loop.getExitingBlock() == loop.getLoopLatch();
 }
 
-/// The loop whose lanes of sums `reduction` adds up, and what it carries for
-/// them; or null.
+/// The loop whose lanes of sums `reduction` adds up, and its loop-carried
+/// values for them; or null.
 Loop *SumWidener::findLanes(IntrinsicInst &reduction,
                             SmallVectorImpl<Chain> &chains) {
   const Loop *outside = loops.getLoopFor(reduction.getParent());
@@ -315,7 +315,7 @@ bool SumWidener::widenScalar(Loop &loop, PHINode &phi) {
   if (!exit || !exit->getSinglePredecessor())
     return false;
   std::optional<Chain> chain = findChain(loop, phi, loops);
-  // Of a program that chose speed, sums of its own loops have such flags, too.
+  // If the program chose speed, sums of its own loops have such flags, too.
   if (!chain || chain->last->hasApproxFunc())
     return false;
   SmallVector<Use *> outside;
@@ -359,8 +359,8 @@ bool SumWidener::isRounded(Value *value, SmallPtrSetImpl<PHINode *> &phis) {
                       [&](Use &use) { return isRounded(use.get(), phis); });
 }
 
-/// Widens what such sums are merged by, so that what is widened from there on
-/// was never rounded; so with what is left of loops over single numbers.
+/// Widens the phis that merge such sums, so that a value widened from there on
+/// was never rounded; so with the remainders of loops over single numbers.
 bool SumWidener::skipRounding(Function &function) {
   bool changed = false;
   SmallVector<FPExtInst *> extensions;

@@ -282,7 +282,7 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
         known.insert(function);
       if (failed(KernelOffload(kernel, lowering).run()))
         return signalPassFailure();
-      // What was made for it.
+      // Functions that were made for it get its modes.
       for (LLVM::LLVMFuncOp function : functions())
         if (!function.isExternal() && !known.contains(function))
           modes.setOn(function);

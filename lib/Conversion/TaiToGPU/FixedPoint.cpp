@@ -8,9 +8,9 @@
 // In deterministic mode, float additions to elements that the data chooses are
 // done in integers (lib/DeviceLibrary/FixedPoint.cpp), whose unit depends on
 // the largest value of an element. So the loop runs twice for its values alone,
-// without its other effects, to find the units and to add up. What follows adds
-// the sums to the field: a loop over the elements, or, where the loop has other
-// effects or reaches few of the elements, the loop itself.
+// without its other effects, to find the units and to add up. Then the sums are
+// added to the field: by a loop over the elements, or, if the loop has other
+// effects or reaches few of the elements, by the loop itself.
 //
 //===----------------------------------------------------------------------===//
 
@@ -97,8 +97,8 @@ static void removeEffects(ParallelForOp loop) {
 /// Removes what only removed ops used.
 static void removeDeadOps(ParallelForOp loop) {
   SmallVector<Operation *> ops;
-  // Backwards, users come before what they use, and what is in an op before
-  // the op itself, with which it would be freed.
+  // Backwards, users come before their operands, and operations inside an op
+  // before the op itself, with which they would be freed.
   loop.getBody().walk<WalkOrder::PreOrder>(
       [&](Operation *op) { ops.push_back(op); });
   for (Operation *op : llvm::reverse(ops))

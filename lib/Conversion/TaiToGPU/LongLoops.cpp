@@ -30,11 +30,11 @@ using namespace mlir::tai;
 
 /// Operations that one thread does in some tens of milliseconds.
 static constexpr uint64_t kLongLoop = 20000000;
-/// As many of them between two questions, if there are so many iterations.
+/// The number of operations between two polls, if there are so many iterations.
 static constexpr uint64_t kBetween = 4096;
 /// And at most as many iterations, where nobody knows how long each is.
 static constexpr uint64_t kIterationsBetween = 16;
-/// What stands for loops that may be long, in the body of another one.
+/// The cost of loops that may be long, in the body of another one.
 static constexpr uint64_t kUnknown = UINT64_MAX;
 
 namespace {
@@ -45,7 +45,7 @@ public:
 
   /// The operations that one run of the block takes, at most.
   uint64_t visit(Block &block);
-  /// Of the loop over the iterations of a thread.
+  /// Visits the loop over the iterations of a thread.
   void visitIterations(scf::ForOp loop, bool areCountless);
 
 private:
@@ -89,7 +89,7 @@ uint64_t LoopPolls::visitLoop(scf::ForOp loop) {
 
 uint64_t LoopPolls::visit(Block &block) {
   uint64_t sum = 0;
-  // What is asked for comes between the operations of the block.
+  // Polls are inserted between the operations of the block.
   for (Operation &op : llvm::make_early_inc_range(block)) {
     uint64_t own = 1;
     if (auto loop = dyn_cast<scf::ForOp>(op)) {

@@ -95,7 +95,7 @@ void LoopAccesses::visit(Operation *op) {
     return add(update.getPtr(), type,
                isSum ? DeviceAccess::Sum : DeviceAccess::Write, digits);
   }
-  // What these keep belongs to one thread.
+  // Memory of these operations belongs to one thread.
   if (isa<LLVM::AllocaOp, AllocaOp, LocalLoadOp, LocalStoreOp, StackCreateOp,
           StackPushOp, StackPopOp, StackDestroyOp>(op))
     return;
@@ -231,8 +231,9 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
     address = std::move(attempt);
     return true;
   }
-  // Of each digit that is no sum of the known, all that is known is its range.
-  // Those of larger strides are products; what is left is that of the smallest.
+  // For each digit that is no sum of the known, only its range is known.
+  // Digits of larger strides are products; the remainder is the digit of the
+  // smallest.
   SmallVector<Value> parts;
   collectParts(index, parts);
   SmallVector<int64_t> strides, extents, begins;

@@ -33,12 +33,12 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// What sums of a few sizes may be without leaving the range of i32.
+/// The limit of a size: sums of a few sizes do not leave the range of i32.
 static constexpr int64_t kMostBytes = int64_t(1) << 30;
 
-/// How far from zero the first index of a field may be, and how far an index
-/// that is only used as one may pass the range of i32: what is cut there is
-/// further from every element than that before and after.
+/// Limits of the first index of a field, and of the excess of a pure index over
+/// the range of i32: a truncated index is further from every element than this
+/// before and after.
 static constexpr int64_t kMostShift = int64_t(1) << 28;
 
 static ConstantIntRanges getRange(int64_t low, int64_t high) {
@@ -123,7 +123,7 @@ ConstantIntRanges Proof::getWhileRange(scf::WhileOp loop,
   return range;
 }
 
-/// What is known of a value while all indices before it fitted.
+/// The known range of a value if all indices before it fitted.
 std::optional<ConstantIntRanges> Proof::getInductiveRange(Value value) {
   if (!value.getType().isIntOrIndex())
     return std::nullopt;
@@ -299,7 +299,7 @@ struct NarrowIndices : tai::impl::NarrowIndicesBase<NarrowIndices> {
 
   void runOnOperation() override {
     ModuleOp module = getOperation();
-    // What holds no kernel is somebody else's.
+    // A module without kernels is not ours.
     if (module.getOps<KernelOp>().empty())
       return;
     if (Proof(module, remarks).run())

@@ -29,7 +29,7 @@ struct DeviceLowering {
   ModuleLowering &host, &device;
   gpu::GPUModuleOp kernels;
   bool deterministic;
-  /// Of the kernel that is being lowered.
+  /// Modes of the kernel that is being lowered.
   bool compensated = false;
   /// Loops of this kernel that mayBeCountless.
   llvm::SmallPtrSet<Operation *, 4> countless;

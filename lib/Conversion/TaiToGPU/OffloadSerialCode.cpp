@@ -186,7 +186,7 @@ void SerialOffload::assign(ArrayRef<Operation *> ops) {
                 block, [](Operation &inner) { return &inner; }));
       open = nullptr;
     } else if (isa<vector::FromElementsOp>(op)) {
-      // What the caller is given is put together by the host.
+      // The host packs the arguments of the caller.
       op->moveBefore(op->getBlock()->getTerminator());
     } else if (runsOnDevice(op)) {
       add(op);
@@ -204,7 +204,7 @@ LogicalResult SerialOffload::emit(Group &group) {
     Operation *ancestor = last->getBlock()->findAncestorOpInBlock(*user);
     return !ancestor || groupOf.lookup(ancestor) != &group;
   };
-  // What is used outside goes through memory.
+  // Results used outside go through memory.
   SmallVector<Value> handedOn;
   for (Operation *op : group.ops)
     for (Value result : op->getResults())

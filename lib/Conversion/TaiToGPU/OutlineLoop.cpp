@@ -26,8 +26,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Threads of a block, for what is said of a launch in the IR; the runtime may
-/// take another number.
+/// Threads of a block, as named in the launch in the IR; the runtime may take
+/// another number.
 constexpr int64_t kBlockDim = 256;
 
 //===----------------------------------------------------------------------===//
@@ -161,7 +161,7 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Makes parameters of what a function uses from the host's part.
+/// Makes parameters of the values of the host's part that a function uses.
 class Parameters {
 public:
   Parameters(LLVM::LLVMFuncOp function, Operation *launch,
@@ -184,7 +184,7 @@ public:
       return std::nullopt;
     return std::pair(found->second, distance);
   }
-  /// What to pass, as values of the host's part.
+  /// The operands to pass, as values of the host's part.
   ArrayRef<Value> getOperands() const { return operands; }
 
 private:
@@ -234,7 +234,8 @@ Value Parameters::addParameter(Value outer) {
   return parameter;
 }
 
-/// What an address of the host's part is a constant behind, and that constant.
+/// The address of the host's part that is the origin of an address, and the
+/// constant distance between them.
 static std::pair<Value, int64_t> getOrigin(Value address) {
   int64_t distance = 0;
   while (auto element = address.getDefiningOp<LLVM::GEPOp>()) {
@@ -253,7 +254,7 @@ static std::pair<Value, int64_t> getOrigin(Value address) {
   return {address, distance};
 }
 
-/// What is known of the alignment of an address of the host's part.
+/// The known alignment of an address of the host's part.
 static int64_t getAddressAlignment(Value address) {
   auto [origin, distance] = getOrigin(address);
   Operation *definition = origin.getDefiningOp();
@@ -535,7 +536,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   DenseI64ArrayAttr list = accesses.encode(getParameter);
   if (list)
     function->setAttr(kAccessesAttrName, list);
-  // What may print or fail is not run again.
+  // Code that may print or fail is not run again.
   if (tile)
     finishTileFunction(tile, function,
                        list && !usesState && tile.getArgument(0).use_empty()
@@ -562,7 +563,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                     UnitAttr::get(context));
   noteSizes(loop, function);
   emitLaunch(loop, function, operands, lowering);
-  // What the host knows of activity is then out of date.
+  // The host's record of activity is then out of date.
   OpBuilder after(loop);
   RuntimeCalls &hostCalls = lowering.host.runtime;
   for (auto [tree, removes] : activated)

@@ -75,7 +75,7 @@ void tai::emitElementLoop(
     function_ref<void(OpBuilder &, Value number, Value element)> emit) {
   const FieldInfo &field = *buffer.field;
   IndexMath around(outside, loc);
-  // What they share is computed once.
+  // Shared terms are computed once.
   SmallVector<Value> zeroBased(field.layout.shape.size());
   for (auto [i, fixed] : llvm::enumerate(buffer.fixed))
     if (fixed)

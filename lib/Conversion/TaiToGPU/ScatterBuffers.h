@@ -41,7 +41,7 @@ LogicalResult splitBufferedLoops(
     LLVM::LLVMFuncOp host,
     function_ref<LogicalResult(ParallelForOp, ArrayRef<AtomicOp>)> split);
 
-/// What an addition adds, with the sign.
+/// The term of an addition, with the sign.
 Value emitTerm(OpBuilder &builder, AtomicOp atomic);
 
 /// The number of the sum to which an addition goes.

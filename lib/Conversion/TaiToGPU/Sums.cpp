@@ -126,7 +126,7 @@ static Value emitWideSum(ParallelForOp loop, Value frame, Type type,
                                     outside.constant(1));
   OpBuilder b = OpBuilder::atBlockBegin(&once.getBody().front());
   Value found = emitLoad(b, loc, wide, sum, AliasScopes());
-  // A replay begins with what the last one has left.
+  // A replay begins with the results of the last one.
   emitStore(
       b, loc,
       arith::ConstantOp::create(b, loc, getIdentity(AtomicKind::Add, wide)),

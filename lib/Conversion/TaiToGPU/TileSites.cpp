@@ -128,7 +128,7 @@ bool LoopAccesses::addRegularIndex(Site &site, Value index, int64_t size,
         getIndexShift(digit, *variable, lower, upper);
     if (!shift || found.stride != 0)
       return false;
-    // What has been taken out of the index stands in the address.
+    // The part taken out of the index stands in the address.
     int64_t extent = digits[at + 1], peeled = -digits[at + 2];
     found = {stride, extent, shift->offset + peeled, shift->wraps};
     site.address.access.offset -= peeled * stride;
@@ -178,7 +178,7 @@ LLVM::LLVMFuncOp tai::makeTileFunction(LLVM::LLVMFuncOp function,
                                               builder.getIndexType(), argument);
     mapping.lookup(index).replaceAllUsesWith(number);
   }
-  // What else is made from the number of the iteration is no longer used.
+  // Other users of the iteration's number are no longer used.
   loop.getInductionVar().replaceAllUsesWith(loop.getLowerBound());
   Block *body = loop.getBody();
   body->getTerminator()->erase();

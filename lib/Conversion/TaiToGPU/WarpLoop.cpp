@@ -28,7 +28,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 //===----------------------------------------------------------------------===//
-// What is in the loop
+// Operations of the loop
 //===----------------------------------------------------------------------===//
 
 /// True for memory of one iteration.
@@ -59,7 +59,7 @@ static bool containsAddition(Operation *op) {
       .wasInterrupted();
 }
 
-/// False for what may end the thread or do what is not known here.
+/// False for operations that may end the thread, and for unknown ones.
 static bool isKnown(Operation *op) {
   auto canBeYielded = [](Type type) {
     return type.isIntOrIndexOrFloat() || isa<LLVM::LLVMPointerType>(type);
@@ -88,7 +88,7 @@ static bool canComeTogether(ParallelForOp loop) {
 }
 
 void tai::prepareWarpLoop(ParallelForOp loop) {
-  // What is known to be one address is asked for once.
+  // Values known to be one address are computed once.
   IRRewriter rewriter(loop.getContext());
   DominanceInfo dominance(loop);
   eliminateCommonSubExpressions(rewriter, dominance, loop);
@@ -146,8 +146,8 @@ public:
   void process(Block *block);
 
 private:
-  /// What an address varies with: where it starts, its index and the size of a
-  /// step. Those that differ in a constant are equal in the same threads.
+  /// The varying parts of an address: its base, its index and the size of a
+  /// step. Addresses that differ in a constant are equal in the same threads.
   using Key = std::tuple<Value, Value, int64_t>;
   using Plans = llvm::SmallDenseMap<Value, Value>;
   static Key getKey(Value base, int64_t &distance);
@@ -162,7 +162,7 @@ private:
   Value isActive;
   /// Whether values are added to memory one after another.
   bool inTurn;
-  /// What threads without an iteration do as well.
+  /// Operations that threads without an iteration execute as well.
   llvm::DenseSet<Operation *> forAll;
   RuntimeCalls &runtime;
 };
@@ -175,7 +175,7 @@ static Value emitZero(OpBuilder &builder, Location loc, Type type) {
   return arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
 }
 
-/// What an address is a constant behind, and that constant in bytes.
+/// The origin of an address, and the constant distance from it in bytes.
 static std::pair<Value, int64_t> splitAddress(Value address) {
   int64_t offset = 0;
   while (auto element = address.getDefiningOp<LLVM::GEPOp>()) {
@@ -240,7 +240,7 @@ SmallVector<Addition> AdditionOrder::takeFrom(Block *block) {
   return additions;
 }
 
-/// Lets the branch yield what it would have added, one way and the other.
+/// Lets the branch yield the terms of its additions, one way and the other.
 SmallVector<Addition> AdditionOrder::takeOut(scf::IfOp &branch) {
   SmallVector<Addition> additions = takeFrom(branch.thenBlock());
   size_t numThen = additions.size();
@@ -405,7 +405,7 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
     op->moveBefore(active, active->end());
   OpBuilder end = OpBuilder::atBlockEnd(active);
   scf::YieldOp::create(end, loc, used);
-  // Nobody looks at what the others get.
+  // The results of the other threads are not used.
   OpBuilder none = OpBuilder::atBlockEnd(branch.elseBlock());
   SmallVector<Value> zeros;
   for (Value value : used)

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // The errors of the libraries' f32 functions are up to two units in the last
-// place. Those of the f64 functions, rounded to f32, are hardly more than half
+// place. Errors of the f64 functions, rounded to f32, are hardly more than half
 // a unit. The exponential, the logarithm and the hyperbolic tangent of f32 are
 // arithmetic in f64 already; see WideMath.cpp. f64 functions for which the
 // library's error exceeds one unit are computed in a wider float.

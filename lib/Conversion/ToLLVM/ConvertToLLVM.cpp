@@ -51,7 +51,7 @@ void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
             FastMathFlags::arcp | FastMathFlags::contract | FastMathFlags::afn;
   root->walk([&](Operation *op) {
     auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
-    // Comparisons and selects gain nothing, and what they decide must not move;
+    // Comparisons and selects gain nothing, and must keep their decisions;
     // conversions have no such flags in LLVM.
     if (!arithmetic ||
         isa<arith::CmpFOp, arith::SelectOp, arith::ExtFOp, arith::TruncFOp>(op))
@@ -203,7 +203,7 @@ namespace {
 /// exp %x  ->  exp (%x + 32 ln 2) 2^-32
 /// log %x  ->  log (%x 2^32) - 32 ln 2
 /// The op that is made is one for the polynomials: no pattern of a conversion
-/// is applied to what it has made itself.
+/// is applied to its own results.
 template <typename Op> struct KeepDenormals : OpRewritePattern<Op> {
   using OpRewritePattern<Op>::OpRewritePattern;
   LogicalResult matchAndRewrite(Op op,
@@ -272,9 +272,9 @@ void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
       converter, patterns.getContext(), /*benefit=*/2);
 }
 
-/// Lets elementary functions be contracted, which says to VectorMath.h that
-/// others than libm's may be called. With arithmetic it has nothing to do:
-/// their bits do not depend on what is fused.
+/// Lets elementary functions be contracted, so that VectorMath.h may call
+/// others than libm's. Arithmetic is not affected: their bits do not depend on
+/// fusion.
 static void relaxMathOps(Operation *root) {
   root->walk([](Operation *op) {
     auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
@@ -292,7 +292,7 @@ static void relaxMathOps(Operation *root) {
 /// Calls of libm become what intrinsics are: they access no memory (nobody asks
 /// for errno), and may be contracted.
 static void relaxMathCalls(LLVM::LLVMFuncOp function, bool contract) {
-  // Those that have no intrinsic.
+  // Functions without an intrinsic.
   static const llvm::StringSet<> names{"expm1", "expm1f", "log1p", "log1pf",
                                        "cbrt",  "cbrtf",  "erf",   "erff",
                                        "erfc",  "erfcf",  "asinh", "asinhf",
@@ -362,7 +362,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
           return Modes::of(function).isAccurate();
         }))
       populateAccurateMath(patterns, /*benefit=*/1);
-    // What LLVM has no intrinsic for is called in libm.
+    // Functions without an intrinsic of LLVM are called in libm.
     populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     populateFuncToLLVMConversionPatterns(converter, patterns);
 
@@ -382,7 +382,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
 };
 
 /// True for the dialects that the passes before and in this file lower, with
-/// what those of a device leave.
+/// the remains of those of a device.
 bool isLowered(StringRef dialect) {
   return llvm::is_contained({"arith", "builtin", "cf", "func", "gpu", "llvm",
                              "math", "memref", "nvvm", "scf", "tai",

@@ -21,11 +21,11 @@ using namespace mlir;
 using namespace mlir::tai;
 
 #if defined(__x86_64__)
-// Of MXCSR: denormal operands are zero, denormal results become it.
+// Bits of MXCSR: denormal operands are zero, denormal results become it.
 constexpr int32_t kFlushBits = 0x8040;
 constexpr bool kCanFlush = true;
 #elif defined(__aarch64__)
-// Of FPCR: both at once.
+// The bit of FPCR: both at once.
 constexpr int64_t kFlushBits = 1 << 24;
 constexpr bool kCanFlush = true;
 #else
@@ -177,7 +177,7 @@ static void wrap(LLVM::LLVMFuncOp function) {
 
 LogicalResult tai::flushDenormals(Operation *root) {
   SmallVector<LLVM::LLVMFuncOp> functions;
-  // Those of a device in the module are converted by themselves.
+  // Functions of a device in the module are converted by themselves.
   for (auto function : root->getRegion(0).getOps<LLVM::LLVMFuncOp>())
     if (!function.isExternal() && Modes::of(function).flushes())
       functions.push_back(function);

@@ -11,8 +11,8 @@
 // its shadow.
 //
 // Adjoints that have lost digits pass them on: many results are off because
-// their operands are. So a branch is for what is reported alone, and the tests
-// of operands, most of which are those of other results, stand before it.
+// their operands are. So the branch only reports, and the tests of operands,
+// most of which are those of other results, stand before it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -86,8 +86,8 @@ private:
     return APFloat::semanticsPrecision(
         cast<FloatType>(getElementTypeOrSelf(type)).getFloatSemantics());
   }
-  /// Bits that a value of the type can have right. Where f32 are extended, what
-  /// is computed from them in f64 has no more than they have.
+  /// The number of bits that a value of the type can have right. If f32 are
+  /// extended, results in f64 have no more bits than they have.
   unsigned getMeasure(Type type) {
     return std::min(getPrecision(type), mostPrecision);
   }
@@ -138,7 +138,7 @@ private:
   unsigned mostPrecision;
   Value table;
   DenseMap<Value, Value> shadows, off, tainted;
-  /// How far the shadows of what is loaded lie above it.
+  /// The shadows of loaded values, less the values.
   DenseMap<Value, Value> parts;
   SmallVector<Site> sites;
 };
@@ -185,7 +185,7 @@ Value Shadows::emitIsOff(Value value) {
   Value shadow = getShadow(value);
   Type type = shadow.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(value.getType()));
-  // What was loaded has its error beside it.
+  // A loaded value has its error beside it.
   Value error = parts.lookup(value);
   error = LLVM::FAbsOp::create(b, error ? error : getError(value));
   Value most = LLVM::FMulAddOp::create(
@@ -379,8 +379,8 @@ Value Shadows::makeAtomic(LLVM::AtomicRMWOp op) {
   return exact;
 }
 
-/// LLVM 22 has no code for these on f80: what it expands them to compares
-/// integers of 80 bits.
+/// LLVM 22 has no code for these on f80: their expansions compare integers of
+/// 80 bits.
 Value Shadows::makeWideChoice(Operation *op) {
   if (op->getNumOperands() != 2 ||
       !getElementTypeOrSelf(op->getResult(0).getType()).isF64())
@@ -449,8 +449,8 @@ Value Shadows::makeShadow(Operation *op) {
     auto none =
         LLVM::FastmathFlagsAttr::get(b.getContext(), LLVM::FastmathFlags::none);
     clone->setAttr(flags.getFastmathAttrName(), none);
-    // The float keeps the order that the program says, too: what is compared is
-    // what is computed.
+    // The float keeps the order of the program, too: the compared value is the
+    // computed one.
     op->setAttr(flags.getFastmathAttrName(), none);
   }
   return clone->getResult(0);
@@ -578,7 +578,7 @@ void Shadows::report(const Site &site) {
     auto pick = [&](Value value) -> Value {
       return LLVM::ExtractElementOp::create(b, value, integer(32, lane));
     };
-    // Those lanes that do not differ say nothing.
+    // Lanes that do not differ report nothing.
     Block *here = b.getInsertionBlock();
     Block *rest = here->splitBlock(b.getInsertionPoint());
     Block *told = b.createBlock(rest);
@@ -653,7 +653,7 @@ void Shadows::run() {
     }
   }
   for (SmallVector<Operation *> &ops : operations) {
-    // What is tested in one block is not known in all others.
+    // Tests in one block do not hold in all others.
     tainted.clear();
     for (Operation *op : ops) {
       if (op->hasTrait<OpTrait::IsTerminator>())

@@ -27,7 +27,7 @@ Value ShadowReports::describe(Operation *op) {
   std::string text = nameOperation(op) + "\n" + kernel.str() + "\n" +
                      describePlace(op->getLoc());
   text.push_back('\0');
-  // Room for what the runtime knows of it: see TaiShadowSite.
+  // Room for the runtime's data: see TaiShadowSite.
   text.insert(0, sizeof(TaiShadowSite), '\0');
   LLVM::GlobalOp &global = texts[text];
   if (!global) {
@@ -259,7 +259,7 @@ void ShadowReports::finish() {
 void ShadowReports::restrictEffects(ModuleOp module) {
   MLIRContext *context = module.getContext();
   auto none = LLVM::ModRefInfo::NoModRef, both = LLVM::ModRefInfo::ModRef;
-  // What lies behind the frame is the runtime's own.
+  // Memory behind the frame belongs to the runtime.
   auto effects = LLVM::MemoryEffectsAttr::get(
       context, {none, both, both, none, none, none});
   for (StringRef name : {"tai_rt_shadow_site", "tai_rt_shadow_lanes",

@@ -49,7 +49,7 @@ public:
   /// returns.
   void finish();
 
-  /// Declares what the runtime's functions for reports access.
+  /// Declares the memory that the runtime's functions for reports access.
   static void restrictEffects(ModuleOp module);
 
 private:

@@ -178,8 +178,8 @@ bool Lanes::check(Operation &op) {
            select.getCondition().getDefiningOp<arith::CmpFOp>();
   if (matchPattern(&op, m_Constant()))
     return true;
-  // Of what varies, the first lane is computed, for nobody: who asks for more
-  // is refused.
+  // For varying values, the first lane is computed, without a user: requests
+  // for more are refused.
   return (isPlainIntegerOp(op) || isa<LLVM::GEPOp>(op)) &&
          llvm::all_of(op.getOperands(), [&](Value operand) {
            Operation *source = operand.getDefiningOp();
@@ -229,7 +229,7 @@ Value Lanes::getVector(Value value) {
              builder, loc, first, none, SmallVector<int32_t>(kLanes, 0));
 }
 
-/// Says of an access of all lanes what is known of that of one.
+/// Copies the alias information of an access of one lane to an access of all.
 static void copyAliases(Operation *from, Operation *to) {
   cast<LLVM::AccessGroupOpInterface>(to).setAccessGroups(
       cast<LLVM::AccessGroupOpInterface>(from).getAccessGroupsOrNull());

@@ -56,7 +56,7 @@ struct Loop {
 
 static void runPart(void *context, int64_t part) {
   Loop &loop = *static_cast<Loop *>(context);
-  // What is left of a launch that has failed would be thrown away.
+  // The rest of a launch that has failed would be thrown away.
   if (loop.launch->hasFailed())
     return;
   if (!loop.launch->passSafepoint())

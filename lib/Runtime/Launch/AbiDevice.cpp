@@ -19,7 +19,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// Null after a failure: what is left of the kernel does nothing then.
+/// Returns null after a failure: the rest of the kernel then has no effect.
 static DeviceLaunch *working(Launch &launch) {
   if (__builtin_expect(launch.hasFailed(), false))
     return nullptr;
@@ -63,7 +63,7 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
     shape.threads =
         std::min(shape.threads,
                  static_cast<unsigned>((iterations + warp - 1) / warp * warp));
-  // Of smaller blocks as many threads run at a time.
+  // Smaller blocks keep the number of resident threads.
   int64_t most = function.mostBlocks == BlockTrial::kAnyBlocks
                      ? function.mostBlocks
                      : int64_t(function.mostBlocks) * function.threads /
@@ -125,7 +125,7 @@ extern "C" void tai_rt_device_fetch(TaiFrame *frame, void *to, const void *from,
   if (!onDevice ||
       failed(launch, onDevice->context->get().copyOut(
                          to, reinterpret_cast<DevicePtr>(from), bytes))) {
-    // What is left of the kernel must not count on what was there.
+    // The rest of the kernel must not rely on the former contents.
     std::memset(to, 0, static_cast<size_t>(bytes));
     return;
   }

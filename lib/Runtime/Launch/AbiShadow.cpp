@@ -58,7 +58,7 @@ extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
   if (!std::isfinite(result))
     return count(site.nonFinite, alone);
   count(site.lost, alone);
-  // Of a difference: both operands are at least eight times as large.
+  // A difference cancels if both operands are at least eight times as large.
   if (std::min(std::abs(a), std::abs(b)) > 8 * std::abs(result))
     count(site.cancellations, alone);
   double least = roundingOf(precision);
@@ -119,7 +119,7 @@ extern "C" void tai_rt_shadow_flip(TaiFrame *frame, TaiShadowSite *named,
   double exactA = a + errorOfA, exactB = b + errorOfB;
   if (std::isnan(exactA) || std::isnan(exactB))
     return;
-  // What vanishes in the type of the float has no sign to be seen there.
+  // A value that underflows in the type of the float has no visible sign.
   double least = precision <= 24 ? 0x1p-126 : 0x1p-1022;
   if (std::abs(exactA) < least && std::abs(exactB) < least)
     return;
@@ -174,7 +174,7 @@ template <typename T> static T choose(T a, T b, bool greater) {
   return (a < b) == greater ? b : a;
 }
 
-/// What a float becomes.
+/// The value of a float after the operation.
 template <typename T> static T combine(T before, T operand, int32_t kind) {
   switch (kind) {
   case TAI_SHADOW_ADD:

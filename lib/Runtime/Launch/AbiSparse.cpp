@@ -105,9 +105,9 @@ static int64_t give(Launch &launch, const std::vector<int64_t> &list,
   return static_cast<int64_t>(list.size());
 }
 
-/// The same for code on a device, which makes the list and knows its length. No
-/// cells are left out there for what they hold: to look at that the host would
-/// have to wait for it.
+/// The same for code on a device, which makes the list and knows its length.
+/// Cells are not left out there by their contents: the host would have to wait
+/// for the device to look at them.
 static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
                             const int64_t **cells) {
   SparseNode &sparse = *mirror.getTree().sparseNodes()[node];
@@ -173,7 +173,7 @@ extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
     const LoopLists::Entry *entry = launch.findGiven(sparse);
     if (!entry)
       return 0;
-    // Who is told no does what is right for any list.
+    // A caller that gets false must do work that is right for any list.
     if (entry->onDevice)
       return mirror->sparse()->isShownBy(*entry->onDevice);
   }

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What compiled kernels call when the partitions of a loop have added to
-// buffers of their own. Elements that no iteration added to cost one look: a
+// Functions that compiled kernels call when the partitions of a loop have added
+// to buffers of their own. Elements that no iteration added to cost one look: a
 // grid around particles is mostly such.
 //
 //===----------------------------------------------------------------------===//
@@ -74,8 +74,8 @@ moveBlock(T *from, int64_t count, T *sums, bool isFirst) {
   return true;
 }
 
-/// What a number is after a sum was added. Nothing is nothing: -0 stays, as it
-/// does in blocks that are skipped.
+/// The value of a number after a sum was added. Nothing is nothing: -0 stays,
+/// as it does in blocks that are skipped.
 template <typename Target, typename T>
 __attribute__((always_inline)) static inline Target added(Target to, T sum) {
   return sum == 0 ? to : static_cast<Target>(to + sum);
@@ -121,7 +121,7 @@ addBuffers(void *targetBytes, char *buffers, int64_t begin, int64_t end,
 }
 
 /// Adds elements [begin, end) of all buffers of pairs, each rounded once. A
-/// buffer holds `count` sums, and then what each of them has rounded away.
+/// buffer holds `count` sums, and then the rounding errors of each.
 __attribute__((always_inline)) static inline void
 addPairs(void *targetBytes, char *buffers, int64_t begin, int64_t end,
          int64_t parts, int64_t stride, int64_t count) {
@@ -158,7 +158,7 @@ addPairs(void *targetBytes, char *buffers, int64_t begin, int64_t end,
       bool isNothing = sums[e] == 0 && rests[e] == 0;
       double old = target[at + e];
       add(e, old, 0);
-      // Nothing is left of what an infinite sum has rounded away.
+      // An infinite sum has no rounding error.
       double sum = sums[e] + (std::isnan(rests[e]) ? 0 : rests[e]);
       target[at + e] = isNothing ? old : sum;
     }
@@ -281,7 +281,7 @@ static AddBuffers chooseAdd(int32_t kind) {
 }
 
 /// Buffers that were added hold zeros, which the next launch need not write.
-/// Where there are shadows, they are forgotten when memory is taken.
+/// Shadows, if there are any, are forgotten when memory is taken.
 static void left(Launch &launch, const void *buffers, int64_t bytes) {
   if (!launch.owner().options().shadow && !areFew(bytes))
     launch.arena.markZero(static_cast<const char *>(buffers), bytes);
@@ -290,7 +290,7 @@ static void left(Launch &launch, const void *buffers, int64_t bytes) {
 extern "C" void tai_rt_combine(TaiFrame *frame, void *target, void *buffers,
                                int64_t count, int64_t parts, int32_t kind) {
   Launch &launch = launchOf(frame);
-  // After a failure the buffers may not be what the code believes.
+  // After a failure the buffers may not be as the code assumes.
   if (count <= 0 || parts <= 0 || launch.hasFailed())
     return;
   int64_t size = sizeOfSums(kind);

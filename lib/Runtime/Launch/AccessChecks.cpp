@@ -89,7 +89,7 @@ AccessPlace AccessChecks::getPlace(int64_t id) const {
   auto after =
       std::partition_point(ranges.begin(), ranges.end(),
                            [&](const Range &range) { return range.base < id; });
-  // What another thread was about to say is not there yet.
+  // A range that another thread was about to record is missing.
   if (id <= 0 || after == ranges.begin())
     return {"", -1, AccessKind::Write, "", 0, 0};
   const Range &range = *std::prev(after);

@@ -24,7 +24,8 @@ static bool mayChange(const Kernel &kernel, const Tree &tree) {
   });
 }
 
-/// What the registers of a function and the user leave room for.
+/// The number of threads that the registers of a function and the user's limit
+/// allow.
 static unsigned mostBlockThreads(const Device &device,
                                  const DeviceFunction &function,
                                  const Options &options) {
@@ -44,7 +45,7 @@ makeTrials(const Device &device, const DeviceCode::Function &function,
     if (threads != function.threads && threads <= mostThreads)
       if (unsigned blocks = device.residentBlocks(*function.function, threads))
         sizes.push_back({threads, blocks});
-  // As many blocks as there is work for, which come in order of the memory.
+  // The number of blocks follows the work; blocks come in order of the memory.
   for (unsigned threads : {128u, function.threads})
     if (threads <= mostThreads)
       sizes.push_back({threads, BlockTrial::kAnyBlocks});
@@ -53,7 +54,7 @@ makeTrials(const Device &device, const DeviceCode::Function &function,
   return std::make_shared<BlockTrials>(std::move(sizes), kept, std::move(key));
 }
 
-/// What another process knows a function by that runs on such a device.
+/// The key by which another process on such a device finds a function.
 static std::string keyOf(const DeviceImage &image, const std::string &function,
                          const Device &device) {
   if (image.key.empty())

@@ -242,7 +242,7 @@ void FlowTracker::launch(Kernel &kernel, const uint64_t *args) {
   std::vector<State> before, added(all.places.size()), again(all.places.size());
   for (const FlowPlace &place : all.places)
     before.push_back(stateOf(place, args));
-  // A kernel may go on with what it has just stored.
+  // A kernel may go on with a value that it has just stored.
   for (bool grown = true; grown;) {
     grown = false;
     for (const ValueFlow &flow : all.flows) {

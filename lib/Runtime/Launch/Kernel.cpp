@@ -34,7 +34,7 @@ Kernel::Kernel(KernelInfo kernelInfo) : info(std::move(kernelInfo)) {
 }
 
 //===----------------------------------------------------------------------===//
-// What a provider need not say
+// Optional parts of a provider
 //===----------------------------------------------------------------------===//
 
 static Status hasNoAdjoint(const Kernel &kernel, bool zeroes) {
@@ -88,8 +88,8 @@ Status Kernel::resolve() {
     return Status::success();
   if (!info.provider)
     return hasNoCode(*this);
-  // A failure is not remembered: what was wrong outside (a full disk) may be
-  // put right.
+  // A failure is not remembered: its outer cause (a full disk) may be
+  // removed.
   TaiKernelFn result = nullptr;
   Status status = info.provider->compile(*this, result);
   if (!status)
@@ -101,7 +101,8 @@ Status Kernel::resolve() {
   return status;
 }
 
-/// What a tape has kept for an adjoint without a plan is not what it reads.
+/// The records of a tape for an adjoint without a plan are not the ones it
+/// reads.
 static Status planFailed(const Status &why) {
   return Status::failure(why.code(), why.message(), why.where(), why.detail());
 }
@@ -156,8 +157,8 @@ const AdjointPlan &Kernel::plan() {
     return unknown;
   auto made = std::make_unique<AdjointPlan>();
   if (info.differentiable && info.provider) {
-    // Without an adjoint nothing is read. What is wrong is said when a reverse
-    // sweep needs it.
+    // Without an adjoint nothing is read. The error is reported when a reverse
+    // sweep needs the plan.
     planFailure = info.provider->planAdjoint(*this, *made);
     if (!planFailure) {
       bool provisional = made->provisional;
@@ -285,7 +286,7 @@ Status Kernel::bind(uint64_t epoch) {
       return Status::failure(StatusCode::Usage,
                              "kernel '" + name() + "' uses tree '" +
                                  tree->name() + "', which has been destroyed");
-  // A launch of another thread may be using the tables: what is the same stays.
+  // A launch of another thread may be using the tables: equal ones stay.
   std::vector<void *> newBases;
   std::vector<SparseNode *> nodes;
   newBases.reserve(info.trees.size());
@@ -341,7 +342,7 @@ Status Kernel::resolveChecked(CheckedKernel *&result) {
 
 // An adjoint goes over the cells that its primal went over. Under a tape that
 // is part of the record; an adjoint that is launched by hand belongs to the
-// last launch of its primal, and finds here what that did.
+// last launch of its primal, and finds its data here.
 
 void Kernel::noteBegin() {
   std::lock_guard<std::mutex> lock(activityMutex);

@@ -61,7 +61,8 @@ char *Arena::allocate(int64_t bytes, int64_t &dirtyBytes) {
   int64_t begin = block.used, end = begin + bytes;
   if (block.zeroBegin <= begin && block.zeroEnd >= std::min(end, block.touched))
     dirtyBytes = 0;
-  // What is taken now is no longer known to be zero, nor is what is before it.
+  // Memory taken now is no longer known to be zero, nor is the memory before
+  // it.
   block.zeroBegin = std::max(block.zeroBegin, end);
   block.used = end;
   block.touched = std::max(block.touched, block.used);
@@ -103,7 +104,7 @@ void Arena::reset() {
 Launch::~Launch() { freeSinks(); }
 
 bool Launch::look() {
-  // What there is to ask, the thread that launched asks.
+  // The thread that launched polls for signals.
   if (safepoint::isWorker())
     return !hasFailed();
   __atomic_store_n(&tick, safepoint::now(), __ATOMIC_RELAXED);

@@ -46,7 +46,7 @@ private:
     int64_t size;
     int64_t used;
     int64_t touched;            // bytes that have ever been allocated
-    int64_t zeroBegin, zeroEnd; // of those, what is known to be zero again
+    int64_t zeroBegin, zeroEnd; // the part of it that is known to be zero again
   };
   static bool map(int64_t bytes, Block &block);
   static void unmap(const Block &block);
@@ -57,7 +57,7 @@ private:
   int64_t wanted = 0;
 };
 
-/// What a host program has open.
+/// The open objects of a host program.
 struct HostState;
 
 struct Launch : TaiFrame {
@@ -102,7 +102,7 @@ struct Launch : TaiFrame {
   ActiveListPtr visitedList(SparseNode &node);
   /// For adjoints: the cells that the primal's loops over the level visited.
   const LoopLists::Entry *findGiven(SparseNode &node);
-  /// Of cellsFor: the cells within `reach` of one whose incoming adjoints are
+  /// The cells of cellsFor within `reach` of a cell whose incoming adjoints are
   /// not all zero.
   const std::vector<int64_t> &gatheredCellsFor(SparseNode &node, int64_t reach);
 

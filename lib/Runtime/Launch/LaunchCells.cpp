@@ -56,7 +56,7 @@ ActiveListPtr Launch::visitedList(SparseNode &node) {
     const LoopLists::Entry *entry = findGiven(node);
     if (!entry || entry->list)
       return entry ? entry->list : nullptr;
-    // What a device has made is wanted by the host, which is rare.
+    // The host needs a list made on the device, which is rare.
     auto list = std::make_shared<ActiveList>();
     Status status = fetchCells(*entry->onDevice, list->cells);
     if (!status) {

@@ -69,7 +69,7 @@ Status Launcher::failureOf(Launch &launch, const Kernel &kernel) {
                          "kernel '" + kernel.name() + "' failed");
 }
 
-/// Those in the trees of the kernel, and the gradients of what it uses.
+/// The fields in the trees of the kernel, and the gradients of its fields.
 static Gradients::Uses fieldsOf(const Kernel &kernel) {
   return [&](const FieldPtr &field) {
     return kernel.uses(field->tree()) ||
@@ -111,8 +111,8 @@ Status Launcher::checkAdjointHolds(const Kernel &kernel) const {
   return status;
 }
 
-/// The tangents of what a kernel uses are of the thread that launches it, from
-/// its first launch on: those that another one has left are zero to it.
+/// The tangents of a kernel's fields belong to the thread that launches it,
+/// from its first launch on: values that another one has left are zero to it.
 void Launcher::takeOverTangents(const Kernel &kernel) {
   for (const Access &access : kernel.summary()) {
     Field *tangent = access.field->dual();
@@ -305,7 +305,7 @@ Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   if (safepoint::isInHandler())
     if (Status status = kernel.checkHandler(); !status)
       return status;
-  // Only what is recorded needs to say where adjoints are.
+  // Only a recorded launch needs the addresses of adjoints.
   if (__builtin_expect(slots != kernel.tapeSlots(), false)) {
     Recorder *tape = parts.recordings.current();
     bool recorded = tape && !tape->isSuspended();

@@ -68,7 +68,8 @@ struct TapedKernel {
     return kernel.adjointReexecutes;
   }
   static bool loadsStored(const Kernel &kernel) { return kernel.loadsStored; }
-  /// The adjoint always zeroes the adjoints of what the kernel overwrites.
+  /// The adjoint always zeroes the adjoints of the elements that the kernel
+  /// overwrites.
   static bool alwaysZeroes(const Kernel &kernel) { return kernel.alwaysZeroes; }
 
   /// A variant of the adjoint if it is known, and whether it has been

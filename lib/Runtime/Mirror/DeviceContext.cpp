@@ -69,7 +69,7 @@ Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
   if (holdings.empty())
     return Status::failure(StatusCode::Memory,
                            message + "; this program holds nothing else there");
-  // Who holds how much, of equal names together.
+  // Owners and their bytes, equal names together.
   std::map<std::string, int64_t> sums;
   for (const auto &[address, holding] : holdings)
     sums[holding.owner] += holding.bytes;
@@ -121,7 +121,7 @@ Status DeviceContext::allocateNow(int64_t bytes, DevicePtr &memory) {
 }
 
 void DeviceContext::dropSpare() {
-  // Freeing may run what is queued, and a handler then add to these.
+  // Freeing may run queued work, and a handler then add to these.
   auto dropped = std::exchange(spare, {});
   for (auto [bytes, memory] : dropped) {
     held -= bytes;
@@ -134,7 +134,7 @@ Status DeviceContext::take(int64_t bytes, const std::string &owner,
                            DevicePtr &memory) {
   {
     std::lock_guard<std::recursive_mutex> lock(mutex);
-    // The first of so many bytes, so that each has what it had before.
+    // The first block of so many bytes, so that each gets its former memory.
     if (auto found = spare.lower_bound(bytes);
         found != spare.end() && found->first == bytes) {
       memory = found->second;
@@ -176,7 +176,7 @@ void DeviceContext::endRecording(bool isSwept) {
   note(device->endRecording(isSwept));
   if (device->expectsLaunches())
     collections.fetch_add(1, std::memory_order_relaxed);
-  // What this recording did not want.
+  // Drops blocks that this recording did not need.
   std::lock_guard<std::recursive_mutex> lock(mutex);
   dropSpare();
 }
@@ -236,7 +236,8 @@ Status DeviceContext::report() {
         " lines that kernels printed were lost: there is room for " +
         formatBytes(outputBytes) +
         " of them on the device until the next wait for it\n");
-  // Who asked for it knows. Others wait for what was not done in full.
+  // The thread that asked for it knows. Other threads wait for the incomplete
+  // work.
   if (report.failure && report.stoppedBy &&
       report.stoppedBy != safepoint::threadNumber())
     return Status::failure(StatusCode::Interrupted,
@@ -352,7 +353,7 @@ Status DeviceLaunch::finish() {
     context->free(memory);
   outgrown.clear();
   start = used;
-  // Who has the memory does not ask for launches that are kept.
+  // An owner of the memory does not ask for kept launches.
   if (usesOthers && status)
     status = context->queue().settle();
   usesMemory = usesOthers = false;

@@ -43,7 +43,7 @@ public:
   LibraryKernels &library() { return *libraryKernels; }
 
   /// Allocates memory; if there is too little, the failure lists the owners of
-  /// what is allocated. Thread-safe.
+  /// the allocated blocks. Thread-safe.
   Status allocate(int64_t bytes, const std::string &owner, DevicePtr &memory);
   /// Reserves memory that is committed on use; see Device::reserve.
   Status reserve(int64_t bytes, const std::string &owner, DevicePtr &memory);
@@ -53,7 +53,7 @@ public:
   /// addresses.
   Status take(int64_t bytes, const std::string &owner, DevicePtr &memory);
   void giveBack(int64_t bytes, DevicePtr memory);
-  /// The limit of memory, and what is left of it for reserved memory, of which
+  /// The limit of memory, and the rest of it for reserved memory, of which
   /// `taken` bytes are already committed.
   int64_t mostBytes() const;
   int64_t leftToReserved(int64_t taken);
@@ -111,7 +111,7 @@ private:
   WatchedDevice *watched;
   std::unique_ptr<LibraryKernels> libraryKernels;
   int64_t limit;
-  /// Recursive: allocating may run what is queued, and with it a handler.
+  /// Recursive: allocating may run queued work, and with it a handler.
   std::recursive_mutex mutex;
   Section makingState;
   struct Holding {

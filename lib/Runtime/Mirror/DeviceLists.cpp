@@ -96,8 +96,8 @@ Status DeviceLists::find(const ActiveListPtr &list, DevicePtr &address) {
       address = known.memory + DeviceCells::cellsOffset;
       return Status::success();
     }
-  // Those that nobody else has any more are not asked for again; of others the
-  // oldest go.
+  // Lists that nobody else has any more are not asked for again; the oldest of
+  // the others go.
   constexpr size_t mostLists = 64;
   auto isOld = [&](const Uploaded &known) {
     bool old = (known.list.use_count() == 1 ||
@@ -203,8 +203,8 @@ Status DeviceLists::list(SparseNode &node, DeviceCellsPtr &cells) {
     return list.use_count() == holders && list->capacity() >= needed;
   };
   std::shared_ptr<DeviceCells> chosen;
-  // The last one may show what is active. What is collected is the same work
-  // again where each of its loops has the list that it had before.
+  // The last one may show the active cells. The collected work is recognised
+  // only if each of its loops has its former list.
   if (pool.current && isFree(pool.current) && !context.queue().isCollecting())
     chosen = pool.current;
   for (const std::shared_ptr<DeviceCells> &list : pool.all)

@@ -164,7 +164,7 @@ template <typename Work>
 Status WatchedDevice::timed(Profiler::Item item, const LaunchShape &shape,
                             Work work) {
   Section::Entry section(timing);
-  // What a handler does meanwhile is not timed.
+  // The work of a handler meanwhile is not timed.
   if (section.isAgain())
     return work();
   Status status;

@@ -76,8 +76,9 @@ Status Mirror::download() {
   return status ? context().report() : std::move(status);
 }
 
-/// As many accesses to single elements cost about as much as one of the whole
-/// tree, which comes after them: what others have paid is then at most doubled.
+/// So many accesses to single elements cost about as much as one of the whole
+/// tree, which comes after them: the cost of the former is then at most
+/// doubled.
 static int64_t accessesWorth(int64_t bytes) { return bytes >> 17; }
 
 Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
@@ -122,7 +123,7 @@ void Tree::bringToHost() const { mirrored->context().note(mirrored->toHost()); }
 
 void Tree::bringToHostToChange() const {
   Status status = mirrored->toHost();
-  // What could not be read is not to be overwritten with something older.
+  // Memory that could not be read must not be overwritten with an older copy.
   if (status)
     mirrored->hostWrites();
   mirrored->context().note(std::move(status));
@@ -136,7 +137,7 @@ Status Field::storeMirrored(int64_t offset, const void *from) const {
   return owner->mirror()->write(offset, from, byteSize(fieldLayout.scalar));
 }
 
-/// Of two threads that look, the second one waits until the zeros are there.
+/// If two threads look, the second one waits until the zeros are there.
 static Section &storingZeros() {
   static Section section;
   return section;
@@ -287,8 +288,8 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
   return pieces;
 }
 
-/// Who looks at the memory of a field by itself does not ask for what the
-/// queue keeps.
+/// A user of a field's raw memory does not ask for the launches that the queue
+/// keeps.
 static void settleLent(const Mirror &mirror) {
   if (mirror.isExported())
     mirror.context().note(mirror.context().queue().settle());

@@ -270,7 +270,7 @@ void Slabs::zero(int64_t first, int64_t count) const {
                                   static_cast<int>(byteSize(field->scalar()))));
     return;
   }
-  // Not through the field, which may be about to store what it owes.
+  // Not through the field, which may be about to store its owed zeros.
   char *data = field->tree().writable() + field->layout().placeOffset;
   forEachRun(data, first, count, [](char *address, auto size, int64_t) {
     std::memset(address, 0, static_cast<size_t>(size));

@@ -149,8 +149,8 @@ static Status forEachPart(const SparseNode &node, int64_t numMarks,
 
 Status SparseMirror::sendBits(const SparseNode &node) {
   int64_t offset = node.info().activityOffset;
-  // What was marked once stays so: there are no others than zeros elsewhere, on
-  // the device either.
+  // Marks stay: elsewhere there are only zeros, on the device
+  // either.
   auto mark = [&](int64_t i) {
     return node.marked()[i].load(std::memory_order_relaxed);
   };
@@ -164,7 +164,7 @@ Status SparseMirror::sendBits(const SparseNode &node) {
 void SparseMirror::uploadActivity(const SparseNode &node,
                                   const std::vector<int64_t> &changed) {
   constexpr size_t few = 64;
-  // A copy from the host would end what is being collected.
+  // A copy from the host would end the collection of work.
   if (context.queue().isCollecting() && changed.size() <= few) {
     context.note(sendWords(node, changed));
     return;
@@ -198,8 +198,8 @@ Status SparseMirror::sendWords(const SparseNode &node,
   return status ? sendAccount() : std::move(status);
 }
 
-/// Makes what the host knows of one level current, and forgets what was made
-/// inactive there.
+/// Makes the host's copy of one level current, and forgets the cells
+/// deactivated there.
 Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   Device &device = context.get();
   size_t number = numberOf(tree, node);
@@ -238,7 +238,7 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   return status;
 }
 
-/// What active cells may take, where the host knows what they take.
+/// Sends the limits of active cells, if the host knows their memory.
 Status SparseMirror::sendAccount() {
   const MemoryAccount &memory = context.host().memory;
   int64_t used = 0;
@@ -284,7 +284,7 @@ Status SparseMirror::sendActivity() {
 // States that are kept
 //===----------------------------------------------------------------------===//
 
-/// Of the bits or lengths of a level, in whole words.
+/// The row of bits or lengths of a level, in whole words.
 static int64_t keptRow(const SparseNode &node) {
   return (node.activityBytes() + wordBytes - 1) / wordBytes * wordBytes;
 }
@@ -324,7 +324,8 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
     if (!context.allocate(keptBytes(), "activity that tapes keep", memory))
       return false;
     keptMemory.push_back(memory);
-    // What was removed is written only where something was, and fetched always.
+    // Bits of removed cells are written only if there were any, and fetched
+    // always.
     char zero = 0;
     context.note(context.get().fill(memory, &zero, 1, keptBytes()));
   }

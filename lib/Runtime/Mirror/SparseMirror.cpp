@@ -108,7 +108,8 @@ Status SparseMirror::allocate(DevicePtr &address) {
   return status;
 }
 
-/// What device code must know lies in memory of its own, which the tree holds.
+/// The description for device code lies in memory of its own, which the tree
+/// holds.
 Status SparseMirror::writeDescriptor() {
   const auto &nodes = tree.sparseNodes();
   std::vector<TaiDeviceNode> entries;
@@ -207,7 +208,7 @@ Status SparseMirror::writeDescriptor() {
 }
 
 //===----------------------------------------------------------------------===//
-// What may hold something
+// Memory that may not be zero
 //===----------------------------------------------------------------------===//
 
 /// Whole pages, as the host has them.
@@ -238,8 +239,8 @@ static bool hasLongRow(const SparseNode &node) {
   return node.activityBytes() >= int64_t(1) << 20;
 }
 
-/// What lies in [begin, end), which is cell `cell` of the level `above` or the
-/// whole tree, but not in cells of the sparse levels next below.
+/// Marks [begin, end), which is cell `cell` of the level `above` or the whole
+/// tree, without cells of the sparse levels next below.
 void SparseMirror::touchOutside(int64_t begin, int64_t end,
                                 const SparseNode *above, int64_t cell) {
   constexpr int64_t mostPools = 1 << 16;
@@ -265,7 +266,7 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
       pools.push_back({offset, offset + bytes});
     }
   }
-  // Long rows of bits and lengths go by what is known of them.
+  // Long rows of bits and lengths are marked by their own records.
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
     if (!above && hasLongRow(*node))
       pools.push_back({node->info().activityOffset,
@@ -342,7 +343,7 @@ Status SparseMirror::fetch() {
   Section::Entry entry(moving);
   if (entry.isAgain())
     return entry.check();
-  // Whoever is told of a state that was kept asks for it.
+  // A caller that is told of a kept state asks for it.
   if (!isBehind() || isFetching)
     return Status::success();
   Device &device = context.get();
@@ -380,11 +381,11 @@ Status SparseMirror::fetch() {
 }
 
 //===----------------------------------------------------------------------===//
-// What the host changes on both sides
+// Changes by the host on both sides
 //===----------------------------------------------------------------------===//
 
 void SparseMirror::hostChanges(bool removes) {
-  // Nobody changes it in two places.
+  // There is only one copy to change.
   (void)tree.writable();
   state.change(removes);
 }

@@ -43,9 +43,9 @@ static bool isGraph(ProgramMode mode) {
          mode == ProgramMode::Aside;
 }
 
-/// Milliseconds, by what one launch or barrier costs, and by how often the
-/// threads go around. Constants as measured on an H200; what they decide is
-/// only what is worth trying.
+/// Milliseconds, by the cost of a launch or a barrier, and by how often the
+/// threads go around. Constants as measured on an H200; they only decide which
+/// ways are worth trying.
 double DeviceQueue::Program::predict(ProgramMode mode,
                                      const LaunchShape &shape) const {
   constexpr double overlappedUs = 1.05, roundUs = 0.6, stageUs = 0.15,
@@ -145,8 +145,8 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
   std::sort(ways.begin(), ways.end(), [](const auto &a, const auto &b) {
     return a->predicted < b->predicted;
   });
-  // What is far behind by the model is not tried. A graph is, always: it asks
-  // for no compilation and is what to fall back to.
+  // A way that is far behind by the model is not tried. A graph is, always: it
+  // asks for no compilation and is what to fall back to.
   if (wanted == ProgramMode::Automatic && !ways.empty()) {
     double best = ways.front()->predicted;
     ways.erase(std::remove_if(ways.begin(), ways.end(),
@@ -170,8 +170,8 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
 // Choosing
 //===----------------------------------------------------------------------===//
 
-/// Whether a graph is among the best of what has been tried: else its launches
-/// need not be made to overlap.
+/// Whether a graph is among the best of the tried ways: else its launches need
+/// not be made to overlap.
 bool DeviceQueue::Program::mayOverlapPay() const {
   constexpr double gain = 0.75;
   double graph = 0, best = 0;
@@ -235,7 +235,7 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
                                  const ProgramMaker &programMaker) {
   noteRun(same);
   auto runSteps = [&] { return StepRunner::runAlone(device, sequence); };
-  // What comes once need not be made ready for a second time.
+  // A sequence that comes once need not be made ready for a second time.
   if (runs == 1)
     return runSteps();
   if (runs == 2) {

@@ -166,8 +166,8 @@ Status DeviceQueue::fillRows(const DeviceRows &to, const void *pattern,
   if (to.rowBytes == 0 || to.rows == 0 || to.outer == 0)
     return Status::success();
   collected->addFill(to, pattern, patternBytes);
-  // Those that nobody has asked for yet wait for what comes beside them, or
-  // for the sequence that they belong to.
+  // Fills that no launch has needed yet wait for neighbours, or for the
+  // sequence that they belong to.
   isKeeping |= collecting == 0;
   return oneByOne ? settle() : Status::success();
 }
@@ -203,8 +203,8 @@ Status DeviceQueue::synchronize() {
 }
 
 void DeviceQueue::free(DevicePtr memory) {
-  // What has been collected may use it. A recording goes on: who frees what a
-  // tape has kept need not wait.
+  // The collected work may use it. A recording goes on: who frees what a tape
+  // has kept need not wait.
   if (!records)
     (void)settle();
   if (collected->empty() && prefix->empty() && !isRunning)
@@ -257,7 +257,7 @@ Status DeviceQueue::flush(bool isWhole) {
   runDepth = outerDepth;
   if (isRunning)
     return status;
-  // What handlers have given up.
+  // Memory that handlers have given up.
   if (collected->empty() && prefix->empty())
     for (DevicePtr memory : std::exchange(released, {}))
       device->free(memory);
@@ -342,6 +342,6 @@ Status Device::elapsed(const DeviceEvent &, const DeviceEvent &, int64_t &) {
   return hasNoEvents();
 }
 
-// Where there are no other queues, there is nothing to wait for.
+// A device without other queues has nothing to wait for.
 Status Device::waitForStream(uint64_t) { return Status::success(); }
 Status Device::letStreamWait(uint64_t) { return Status::success(); }

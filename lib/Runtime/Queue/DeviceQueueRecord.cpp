@@ -8,7 +8,7 @@
 // Replays and sweeps are collected as a whole. A recording is collected if the
 // same was recorded before, together with the sweep that follows at once: the
 // program is then that of a replay. An operation that cannot wait until the
-// recording ends first queues what was collected, in order. Launches between
+// recording ends first queues the collected work, in order. Launches between
 // two replays are deferred to the second one.
 //
 //===----------------------------------------------------------------------===//
@@ -37,7 +37,7 @@ void DeviceQueue::beginCollecting(bool replay) {
     bool isWhole = recorded->interrupt(/*isEnd=*/true);
     if (hasRecorded)
       records = hasRecorded = false;
-    // What was recorded goes on with its sweep.
+    // The recorded work goes on with its sweep.
     if (isWhole) {
       isReplay = true;
       return;
@@ -97,7 +97,7 @@ Status DeviceQueue::beginRecording() {
   if (hasRecorded)
     status = flush();
   recorded->begin();
-  // What is launched between recordings becomes part of the second one.
+  // Launches between recordings become part of the second one.
   if (watches && recorded->areAnyKnown())
     prefixes->begin();
   else if (watches)
@@ -183,7 +183,7 @@ bool DeviceQueue::expectsLaunches() const {
 
 bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
                        const uint64_t *slots, int count) {
-  // Those who use memory by themselves do not ask for what is kept.
+  // Users of raw addresses do not ask for the kept launches.
   if (numShared.load(std::memory_order_relaxed) > 0)
     prefixes->interrupt();
   else if (prefixes->expects(&function, shape, count)) {
@@ -212,7 +212,7 @@ Status DeviceQueue::allocate(int64_t bytes, DevicePtr &memory) {
   if (status || released.empty() || collecting > 0 ||
       status.code() != StatusCode::Memory)
     return status;
-  // What has been given back since is still to be used.
+  // Memory given back since then is still to be used.
   status = flush();
   return status ? device->allocate(bytes, memory) : std::move(status);
 }

@@ -52,7 +52,7 @@ static int64_t pitchOf(const DeviceRows &rows) {
 static bool areApart(const DeviceRows &a, const DeviceRows &b) {
   if (endOf(a) <= b.address || endOf(b) <= a.address)
     return true;
-  // Those of one lie between those of the other: fields that share cells.
+  // The rows of one lie between those of the other: fields that share cells.
   int64_t pitch = std::gcd(pitchOf(a), pitchOf(b));
   if (pitch == 0)
     return false;
@@ -98,7 +98,7 @@ bool FillRun::add(const DeviceFill &fill) {
     }
     if (!isDense(before.rows) || !isDense(fill.rows))
       return false;
-    // What is left of it, in front of and behind the new one. The pattern goes
+    // The remains of it, in front of and behind the new one. The pattern goes
     // on behind a whole number of patterns.
     uint64_t begin = before.rows.address, end = endOf(before.rows);
     uint64_t from = std::max(begin, fill.rows.address);

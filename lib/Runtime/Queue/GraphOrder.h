@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Which fills of a sequence run before all launches, and which in parallel with
-// the first ones: the clearing of gradients, for example, in parallel with the
-// forward pass.
+// Chooses the fills of a sequence that run before all launches, and those that
+// run in parallel with the first ones: the clearing of gradients, for example,
+// in parallel with the forward pass.
 //
 //===----------------------------------------------------------------------===//
 
@@ -36,7 +36,7 @@ public:
     /// The number of these steps, and the first step that waits for all.
     size_t count = 0, join = 0;
   };
-  /// None if the gain would be small.
+  /// Returns no value if the gain would be small.
   std::optional<FrontFills> splitFront() const;
 
 private:

@@ -70,7 +70,7 @@ Status DeviceQueue::KernelWay::makeKernel(ProgramLoops wanted) {
     status = device.load(image, loaded);
   if (status)
     status = device.find(*loaded, image.functions.front(), found);
-  // What has been queued may still run the one before.
+  // Queued work may still run the former module.
   if (status && module)
     status = device.synchronize();
   if (!status)
@@ -157,7 +157,7 @@ Status DeviceQueue::KernelWay::launch() {
   return runSteps(runner);
 }
 
-/// What is too large for its few threads comes first.
+/// Steps that are too large for the few threads come first.
 Status DeviceQueue::KernelWay::runSteps(StepRunner &runner) {
   Status status;
   for (size_t i = 0; status && i < schedules.countBefore(); ++i)

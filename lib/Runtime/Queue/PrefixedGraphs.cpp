@@ -12,7 +12,8 @@ using namespace mlir::tai::runtime;
 
 Status DeviceQueue::PrefixedGraphs::run(const Sequence &prefix, Way &way) {
   Prefixed &entry = find(prefix);
-  // As with sequences, what comes once is not made ready for a second time.
+  // As with sequences, a prefix that comes once is not made ready for a second
+  // time.
   bool isFirst = entry.runs++ == 0, same = entry.prefix.slots == prefix.slots;
   entry.changes += !same;
   if (!isFirst && device.limits().hasGraphs && entry.refused.empty()) {
@@ -61,7 +62,7 @@ DeviceQueue::PrefixedGraphs::find(const Sequence &prefix) {
   return *entries.back();
 }
 
-/// Records it with what stands for the sequence on the device now.
+/// Records it with the stand-in of the sequence on the device now.
 Status DeviceQueue::PrefixedGraphs::capture(Prefixed &entry, Way &way) {
   Status status = way.prepareSteps();
   if (status)

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // In a program every thread executes all steps, so no barrier is needed before
-// a step that accesses other memory than the steps before it, or whose threads
-// access only what the same thread has accessed before. Steps are grouped, with
+// a step that accesses other memory than the steps before it, or if each thread
+// accesses only memory that it has accessed before. Steps are grouped, with
 // barriers between groups. Each step goes into the earliest possible group, so
 // that independent steps from later in the sequence fill gaps.
 //
@@ -157,7 +157,7 @@ static bool haveSameThreads(const StepMemory::Piece &a,
                             const StepMemory::Piece &b) {
   if (!a.map || !b.map || a.map->size() != b.map->size())
     return false;
-  // Of the outermost digit it does not matter how long it is.
+  // The length of the outermost digit does not matter.
   for (size_t i = 0; i < a.map->size(); ++i)
     if ((*a.map)[i].second != (*b.map)[i].second ||
         (i + 1 < a.map->size() && (*a.map)[i].first != (*b.map)[i].first))
@@ -247,6 +247,6 @@ ProgramSchedule::ProgramSchedule(const std::vector<StepMemory> &steps) {
       order.push_back(step);
       waits.push_back(step == group.back());
     }
-  // Nobody waits after the last.
+  // There is no barrier behind the last group.
   numBarriers = groups.empty() ? 0 : groups.size() - 1;
 }

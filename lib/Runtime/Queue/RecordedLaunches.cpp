@@ -48,7 +48,7 @@ bool RecordedLaunches::areAnyKnown() const {
 // What comes
 //===----------------------------------------------------------------------===//
 
-/// A recording that begins with what has come and this launch.
+/// A recording that begins with the collected items and this launch.
 RecordedLaunches::Known *RecordedLaunches::findLonger(const Item &next) const {
   for (size_t i = known.size(); i-- > 0;) {
     const std::vector<Item> &items = known[i]->items;
@@ -60,7 +60,7 @@ RecordedLaunches::Known *RecordedLaunches::findLonger(const Item &next) const {
   return nullptr;
 }
 
-/// A recording that is all of what has come.
+/// A recording that equals the collected items.
 RecordedLaunches::Known *RecordedLaunches::findWhole() const {
   if (expected && expected->items.size() == run.size())
     return expected;
@@ -133,7 +133,7 @@ void RecordedLaunches::learn(bool isEnd) {
   entry.seen = std::min(entry.seen + 1, entry.wanted);
 }
 
-/// What has been collected is queued launch by launch.
+/// The collected work is queued launch by launch.
 void RecordedLaunches::lose(Known &entry) {
   constexpr int mostLost = 2, mostWanted = 64;
   ++numLost;
@@ -169,7 +169,7 @@ void RecordedLaunches::judge(const Outcome &outcome) {
   if (outcome.chosenMs < 0 || wish == Wish::Always)
     return;
   // While launches are collected, the device does nothing. Launched at once, it
-  // runs them meanwhile, and what it takes longer than the host comes after.
+  // runs them meanwhile, and only its lead over the host comes after.
   auto launches = double(entry.items.size());
   double share = launches / std::max(double(outcome.steps), launches);
   double deviceNs = 1e6 * outcome.chosenMs * share;

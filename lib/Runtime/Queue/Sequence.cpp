@@ -201,8 +201,8 @@ void DeviceQueue::Sequence::addFill(const DeviceRows &rows, const void *pattern,
                                     int patternBytes) {
   DeviceFill fill{rows, repeatPattern(pattern, patternBytes), patternBytes};
   closeUp(fill.rows);
-  // Of the fills that come last: whether each stays, the last one first, and
-  // where the new one goes.
+  // The last fills: whether each stays, the last one first, and the place of
+  // the new one.
   constexpr size_t most = 16;
   bool stays[most];
   size_t first = steps.size(), place = steps.size();
@@ -234,7 +234,7 @@ void DeviceQueue::Sequence::addFill(const DeviceRows &rows, const void *pattern,
     else if (!canChangePlaces(before, fill))
       break;
   }
-  // Those from the first that goes away on are written down anew.
+  // Re-appends all fills from the first removed one.
   std::vector<DeviceFill> again;
   for (size_t at = first; at < steps.size(); ++at) {
     if (at == place)

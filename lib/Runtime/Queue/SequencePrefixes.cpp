@@ -49,7 +49,7 @@ bool SequencePrefixes::expects(const DeviceFunction *function,
   return expected != nullptr;
 }
 
-/// What has been kept is queued without its sequence.
+/// The kept launches are queued without their sequence.
 void SequencePrefixes::lose() {
   constexpr int mostLost = 2, mostWanted = 64;
   if (expected && !run.empty()) {

@@ -14,8 +14,9 @@
 
 using namespace mlir::tai::runtime;
 
-/// A program has few threads, often. What moves much memory before it starts,
-/// such as clearing the gradients of all time steps, is left to the device.
+/// A program has few threads, often. Steps that move much memory before it
+/// starts, such as clearing the gradients of all time steps, are left to the
+/// device.
 size_t DeviceQueue::StepSchedules::countStepsBefore() const {
   constexpr uint64_t muchBytes = 1 << 20;
   uint64_t bytes = 0;
@@ -88,7 +89,7 @@ void DeviceQueue::StepSchedules::update() {
 // Tiles
 //===----------------------------------------------------------------------===//
 
-/// What the launches of a chain touch, whichever thread does.
+/// The memory that the launches of a chain touch, by any thread.
 static StepMemory unite(const std::vector<StepMemory> &memory, size_t first,
                         size_t count) {
   StepMemory all;
@@ -108,7 +109,7 @@ static StepMemory unite(const std::vector<StepMemory> &memory, size_t first,
 void DeviceQueue::StepSchedules::makeTiled(
     const std::vector<StepMemory> &memory) {
   tiled = Schedule();
-  // Half of what a block has for sure: the library has some, too.
+  // Half of the memory that every block has: the library has some, too.
   constexpr int64_t mostBytes = 40 << 10, mostCells = 2048;
   TileLimits limits{device.limits().multiprocessors, mostBytes, mostCells};
   std::unordered_map<const Function *, uint64_t> numbers;

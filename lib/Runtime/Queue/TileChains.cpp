@@ -60,7 +60,7 @@ private:
   TileChain chain;
   size_t rank = 0;
   std::vector<std::vector<Place>> places;
-  /// Of the rows: all of their cells.
+  /// Places of the rows: all of their cells.
   std::vector<Place> rowPlaces;
 };
 } // namespace
@@ -274,7 +274,7 @@ static void grow(TileHalo &halo, const TileHalo &other, const TileSite &site) {
   }
 }
 
-/// What a launch writes must be there for all that later ones read of it.
+/// A launch must write all cells that later ones read.
 void ChainMaker::findHalos() {
   for (size_t s = count; s-- > 0;) {
     TileStage &stage = chain.stages[s];
@@ -292,8 +292,8 @@ void ChainMaker::findHalos() {
   });
 }
 
-/// Which overlays start with what is in memory, and whether blocks must then
-/// wait for each other.
+/// Finds overlays that start with the contents of memory, and whether blocks
+/// must then wait for each other.
 void ChainMaker::findLoads() {
   std::vector<bool> isWritten(chain.rows.size(), false);
   for (const TileStage &stage : chain.stages) {
@@ -308,8 +308,8 @@ void ChainMaker::findLoads() {
       for (size_t d = 0; d < rank; ++d)
         seesBorder |= site.digits[d].shift != 0 && !chain.isCyclic[d];
       row.isLoaded |= keepsOld || seesBorder;
-      // Other blocks load what this one writes in the end. Of a border that no
-      // launch writes they need not be kept away.
+      // Other blocks load cells that this one writes in the end. They need not
+      // be kept away from a border that no launch writes.
       if (keepsOld)
         for (size_t d = 0; d < rank; ++d)
           chain.mustWait |= row.halo.low[d] != 0 || row.halo.high[d] != 0;

@@ -12,8 +12,8 @@ using namespace mlir::tai::runtime;
 
 bool AdjointForms::loadsStored(size_t index) const {
   const Kernel *kernel = recording[index].kernel;
-  // A host function may do to fields what the tape does not see, now or when it
-  // is called again. Tangents of what is stored need not be stored.
+  // A host function may change fields without the tape's knowledge, now or when
+  // it is called again. Tangents of stored values need not be stored.
   return kernel && TapedKernel::loadsStored(*kernel) &&
          !recording.hasCallbacks() && !lostStored && !services.isForward() &&
          memory.holdsStored(static_cast<uint32_t>(index));
@@ -39,7 +39,7 @@ std::vector<PendingAdjoint> AdjointForms::pending() const {
   std::vector<PendingAdjoint> pending;
   for (uint32_t index : plan.replayed()) {
     Kernel *kernel = recording[index].kernel;
-    // Those that are not pruned need not be differentiable.
+    // Unpruned launches need not be differentiable.
     if (!kernel || plan[index] == TapePlan::Decision::Unpruned)
       continue;
     PendingAdjoint entry = {kernel, plan.zeroesAt(index), loadsStored(index)};

@@ -48,8 +48,8 @@ Status ForwardReplay::replay(size_t index) {
 Status ForwardReplay::replayWrite(HostWrite write) {
   Status status = services.activateFor(write);
   services.perform(write);
-  // What the host writes is a constant; before the first launch, it is the
-  // point at which one differentiates.
+  // A value that the host writes is a constant; before the first launch, it is
+  // the point at which one differentiates.
   const char zeros[8] = {};
   write.field =
       services.isForward() && launched ? write.field->dual() : nullptr;

@@ -26,7 +26,7 @@ using namespace mlir::tai::runtime;
 
 struct mlir::tai::runtime::HostState {
   HostModule *module;
-  /// Those that the program itself may use.
+  /// The trees that the program itself may use.
   const std::vector<TreePtr> *trees;
   std::unique_ptr<Tape> tape;
   /// Names come as literals of the module: found once by address.
@@ -83,7 +83,7 @@ Status mlir::tai::runtime::runHost(Runtime &runtime, TaiKernelFn function,
   return status ? runtime.synchronize() : std::move(status);
 }
 
-/// Passes a failure on to the host program. Returns what the caller returns.
+/// Passes a failure on to the host program. Returns the caller's return value.
 static int32_t report(Launch &launch, Status status) {
   if (status)
     return 0;
@@ -97,8 +97,8 @@ static int32_t reportUsage(Launch &launch, std::string message,
                                         where ? where : ""));
 }
 
-/// What the program itself uses it finds on the host, whatever kernels have
-/// done since.
+/// The program itself finds its fields on the host, whatever kernels have done
+/// since.
 static int32_t returnTo(Launch &launch, Status status) {
   launch.owner().settleZeros(fieldsIn(*launch.host->trees));
   if (launch.owner().getDevice() && launch.host->module->usesTrees)
@@ -216,7 +216,7 @@ public:
     Status status = runtime.beginTape(loss, true, launch.host->tape);
     if (!status)
       return report(launch, std::move(status));
-    // What all evaluations start from.
+    // The start of all evaluations.
     before = save();
     if (region(&launch, closure) != 0 || launch.hasFailed())
       return 1;
@@ -331,7 +331,7 @@ private:
     return true;
   }
 
-  /// Finds the elements whose first values matter. Those that the region
+  /// Finds the elements whose first values matter. Elements that the region
   /// overwrites before it reads them (all but the first step of a field with a
   /// time axis, say) have adjoints, but no difference of them shows anything.
   bool findInputs(Field &field, const std::vector<char *> &values,
@@ -359,8 +359,8 @@ private:
       return true;
     if (!evaluate(field, values, none, 0, reference))
       return false;
-    // Whole groups at once, and halves of those that matter; what is not told
-    // apart within the budget is checked.
+    // Whole groups at once, and halves of those that matter; elements that are
+    // not told apart within the budget are checked.
     unsigned budget = 48;
     std::vector<std::pair<size_t, size_t>> groups = {{0, written.size()}};
     for (size_t g = 0; g < groups.size(); ++g) {

@@ -10,8 +10,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// Whether a derivative by what the field holds ends there, though it could be
-/// one.
+/// Whether a derivative by the field's contents ends there, though it could
+/// have one.
 static bool endsGradients(const Field &field) {
   return isFloat(field.scalar()) && !field.adjoint() && !field.isAdjoint();
 }
@@ -64,7 +64,7 @@ size_t LostGradients::hash(const TapeRecording &recording,
     mix(std::hash<const void *>()(kernel.get()));
   if (!hasArrays)
     return hash;
-  // Which launches share arrays, wherever these lie, and what the host does.
+  // Launches that share arrays, at any address, and calls of the host.
   struct Seen {
     uint64_t end;
     size_t number;
@@ -126,7 +126,7 @@ void LostGradients::find(const TapeServices &services,
              recording.write(record).replacesAll())
       tracker.overwrite(*recording.write(record).field);
   }
-  // What a device holds is not looked at.
+  // Memory of a device is not looked at.
   FlowTracker::CutSet cuts =
       tracker.cutsOfArrays([&](uint64_t address, uint64_t bytes) {
         const auto *adjoint = reinterpret_cast<const char *>(address);

@@ -21,8 +21,8 @@ struct Used {
   std::vector<char> positions;
   bool anywhere = false;
   bool any = false;
-  /// Of these elements, those that a record stores which was the first to use
-  /// them: slabs, and what else there is.
+  /// Elements whose first user is a record that stores them: slabs, and
+  /// boxes.
   std::vector<char> stored;
   OwedZeros boxes;
 
@@ -99,7 +99,7 @@ bool storesSlab(const Access &access) {
   return true;
 }
 
-/// What launches of a kernel but the first need to look at.
+/// The facts that launches of a kernel after the first look at.
 struct Repeated {
   struct Use {
     size_t used;

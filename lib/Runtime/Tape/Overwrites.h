@@ -5,13 +5,14 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Which launches overwrite elements that an earlier one has used, according to
-// summaries: their adjoints must zero the adjoints of these elements during the
-// sweep. If a launch is the first to access the elements that it stores, no
-// later adjoint in the sweep reads their adjoints, so these can be zeroed after
-// the sweep (OwedZeros.h), if it is known which they are. A kernel may have
-// hundreds of accesses at constant indices (the columns of a matrix of
-// weights), which are the same in all its launches: these are analysed once.
+// Finds the launches that overwrite elements that an earlier one has used,
+// according to summaries: their adjoints must zero the adjoints of these
+// elements during the sweep. If a launch is the first to access the elements
+// that it stores, no later adjoint in the sweep reads their adjoints, so these
+// can be zeroed after the sweep (OwedZeros.h), if it is known which they are. A
+// kernel may have hundreds of accesses at constant indices (the columns of a
+// matrix of weights), which are the same in all its launches: these are
+// analysed once.
 //
 //===----------------------------------------------------------------------===//
 

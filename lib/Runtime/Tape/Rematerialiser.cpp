@@ -90,7 +90,7 @@ bool Rematerialiser::mayNeed(size_t index) const {
   return recording.callsInReverse() || TapePlan::isReplayed(plan[index]);
 }
 
-/// Goes through [from, to) in reverse by saving what is overwritten there.
+/// Goes through [from, to) in reverse by saving the values overwritten there.
 /// Memory is that before `from`, and anything afterwards.
 Status Rematerialiser::reverseSaving(Launch &launch, size_t from, size_t to) {
   memory.beginSegment(static_cast<uint32_t>(from));

@@ -74,7 +74,7 @@ Status ReverseSweep::runAdjoint(Launch &launch, size_t index) {
     return Status::success();
   Kernel *adjoint = nullptr;
   Status status = forms.find(index, adjoint);
-  // What the loss does not depend on need not be differentiable.
+  // A launch that the loss does not depend on need not be differentiable.
   if (!status && plan[index] == Decision::Unpruned)
     return Status::success();
   if (!status || !adjoint)
@@ -117,7 +117,7 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
 }
 
 Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {
-  // Activity is what it was when the function was done.
+  // Activity is that of the end of the function.
   for (SparseNode *node : TapedKernel::sparseNodes(kernel))
     lists.addUnknown(
         *node, node->list(),

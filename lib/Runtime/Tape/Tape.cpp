@@ -61,7 +61,7 @@ void Tape::plan(bool cleared) {
 }
 
 namespace {
-/// While it lives, what is launched on a device becomes one piece of work.
+/// While it lives, the launches on a device become one piece of work.
 class CollectedWork {
 public:
   explicit CollectedWork(Runtime &runtime, bool isReplay = false)
@@ -73,7 +73,7 @@ public:
   CollectedWork(const CollectedWork &) = delete;
   CollectedWork &operator=(const CollectedWork &) = delete;
 
-  /// Queues it. What has gone wrong before comes first.
+  /// Queues it. An earlier failure comes first.
   Status finish(Status status) {
     if (!device)
       return status;
@@ -181,7 +181,7 @@ Status Tape::sweep() {
   tape.topology.endReverse(notes);
   for (const auto &[adjoint, zeros] : tape.plan.zerosAfter())
     tape.services.oweZeros(adjoint, zeros);
-  // Host functions may have changed what they like.
+  // Host functions may have made any changes.
   tape.changes.begin(tape.memory);
   if (status)
     tape.report.checkEffect(tape.recording, tape.plan, tape.seeds.names());

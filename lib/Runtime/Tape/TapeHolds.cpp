@@ -40,14 +40,14 @@ Status TapeHolds::add(const Kernel &kernel) {
   for (const Access &access : kernel.summary()) {
     if (status)
       status = add(access.field, holdKindOf(access.kind));
-    // What is active is part of the sequence, and the same for all fields.
+    // Activity is part of the sequence, and the same for all fields.
     if (status && access.field->sparseNode() && access.field->valid())
       status = add(services.firstOf(access.field->tree()), HoldKind::Write);
     if (access.field->adjoint())
       (access.kind == AccessKind::Read ? reads : changes) = true;
   }
-  // A sweep adds to the gradients of what is read, and takes those of what is
-  // changed to be of this tape.
+  // A sweep adds to the gradients of read fields, and takes those of changed
+  // fields to be of this tape.
   if (reads && changes)
     for (const Access &access : kernel.summary())
       if (status && TapedField::adjoint(*access.field))

@@ -36,8 +36,8 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
     return skip(Decision::SkipUnreached);
   if (!TapedKernel::targets(kernel).empty() || caller.hasTargets)
     return Decision::Replay;
-  // What remains is to forget the adjoints of what the kernel overwrote. That
-  // matters only to those who wrote it before.
+  // The rest of the work is to forget the adjoints of fields that the kernel
+  // overwrote. That matters only to those who wrote it before.
   const std::vector<Field *> &overwritten = TapedKernel::overwritten(kernel);
   if (zeroesAt(index) &&
       std::any_of(overwritten.begin(), overwritten.end(), live))

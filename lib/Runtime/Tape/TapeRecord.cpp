@@ -7,7 +7,7 @@
 //
 // The path of a launch while a tape records. It runs hundreds of thousands of
 // times: the data about a kernel is found by one pointer, and a few loads
-// compare what a launch changes with what is read in reverse.
+// compare the changes of a launch with the reads of adjoints.
 //
 //===----------------------------------------------------------------------===//
 
@@ -39,13 +39,13 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
                            "nest");
   DeviceContext *device = runtime.getDeviceContext();
   TapeServices services(runtime);
-  // A device recognises recordings that come again by what is queued.
+  // A device recognises recordings that come again by their queued work.
   if (device && services.anyRecording())
     return Status::failure(StatusCode::Usage,
                            "another thread records a tape, and a GPU has room "
                            "for one at a time: let it finish first");
   std::unique_ptr<Tape> made(new Tape(runtime, stamp, clears));
-  // From here on it holds what it uses.
+  // From here on it holds its fields.
   Status held = made->parts->holds.hold();
   if (!held)
     return held;
@@ -74,7 +74,7 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
 }
 
 void Tape::end(bool isSwept) {
-  // Of whichever thread: a tape may be dropped by another one.
+  // The thread may be another one, since any thread may drop a tape.
   if (!std::exchange(parts->isOpen, false))
     return;
   parts->services.endRecording(*this);
@@ -156,7 +156,7 @@ Status Tape::adopt(Kernel &kernel) {
   return Status::success();
 }
 
-/// What it knows of a kernel, which it adopts if it has not yet.
+/// The tape's data about a kernel, which it adopts if it has not yet.
 Status Tape::findUses(Kernel &kernel, const void *&uses) {
   bool isAlone = !parts->services.recordsTogether();
   uses = TapedKernel::knownTo(kernel, parts->stamp);
@@ -205,7 +205,7 @@ Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
                  ? tape.checks->run(launch, kernel, args, results, number)
                  : tape.services.run(launch, kernel, args, results, number);
   if (__builtin_expect(!status.ok(), false)) {
-    // What it did to memory is undone with the record that comes next.
+    // Its changes of memory are undone with the record that comes next.
     tape.memory.settle();
     return status;
   }

@@ -76,8 +76,8 @@ public:
     records.push_back({&kernel, lastLaunch, slots.size()});
     slots.insert(slots.end(), args, args + kernel.tapeSlots());
   }
-  /// `start`: the number of its first launch (or what it would have been).
-  /// `next`: the number of the next launch.
+  /// `start`: the number of its first launch (or the number that it would
+  /// have). `next`: the number of the next launch.
   void addCallback(TapeCallback callback, uint64_t start, uint64_t next);
   void addWrite(FieldPtr field, const HostWrite &write);
 

@@ -53,7 +53,8 @@ private:
   OpBuilder builder;
   Location loc = builder.getUnknownLoc();
   IRMapping clones;
-  /// Values of variables, as i64. Those of loops are of one violation.
+  /// Values of variables, as i64. Loop variables have the values of one
+  /// violation.
   llvm::DenseMap<unsigned, Value> launchValues, iteration;
   /// Systems that are refused already.
   SmallVector<LinearSystem> refused;
@@ -125,8 +126,8 @@ Value PreconditionWriter::emit(const LinearSum &sum) {
   return result;
 }
 
-/// row >= 0. One or two numbers are compared as they are: what is computed from
-/// them might wrap around.
+/// row >= 0. One or two numbers are compared directly, since their difference
+/// might wrap around.
 Value PreconditionWriter::emitHolds(const LinearSum &row) {
   auto compare = [&](arith::CmpIPredicate predicate, Value a, Value b) {
     return arith::CmpIOp::create(builder, loc, predicate, a, b).getResult();
@@ -208,7 +209,7 @@ void PreconditionWriter::refuse(const IndexedAccess &access, size_t number,
              (!factors.empty() && self(self, factors[1]));
     });
   };
-  // What depends on data is not known before.
+  // A data-dependent index is not known before.
   std::string message = "index [";
   SmallVector<Value> shown;
   bool isOfElement = number < access.rank;

@@ -37,7 +37,7 @@ bool mlir::tai::keepsNonFinite(OpOperand &use) {
   Operation *op = use.getOwner();
   if (isa<math::AbsFOp, math::SqrtOp, math::LogOp, math::Log2Op, math::Log10Op,
           math::Log1pOp, NormOp, DeterminantOp, TraceOp>(op))
-    // The trace drops what is not on the diagonal.
+    // The trace drops elements off the diagonal.
     return !isa<TraceOp>(op);
   return passesOn(use) && !isa<arith::SelectOp, vector::ExtractOp,
                                vector::InsertOp, vector::ToElementsOp>(op);
@@ -105,7 +105,7 @@ Value mlir::tai::createTestOfFinite(OpBuilder &builder, Location loc,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// What a guarded product makes of its seed.
+/// The effect of a guarded product on its seed.
 class Product {
 public:
   explicit Product(arith::SelectOp guard)
@@ -149,7 +149,7 @@ static bool isDivisorOfNorm(OpOperand &use) {
   return getTestedForZero(select) == norm;
 }
 
-/// The factors and divisors of the seed in what the guard selects.
+/// Requires the factors and divisors of the seed in the guard's product.
 bool FiniteConditions::requirePartial(arith::SelectOp guard) {
   Product product(guard);
   Value result = guard.getFalseValue();
@@ -180,8 +180,8 @@ bool FiniteConditions::requirePartial(arith::SelectOp guard) {
   return true;
 }
 
-/// Of what comes into a block from iterations that may have met something that
-/// is not finite.
+/// Requires values that come into a block from iterations that may have met
+/// something that is not finite.
 bool FiniteConditions::requireSeeds(Value value, Block &block) {
   if (!isFloatOrVector(value.getType()) || !followed.insert(value).second)
     return true;
@@ -194,8 +194,8 @@ bool FiniteConditions::requireSeeds(Value value, Block &block) {
     finite.insert(value);
     return true;
   }
-  // Guards around the block keep their conditions to themselves: what comes
-  // from there may be infinite.
+  // Guards around the block keep their conditions to themselves: values from
+  // there may be infinite.
   bool comesFromAround = !block.findAncestorOpInBlock(*op);
   if (isa<LoopLikeOpInterface>(op) ||
       (comesFromAround && facts.mayBeNonFinite(value))) {
@@ -247,7 +247,7 @@ static bool isFiniteOfFinite(Operation *op) {
              DeterminantOp, StopGradientOp>(op);
 }
 
-/// A maximum or minimum that is written as a choice between what is compared.
+/// A maximum or minimum that is written as a select of the compared operands.
 static bool isGreatestOrLeast(Operation *op) {
   auto select = dyn_cast<arith::SelectOp>(op);
   if (!select)
@@ -303,7 +303,7 @@ bool FiniteConditions::requireFinite(Value value, Operation *at) {
     finite.insert(value);
     return true;
   }
-  // Of two numbers that may be as large as numbers are.
+  // A product of two numbers, each of which may be as large as the largest.
   if (isa<arith::MulFOp>(op) && !isa<VectorType>(value.getType()) &&
       facts.mayBeNonFinite(value) &&
       !llvm::any_of(op->getOperands(), [](Value operand) {
@@ -348,7 +348,7 @@ bool FiniteConditions::requireClear(Value value, Operation *at,
   if (facts.isNonZero(value, at) || isNormOrNumber(value))
     return requireFinite(value, at);
   Operation *op = value.getDefiningOp();
-  // What is as far from zero as its operand, or farther.
+  // Values as far from zero as their operand, or farther.
   if (isa_and_nonnull<vector::BroadcastOp>(op))
     return requireClear(op->getOperand(0), at, isPositive);
   if (auto root = dyn_cast_if_present<math::SqrtOp>(op)) {
@@ -510,7 +510,7 @@ void FiniteConditions::simplify(function_ref<bool(Value)> isAvailable) {
 Value FiniteConditions::createTest(OpBuilder &builder, Location loc,
                                    function_ref<bool(Value)> isIncluded) {
   SmallVector<Value> sums = llvm::filter_to_vector(finite, isIncluded);
-  // Of a single value, the size says that it is finite, too.
+  // The size test of a single value includes finiteness, too.
   bool isSingle = sums.size() == 1 && isa<FloatType>(sums[0].getType()) &&
                   llvm::filter_to_vector(clear, isIncluded) == sums;
   Value all = isSingle ? Value() : createTestOfFinite(builder, loc, sums);

@@ -92,7 +92,8 @@ private:
   DenseSet<Value> positive, strict;
   DenseSet<Value> required, cleared, followed;
   DenseSet<Operation *> apart;
-  /// Of the guards: what is defined in front of it is taken as it is.
+  /// The block of the guards: values defined in front of it are taken as they
+  /// are.
   Block *scope = nullptr;
   DenseMap<Value, bool> told;
 };

@@ -136,7 +136,7 @@ LogicalResult Guard::run() {
                          .getResult()
                    : isOverflow;
   }
-  // By one, the smallest integer stays what it is, and leaves nothing.
+  // Division by one keeps the smallest integer, and has remainder zero.
   op->setOperand(1, arith::SelectOp::create(builder, loc, isUnsafe,
                                             constant(one), op->getOperand(1)));
   // A remainder by one is zero already.
@@ -150,8 +150,8 @@ LogicalResult Guard::run() {
   return success();
 }
 
-/// True for what this project compiles: kernels, and host functions around
-/// them.
+/// True for functions that this project compiles: kernels, and host functions
+/// around them.
 static bool isOurs(Operation *function) {
   if (isa<KernelOp>(function))
     return true;

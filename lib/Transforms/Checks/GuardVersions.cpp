@@ -29,8 +29,8 @@ static void sinkInto(Block *to, Operation *branch) {
 scf::IfOp tai::createVersions(Operation *begin, Value condition,
                               IRMapping &bare, ArrayRef<Operation *> own) {
   Block &block = *begin->getBlock();
-  // What comes afterwards follows in both branches: results that wait for the
-  // test would all be alive at once.
+  // The code behind it follows in both branches: results that wait for the test
+  // would all be alive at once.
   Operation *terminator = block.getTerminator();
   SetVector<Operation *> moved(own.begin(), own.end());
   SmallVector<Operation *> tail;
@@ -164,7 +164,7 @@ bool EarlyTest::canComeEarly(Value value) {
   return isMovedEarly[op] = result;
 }
 
-/// Moves what a value is computed from in front of the first guard.
+/// Moves the computation of a value in front of the first guard.
 void EarlyTest::moveEarly(Value value) {
   Operation *op = value.getDefiningOp();
   if (!op || op->getBlock() != &block || op->isBeforeInBlock(first))
@@ -234,7 +234,7 @@ bool EarlyTest::run() {
   IRMapping bare;
   scf::IfOp branch = createVersions(first, test, bare, /*own=*/{});
   bareBlock = branch.thenBlock();
-  // What derivatives of norms choose where a norm is zero.
+  // Selects of derivatives of norms at a norm of zero.
   DenseSet<Value> nonZero;
   for (Value value : conditions.findNonZero())
     nonZero.insert(bare.lookupOrDefault(value));

@@ -29,8 +29,8 @@ bool hasGuardsInside(Operation &op);
 
 Value markLikely(OpBuilder &builder, Value condition);
 
-/// Puts what stands from `begin` on in a block into both branches of an if: as
-/// `bare` maps it, and as it is, behind `own`.
+/// Puts the code from `begin` on in a block into both branches of an if: as
+/// `bare` maps it, and unchanged, behind `own`.
 scf::IfOp createVersions(Operation *begin, Value condition, IRMapping &bare,
                          ArrayRef<Operation *> own);
 
@@ -63,13 +63,13 @@ private:
   Block::iterator begin;
   bool isPart = false;
   Block *bareBlock = nullptr;
-  /// Those whose results matter to more than conditions of guards.
+  /// Guards whose results have other users than conditions of guards.
   SmallVector<arith::SelectOp> guards;
   /// The first op in the block that is or has a guard.
   Operation *first = nullptr;
   size_t numOps = 0;
   FiniteConditions conditions;
-  /// Of ops behind the first guard, whether they can be in front of it.
+  /// Ops behind the first guard, and whether they can be in front of it.
   DenseMap<Operation *, bool> isMovedEarly;
 };
 

@@ -108,7 +108,7 @@ Value Instrumentation::createComponent(const Shadow &shadow, ValueRange indices,
   isInside = arith::ConstantIntOp::create(b, 1, 1);
   auto add = [&](Value position, int64_t first, int64_t extent) {
     position = b.createOrFold<arith::SubIOp>(position, index(first));
-    // What lies outside is reported by the checks of indices.
+    // The checks of indices report components outside.
     Value fits = arith::CmpIOp::create(b, arith::CmpIPredicate::ult, position,
                                        index(extent));
     isInside = b.createOrFold<arith::AndIOp>(isInside, fits);
@@ -206,7 +206,7 @@ void Instrumentation::check(Operation *access, FieldUse use, bool isClearing,
     createReport(arith::AndIOp::create(b, wasOnlyWritten, alone), writer,
                  component, ViolationKind::WrittenTwice);
   }
-  // What is reported once begins anew.
+  // An element that was reported begins anew.
   write(none, component, ShadowWord::Reader);
   write(isClearing ? none : id, component, ShadowWord::Writer);
   write(isClearing ? none : stamp, component, ShadowWord::Loop);

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// MLIR's inliner asks the dialect of each op with a region what may go there.
-// With --allow-unregistered-dialect there may be none to ask, and the process
-// ends. Here that is an error.
+// MLIR's inliner asks the dialect of each op with a region which ops may go
+// there. With --allow-unregistered-dialect there may be none to ask, and the
+// process ends. Here that is an error.
 //
 //===----------------------------------------------------------------------===//
 

@@ -67,8 +67,8 @@ private:
 };
 } // namespace
 
-/// Moves what is pure and depends on nothing behind the end in front of it,
-/// where there is a guard among that or in the segment.
+/// Moves pure ops that depend on nothing behind the end in front of it, if
+/// there is a guard among them or in the segment.
 void Segment::hoist(Operation *begin) {
   DenseSet<Operation *> behind;
   SmallVector<Operation *> movable;
@@ -107,8 +107,8 @@ void Segment::findConditions() {
   }
 }
 
-/// What guards decide, as far as the end; false if something among it may hide
-/// that a value is not finite.
+/// Finds the ops that depend on guards, as far as the end; false if one of them
+/// may hide that a value is not finite.
 bool Segment::findDependents() {
   DenseSet<Operation *> reached(guards.begin(), guards.end());
   for (Operation *op : ops) {
@@ -130,7 +130,7 @@ bool Segment::findDependents() {
   return true;
 }
 
-/// What must be finite for all guards to have no effect: the product that a
+/// The values whose finiteness makes all guards ineffective: the product that a
 /// guard selects, and the adjoint that is multiplied behind a guard against
 /// infinite adjoints.
 SmallVector<Value> Segment::findFactors() {
@@ -158,7 +158,7 @@ SmallVector<Value> Segment::findFactors() {
   return factors.takeVector();
 }
 
-/// Those of the values that no other of them tells about.
+/// Drops the values whose finiteness follows from others.
 SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
   DenseSet<Value> tested(values.begin(), values.end()), told;
   for (Operation *op : llvm::reverse(ops))
@@ -246,7 +246,7 @@ bool Segment::run(Operation *begin) {
   if (!findDependents())
     return false;
   findResults();
-  // A test of a result costs about what a guard does. Code that is twice there
+  // A test of a result costs about as much as a guard. Code that is twice there
   // takes twice as long to compile.
   constexpr size_t most = 2000, mostBehind = 300;
   if (results.empty() || guards.size() + conditions.size() <= results.size() ||
@@ -256,7 +256,8 @@ bool Segment::run(Operation *begin) {
   return true;
 }
 
-/// Whether the op stays where it is, and what comes after it is apart.
+/// Whether the op stays in its place, and separates the ops before and behind
+/// it.
 static bool isBarrier(Operation *op) {
   return op->hasTrait<OpTrait::IsTerminator>() || op->getNumRegions() != 0 ||
          !(isMemoryEffectFree(op) || hasSingleEffect<MemoryEffects::Read>(op));

@@ -84,12 +84,12 @@ void Checkpoints::push(uint32_t record) {
 
 bool Checkpoints::tooMany() const {
   if (policy.budget > 0)
-    // The next one, what the fields hold at the end, and the values of a single
-    // record take at most as much as the largest so far each.
+    // The next snapshot, the contents of the fields at the end, and the values
+    // of a single record take at most as much as the largest so far each.
     return total + 3 * largest > policy.budget;
   if (policy.snapshots > 0)
     return count() >= policy.snapshots;
-  // As many as each of them has records, or twice that.
+  // The number of snapshots is that of the records of a segment, or twice that.
   return count() >= 2 * int64_t(stride);
 }
 
@@ -177,7 +177,7 @@ void Checkpoints::restore() {
     piece.putBack();
 }
 
-/// What both hold is older in the one before.
+/// If both snapshots hold a part, the earlier one has the older contents.
 void Checkpoints::mergeIntoPrevious(size_t index) {
   Log &older = logs[index - 1], &newer = logs[index];
   uint32_t mark = ++ids;

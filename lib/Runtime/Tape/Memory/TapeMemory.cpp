@@ -15,7 +15,7 @@
 using namespace mlir::tai::runtime;
 
 //===----------------------------------------------------------------------===//
-// What launches do to memory
+// Effects of launches on memory
 //===----------------------------------------------------------------------===//
 
 int64_t TapeMemory::Use::locate(const uint64_t *args) const {
@@ -290,7 +290,7 @@ void TapeMemory::settle() {
     Piece &piece = pieces[i];
     Track &track = *piece.track;
     if (piece.holds()) {
-      // Still what the last read needs.
+      // The last read still needs it.
       saved -= piece.keptBytes();
       std::fill(track.savedAt.begin() + piece.cell,
                 track.savedAt.begin() + piece.endCell, 0);
@@ -372,7 +372,7 @@ int64_t TapeMemory::bytesAt(uint32_t record) const {
 
 void TapeMemory::swap(Piece &piece, std::vector<char> &spare) {
   auto bytes = static_cast<size_t>(piece.bytes());
-  // What has been zeros has no memory until it is put back.
+  // A piece that was all zeros has no memory until it is restored.
   if (!piece.block && piece.track->slabs.onDevice()) {
     Status status =
         piece.track->slabs.zerosOnDevice(piece.count(), piece.block);
@@ -511,7 +511,8 @@ void TapeMemory::leave(bool reexecutes) {
 }
 
 void TapeMemory::endReverse() {
-  // Of the record that was entered last, what was wanted early is back already.
+  // In the record that was entered last, pieces wanted early are restored
+  // already.
   some.clear();
   for (; cursor > 0 && pieces[cursor - 1].record == entered; --cursor)
     if (!pieces[cursor - 1].before)

@@ -62,8 +62,8 @@ public:
     std::vector<Use> reads;
     /// Reads of the adjoint variant that loads stored outputs.
     std::vector<Use> stored;
-    /// Changes and reads of the kernel itself: what the reverse of a host
-    /// function that launches it may read.
+    /// Changes and reads of the kernel itself: memory that the reverse of a
+    /// host function that launches it may read.
     std::vector<Use> touches;
     bool reexecutes = false;
   };
@@ -99,7 +99,7 @@ public:
   /// Starts a forward replay of the same records; call beforeReplay before each
   /// of them.
   void restart();
-  /// `oldest`: the first record whose adjoint may need what is overwritten.
+  /// `oldest`: the first record whose adjoint may need the overwritten values.
   Status beforeReplay(uint32_t record, uint32_t oldest = 0);
   /// Drops saved values; the records from this one on will be re-executed.
   void beginSegment(uint32_t record);

@@ -66,7 +66,8 @@ void TapeTopology::update(Watched &entry, uint32_t record) {
     add(std::move(change));
 }
 
-/// What was kept on a device comes later than what the host has seen.
+/// A change kept on a device is recorded later than the changes that the host
+/// has seen.
 void TapeTopology::add(Change change) {
   auto after = std::upper_bound(
       changed.begin(), changed.end(), change.record,
@@ -109,7 +110,7 @@ void TapeTopology::noteLoops(uint32_t record, const LoopLists &lists) {
 }
 
 void TapeTopology::restart() {
-  // What was kept before belongs to what goes.
+  // Earlier records belong to the memory that is freed.
   for (Watched &entry : watched)
     if (entry.tree->base())
       (void)entry.node->epoch();
@@ -311,7 +312,8 @@ int64_t TapeTopology::dropAdjoints(const Change &change, Field &field,
   auto has = [](const std::vector<int64_t> &cells, int64_t cell) {
     return std::binary_search(cells.begin(), cells.end(), cell);
   };
-  // What was cleared before the sweep reached it belonged to nobody's start.
+  // A cell cleared before the sweep reached it is not part of any initial
+  // state.
   auto wasCleared = [&](int64_t cell) {
     for (size_t i = 0; i < firstPassed; ++i)
       if (changed[i].node == change.node && has(changed[i].cleared, cell))

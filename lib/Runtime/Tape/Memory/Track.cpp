@@ -51,7 +51,7 @@ int64_t Track::refresh() {
     return numCells();
   SparseNode &node = *field->sparseNode();
   // To know which cells have been active, the host would wait for the device.
-  // Of those that have not, zeros are kept.
+  // Cells that have not been active are kept as zeros.
   constexpr int64_t fewBytes = 256 << 10;
   if (slabs.onDevice() && slabs.dimension() < 0 &&
       node.numCells() * slabs.elementBytes() <= fewBytes &&
