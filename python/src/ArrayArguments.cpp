@@ -314,7 +314,13 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   Match match = packOne(type, object);
   if (match != Match::Yes || !arg.hasGradient)
     return match;
-  static const Name gradient("grad");
+  static const Name gradient("grad"), isLeaf("is_leaf");
+  if (use != ArrayUse::Forward) {
+    // Python code says why a tensor that torch computed cannot be used.
+    py::object leaf = take(get(object, isLeaf));
+    if (leaf && leaf.is(py::bool_(false)))
+      return Match::No;
+  }
   return packGradient(object, gradient, slots, first, [&](PyObject *tensor) {
     // That of a parameter of a network is a plain tensor.
     TensorType type = findTensorType(tensor);

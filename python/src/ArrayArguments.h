@@ -34,6 +34,9 @@ struct ArrayArg {
   /// Otherwise a `ti.ndarray` does, and for other arrays none do.
   bool isElementFixed = false;
   bool isWritten = false;
+  /// The launch reads the array, and stores values that depend on it where
+  /// torch does not know of the dependence.
+  bool cutsGraph = false;
 };
 
 /// How a launch uses the gradients of its arrays.

@@ -60,6 +60,8 @@ inline bool watchesNumbers() {
   return __builtin_expect(watchingThreads != 0, false) && watchesNumbersHere;
 }
 std::unordered_set<uint64_t> knownSites;
+/// Places where Python has looked at a launch that cuts a graph of torch.
+std::unordered_set<uint64_t> knownGraphSites;
 
 /// The launcher of the current call.
 const PyObject *calledLauncher = nullptr;
@@ -77,15 +79,32 @@ uint64_t siteOf(PyCodeObject *code, int line, const PyObject *launcher) {
   return site + static_cast<uint64_t>(line);
 }
 
-bool isKnownSite() {
+bool isKnownSite(const std::unordered_set<uint64_t> &known) {
   PyFrameObject *frame = PyEval_GetFrame(); // borrowed
   if (!frame)
     return true;
   PyCodeObject *code = PyFrame_GetCode(frame);
   uint64_t site = siteOf(code, PyFrame_GetLineNumber(frame), calledLauncher);
-  bool isKnown = knownSites.count(site) != 0;
+  bool isKnown = known.count(site) != 0;
   Py_DECREF(code);
   return isKnown;
+}
+
+/// Whether torch records what is computed now.
+bool isTorchRecording() {
+  static PyObject *isGradEnabled = nullptr;
+  if (!isGradEnabled) {
+    PyObject *module = PyImport_GetModule(py::str("torch").ptr());
+    if (!module)
+      return false;
+    isGradEnabled = PyObject_GetAttrString(module, "is_grad_enabled");
+    Py_DECREF(module);
+  }
+  py::object on = py::reinterpret_steal<py::object>(
+      isGradEnabled ? PyObject_CallNoArgs(isGradEnabled) : nullptr);
+  if (!on)
+    forgetError();
+  return on && on.is(py::bool_(true));
 }
 
 enum class ArgKind : char {
@@ -200,6 +219,9 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
   case ArgKind::Constant:
     return arg.value->matches(object) ? Match::Yes : Match::No;
   case ArgKind::Array:
+    if (arg.array.cutsGraph && !spec.grad && !isRecording() &&
+        isTorchRecording() && !isKnownSite(knownGraphSites))
+      return Match::No;
     if (!held)
       held.emplace(*spec.kernel,
                    isRecording() ? ArrayUse::Recorded
@@ -210,7 +232,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
   case ArgKind::F32:
   case ArgKind::F64: {
     double number;
-    if (watchesNumbers() && !PyLong_Check(object) && !isKnownSite())
+    if (watchesNumbers() && !PyLong_Check(object) && !isKnownSite(knownSites))
       return Match::No;
     if (PyFloat_CheckExact(object)) {
       number = PyFloat_AS_DOUBLE(object);
@@ -467,6 +489,7 @@ Arg parseArg(const py::tuple &description) {
     array.hasGradient = description[4].cast<bool>();
     array.isElementFixed = description[5].cast<bool>();
     array.isWritten = description[6].cast<bool>();
+    array.cutsGraph = description[7].cast<bool>();
   }
   return arg;
 }
@@ -516,12 +539,20 @@ void taipy::bindLauncher(py::module_ &module) {
   });
   module.def("watch_numbers",
              [](bool on) { setFlag(watchesNumbersHere, watchingThreads, on); });
-  module.def("forget_sites", [] { knownSites.clear(); });
+  module.def("forget_sites", [] {
+    knownSites.clear();
+    knownGraphSites.clear();
+  });
   // The caller keeps the code object alive.
   module.def("note_site", [](const py::object &code, int line,
                              const py::object &launcher) {
     knownSites.insert(siteOf(reinterpret_cast<PyCodeObject *>(code.ptr()), line,
                              launcher.ptr()));
+  });
+  module.def("note_graph_site", [](const py::object &code, int line,
+                                   const py::object &launcher) {
+    knownGraphSites.insert(siteOf(reinterpret_cast<PyCodeObject *>(code.ptr()),
+                                  line, launcher.ptr()));
   });
   module.def("set_forward_mode", [](bool on) {
     setFlag(isForwardHere, forwardThreads, on);

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import tai as ti
+from tai._impl.tracking import tape_arrays
 
 
 @pytest.fixture(autouse=True)
@@ -229,3 +230,110 @@ def test_one_array_twice_under_a_tape():
         step(a, a)
     step(a, a)
     assert a.tolist() == [0, 0, 0]
+
+
+# Views whose elements share memory
+
+
+@ti.kernel
+def count_up(a: ti.types.ndarray()):
+    for i in range(a.shape[0]):
+        a[i] += 1
+
+
+@ti.kernel
+def count_up_rows(a: ti.types.ndarray()):
+    for i, j in ti.ndrange(a.shape[0], a.shape[1]):
+        a[i, j] += 1
+
+
+@ti.kernel
+def sum_rows(a: ti.types.ndarray()) -> ti.f64:
+    s = 0.0
+    for i, j in ti.ndrange(a.shape[0], a.shape[1]):
+        s += a[i, j]
+    return s
+
+
+def strided(array, shape, steps):
+    return np.lib.stride_tricks.as_strided(array, shape, tuple(8 * step for step in steps))
+
+
+def brute_force(array):
+    """Whether two elements have one address."""
+    grids = np.meshgrid(*(np.arange(n) for n in array.shape), indexing="ij")
+    places = sum(g * step for g, step in zip(grids, array.strides, strict=True))
+    return len(np.unique(places)) < array.size
+
+
+@pytest.mark.parametrize("n", [2, 5, 65_537])
+def test_views_that_overlap_themselves_are_not_written(n):
+    z = np.arange(2.0 * n)
+    for view, kernel in [
+        (strided(z, (n,), (0,)), count_up),
+        (strided(z, (n, 2), (0, 1)), count_up_rows),
+        (strided(z, (n, 2), (1, 1)), count_up_rows),
+        (np.lib.stride_tricks.sliding_window_view(z, n, writeable=True), count_up_rows),
+        (strided(z[::-1], (n, 2), (-1, -1)), count_up_rows),
+    ]:
+        for _ in range(2):
+            with pytest.raises(
+                ti.TaiRuntimeTypeError, match="elements of array 'a' of kernel 'count_up.*' share"
+            ) as caught:
+                kernel(view)
+            assert "a.copy()" in caught.value.hint
+    assert (z == np.arange(2 * n)).all()
+
+
+def test_views_that_overlap_themselves_are_read():
+    z = np.arange(8.0)
+    assert sum_rows(strided(z, (4, 2), (0, 1))) == 4
+    assert sum_rows(np.lib.stride_tricks.sliding_window_view(z, 3)) == 63
+    # A view of which each element has its own memory is written.
+    for view in (z[::2], z[::-1], z.reshape(4, 2).T[0], strided(z, (3, 2), (2, 3))[:, 0]):
+        before = view.copy()
+        count_up(view)
+        assert (view == before + 1).all()
+    one = strided(np.zeros(1), (1, 1), (0, 0))
+    count_up_rows(one)
+    assert one[0, 0] == 1
+    count_up_rows(strided(z, (0, 5), (0, 0)))
+
+
+def test_which_views_overlap_themselves():
+    """Against all addresses, for small views of any steps."""
+    generator = np.random.default_rng(0)
+    seen = {False: 0, True: 0}
+    for _ in range(400):
+        shape = tuple(generator.integers(1, 4, size=generator.integers(1, 4)))
+        steps = tuple(generator.integers(-7, 8, size=len(shape)))
+        z = np.zeros(200)
+        view = strided(z[100:], shape, steps)
+        before = tape_arrays.overlaps_itself(view)
+        assert before == (brute_force(view) and not view.flags.c_contiguous), (shape, steps)
+        seen[before] += 1
+    assert min(seen.values()) > 50
+
+
+def test_an_expanded_tensor():
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    t = torch.zeros(1, dtype=torch.float64)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="share memory") as caught:
+        count_up(t.expand(4))
+    assert "a.clone()" in caught.value.hint
+    assert t.tolist() == [0]
+    with pytest.raises(ti.TaiRuntimeTypeError, match="share memory"):
+        count_up_rows(torch.zeros(6, dtype=torch.float64).unfold(0, 3, 1))
+    whole = torch.zeros(6, dtype=torch.float64)
+    count_up(whole[::2])
+    assert whole.tolist() == [1, 0] * 3
+
+
+def test_an_overlapping_view_under_a_tape():
+    x, loss = make_fields(4)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="share memory"), ti.ad.Tape(loss):
+        count_up(strided(np.zeros(4), (4,), (0,)))
+        weigh(x, np.ones(4), loss)
+    with ti.ad.Tape(loss):
+        weigh(x, strided(np.array([3.0]), (4,), (0,)), loss)
+    assert (x.grad.to_numpy() == 6 * (np.arange(4) + 1.0)).all()

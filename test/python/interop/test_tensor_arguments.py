@@ -283,14 +283,21 @@ def make_function(torch):
 
         @staticmethod
         def backward(ctx, bar):
-            x, w = (
-                t.detach().requires_grad_(wanted)
-                for t, wanted in zip(ctx.saved_tensors, ctx.needs_input_grad, strict=True)
-            )
+            return ProductGradient.apply(*ctx.saved_tensors, bar, ctx.needs_input_grad)
+
+    class ProductGradient(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx, *args):
+            *tensors, bar, wanted = args
+            x, w = (t.detach().requires_grad_(w) for t, w in zip(tensors, wanted, strict=True))
             y = torch.empty_like(x).requires_grad_()
             y.grad = bar.clone(memory_format=torch.contiguous_format)
             product.grad(x, w, y)
             return x.grad, w.grad
+
+        @staticmethod
+        def backward(ctx, *bars):
+            raise NotImplementedError("the gradient of 'product' has no gradient")
 
     return Product.apply
 
@@ -311,6 +318,18 @@ def test_kernels_as_functions_of_torch(torch, slow_calls):
         torch.testing.assert_close(x.grad, a.grad)
         torch.testing.assert_close(w.grad, b.grad)
     assert slow_calls == ["product", "product.grad"]
+
+
+def test_a_second_derivative_is_refused(torch):
+    function = make_function(torch)
+    x = torch.ones(2, dtype=torch.float64, requires_grad=True)
+    w = torch.ones(2, dtype=torch.float64, requires_grad=True)
+    # By what torch computed the argument from, by another argument, and by the gradient given.
+    for by, loss in ((x, function(x * x, w).sum()), (x, function(x, w**2).sum()),
+                     (w, (function(x, w) ** 2).sum())):  # fmt: skip
+        (first,) = torch.autograd.grad(loss, by, create_graph=True)
+        with pytest.raises(NotImplementedError, match="has no gradient"):
+            first.sum().backward()
 
 
 def test_the_gradient_that_is_wanted(torch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..history import torch_graphs
 from ..interop import sharing
 
 
@@ -15,7 +16,12 @@ class Shareable:
         return sharing.to_torch(self, device)
 
     def from_torch(self, tensor: Any) -> None:
-        """Copies a torch tensor into the field: from that GPU, without the host."""
+        """Copies a torch tensor into the field: from that GPU, without the host.
+
+        A `TaiGradientWarning` names the line if torch records and the tensor requires a gradient,
+        which ends there: pass `tensor.detach()` where that is meant.
+        """
+        torch_graphs.warn_of_a_copy(self, tensor)
         sharing.from_torch(self, tensor)
 
     def __dlpack__(

@@ -130,15 +130,16 @@ def note_read(field: Any) -> None:
         begin()
 
 
-def _caller() -> Any:
+def calling_frame() -> Any:
+    """The frame of the program that has called the package; None if there is none."""
     frame: Any = sys._getframe(2)
     while frame is not None and frame.f_globals.get("__name__", "").startswith("tai."):
         frame = frame.f_back
     return frame
 
 
-def _is_new(frame: Any, what: Any) -> bool:
-    """Whether the place has not been looked at; `what` is not to go away."""
+def is_new_place(frame: Any, what: Any) -> bool:
+    """Whether the line has not been looked at for `what`, an object that is kept from now on."""
     code = frame.f_code
     site = (id(code), frame.f_lineno, id(what))
     if site in _sites:
@@ -160,12 +161,12 @@ def check_call(kernel: Any, parameters: list, values: list) -> None:
     """Looks at the plain numbers that a kernel is called with."""
     if not _of_thread.watches:
         return
-    frame = _caller()
+    frame = calling_frame()
     if frame is None:
         return
     # The launcher need not come here again.
     native.note_site(frame.f_code, frame.f_lineno, kernel)
-    if not _is_new(frame, kernel):
+    if not is_new_place(frame, kernel):
         return
     scope = _Scope.of_frame(frame)
     for call in scope.calls_at(frame.f_lineno):
@@ -191,8 +192,8 @@ def check_write(field: Any, value: Any) -> None:
     tracked = _is_followed(value)
     if not tracked and (not _of_thread.watches or isinstance(value, int)):
         return
-    frame = _caller()
-    if frame is None or not _is_new(frame, check_write):
+    frame = calling_frame()
+    if frame is None or not is_new_place(frame, check_write):
         return
     if tracked or any(
         scope.has_history(expression)
@@ -217,10 +218,18 @@ def _is_followed(value: Any) -> bool:
 
 def _warn(frame: Any, what: str) -> None:
     mode = "the tape" if state.tape is not None else "forward mode"
-    warnings.warn_explicit(
+    warn_at(
+        frame,
         f"{what} was computed by Python from a value that has a gradient: to {mode} it is a "
         "constant from here on. Compute it in a kernel and pass it on in a field; if that is "
         "meant, read the value in a function under ti.ad.no_grad or before",
+    )
+
+
+def warn_at(frame: Any, message: str) -> None:
+    """Warns of a gradient that is lost in the line of a frame."""
+    warnings.warn_explicit(
+        message,
         TaiGradientWarning,
         frame.f_code.co_filename,
         frame.f_lineno,

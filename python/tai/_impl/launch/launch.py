@@ -8,11 +8,11 @@ import numpy as np
 
 from ...errors import TaiRuntimeTypeError
 from ..base import native
-from ..history import origins
+from ..history import origins, torch_graphs
 from ..interop import device_arrays
 from ..tracking import tangents, tracked
 from ..tracking.arguments import adjoint_slots, as_array, check_arrays
-from ..tracking.tape_arrays import HeldArray, check_overlaps, is_same_array
+from ..tracking.tape_arrays import HeldArray, check_overlaps, check_written_view, is_same_array
 from .signature import Signature
 from .slots import number_slot
 from .specialization import Specialization
@@ -51,6 +51,8 @@ def pack(
                 )
             if isinstance(array, device_arrays.DeviceArray):
                 array.check(f"argument '{parameter.name}' of kernel '{signature.kernel}'")
+            if is_written:
+                check_written_view(signature.kernel, parameter.name, value, array)
             launched = array
             if not array.flags.c_contiguous:
                 same = (h.launched for h in kept if is_same_array(h.array, array))
@@ -93,7 +95,12 @@ def launch(
         check_arrays(signature.kernel, signature.parameters, found, values)
     if len(kept) > 1:
         check_overlaps(kept, tracks)
-    descriptions = [spec.description() for spec in found.specs]
+    cuts_graph = torch_graphs.cuts_graph(found.specs, found.result_spec)
+    if cuts_graph and not tracks:
+        torch_graphs.warn_of_a_cut(
+            launcher, signature.kernel, signature.parameters, values, found.specs
+        )
+    descriptions = [spec.description(cuts_graph) for spec in found.specs]
     wants_gradients = any(s.has_gradient and s.kind != "array" for s in found.specs)
     result = found.result_spec
     if (

@@ -106,7 +106,7 @@ class Specializations:
         key: list[Any] = []
         followed: list[int] = []
         for parameter, value in zip(signature.parameters, values, strict=True):
-            spec = spec_of(signature.kernel, parameter, value)
+            spec = spec_of(signature.kernel, parameter, value, tracks)
             specs.append(spec)
             if spec.kind == "template":
                 key.append(templates.hint(spec.constant))

@@ -10,6 +10,7 @@ from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..base import dtypes, state
 from ..fields.arrays import Ndarray
 from ..fields.field import Field
+from ..history import torch_graphs
 from ..tracking import tangents, tracked
 from ..tracking.arguments import as_array
 from ..values.matrix import Matrix
@@ -75,8 +76,12 @@ class ArgumentSpec:
             return f"vector<{'x'.join(map(str, self.shape))}x{self.dt.mlir}>"
         return self.dt.mlir
 
-    def description(self) -> tuple | None:
-        """The argument for the launcher in C++, or None where Python must pack it."""
+    def description(self, cuts_graph: bool) -> tuple | None:
+        """The argument for the launcher in C++, or None where Python must pack it.
+
+        Args:
+            cuts_graph: see `torch_graphs.cuts_graph`.
+        """
         if self.kind == "template":
             return ("c", self.taken)
         if self.kind == "array":
@@ -84,7 +89,8 @@ class ArgumentSpec:
                 return None
             shape = list(self.element_shape)
             return ("a", self.dt.numpy.char, self.ndim, shape, self.has_gradient,
-                    self.is_element_fixed, self.is_written)  # fmt: skip
+                    self.is_element_fixed, self.is_written,
+                    cuts_graph and self.has_gradient and self.is_read)  # fmt: skip
         if self.kind == "matrix":
             return None
         if self.dt.is_int:
@@ -120,12 +126,16 @@ class ResultSpec:
         return Matrix._wrap(np.array(numbers, self.dt.numpy).reshape(self.shape))
 
 
-def spec_of(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
+def spec_of(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> ArgumentSpec:
     """The specification of a parameter of a kernel for a value.
+
+    Args:
+        tracks: whether the launch is recorded, or runs a gradient.
 
     Raises:
         TaiRuntimeTypeError: it does not fit the annotation.
-        TaiAutodiffError: a value with a gradient for a template parameter.
+        TaiAutodiffError: a value with a gradient for a template parameter; with `tracks`, a
+            tensor that requires a gradient and was computed by torch.
     """
     type_ = parameter.type
     if isinstance(type_, ScalarType):
@@ -133,7 +143,7 @@ def spec_of(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
     if isinstance(type_, MatrixType):
         return ArgumentSpec("matrix", type_.dtype, type_.shape)
     if isinstance(type_, NdarrayType):
-        return _array_spec(kernel, parameter, value)
+        return _array_spec(kernel, parameter, value, tracks)
     has_gradient = tracked.gradient_of(value) is not None and state.tape is not None
     if has_gradient or tangents.cell_of(value) is not None:
         raise TaiAutodiffError(
@@ -144,7 +154,7 @@ def spec_of(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
     return ArgumentSpec("template", constant=value)
 
 
-def _array_spec(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
+def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> ArgumentSpec:
     type_ = parameter.type
     what = f"argument '{parameter.name}' of kernel '{kernel}'"
     array = as_array(value)
@@ -174,6 +184,8 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any) -> ArgumentSpec:
             f"{what} expects elements of shape {tuple(type_.element_shape)}, "
             f"but got {element_shape}"
         )
+    if tracks and dt.is_float:
+        torch_graphs.check_leaf(value, what)
     has_gradient = dt.is_float and tracked.has_gradient_array(value)
     if type_.needs_grad and isinstance(value, Ndarray) and not has_gradient:
         raise TaiRuntimeTypeError(

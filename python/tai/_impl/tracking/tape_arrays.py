@@ -80,6 +80,39 @@ def overlap(one: Any, other: Any) -> bool:
     return begin < end + other.nbytes and end < begin + one.nbytes
 
 
+def overlaps_itself(array: Any) -> bool:
+    """Whether two elements of an array share memory; true where that is too hard to tell."""
+    if not isinstance(array, np.ndarray) or array.flags.c_contiguous or array.nbytes == 0:
+        return False
+    part = array
+    while part.ndim:
+        # Elements that differ in this index first are as far apart as one at 0 and one behind it.
+        if overlap(part[:1], part[1:]):
+            return True
+        part = part[0]
+    return False
+
+
+def check_written_view(kernel: str, name: str, value: Any, array: Any) -> None:
+    """Refuses a view whose elements share memory, as the target of stores.
+
+    Args:
+        kernel, name: which parameter it is for.
+        value: the argument.
+        array: its memory.
+
+    Raises:
+        TaiRuntimeTypeError: a store to one element would change another one.
+    """
+    if overlaps_itself(array):
+        copy = "clone" if hasattr(value, "detach") else "copy"
+        raise TaiRuntimeTypeError(
+            f"elements of array '{name}' of kernel '{kernel}' share memory, and the kernel writes "
+            "to it",
+            f"pass a copy, in which each element has memory of its own: {name}.{copy}()",
+        )
+
+
 def is_same_array(one: Any, other: Any) -> bool:
     """Whether two arrays have the same elements, in the same order."""
     if type(one) is not type(other) or one.dtype != other.dtype:
