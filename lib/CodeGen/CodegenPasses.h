@@ -20,7 +20,7 @@ namespace mlir::tai {
 /// The code generator's passes without strength reduction. On a CPU that pass
 /// takes half of the time of code generation, because loops over many arrays
 /// have many formulas to compare, and the addressing modes of the machine
-/// already cover what it gains. On a GPU it splits the counter of a grid-stride
+/// already bring its gains. On a GPU it splits the counter of a grid-stride
 /// loop into several, each with its own division into indices.
 class CodegenPasses : public llvm::legacy::PassManager {
 public:

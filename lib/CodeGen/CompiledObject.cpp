@@ -14,7 +14,7 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-// The magic, the symbol, the code, what the adjoint needs, the places, the
+// The magic, the symbol, the code, the demands of the adjoint, the places, the
 // counts, the loop levels, the warnings (the lines and columns of all, then the
 // texts of each), the image of the device (its kind and the number of its
 // functions, or nothing; its bytes, the functions' names and accesses, their

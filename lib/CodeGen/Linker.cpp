@@ -23,7 +23,7 @@ using namespace mlir::tai;
 Linker::Linker() = default;
 
 Linker::~Linker() {
-  // Ends the session first: that frees, through the layer, what was linked.
+  // Ends the session first: that frees the linked code, through the layer.
   if (session)
     consumeError(session->endSession());
   layer.reset();
@@ -38,7 +38,7 @@ Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
   if (!control)
     return control.takeError();
   linker->session = std::make_unique<ExecutionSession>(std::move(*control));
-  // Nothing is printed. What comes back through the calls does not say why.
+  // Nothing is printed. Errors returned by the calls do not have the reason.
   linker->session->setErrorReporter([linker = linker.get()](Error error) {
     std::lock_guard<std::mutex> lock(linker->mutex);
     linker->reasons +=

@@ -154,11 +154,11 @@ Error ObjectCompiler::optimize(Module &module) {
 }
 
 /// Whether straight code is to be vectorised. Its time grows with the square of
-/// a block, and unrolled programs make blocks that would take seconds. Those of
-/// compensated sums are longer for the same work, and gain more.
+/// a block, and unrolled programs make blocks that would take seconds. Blocks
+/// of compensated sums are longer for the same work, and gain more.
 static bool hasBlocksForVectors(const Module &module) {
   for (const Function &function : module) {
-    // Of its kernel, by Modes.h.
+    // The modes of its kernel, by Modes.h.
     StringRef modes = function.getFnAttribute("tai.modes").getValueAsString();
     size_t most = modes.contains("sums=compensated") ? 5000 : 2000;
     for (const BasicBlock &block : function)
@@ -246,8 +246,8 @@ void ObjectCompiler::runPasses(Module &module) {
         early.addPass(KeepHugeLoopsScalar());
         if (level == OptimizationLevel::O0)
           return;
-        // Which functions are there for vectors. The pipeline's own comes
-        // after this place.
+        // Registers the functions that have vector forms. The pipeline's own
+        // comes after this place.
         early.addPass(InjectTLIMappings());
         if (vectorMath)
           early.addPass(NameVectorMath(*vectorMath));

@@ -16,7 +16,7 @@ using namespace mlir;
 
 void tai::buildAutodiffPipeline(OpPassManager &pm,
                                 const AutodiffOptions &options) {
-  // Helpers go into the kernels that call them: a call hides what it reads.
+  // Helpers go into the kernels that call them: a call hides their reads.
   addInliner(pm);
   addPerFunction(pm, [](OpPassManager &function) {
     // Values instead of variables, so that the rest sees what depends on what.
@@ -59,7 +59,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
     // Rules write the formula, not its simplest form.
     addCanonicalization(function);
     function.addPass(createCSEPass());
-    // What a backward loop recomputes need not be recomputed in each iteration.
+    // Recomputations in a backward loop need not be repeated in each iteration.
     function.addPass(createLoopInvariantCodeMotionPass());
     function.addPass(createMarkExclusive());
     function.addPass(createSummarizeKernels());

@@ -31,7 +31,7 @@ static constexpr FormerName kFormerNames[] = {
     {"tai-strip-loops", "tai-coarsen-threads"},
 };
 
-/// Names that others may expect, by what a pass does; not deprecated.
+/// Names that others may expect, by the effect of a pass; not deprecated.
 static constexpr FormerName kSynonyms[] = {
     {"convert-tai-to-host", "convert-tai-to-scf"},
 };

@@ -68,7 +68,7 @@ llvm::SetVector<Operation *> tai::collectOwn(ModuleOp module, StringRef entry) {
   if (!entry.empty())
     if (Operation *function = symbols.lookup(entry))
       own.insert(function);
-  // Who calls a function that is lowered must be lowered with it: the callee
+  // A caller of a function that is lowered must be lowered with it: the callee
   // has another signature afterwards. Calls of calls, until nothing is new.
   for (bool grown = true; grown;) {
     grown = false;
@@ -87,11 +87,11 @@ llvm::SetVector<Operation *> tai::collectOwn(ModuleOp module, StringRef entry) {
 }
 
 namespace {
-/// The functions that are called by what is lowered, and hold nothing of tai
+/// The functions that lowered code calls, and that hold nothing of tai
 /// themselves: they go into their callers.
 struct Helpers {
   llvm::SetVector<Operation *> functions;
-  /// What is only named: it stays where it is.
+  /// Functions that are only named: they stay in place.
   llvm::SetVector<Operation *> named;
 
   Helpers(ModuleOp module, const llvm::SetVector<Operation *> &own) {
@@ -165,7 +165,7 @@ private:
 };
 } // namespace
 
-/// What is left alone must be able to stay as it is.
+/// Code that is left alone must be valid as it is.
 LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
   ModuleOp module = getOperation();
   SymbolTable symbols(module);
@@ -223,7 +223,7 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
       part->setAttr(attribute.getName(), attribute.getValue());
   part->removeAttr(SymbolTable::getSymbolAttrName());
 
-  // Helpers keep their places before, between and behind what is lowered.
+  // Helpers keep their places before, between and behind the lowered functions.
   Block *body = part.getBody();
   for (Operation &op : llvm::make_early_inc_range(*module.getBody())) {
     if (&op == part)

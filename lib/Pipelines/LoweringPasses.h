@@ -16,8 +16,8 @@ namespace mlir::tai {
 /// inlining, checking or clamping of indices.
 void addSourcePasses(OpPassManager &pm, const LoweringOptions &options);
 
-/// Adds MLIR's inliner, behind a check of what it cannot hold. Its own cleaning
-/// of every function costs more than all that follows, and is left out.
+/// Adds MLIR's inliner, behind a check of its limits. Its own cleaning of every
+/// function costs more than all that follows, and is left out.
 void addInliner(OpPassManager &pm);
 
 /// Adds a canonicalisation whose time is linear in the size of the program.

@@ -42,7 +42,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     // From here on values are scalars, and loops run over boxes.
     function.addPass(createScalarize());
   });
-  // Of scalars, while loops over fields still say what their indices are.
+  // Divisions of scalars, while loops over fields still show the ranges of
+  // their indices.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));

@@ -31,7 +31,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
     }
     function.addPass(createScalarize());
   });
-  // Of scalars, while loops over fields still say what their indices are.
+  // Divisions of scalars, while loops over fields still show the ranges of
+  // their indices.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));

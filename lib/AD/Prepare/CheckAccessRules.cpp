@@ -51,7 +51,7 @@ static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
       FieldOp field = lookupField(parallel, parallel.getFieldAttr());
       FailureOr<FieldLayout> layout =
           field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
-      // Which cells of a sparse field are active is not known here.
+      // The active cells of a sparse field are not known here.
       if (failed(layout) || parallel.getLevel() ||
           layout->path.getFirstSparse())
         return std::nullopt;
@@ -177,8 +177,8 @@ private:
     diag.attachNote() << "read it in a later loop";
   }
 
-  /// Iterations of a parallel loop that reach the same element, of which one
-  /// stores to it, or reads what the others write.
+  /// Checks iterations of a parallel loop that reach the same element, if one
+  /// of them stores to it, or reads stores of the others.
   void checkRaces(const Accesses &accesses) {
     for (size_t i = 0; i != accesses.size(); ++i) {
       DifferentiableAccessInterface write = accesses[i];

@@ -154,8 +154,8 @@ struct ExpandAtomics
       else if (!isSum(atomic) && hasAdjoint(atomic))
         contended.push_back(atomic);
     });
-    // What stands around a contended atomic and does not change tells which
-    // part of the field it concerns.
+    // Invariant indices around a contended atomic tell which part of the field
+    // it concerns.
     llvm::SetVector<Operation *> loops;
     for (AtomicOp atomic : contended)
       if (Operation *loop = getEnclosingParallelLoop(atomic))

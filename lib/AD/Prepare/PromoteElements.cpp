@@ -138,7 +138,7 @@ bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
       }))
     return false;
   for (DifferentiableAccessInterface access : group.accesses) {
-    // What other ops return is not the value before for certain.
+    // The result of other ops is not the former value for certain.
     if (access.getAccessKind() == AccessKind::Update ||
         (access.getAccessKind() == AccessKind::Accumulate &&
          !isa<AtomicOp>(access) && !access->use_empty()))
@@ -244,7 +244,7 @@ void Scope::run() {
         group = &groups.emplace_back(Group{indices, components, {}});
       group->accesses.push_back(access);
     }
-    // One at a time: the next looks at what this one leaves.
+    // One at a time: the next looks at the remaining ones.
     for (Group &group : groups)
       if (canLive(group, all)) {
         rewrite(group);
@@ -254,7 +254,7 @@ void Scope::run() {
 }
 
 /// Runs on the blocks of a function, from the outermost. Arms of branches are
-/// scopes too: what they store, they own.
+/// scopes too: they own the elements that they store.
 static void visit(Block &block) {
   Scope(&block).run();
   for (Operation &op : block)

@@ -25,7 +25,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// What depends on `source` other than through memory.
+/// The values that depend on `source` other than through memory.
 static DenseSet<Value> getDependents(Value source) {
   DenseSet<Value> found;
   SmallVector<Value> worklist = {source};
@@ -60,7 +60,7 @@ struct Path {
 };
 } // namespace
 
-/// What is read from memory of the function's own may depend on the source.
+/// Values read from memory of the function's own may depend on the source.
 static bool isLocalRead(Value value) {
   Operation *op = value.getDefiningOp();
   if (auto load = dyn_cast_if_present<memref::LoadOp>(op))
@@ -112,7 +112,7 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
   if (path->ops.empty())
     return SmallVector<SmallVector<Value>>(positions.size(), nothing);
 
-  // (source, its tangent, what is captured...)
+  // (source, its tangent, captured values...)
   auto memory = MemRefType::get({}, type);
   SmallVector<Type> inputs = {memory, memory};
   for (Value value : path->captured)
@@ -136,7 +136,7 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
     inner.clone(*op, into);
   func::ReturnOp::create(inner, loc);
 
-  // What cannot be extended is no error: the product has its rules.
+  // A function that cannot be extended is no error: the product has its rules.
   SilencedDiagnostics silence(builder.getContext());
   auto extended = cast<FunctionOpInterface>(holder->getOperation());
   TangentBuilder tangents(extended, [&](Storage storage) -> Storage {

@@ -407,7 +407,7 @@ void mlir::tai::dropForms(FunctionOpInterface function) {
   });
   if (forms.empty())
     return;
-  // Users before what they use.
+  // Users come before their operands.
   function.walk<WalkOrder::PostOrder, mlir::ReverseIterator>([](Operation *op) {
     if (isOpTriviallyDead(op))
       op->erase();

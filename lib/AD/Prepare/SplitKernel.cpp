@@ -34,7 +34,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Which segment an op at the top level is in, or that any part may repeat it.
+/// The segment of an op at the top level, or the mark that any part may repeat
+/// it.
 constexpr int kShared = -1;
 
 /// True if the op changes anything but arrays that it makes itself.
@@ -108,7 +109,7 @@ static bool sharesStorage(KernelOp kernel, ArrayRef<int> segments) {
 static bool needsParts(KernelOp kernel) {
   SilencedDiagnostics silence(kernel.getContext());
   OpBuilder builder(kernel);
-  // What the kernel reads from its arrays is constant here.
+  // Values that the kernel reads from its arrays are constant here.
   FailureOr<AdjointSignature> signature =
       AdjointSignature::get(kernel, /*arrays=*/false);
   if (failed(signature))

@@ -196,11 +196,11 @@ M getTurned(DerivativeBuilder &b, Value u, Value g) {
 /// where P = Uᵀ dA V. Where σᵢ = σⱼ, the first quotient is 0 / 0 for a loss
 /// that does not depend on how U and V turn together, and where σᵢ = -σⱼ the
 /// second one is for a loss that does not depend on how they turn against each
-/// other. What such a loss makes of U Σ Vᵀ then stands in the adjoint of Σ off
-/// the diagonal, where Σ is zero: dΣ gets the symmetric and the skew part of P
-/// there. Elsewhere these are taken out of the quotients, which is the same but
-/// for rounding: of a difference that cancels, nothing is left but noise, which
-/// is dropped before it is divided by little.
+/// other. The change of U Σ Vᵀ by such a loss then stands in the adjoint of Σ
+/// off the diagonal, where Σ is zero: dΣ gets the symmetric and the skew part
+/// of P there. Elsewhere these are taken out of the quotients, which is the
+/// same but for rounding: of a difference that cancels, nothing is left but
+/// noise, which is dropped before it is divided by little.
 struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto svd = cast<SvdOp>(op);

@@ -82,7 +82,7 @@ static Pair multiply(TangentBuilder &b, ArrayRef<Value> factors) {
   return product;
 }
 
-/// E M - M E. What cancels where M is diagonal is subtracted first.
+/// E M - M E. Terms that cancel for a diagonal M are subtracted first.
 static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
   M e{&b, turn}, m{&b, matrix};
   int64_t n = getRows(turn);

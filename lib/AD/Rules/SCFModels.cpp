@@ -58,7 +58,7 @@ struct IfModel : AdjointLoopInterface::ExternalModel<IfModel, scf::IfOp> {
         return failure();
     }
 
-    // What either arm contributes to; the other contributes zero.
+    // Values to which either arm contributes; the other contributes zero.
     llvm::SetVector<Value> values;
     SmallVector<Type> types;
     for (Captured &arm : captured)
@@ -149,7 +149,7 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
   }
 };
 
-/// A loop that carries no derivative and does not read what it writes has
+/// A loop that carries no derivative and does not read its own writes has
 /// iterations that are independent as far as derivatives go: their reverses run
 /// in the order in which the loop finds them. Any other loop is run forward
 /// first, and its reverse is a loop over the iterations that it took.

@@ -33,7 +33,7 @@ static const ScalarRule &getRule(Operation *op) {
   return *rules.at(op->getName().getStringRef());
 }
 
-/// Builds a contribution, of the operands without what they share. Where that
+/// Builds a contribution, of the operands without the shared factor. Where that
 /// is zero, an arc tangent is zero whatever the rest is.
 static Value build(const Partial &partial, RuleArgs &args,
                    const std::optional<SharedFactor> &shared) {

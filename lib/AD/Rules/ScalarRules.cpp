@@ -50,7 +50,7 @@ static bool unlessYNonZero(RuleArgs &a) {
   Value y = a.getOperand(1);
   return y && !a.facts().isNonZero(y, a.getOperation());
 }
-/// Of powers: x^(y - 1) is finite then.
+/// A condition of powers: x^(y - 1) is finite then.
 static bool unlessYAtLeastOne(RuleArgs &a) {
   APFloat number(0.0f);
   APInt integer;
@@ -80,7 +80,7 @@ static Num copysign(Num a, Num b) { return make<math::CopySignOp>(a, b); }
 /// ±g by the sign of x, and 0 at x = 0.
 static Num bySign(Num x, Num g) { return select(x > 0, g, where(x < 0, -g)); }
 
-/// What the first operand of max or min gets where it wins by `wins`; the
+/// The gradient of the first operand of max or min if it wins by `wins`; the
 /// second gets the rest, and so all of a tie.
 static Num toFirst(RuleArgs &a, Truth wins) {
   if (!a.getConventions().splitTies)

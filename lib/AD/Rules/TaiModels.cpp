@@ -18,8 +18,8 @@ using namespace mlir::tai;
 
 namespace {
 
-/// What the accesses share: the adjoint of an element is read and accumulated
-/// at the same indices of the adjoint field.
+/// The shared part of accesses: the adjoint of an element is read and
+/// accumulated at the same indices of the adjoint field.
 template <typename Model, typename OpTy>
 struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
   Storage getAccessedStorage(Operation *op) const {

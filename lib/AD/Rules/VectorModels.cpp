@@ -34,8 +34,8 @@ std::pair<int64_t, int64_t> getComponents(VectorType type,
   return {first, count};
 }
 
-/// True if a position says poison (`vector.extract %v[-1]`): nothing depends on
-/// what the operands are.
+/// True if a position is poison (`vector.extract %v[-1]`): the result does not
+/// depend on the operands.
 bool isPoison(ArrayRef<int64_t> position) {
   return llvm::is_contained(position, vector::ExtractOp::kPoisonIndex);
 }
@@ -284,7 +284,7 @@ struct ReductionModel
     if (acc)
       operands.push_back(b.getPrimal(acc));
     if (kind == Kind::MUL) {
-      // The product of all others: what stands before times what follows.
+      // The product of all others: the product before times the product behind.
       Value before = seed;
       for (Value operand : operands) {
         seeds.push_back(before);

@@ -95,7 +95,7 @@ Expected<Operation *> mlir::tai::findDeviceModule(ModuleOp module) {
 //===----------------------------------------------------------------------===//
 
 /// The number of an architecture that the code generator knows, and the oldest
-/// version of PTX that has it and what the device library uses.
+/// version of PTX that has it and the instructions of the device library.
 static constexpr struct {
   unsigned architecture, ptxVersion;
 } architectures[] = {{70, 70},  {72, 70},  {75, 70}, {80, 70},
@@ -185,9 +185,9 @@ DeviceCompiler::create(const DeviceTarget &target,
 // Libraries
 //===----------------------------------------------------------------------===//
 
-/// Links what is used of a library, without what its compiler knew of the
-/// processor: other attributes than the caller's keep functions from being
-/// inlined.
+/// Links the used functions of a library, without its compiler's attributes of
+/// the processor: attributes that differ from the caller's keep functions from
+/// being inlined.
 static Error linkNeeded(llvm::Module &module, llvm::MemoryBufferRef bitcode) {
   auto library = llvm::getLazyBitcodeModule(bitcode, module.getContext());
   if (!library)
@@ -224,8 +224,8 @@ static std::string getUsers(const llvm::Function &missing) {
                         : "'" + llvm::join(sorted, "', '") + "'";
 }
 
-/// Answers a question that libdevice asks its compiler. Those about denormal
-/// numbers and the processor LLVM answers itself.
+/// Answers a question that libdevice asks its compiler. LLVM itself answers
+/// questions about denormal numbers and the processor.
 static void answerReflection(llvm::Module &module, StringRef question,
                              unsigned answer) {
   llvm::Function *reflect = module.getFunction("__nvvm_reflect");
@@ -349,7 +349,7 @@ void DeviceCompiler::prepareForCuda(llvm::Module &module) {
   auto kernels = llvm::make_filter_range(module, isKernel);
   if (!kernels.empty() && llvm::all_of(kernels, saysFlush))
     module.addModuleFlag(llvm::Module::Override, "nvvm-reflect-ftz", 1);
-  // What other threads see is what those of this device see.
+  // Memory orders are needed among the threads of this device only.
   llvm::SyncScope::ID device =
       module.getContext().getOrInsertSyncScopeID("device");
   for (llvm::Function &function : module) {
@@ -579,8 +579,8 @@ static bool isDriverFunction(StringRef name) {
   return name == "malloc" || name == "free" || name == "vprintf";
 }
 
-/// The driver would refuse to load code that calls what is not there, without a
-/// word about who did.
+/// The driver would refuse to load code that calls missing functions, without
+/// naming the caller.
 static Error checkExternals(const llvm::Module &module) {
   std::string missing;
   for (const llvm::Function &function : module) {
@@ -597,7 +597,7 @@ static Error checkExternals(const llvm::Module &module) {
                            missing.c_str());
 }
 
-/// The same for what the code generator itself calls.
+/// The same for functions that the code generator itself calls.
 static Error checkExternals(StringRef ptx) {
   constexpr StringLiteral keyword = ".extern .func";
   for (size_t at = ptx.find(keyword); at != StringRef::npos;

@@ -14,8 +14,8 @@
 
 namespace mlir::tai {
 
-/// The bitcode of libdevice, cached for the process. None if it is not found;
-/// `searched` then lists the paths that were tried.
+/// The bitcode of libdevice, cached for the process. Returns no value if it is
+/// not found; `searched` then lists the paths that were tried.
 std::optional<llvm::MemoryBufferRef> getLibdevice(std::string &searched);
 
 } // namespace mlir::tai

@@ -23,8 +23,8 @@ using namespace mlir::tai;
 using llvm::createStringError;
 using llvm::Expected;
 
-/// Calls `body` once what was queued before has ended. From the start on, what
-/// is queued behind may be made ready.
+/// Calls `body` once the work queued before has ended. From the start on, work
+/// queued behind may be made ready.
 static llvm::Function *addKernel(llvm::Function &body, size_t number) {
   llvm::Module &module = *body.getParent();
   llvm::LLVMContext &context = module.getContext();

@@ -30,8 +30,9 @@ using llvm::Expected;
 
 static constexpr llvm::StringLiteral programName = TAI_PROGRAM_FUNCTION;
 
-/// Of the kernels of a program, which come twice in its code. For 6,000 ptxas
-/// takes 1.4 s, for 11,600 10 s, for 24,000 28 s, and for 45,000 88 s.
+/// The limit for the kernels of a program, which come twice in its code. For
+/// 6,000 ptxas takes 1.4 s, for 11,600 10 s, for 24,000 28 s, and for 45,000 88
+/// s.
 static constexpr unsigned kMostInstructions = 12000;
 
 static StringRef getRunnerName(int scope) {
@@ -59,7 +60,7 @@ Expected<llvm::Function *> tai::addPart(llvm::Module &module, StringRef bytes,
   body->setName(unique);
   for (llvm::GlobalValue &value : (*part)->global_values())
     if (!value.isDeclaration() && &value != body) {
-      // What has been made of a function of the library is not that function.
+      // A specialised copy of a function of the library is not that function.
       if (value.hasName())
         value.setName("part" + Twine(number) + "." + value.getName());
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
@@ -187,7 +188,7 @@ private:
         name, llvm::FunctionType::get(builder.getVoidTy(), types, false));
   }
 
-  /// Those in front of the words of loops.
+  /// Arguments in front of the words of loops.
   enum { Table, Stride, Header, FirstWord };
 
   llvm::Module &module;
@@ -236,7 +237,7 @@ llvm::Function *ProgramBuilder::build() {
   return kernel;
 }
 
-/// Makes a kernel that does what a function of the device library does.
+/// Makes a kernel that runs a function of the device library.
 static Expected<llvm::Function *> addLibraryKernel(llvm::Module &module,
                                                    const llvm::Module &library,
                                                    StringRef name,
@@ -453,7 +454,7 @@ llvm::Value *ProgramBuilder::getOverlay() {
                         builder.getInt64(overlayBytes)));
 }
 
-/// A half of a chain: what is done before, or after all blocks have come there.
+/// A half of a chain: the work before, or after all blocks have arrived.
 void ProgramBuilder::addHalf(const runtime::ProgramLoopStep &step,
                              bool isSecond) {
   SmallVector<llvm::Value *> slots;
@@ -474,7 +475,7 @@ void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
   for (const runtime::ProgramSlot &slot : step.slots)
     slots.push_back(getParameter(slot));
   TileBuilder tiles(builder, chain, bodies, overlays, plan.threads, isCuda);
-  // What was there before may still be used.
+  // The former contents may still be used.
   builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
   tiles.emitLoads(slots);
   llvm::Type *i32 = builder.getInt32Ty(), *pointer = builder.getPtrTy();
@@ -551,7 +552,7 @@ void ProgramBuilder::noteClock(llvm::Value *steps) {
                        {kernel->getArg(Header), steps});
 }
 
-/// What does one iteration has been copied to where it is used.
+/// The function of one iteration has been copied to its uses.
 static void removeTileFunctions(llvm::Module &module) {
   llvm::Function *site = module.getFunction(runtime::tileSiteFunction);
   while (site && !site->use_empty()) {

@@ -86,7 +86,7 @@ TileBuilder::TileBuilder(llvm::IRBuilder<> &builder, const TileChain &chain,
         builder.CreateNSWAdd(builder.CreateNSWMul(along, number(chain.tile[d])),
                              number(chain.lower[d]));
   }
-  // What is made from its number is then made once for the whole chain.
+  // Expressions of its number are then computed once for the whole chain.
   if (isCuda && numCells <= int64_t(threads)) {
     llvm::Value *thread = getPlace("tai_dev_thread_id");
     own = getCell(thread);

@@ -32,8 +32,8 @@ public:
   /// barrier must follow. `slots`, here and below: the parameters of all
   /// launches.
   void emitLoads(ArrayRef<llvm::Value *> slots);
-  /// Runs all launches in the overlay. Each thread stores only what it has
-  /// computed itself.
+  /// Runs all launches in the overlay. Each thread stores only cells that it
+  /// has computed itself.
   void emitStages(ArrayRef<llvm::Value *> slots);
   /// Stores the tile, without its halo, from the overlay to memory.
   void emitStores(ArrayRef<llvm::Value *> slots);

@@ -115,17 +115,17 @@ Status CudaDevice::open() {
   most.threadsPerBlock = static_cast<unsigned>(threads);
   most.memoryBytes = static_cast<int64_t>(bytes);
   most.threadsPerMultiprocessor = static_cast<unsigned>(resident);
-  // What the driver gives to a place that is touched for the first time, far
-  // from others, as measured on an H200.
+  // The bytes that the driver commits at the first touch of a distant place, as
+  // measured on an H200.
   most.reservedPieceBytes = managed ? int64_t(2) << 20 : 0;
   int cooperative = 0, clusters = 0;
   (void)cu.deviceGetAttribute(&cooperative, kCooperativeLaunch, number);
   (void)cu.deviceGetAttribute(&clusters, kClusterLaunch, number);
   most.hasGraphs = true;
   most.hasGridBarriers = cooperative != 0;
-  // What Hopper has at most; a kernel must ask for more than 8.
+  // The maximum of Hopper; a kernel must ask for more than 8.
   most.mostClusterBlocks = clusters ? 16 : 1;
-  // What has the one has the other.
+  // A device with clusters has overlaps.
   most.hasOverlaps = clusters != 0;
   if (major < 6)
     return Status::failure(
@@ -163,7 +163,7 @@ Status CudaDevice::open() {
     pool = nullptr;
     return status;
   }
-  // What was freed stays in the pool, for the next who asks.
+  // Freed memory stays in the pool, for the next allocation.
   uint64_t threshold = UINT64_MAX;
   (void)cu.memPoolSetAttribute(pool, kPoolReleaseThreshold, &threshold);
   return status;
@@ -176,7 +176,7 @@ Status CudaDevice::setHeap(size_t memoryBytes) {
       wanted ? wanted : std::min<size_t>(memoryBytes / 32, size_t(4) << 30);
   Result result = cu.ctxSetLimit(kLimitHeapBytes, bytes);
   size_t known = 0;
-  // What has been used once stays as it is.
+  // After the first use, the size cannot be changed.
   if (result == kSuccess || !wanted ||
       (cu.ctxGetLimit(&known, kLimitHeapBytes) == kSuccess && known >= wanted))
     return Status::success();
@@ -241,7 +241,7 @@ Status CudaDevice::allocate(int64_t bytes, DevicePtr &memory) {
   Address address = 0;
   status = allocateOnce(bytes, address);
   if (status.code() == StatusCode::Memory && pool) {
-    // What the pool holds may be in pieces that are too small.
+    // The memory of the pool may be in pieces that are too small.
     (void)cu.streamSynchronize(stream);
     (void)cu.memPoolTrimTo(pool, 0);
     status = allocateOnce(bytes, address);
@@ -315,7 +315,7 @@ Status CudaDevice::copyIn(DevicePtr to, const void *from, int64_t bytes) {
   if (bytes > largestStaged || entry.isAgain()) {
     status = check(cu.memcpyHtoDAsync(to, from, size, stream),
                    "a copy to the device fails");
-    // Of memory that is pinned, nothing has been read yet.
+    // The device has not yet read pinned memory.
     return status ? synchronize() : std::move(status);
   }
   int64_t room = (bytes + 63) / 64 * 64;

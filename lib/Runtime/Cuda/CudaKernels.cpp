@@ -125,8 +125,8 @@ Status CudaKernels::Filling::run() {
   return kernels.device.launch(*kernels.filler, shape, slots, words);
 }
 
-/// Adds it, or both halves of what is too much for an entry. What is in the
-/// table is queued where there is no room left.
+/// Adds it, or both halves of what is too much for an entry. The entries of the
+/// table are queued if there is no room left.
 Status CudaKernels::Filling::add(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
   if (bytesOf(rows) <= 0)

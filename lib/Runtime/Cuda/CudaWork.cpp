@@ -224,7 +224,7 @@ void CudaGraph::findNodes(size_t count) {
   Node node = nullptr;
   size_t found = 1;
   int kind = 0;
-  // One root, and one after each: that is what a stream records.
+  // A stream records a chain: one root, and one node after each.
   if (cu.graphGetRootNodes(recorded, nullptr, &found) != kSuccess ||
       found != 1 || cu.graphGetRootNodes(recorded, &node, &found) != kSuccess)
     return;
@@ -328,15 +328,15 @@ template <typename Query> void CudaDevice::stopLoops(const Query &query) {
   // them and behind all that shall end, however late that is: a GPU that other
   // processes use, too, may not run it for seconds.
   (void)cu.memcpyHtoDAsync(stopWord, &stopSource[0], sizeof(uint32_t), stream);
-  // Whoever sees the number ends soon. What does not is left to itself.
+  // Kernels that see the number end soon. Other work is left to itself.
   constexpr std::chrono::milliseconds patience(500);
   auto end = std::chrono::steady_clock::now() + patience;
   while (query() == kNotReady && std::chrono::steady_clock::now() < end)
     sched_yield();
 }
 
-/// An interrupted wait ends what looks at its word. What else is queued stays
-/// as it is: the next wait goes on.
+/// An interrupted wait ends kernels that look at its word. Other queued work
+/// stays: the next wait goes on.
 template <typename Query>
 Status CudaDevice::waitUntilReady(const Query &query, Result &result) {
   safepoint::Watch watch;
@@ -389,9 +389,9 @@ Status CudaDevice::synchronize() {
 // The order of our stream and others
 //===----------------------------------------------------------------------===//
 
-// A launch that takes tensors of another library comes after what that has
-// queued, and before what it queues next. That is asked for at every such
-// launch, so it takes two calls of the driver each way, and none for the
+// A launch that takes tensors of another library comes after the work that the
+// library has queued, and before its later work. That is asked for at every
+// such launch, so it takes two calls of the driver each way, and none for the
 // default stream.
 
 /// Ours is a blocking stream: the driver itself keeps it in order with the
@@ -401,7 +401,7 @@ static bool isDefault(uint64_t stream) {
 }
 
 Status CudaDevice::waitForStream(uint64_t other) {
-  // A kernel must not start before what has come in between.
+  // A kernel must not start before the work in between.
   isAfterKernel = false;
   return isDefault(other) ? Status::success()
                           : order(reinterpret_cast<Stream>(other), stream);
@@ -455,8 +455,8 @@ Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
   return status;
 }
 
-/// What comes next does not wait for one kernel alone, so it waits for the end
-/// of both.
+/// Later work does not wait for one kernel alone, so it waits for the end of
+/// both.
 Status CudaDevice::joinAside() {
   if (!isAside)
     return Status::success();

@@ -75,11 +75,11 @@ constexpr int kFunctionAnyCluster = 14;
 constexpr unsigned kLaunchCooperative = 2;
 constexpr unsigned kLaunchCluster = 4;
 constexpr unsigned kLaunchOverlapped = 6;
-// Of captures: calls of other threads are not restricted.
+// Captures: calls of other threads are not restricted.
 constexpr int kCaptureThreadLocal = 1;
-// Of nodes of graphs.
+// Kinds of nodes of graphs.
 constexpr int kNodeKernel = 0;
-// Of streams: no implicit order with the default stream.
+// Streams: no implicit order with the default stream.
 constexpr unsigned kStreamNonBlocking = 1;
 // Of events.
 constexpr unsigned kEventDefault = 0;
@@ -88,7 +88,7 @@ constexpr unsigned kEventNoTiming = 2;
 constexpr uintptr_t kLegacyStream = 1;
 // Of pools.
 constexpr int kPoolReleaseThreshold = 4;
-// Of managed memory: accessible from all streams.
+// Managed memory: accessible from all streams.
 constexpr unsigned kAttachGlobal = 1;
 // Of addresses.
 constexpr int kAddressMemoryType = 2;

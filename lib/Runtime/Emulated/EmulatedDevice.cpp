@@ -81,7 +81,7 @@ using ThreadFunction = void (*)(const uint64_t *slots);
 
 struct EmulatedFunction : DeviceFunction {
   ThreadFunction run = nullptr;
-  /// What stands for several blocks runs as one thread.
+  /// Code for several blocks runs as one thread.
   unsigned mostThreads = 1;
 };
 
@@ -128,7 +128,7 @@ public:
                                                      formatBytes(bytes) +
                                                      " left");
     memory = reinterpret_cast<DevicePtr>(mapped);
-    // Nothing may count on zeros. Of large memory, the start has to do.
+    // Nothing may count on zeros. In large memory, only the start is filled.
     std::memset(mapped, 0xa5,
                 static_cast<size_t>(std::min<int64_t>(bytes, 16 << 20)));
     allocations.emplace(memory, bytes);
@@ -362,7 +362,7 @@ private:
     return rows.address + static_cast<DevicePtr>(row * rows.step);
   }
 
-  /// Of much memory, such as that of a sparse tree, whole pages are taken away:
+  /// In much memory, such as that of a sparse tree, whole pages are taken away:
   /// they come back as zeros when they are used.
   static void zero(char *at, int64_t bytes) {
     constexpr int64_t large = 1 << 20;

@@ -32,7 +32,8 @@ enum class State { Ready, AtWarpBarrier, AtBlockBarrier, Ended };
 
 struct Thread {
   State state = State::Ready;
-  /// What the warp sees of it: a slot is free again after the next exchange.
+  /// The values that the warp sees: a slot is free again after the next
+  /// exchange.
   uint64_t published[2] = {};
   unsigned exchanges = 0;
 };
@@ -230,7 +231,7 @@ bool mlir::tai::runtime::runEmulatedBlock(unsigned threads, uint64_t order,
 }
 
 //===----------------------------------------------------------------------===//
-// What device code asks for
+// Functions for device code
 //===----------------------------------------------------------------------===//
 
 extern "C" int32_t tai_emu_thread_id(void) {

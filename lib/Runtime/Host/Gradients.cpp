@@ -109,7 +109,8 @@ void Gradients::clear(const Recorder *tape) {
   bool forward = recordings.isForward();
   const Field *cleared = nullptr;
   for (const FieldPtr &field : store.fields()) {
-    // Asked once: another thread may be about to write to what is clear.
+    // The writer is read once: another thread may be about to write to a clear
+    // field.
     uint64_t writer = field->dirtiedBy();
     if (tape && field->isAdjoint() && writer != 0 && writer != threadNumber() &&
         !tape->uses(field))
@@ -119,8 +120,8 @@ void Gradients::clear(const Recorder *tape) {
     if (!field->isAdjoint())
       continue;
     int64_t bytes = bytesInUse(*field);
-    // On a device, rows with holes take longer than rows without: what is
-    // clear already is cleared along with its neighbour.
+    // On a device, rows with holes take longer than rows without: a clear field
+    // is cleared along with its neighbour.
     bool isAlong =
         cleared && cleared->tree().mirror() && endsBeside(*cleared, *field);
     bool isDirty = writer != 0 || field->tree().isExported();

@@ -33,7 +33,8 @@ void HostWrites::perform(const HostWrite &write) {
   field.markDirty();
 }
 
-/// Whether the write would change nothing. Of a fill, nobody has asked yet.
+/// Whether the write would change nothing. A fill is not compared with the
+/// contents.
 static bool changesNothing(const HostWrite &write) {
   const Field &field = *write.field;
   if (write.what == HostWrite::What::Array)
@@ -49,9 +50,9 @@ static bool changesNothing(const HostWrite &write) {
                      static_cast<size_t>(byteSize(field.scalar()))) == 0;
 }
 
-/// What the host writes to becomes active. A fill is for what is active, and so
-/// is an array of adjoints or tangents: what an inactive cell holds is a
-/// constant.
+/// Activates the cells that the host writes to. A fill applies to active cells
+/// only, and so does an array of adjoints or tangents: the value of an inactive
+/// cell is a constant.
 Status HostWrites::activateFor(const HostWrite &write) {
   SparseNode *node = write.field->sparseNode();
   if (!node || write.what == HostWrite::What::Fill)
@@ -133,8 +134,8 @@ Status HostWrites::change(const HostWrite &write) {
     Status status = tape->write(write);
     return status ? devices.takeFailure() : std::move(status);
   }
-  // On a device it would take a copy, and a wait, to find out; only tapes that
-  // need what the field held want to know.
+  // On a device the comparison would take a copy, and a wait; only tapes that
+  // need the former values want to know.
   if ((devices.isThere() && !recordings.needsValues(field)) ||
       !changesNothing(write))
     field.countChange();
@@ -211,7 +212,7 @@ Status HostWrites::setActive(const TreePtr &tree, int64_t level, int64_t cell,
   SparseNode &node = *tree->sparseNodes()[level];
   uint64_t before = recordings.areThereTapes() ? node.lastRemoval() : 0;
   Status status = change();
-  // What inactive cells hold has become zero.
+  // Inactive cells have become zero.
   if (recordings.areThereTapes() && node.lastRemoval() != before)
     for (const FieldPtr &field : store.fields())
       if (field->sharedTree() == tree && field->sparseNode())

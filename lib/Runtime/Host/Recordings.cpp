@@ -12,7 +12,7 @@
 using namespace mlir::tai::runtime;
 
 //===----------------------------------------------------------------------===//
-// Who records, and who is in forward mode
+// Threads that record, and threads in forward mode
 //===----------------------------------------------------------------------===//
 
 static uint64_t nextVersion() {
@@ -93,7 +93,7 @@ Recordings::ReverseFunction::~ReverseFunction() {
   recordings.sweepThread = outerThread;
 }
 
-/// Those for which this thread is in forward mode.
+/// The recordings for which this thread is in forward mode.
 static thread_local const Recordings *forwardOn = nullptr;
 
 bool Recordings::isForwardHere() const { return forwardOn == this; }
@@ -156,7 +156,7 @@ Status Recordings::checkRunning(const Field &field, HoldKind kind) {
   Status status;
   launches->visitChanges([&](const std::string &kernel, const Field &changed,
                              HoldKind other) {
-    // What is active is the same for all fields of a tree.
+    // Activity is the same for all fields of a tree.
     bool isMet = &changed == &field ? !agree(other, kind)
                                     : isSparse && changed.sparseNode() &&
                                           &changed.tree() == &field.tree();
@@ -178,7 +178,7 @@ Status Recordings::hold(const Recorder &tape, Field &field, HoldKind kind) {
     return status;
   if (__builtin_expect(!launches || !launches->areAny(), true))
     return Status::success();
-  // What begins from now on sees the hold.
+  // Launches that begin from now on see the hold.
   std::atomic_thread_fence(std::memory_order_seq_cst);
   Status status = checkRunning(field, kind);
   if (!status)

@@ -14,7 +14,7 @@
 namespace mlir::tai::runtime {
 
 /// The functions that VectorMath.def lists as those of the runtime, by name.
-/// Which of them code may call depends on the processor it is made for.
+/// The functions that code may call depend on the processor it is made for.
 std::vector<std::pair<const char *, void *>> vectorMathSymbols();
 
 } // namespace mlir::tai::runtime

@@ -132,7 +132,8 @@ template <int lanes> struct Wide {
     return fma(s, series, e);
   }
 
-  /// Of a positive finite number, to the base that makes log(2) `ofTwo`.
+  /// The logarithm of a positive finite number, to the base that makes log(2)
+  /// `ofTwo`.
   TAI_WIDE_INLINE F32 logarithm(F32 x, double ofTwo, float (*libm)(float)) {
     F64 wide = extend(x);
     I64 covered = (wide > 0.) & (wide < __builtin_inf());
@@ -150,7 +151,7 @@ template <int lanes> struct Wide {
     F64 wide = extend(x);
     I64 covered = (wide > -1.) & (wide < __builtin_inf());
     F64 sum = wide + 1.;
-    // What the sum rounds away, to first order.
+    // The rounding error of the sum, to first order.
     F64 rest = (wide - (sum - 1.)) / sum;
     F64 result = fma(binaryLogarithm(sum), F64(0x1.62e42fefa39efp-1), rest);
     return finish(withSignOf(wide, result), covered, log1pf, x);
@@ -172,12 +173,12 @@ template <int lanes> struct Wide {
     return fma(scale, minusOne, scale);
   }
 
-  /// base^x, where `log` is the base's logarithm to base 2. What is denormal or
-  /// overflows in f32 is left to libm, which sets the flags.
+  /// base^x, where `log` is the base's logarithm to base 2. Results that are
+  /// denormal or overflow in f32 are left to libm, which sets the flags.
   TAI_WIDE_INLINE F32 power(F32 x, double log, float (*libm)(float)) {
     F64 t = extend(x) * log;
     I64 covered = __builtin_elementwise_abs(t) < 126.;
-    // What does not matter does not overflow either.
+    // Lanes that are not covered do not overflow either.
     return finish(powerOfTwo(number(bits(t) & covered)), covered, libm, x);
   }
   TAI_WIDE_INLINE F32 exp(F32 x) { return power(x, 0x1.71547652b82fep0, expf); }

@@ -49,7 +49,7 @@ Status TreeStore::addTree(std::string name, int64_t bytes, TreePtr &tree,
                                " with all cells active, and " +
                                formatBytes(largestReservation) +
                                " is the most that can be addressed");
-  // What a sparse tree needs is known when cells become active.
+  // The memory of a sparse tree is known when cells become active.
   int64_t needed = sparse.empty() ? bytes : 0;
   if (needed > memory.left())
     return Status::failure(
@@ -146,7 +146,7 @@ Status TreeStore::destroyTree(const std::string &name) {
   }
   changing.unlock();
   for (const FieldPtr &field : fieldList) {
-    // What takes their names is another field.
+    // A field that takes their names later is another one.
     if (field->adjointField && &field->adjointField->tree() == tree) {
       field->adjointField.reset();
       field->adjointName.clear();

@@ -172,7 +172,7 @@ bool WorkerPool::awaitJob(uint32_t &seen) {
       slept = true;
     }
     sleepers.fetch_sub(1);
-    // Whoever is woken wakes two more, so that the caller wakes only one.
+    // Each woken thread wakes two more, so that the caller wakes only one.
     if (slept) {
       sleepCondition.notify_one();
       sleepCondition.notify_one();

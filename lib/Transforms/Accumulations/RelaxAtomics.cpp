@@ -98,8 +98,8 @@ private:
 } // namespace
 
 /// True if the update is a sum in a small array that the kernel makes for it,
-/// and nothing else in the loop touches the array: adjoints of what the body of
-/// a loop takes from outside.
+/// and nothing else in the loop touches the array: adjoints of values that the
+/// body of a loop captures.
 static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
   auto array = atomic.getMemref().getDefiningOp<memref::AllocaOp>();
   if (!array || loop->isAncestor(array) ||
@@ -133,8 +133,8 @@ void LoopRelaxation::serialize() {
   });
 }
 
-/// Integer updates give the same result in any order, unless somebody looks at
-/// what was there before.
+/// Integer updates give the same result in any order, unless the former value
+/// is used.
 bool LoopRelaxation::isIndependentOfTiming(AtomicOp atomic) {
   if (!atomic.getOld().use_empty())
     return false;
@@ -269,7 +269,7 @@ void LoopRelaxation::relaxField(FieldAccesses &accesses) {
       atomic.setExclusive(true);
     return;
   }
-  // What the iterations read in between would not be there yet.
+  // The reads of iterations in between would miss the updates.
   auto usesOld = [](AtomicOp atomic) { return !atomic.getOld().use_empty(); };
   if (llvm::any_of(atomics, usesOld) ||
       llvm::any_of(atomics, [&](AtomicOp atomic) {

@@ -67,7 +67,7 @@ struct Effect {
   SmallVector<AtomicOp> updates;
 };
 
-/// One addition: an effect, or a term of what it adds.
+/// One addition: an effect, or one of its terms.
 struct Addition {
   Operation *effect;
   Value term;
@@ -88,7 +88,7 @@ struct Series {
   SmallVector<int64_t> first, step;
 };
 
-/// What is behind additions, with constant indices left open.
+/// The expressions of additions, with constant indices left open.
 class Shapes {
 public:
   explicit Shapes(Block &body) : body(body) {}
@@ -274,7 +274,7 @@ bool Shapes::match(const Addition &model, const Addition &other,
 }
 
 //===----------------------------------------------------------------------===//
-// What can become iterations
+// Additions that can become iterations
 //===----------------------------------------------------------------------===//
 
 FailureOr<bool> Spreading::collect(FieldTable &fields) {
@@ -313,7 +313,7 @@ FailureOr<bool> Spreading::collect(FieldTable &fields) {
       return failure();
     if (effect.updates.empty())
       continue;
-    // Who needs what is computed beside an update would add again.
+    // A user of a value computed beside an update would add again.
     isSupported &= isa<AtomicOp>(op) || op.getNumResults() == 0;
     effects.push_back(std::move(effect));
   }

@@ -7,13 +7,13 @@
 //
 // The adjoint of a stencil, which reads at shifted indices, is a scatter to
 // shifted indices: iterations that run at the same time add to the same
-// elements. Where every index is a shift of one loop index (cut off at the end
+// elements. If every index is a shift of one loop index (cut off at the end
 // of the field or wrapped around it), the iteration that owns an element can
-// make all additions to it: it recomputes what the shifted iterations would
-// have added. The result is one non-atomic addition for each element, in a
-// fixed order, which vectorises. For this, a loop over the interior of a field
-// becomes one over the whole field, whose body tests whether it is in the
-// interior.
+// make all additions to it: it recomputes the terms of the shifted
+// iterations. The result is one non-atomic addition for each element, in a
+// fixed order, which vectorises. For this, a loop over the interior of a
+// field becomes one over the whole field, whose body tests whether it is in
+// the interior.
 //
 // In a loop over the active cells of a sparse field, an iteration contributes
 // only if its cell is active. This is valid for adjoints, which do not change
@@ -74,7 +74,7 @@ using Group = SmallVector<Scatter, 0>;
 } // namespace
 
 //===----------------------------------------------------------------------===//
-// What can be gathered
+// Accesses that can be gathered
 //===----------------------------------------------------------------------===//
 
 /// The constant component that an access reaches: -1 for the whole element,
@@ -251,8 +251,8 @@ static SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout) || !ownsAllActive(box, *layout))
     return {};
-  // Reads of the field itself are the business of isOnlyAccess, unless the loop
-  // stores to it: what an iteration reads would then depend on which one it is.
+  // Reads of the field itself are checked by isOnlyAccess, unless the loop
+  // stores to it: a read would then depend on the iteration.
   llvm::SmallDenseSet<const void *> written;
   const void *own = getStorageKey(atomics.front());
   box.loop.walk([&](Operation *op) {
@@ -427,7 +427,7 @@ static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
   auto constant = [&](int64_t value) -> Value {
     return arith::ConstantIndexOp::create(builder, loc, value);
   };
-  // What wraps stays in the range of the loop.
+  // An index that wraps stays in the range of the loop.
   if (shift.wraps || shift.isIdentity())
     addRangeTests(builder, loc, iv, {lower, upper}, least, end, inside);
   if (shift.isIdentity())
@@ -489,7 +489,7 @@ static Value createGuarded(OpBuilder &builder, Location loc, Type type,
       .getResult(0);
 }
 
-/// What `scatter` adds to the element that the present iteration owns.
+/// The term of `scatter` for the element that the present iteration owns.
 static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter) {
   Location loc = scatter.op.getLoc();
   IRMapping mapping;
@@ -604,7 +604,7 @@ static Gathered gather(LoopBox &box, Group &group, bool compensated) {
 /// not have to be carried across a store, which would stop the vectoriser.
 static void sinkAdditions(LoopBox &box) {
   Operation *end = box.body().getTerminator();
-  // A copy of the list: what is moved must not be met again.
+  // A copy of the list: moved additions must not be met again.
   SmallVector<AtomicOp> additions(box.body().getOps<AtomicOp>());
   for (AtomicOp op : additions) {
     const void *storage = getStorageKey(op);
@@ -708,7 +708,7 @@ struct GatherOptions {
 };
 } // namespace
 
-/// Gathers what can be gathered; true if anything was.
+/// Gathers all scatters that can be gathered; true if there were any.
 static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
   int64_t reach = 0;

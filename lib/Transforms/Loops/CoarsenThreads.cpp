@@ -51,7 +51,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// What a thread reads and writes at once.
+/// The bytes that a thread reads and writes at once.
 constexpr int64_t kVectorBytes = 16;
 /// Iterations of a tile: a block, or several.
 constexpr int64_t kTileSize = 256;
@@ -80,7 +80,7 @@ struct Strips {
 } // namespace
 
 //===----------------------------------------------------------------------===//
-// What can be cut, and what is worth it
+// Loops that can be cut, and their gain
 //===----------------------------------------------------------------------===//
 
 /// True for loops of loads, stores, arithmetic and branches: iterations that
@@ -137,7 +137,7 @@ static std::optional<bool> narrow(Strips &strips, Value condition, unsigned k) {
   return stretch->answer;
 }
 
-/// Which of two numbers a minimum or maximum is, inside.
+/// Decides which of two numbers a minimum or maximum is, inside.
 static Value chooseExtreme(Strips &strips, Operation *op, unsigned k) {
   bool isMin = isa<arith::MinSIOp>(op);
   OpBuilder builder(op);
@@ -151,7 +151,7 @@ static Value chooseExtreme(Strips &strips, Operation *op, unsigned k) {
   return answer ? op->getOperand(*answer ? 0 : 1) : Value();
 }
 
-/// Finds what is known of all elements but those at borders.
+/// Finds the facts about all elements but those at borders.
 static void findInterior(Strips &strips) {
   LoopBox &box = strips.box;
   strips.lower = box.lower;
@@ -208,8 +208,8 @@ static std::optional<int64_t> getStride(Operation *access, Strips &strips,
   return stride && *stride < kVectorBytes ? stride : std::nullopt;
 }
 
-/// Chooses the width of a strip: none if what the loop reads and writes does
-/// not lie side by side.
+/// Chooses the width of a strip: none if the loop's reads and writes are not
+/// adjacent.
 static bool chooseWidth(Strips &strips, FieldTable &fields) {
   LoopBox &box = strips.box;
   int64_t together = 0, apart = 0, smallest = kVectorBytes, origin = 0;
@@ -362,7 +362,8 @@ void StripBuilder::cloneBlock(Block &block) {
   }
 }
 
-/// Whether `index` is in [lower, upper), where not all of what it may be is.
+/// Adds the test that `index` is in [lower, upper), unless all its possible
+/// values are.
 static void addRangeTest(IndexMath &math, OpBuilder &builder, Location loc,
                          Value index, int64_t lower, int64_t upper,
                          Value &condition) {
@@ -473,7 +474,7 @@ static void rewrite(Strips &strips) {
   Value end = rest.min(rest.add(indices.back(), rest.constant(strips.width)),
                        rest.constant(strips.box.upper.back()));
   auto each = scf::ForOp::create(border, loc, begin, end, rest.constant(1));
-  // Unrolled, it would be merged with what the interior does.
+  // Unrolled, it would be merged with the interior.
   MLIRContext *context = loop.getContext();
   auto unroll = LLVM::LoopUnrollAttr::get(
       context, /*disable=*/BoolAttr::get(context, true), {}, {}, {}, {}, {},

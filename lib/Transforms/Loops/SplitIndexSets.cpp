@@ -94,7 +94,7 @@ static void createPart(OpBuilder &builder, Split &split, Value lower,
         }
         scf::YieldOp::create(nested, loc);
       });
-  // What is known of the iterations of the loop is known of these.
+  // Facts about the iterations of the loop hold for these.
   part->setDiscardableAttrs(split.loop->getDiscardableAttrDictionary());
 }
 

@@ -50,8 +50,8 @@ static constexpr int64_t kUnrolledOps = 120;
 
 static constexpr StringLiteral kLoopAnnotation = "llvm.loop_annotation";
 
-/// Says to LLVM that a loop has its vectors: across iterations of another. With
-/// `isRest` it is what a copy has left: sums that are few, and many loops.
+/// Tells LLVM that a loop has its vectors: across iterations of another. With
+/// `isRest` it is the remainder of a copy: sums that are few, and many loops.
 static LLVM::LoopAnnotationAttr getNotVectorized(MLIRContext *context,
                                                  bool isRest = false) {
   BoolAttr yes = BoolAttr::get(context, true);
@@ -66,7 +66,7 @@ static LLVM::LoopAnnotationAttr getNotVectorized(MLIRContext *context,
 }
 
 namespace {
-/// What is found in a loop.
+/// The facts found in a loop.
 struct Candidate {
   scf::ForOp loop;
   /// Width of the widest sum that a serial loop carries; 0 if there is none.
@@ -74,7 +74,8 @@ struct Candidate {
   unsigned ops = 0;
   /// Without those that compute indices, which copies share or addresses hold.
   unsigned fewOps = 0;
-  /// Whether copies have bounds of their own, and each a loop for what is left.
+  /// Whether copies have bounds of their own, and each a loop for the
+  /// remainder.
   bool isUneven = false;
 
   void count(Operation &op) {
@@ -161,7 +162,7 @@ private:
   }
 
   /// Emits one loop in the place of those of all copies. Its index is theirs,
-  /// or what is added to where each of them starts.
+  /// or the distance from the start of each of them.
   void jam(scf::ForOp loop, Value lower, Value upper, Value step,
            bool isCounter) {
     Location loc = loop.getLoc();
@@ -198,8 +199,8 @@ private:
     jammed->setAttr(kLoopAnnotation, getNotVectorized(loop.getContext()));
   }
 
-  /// As many iterations as all copies have are jammed; what a copy has more of
-  /// comes after.
+  /// The common iterations of all copies are jammed; the additional ones of a
+  /// copy come after.
   void jamCommonPart(scf::ForOp loop) {
     Location loc = loop.getLoc();
     Type type = loop.getInductionVar().getType();
@@ -380,7 +381,8 @@ static bool isUnrolledByLLVM(scf::ForOp loop) {
   std::optional<llvm::APInt> trips = loop.getStaticTripCount();
   if (!trips)
     return false;
-  // What depends on neither the index nor what is carried leaves the loop.
+  // Values that depend on neither the index nor loop-carried values leave the
+  // loop.
   llvm::SmallDenseSet<Value> varying;
   varying.insert(loop.getInductionVar());
   varying.insert_range(loop.getRegionIterArgs());
@@ -506,8 +508,8 @@ static void apply(const Candidate &candidate) {
   auto constant = [&](OpBuilder &at, int64_t value) -> Value {
     return arith::ConstantOp::create(at, loc, at.getIntegerAttr(type, value));
   };
-  // [lower, middle) by steps of the factor, which is a power of two, then what
-  // is left.
+  // [lower, middle) by steps of the factor, which is a power of two, then the
+  // remainder.
   Value lower = loop.getLowerBound(), upper = loop.getUpperBound();
   Value count = arith::SubIOp::create(builder, loc, upper, lower);
   count = arith::MaxSIOp::create(builder, loc, count, constant(builder, 0));

@@ -287,7 +287,7 @@ static Svd emitSvd3(ScalarMath &math, ArrayRef<Value> a) {
     emitSwapColumns(math, result.v, 3, p, q, ascending);
   }
 
-  // U from the columns, largest first; what is too small to have a direction
+  // U from the columns, largest first; a column too small to have a direction
   // gets one that completes the rotation.
   Components b0 = getColumn(b, 0), b1 = getColumn(b, 1), b2 = getColumn(b, 2);
   Value sigma0 = math.sqrt(squares[0]);

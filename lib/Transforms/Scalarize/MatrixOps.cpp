@@ -110,7 +110,7 @@ static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
         Value largest = rare.abs(a[0]);
         for (Value value : a.drop_front())
           largest = rare.max(largest, rare.abs(value));
-        // Of a matrix of zeros there is no inverse, however it is scaled.
+        // A matrix of zeros has no inverse, however it is scaled.
         Value divisor = rare.select(rare.equal(largest, rare.constant(type, 0)),
                                     rare.constant(type, 1), largest);
         Components scaled;

@@ -21,7 +21,7 @@ using namespace mlir::tai;
 /// carried in as many registers and nothing becomes vectors of iterations, and
 /// elsewhere.
 static constexpr int64_t kMaxInLoop = 6, kMaxElsewhere = 16;
-/// What a function may put on the stack, which threads have little of.
+/// The limit of a function's vectors on the stack, which is small in threads.
 static constexpr int64_t kMaxBytes = 1 << 15;
 /// Accesses to vectors in a function that need copies: the time in which
 /// upstream finds these grows with the third power of their number.
@@ -30,7 +30,7 @@ static constexpr int64_t kMaxAccesses = 200;
 static constexpr int64_t kMaxPairs = 1 << 22;
 
 //===----------------------------------------------------------------------===//
-// What ops do with vectors
+// Effects of ops on vectors
 //===----------------------------------------------------------------------===//
 
 bool tai::isControlFlow(Operation *op) {
@@ -154,13 +154,13 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   Operation *first = childOf(writer), *second = childOf(user);
   if (first->getBlock() == second->getBlock())
     return first->isBeforeInBlock(second);
-  // Of branches one runs.
+  // Only one of the branches runs.
   return !isa<scf::IfOp, scf::IndexSwitchOp>(common);
 }
 
 /// Whether no vector lives where another one is written.
 static bool canShareBuffer(ArrayRef<Value> members, DominanceInfo &dominance) {
-  // Those that come with a block are all written where it starts.
+  // The arguments of a block are all written at its start.
   if (llvm::count_if(members, [](Value member) {
         return isa<BlockArgument>(member) &&
                !isControlFlow(member.getParentBlock()->getParentOp());

@@ -40,7 +40,7 @@ public:
   bool empty() const { return chosen.empty(); }
   bool needCopies() const { return accesses > 0; }
   bool contains(Value value) const { return chosen.contains(value); }
-  /// Of a vector that shares a buffer, a number for all that share it.
+  /// The number of the buffer that a vector shares with others.
   std::optional<unsigned> getBuffer(Value value) const {
     auto found = chosen.find(value);
     return found == chosen.end() ? std::nullopt : found->second;

@@ -87,7 +87,8 @@ public:
     return result;
   }
 
-  /// Of a matrix of n rows and k columns and one of k rows and m columns.
+  /// The product of a matrix of n rows and k columns and one of k rows and m
+  /// columns.
   Components product(ArrayRef<Value> a, ArrayRef<Value> b, unsigned n,
                      unsigned k, unsigned m) {
     Components result;
@@ -102,7 +103,7 @@ public:
       }
     return result;
   }
-  /// Of a matrix of n rows and m columns.
+  /// The transpose of a matrix of n rows and m columns.
   static Components transpose(ArrayRef<Value> a, unsigned n, unsigned m) {
     Components result;
     for (unsigned j = 0; j != m; ++j)

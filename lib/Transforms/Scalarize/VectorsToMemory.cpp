@@ -127,7 +127,7 @@ private:
   const MemoryVectors &vectors;
   llvm::DenseMap<unsigned, Value> buffers;
   SmallVector<Access> accesses;
-  /// What loops and branches carry, and what comes from elsewhere.
+  /// Values carried by loops and branches, and values from elsewhere.
   SmallVector<Value> carried, given;
 };
 } // namespace
@@ -354,7 +354,7 @@ void VectorReplacer::replaceDefinition(Value vector) {
 void VectorReplacer::run() {
   for (Value value : given)
     replaceDefinition(value);
-  // Carried buffers are dead: what is carried is the one.
+  // The buffers that loops carry are dead: the carried value has one buffer.
   for (Value value : carried) {
     if (Value buffer = getBuffer(value)) {
       value.setType(buffer.getType());
@@ -410,7 +410,7 @@ static LogicalResult copyBuffer(OpBuilder &builder, Location loc, Value from,
 static LogicalResult bufferizeTensors(FunctionOpInterface function) {
   bufferization::OneShotBufferizationOptions options;
   options.allowUnknownOps = true;
-  // What that gives is looked at below.
+  // The result is checked below.
   options.allowReturnAllocsFromLoops = true;
   options.allocationFn = [](OpBuilder &builder, Location loc, MemRefType type,
                             ValueRange, unsigned) -> FailureOr<Value> {
@@ -448,7 +448,7 @@ static bool isOfPlainAccesses(FunctionOpInterface function) {
 }
 
 /// Memory of the stack that an iteration of a loop takes is that of the next
-/// one: what it holds at the beginning is undefined.
+/// one: its contents at the beginning are undefined.
 static void hoistBuffers(FunctionOpInterface function) {
   SmallVector<Operation *> buffers;
   function.walk([&](memref::AllocaOp op) {

@@ -141,7 +141,7 @@ private:
   }
 
   /// Visits `block` with the locals at `before`, and has its terminator pass on
-  /// what they are at the end.
+  /// their values at the end.
   void visitAndPass(Block &block, const Locals &locals, ValueRange before) {
     setAll(locals, before);
     visit(block);

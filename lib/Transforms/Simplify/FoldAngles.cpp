@@ -29,7 +29,7 @@ namespace mlir::tai {
 using namespace mlir;
 
 namespace {
-/// What values are that are computed from constants.
+/// The values of expressions of constants.
 class Constants {
 public:
   /// Null if it is not known.
@@ -114,7 +114,7 @@ static TypedAttr foldAngle(math::Atan2Op op, Constants &constants) {
 }
 
 /// True if the index is one of a loop, a size, or near one: those of index
-/// spaces fit 32 bits. So do constants and what comes from such an integer.
+/// spaces fit 32 bits. So do constants and results of such an integer.
 static bool isOfIndexSpace(Value value) {
   if (auto argument = dyn_cast<BlockArgument>(value)) {
     Operation *parent = argument.getOwner()->getParentOp();
@@ -134,7 +134,7 @@ static bool isOfIndexSpace(Value value) {
     return cast.getIn().getType().getIntOrFloatBitWidth() <= 32;
   if (auto cast = dyn_cast<arith::IndexCastUIOp>(op))
     return cast.getIn().getType().getIntOrFloatBitWidth() < 32;
-  // What arith, a branch or a loop computes may be any number.
+  // Results of arith, a branch or a loop may be any number.
   return !isa_and_present<arith::ArithDialect, scf::SCFDialect>(
              op->getDialect()) &&
          !isa<tai::LocalLoadOp>(op);
@@ -160,7 +160,7 @@ struct FoldAngles : tai::impl::FoldAnglesBase<FoldAngles> {
 
   void runOnOperation() override {
     Constants constants;
-    // What is known is known by addresses.
+    // Constants are cached by address: ops are erased last.
     SmallVector<Operation *> replaced;
     getOperation()->walk([&](math::Atan2Op op) {
       TypedAttr angle = foldAngle(op, constants);

@@ -40,7 +40,7 @@ static FrozenRewritePatternSet getCanonicalization(MLIRContext *context) {
   return FrozenRewritePatternSet(std::move(patterns), tai::getBrokenPatterns());
 }
 
-/// The ops of a block and of what is nested in it, the last one first: they are
+/// The ops of a block and of its nested regions, the last one first: they are
 /// taken from the end of the list.
 static SmallVector<Operation *> collect(Block &block) {
   SmallVector<Operation *> ops;

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // The reverse of a branch returns adjoints, and zeros from an arm that has
-// none. What follows is the reverse of what came before the branch. If all of
-// its effects are to add products of those adjoints, it does nothing where they
-// are zero, and is moved to the end of the other arm.
+// none. The code behind it is the reverse of the code in front of the branch.
+// If all of its effects are to add products of those adjoints, it does nothing
+// where they are zero, and is moved to the end of the other arm.
 //
 //===----------------------------------------------------------------------===//
 
@@ -62,7 +62,7 @@ private:
   unsigned zeroArm;
   SmallVector<Operation *> tail;
   DenseSet<Value> zeros;
-  /// Of the terminator of the block: those that the tail computes.
+  /// Operands of the block's terminator that the tail computes.
   SmallVector<OpOperand *> yielded;
   DenseSet<Operation *> cloned;
 };
@@ -111,7 +111,7 @@ bool Sinking::collect() {
   });
 }
 
-/// What remains of sums with zeros.
+/// The remainder of sums with zeros.
 Value Sinking::skipZeros(Value value) const {
   while (!isZero(value) && isTail(value.getDefiningOp())) {
     auto sum = value.getDefiningOp<arith::AddFOp>();

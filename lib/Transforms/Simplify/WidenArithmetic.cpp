@@ -116,7 +116,7 @@ static Attribute widenNumber(Attribute attr, Type type, FloatType wide) {
 }
 
 void Widening::widenAttributes(Operation *op) {
-  // One of a wider type than `wide` stays what it is.
+  // A constant of a wider type than `wide` stays.
   if (auto constant = dyn_cast<arith::ConstantOp>(op);
       constant && getElementTypeOrSelf(constant.getType()) == wide)
     constant.setValueAttr(cast<TypedAttr>(

@@ -12,7 +12,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 /// Whether equal indices mean the same cell of the innermost sparse level above
-/// both fields, which may divide what lies below it in other ways.
+/// both fields, which may divide the levels below in other ways.
 static bool shareCells(const FieldInfo &a, const FieldInfo &b) {
   if (a.sparse.empty() || b.sparse.empty() || a.layout.tree != b.layout.tree ||
       a.sparse.back().node != b.sparse.back().node ||

@@ -171,7 +171,7 @@ Value tai::emitDigit(OpBuilder &builder, Location loc, const FieldInfo &field,
                      const IndexDigit &digit, ValueRange zeroBased) {
   IndexMath math(builder, loc);
   Value value = math.div(zeroBased[digit.dimension], digit.divisor);
-  // The outermost digit of a dimension needs no remainder: what is in range
+  // The outermost digit of a dimension needs no remainder: an index in range
   // cannot exceed it.
   if (digit.divisor * digit.extent == field.layout.shape[digit.dimension])
     return value;
@@ -329,15 +329,15 @@ Value tai::emitPointer(OpBuilder &builder, Location loc, Type storageType,
 
 /// Takes a small constant that is added to an index away from it.
 static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
-  // What an access reaches is in range, and so, nearly, is what is so close to
-  // it: no sum here overflows where it is used.
+  // The target of an access is in range, and an index so close to it nearly is:
+  // no sum here overflows at its use.
   constexpr int64_t most = 64;
   int64_t sum = 0;
   Value value = index;
   bool isCast = false;
   for (;;) {
     Operation *op = value.getDefiningOp();
-    // What is the same for all iterations is computed before.
+    // A value that is the same for all iterations is computed before.
     if (op && !op->getParentOfType<ParallelForOp>())
       break;
     if (auto cast = dyn_cast_if_present<arith::IndexCastOp>(op);

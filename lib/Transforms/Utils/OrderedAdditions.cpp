@@ -183,7 +183,7 @@ bool Checker::visitArray(Operation *op) {
   return add(place.updates, atomic.getIndices());
 }
 
-/// False for what is not known to leave other iterations alone.
+/// False for operations that are not known to leave other iterations alone.
 bool Checker::visit(Operation *op) {
   if (auto access = dyn_cast<FieldAccessOpInterface>(op);
       access && access.isElementAccess())
@@ -305,7 +305,7 @@ bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
       local = store.getLocal();
     auto update = dyn_cast<AtomicOp>(op);
     bool usesOld = update && !update.getOld().use_empty();
-    // Those without an instruction of their own become loops.
+    // Updates without an instruction of their own become loops.
     bool isLoop = update && !update.getExclusive() && !isDoneByLoop(op) &&
                   (update.getKind() == AtomicKind::Mul ||
                    update.getValue().getType().isInteger(1));

@@ -140,7 +140,7 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       upper[d] = std::min(upper[d], stretch->upper);
     }
   });
-  // What follows from answers.
+  // Values that follow from answers.
   body.walk([&](Operation *op) {
     if (op->getNumResults() != 1 || answers.contains(op->getResult(0)) ||
         !op->getResult(0).getType().isInteger(1))
@@ -273,7 +273,7 @@ bool BlockLoop::addAccess(Operation *op, FieldTable &fields) {
   BlockAccess access{op, *found, {}, 0, std::nullopt};
   const FieldInfo &other = *access.field;
   ValueRange indices = named.getIndices(), components = named.getComponents();
-  // Only what each iteration has for itself can be done a row at a time.
+  // Only operations on an iteration's own data can be done a row at a time.
   if (auto atomic = dyn_cast<AtomicOp>(op);
       atomic && (!atomic.getExclusive() || !atomic->use_empty()))
     return false;

@@ -128,7 +128,7 @@ Value RowBuilder::emitIndex(const BlockAccess &access, const IndexDigit &digit,
 
 Value RowBuilder::emitRowPointer(const BlockAccess &access, int64_t blocks) {
   const FieldInfo &field = *access.field;
-  // Constants last: blocks share what comes before.
+  // Constants last, so that blocks share the other terms.
   Value offset = math.constant(0);
   int64_t known = 0;
   for (const IndexDigit &digit : field.storage.digits) {
@@ -239,7 +239,7 @@ void RowBuilder::storeRow(const BlockAccess &access, Value vector) {
     store.setNoaliasScopesAttr(scopes.others);
     return;
   }
-  // What lies between is another's, and may be changing.
+  // Bytes between rows belong to other fields and may be written concurrently.
   int64_t first = getFirst(access);
   SmallVector<int32_t> spread(length * step, -1);
   SmallVector<bool> mask(length * step, false);

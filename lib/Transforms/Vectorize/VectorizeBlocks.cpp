@@ -43,7 +43,7 @@ static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
     if (lower == layout.offset[d] &&
         upper == layout.offset[d] + layout.shape[d])
       continue;
-    // Both ends in one comparison: what lies below wraps around.
+    // Both ends in one comparison: smaller numbers wrap around.
     Value holds = arith::CmpIOp::create(
         builder, loc, arith::CmpIPredicate::ule, math.sub(index, lower),
         math.constant(upper - block.extents[d] - lower));
@@ -222,7 +222,7 @@ static void vectorize(const BlockLoop &block, FieldTable &fields,
     emitElements(builder, block, origin);
     builder.setInsertionPointToStart(branch.thenBlock());
   }
-  // Of two paths, writes are counted once.
+  // The writes of two paths are counted once.
   for (const auto &[op, access] : block.accesses)
     if (!inside && !isa<LoadOp>(op) && !access.field->sparse.empty())
       SkipScope::count(SkipCount::WritesDemoted);

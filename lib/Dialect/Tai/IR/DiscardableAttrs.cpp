@@ -21,7 +21,7 @@ using namespace mlir::tai;
 namespace {
 enum class Kind { Unit, Integer, Float, String, Symbol, List, Numbers, Any };
 
-/// What people write, and what passes tell one another.
+/// Attributes that people write, and attributes by which passes communicate.
 struct KnownAttr {
   StringLiteral name;
   Kind kind;
@@ -30,8 +30,8 @@ struct KnownAttr {
 };
 } // namespace
 
-// What decides a result is no part of this table but an attribute of the op
-// itself; docs/decisions/0028-ir-level.md says which are which.
+// Attributes that decide a result are no part of this table but attributes of
+// the op itself; docs/decisions/0028-ir-level.md tells which are which.
 static constexpr KnownAttr kKnown[] = {
     // Written by people, or on functions of other dialects.
     {"tai.adjoint", Kind::Symbol, true},
@@ -41,7 +41,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.reads_before", Kind::List, true},
     {"tai.reexecutes", Kind::Unit, true},
     {"tai.tangent", Kind::Symbol, true},
-    // Whoever drops one of these loses time.
+    // Dropping one of these costs time only.
     {"tai.access_group", Kind::Any},
     {"tai.accesses", Kind::Numbers},
     {"tai.active", Kind::Unit},
@@ -51,7 +51,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.index_bits", Kind::Integer},
     {"tai.interior", Kind::Numbers},
     {"tai.tiles", Kind::Any},
-    // Of ops that mean the same without, as far as the program goes.
+    // Attributes of ops that mean the same without, as far as the program goes.
     {"tai.accumulate", Kind::String},
     {"tai.adjoint_branch", Kind::Unit},
     {"tai.guard", Kind::Unit},
@@ -160,7 +160,7 @@ static LogicalResult verifyDifferentiate(Operation *op) {
   if (function.isExternal())
     return op->emitError("cannot differentiate '@")
            << function.getName() << "', which has no body here";
-  // What was differentiated may have been converted since.
+  // The differentiated function may have been converted since.
   bool isDone = op->hasAttr("tai.adjoint") ||
                 op->hasAttr(getFunctionAttrName(op, "tangent"));
   if (!isDone && name != "func.func" && !isa<KernelOp>(op))

@@ -16,8 +16,8 @@ namespace mlir::tai {
 struct RenamedAttr {
   llvm::StringLiteral old, name;
 };
-/// Those that users may have written. The parser of kernels maps the old name
-/// to the new one; elsewhere, the verifier rejects it.
+/// Attributes that users may have written. The parser of kernels maps the old
+/// name to the new one; elsewhere, the verifier rejects it.
 llvm::ArrayRef<RenamedAttr> getRenamedKernelAttrs();
 
 /// Checks an attribute `tai.*` of an op of any dialect.

@@ -181,7 +181,7 @@ std::optional<PlacePath> tai::findPlace(RootType root, StringRef name) {
 // Fields
 //===----------------------------------------------------------------------===//
 
-/// Which child each level down to the innermost sparse one is.
+/// The child numbers of the levels down to the innermost sparse one.
 static SmallVector<unsigned> getSparsePosition(const PlacePath &path) {
   SmallVector<unsigned> position;
   size_t count = 0;
@@ -343,7 +343,7 @@ FieldStorage tai::getFieldStorage(const FieldLayout &layout,
   if (path.getFirstSparse())
     nodes = getSparseNodes(root, dataLayout);
 
-  // What is left of each axis below the level at hand.
+  // The extent of each axis below the current level.
   SmallVector<int64_t> below(kMaxAxes, 1), whole(kMaxAxes, 1);
   for (auto [axis, extent] : llvm::zip(path.axes, path.shape))
     below[axis] = whole[axis] = extent;

@@ -13,7 +13,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Of functions of the LLVM dialect: pairs of a name and a value, and names.
+/// On functions of the LLVM dialect: pairs of a name and a value, and names.
 static constexpr StringLiteral kPassthrough = "passthrough";
 static constexpr StringLiteral kPassedName = "tai.modes";
 
@@ -70,7 +70,7 @@ static bool readWord(Modes &modes, StringRef name, StringRef text) {
   return isRead;
 }
 
-/// What is said, by name and word.
+/// The specified words, by name.
 static SmallVector<std::pair<StringRef, StringRef>>
 getWords(const Modes &modes) {
   SmallVector<std::pair<StringRef, StringRef>> result;

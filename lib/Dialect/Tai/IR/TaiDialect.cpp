@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Registers what the dialect defines, and lets helper functions be inlined
+// Registers the parts of the dialect, and lets helper functions be inlined
 // into kernels. Types register themselves in TaiTypes.cpp, next to their
 // storage.
 //

@@ -115,8 +115,8 @@ LogicalResult KernelOp::verify() {
   if (DictionaryAttr modes = getModesAttr();
       modes && failed(verifyModes(*this, modes)))
     return failure();
-  // (kernel_c1) What is parsed in the generic form may end in anything, or hold
-  // nothing.
+  // (kernel_c1) A body parsed in the generic form may end in any op, or be
+  // empty.
   Block &block = getBody().front();
   if (block.empty() || !isa<ReturnOp>(block.back()))
     return emitOpError("expects a body that ends with 'tai.return'");

@@ -88,8 +88,8 @@ static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
 // TreeOp, FieldOp
 //===----------------------------------------------------------------------===//
 
-/// The bytes of what the cells of a tree hold, without what aligns it; more
-/// than a number counts are the greatest number.
+/// The bytes of the contents of a tree's cells, without padding; sums beyond
+/// the range are the greatest number.
 static uint64_t countBytes(Type type, const DataLayout &layout) {
   uint64_t bytes = 0;
   if (auto places = dyn_cast<PlacesType>(type)) {
@@ -110,7 +110,8 @@ static uint64_t countBytes(Type type, const DataLayout &layout) {
   return bytes;
 }
 
-/// Checks what a kind of level says of its cells: each has room and alignment.
+/// Checks the rules of a kind of level for its cells: each has room and
+/// alignment.
 static LogicalResult verifyCells(TreeOp tree, ArrayRef<Type> children,
                                  const DataLayout &layout) {
   for (Type child : children) {

@@ -153,7 +153,7 @@ void TapeValues::collect() {
       });
 }
 
-/// True if what comes out does not follow what goes in.
+/// True if the result does not depend continuously on the operands.
 static bool isCut(Operation *op) {
   StringRef name = op->getName().getStringRef();
   return isa<StopGradientOp>(op) || name == "arith.cmpf" ||
@@ -241,7 +241,7 @@ LogicalResult TapeValues::verifyStores() {
         for (LaunchOp launch : launches) {
           if (!getNames(launch.getKernelAttr()).contains(name))
             continue;
-          // Pre-order, so what stands before in the text runs before.
+          // Pre-order, so that earlier code in the text runs before.
           Operation *common =
               region.findAncestorOpInRegion(*launch.getOperation());
           Operation *own = region.findAncestorOpInRegion(*op);
