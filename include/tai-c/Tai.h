@@ -516,8 +516,8 @@ TAI_EXPORT TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
 TAI_EXPORT TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit,
                                           bool races_only);
 /// One access of a violation: the kernel, the launch (counted among the checked
-/// ones, -1 if not known), what it does (0 read, 1 write, 2 accumulate) and
-/// where in the source.
+/// ones, -1 if not known), the kind (0 read, 1 write, 2 accumulate) and the
+/// source location.
 typedef struct TaiAccessPlace {
   const char *kernel;
   int64_t launch;
@@ -547,8 +547,8 @@ TAI_EXPORT void taiTapeDestroy(TaiTape tape);
 // Profiler
 //===----------------------------------------------------------------------===//
 
-/// What a row counts: a kernel on the CPU, a loop or another part of a kernel
-/// on a device, or copies and fills of a device.
+/// The subject of a row: a kernel on the CPU, a loop or another part of a
+/// kernel on a device, or copies and fills of a device.
 typedef enum TaiProfileKind {
   TAI_PROFILE_HOST = 0,
   TAI_PROFILE_DEVICE = 1,
@@ -562,7 +562,7 @@ typedef struct TaiProfileRow {
   const char *place; // "file:line:column", or ""
   TaiProfileKind kind;
   int64_t bytes; // that a launch accesses, each element once; -1 for not known
-  // Of device code; -1 for not known.
+  // For device code; -1 if not known.
   int32_t registers;        // of a thread
   int32_t local_bytes;      // of a thread: spilled registers and local arrays
   int32_t shared_bytes;     // of a block
@@ -605,7 +605,7 @@ typedef struct TaiShadowRow {
   int64_t flips; // comparisons and conversions with another result than with
                  // more digits
   int64_t non_finite; // infinite or NaN, and finite with more digits
-  // Of the worst result: its error, that of its operands, and the bits lost.
+  // The worst result: its error, that of its operands, and the bits lost.
   double error_made, error_in, bits_lost;
 } TaiShadowRow;
 /// Findings since the last clear, greatest loss first; owned by the context,

@@ -132,8 +132,8 @@ static LogicalResult forEach(Run &run, int64_t count, bool serial,
   return success();
 }
 
-/// Of loops over arrays: no order is promised, and reductions take the values
-/// in that of the iterations.
+/// Loops over arrays promise no order, and reductions take the values in that
+/// of the iterations.
 static LogicalResult runScfParallel(Run &run, Operation *op) {
   auto loop = cast<scf::ParallelOp>(op);
   Data reduced;

@@ -144,7 +144,7 @@ mlir::tai::interpreter::decomposeSingular(ArrayRef<long double> matrix,
         parts.left[i * n + j] /= parts.values[j];
       continue;
     }
-    // Any direction at right angles to those before: what is left of the axis
+    // Any direction at right angles to those before: the remainder of the axis
     // that they leave most of.
     Matrix best(n, 0);
     long double longest = 0;

@@ -496,7 +496,7 @@ static LogicalResult runAppend(Run &run, Operation *op) {
   return success();
 }
 
-/// Of operations that have nothing to do here.
+/// Handles operations that have no effect here.
 static LogicalResult runNothing(Run &run, Operation *op) { return success(); }
 
 void interpreter::addMemoryHandlers(Handlers &handlers) {

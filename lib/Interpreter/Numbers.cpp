@@ -367,8 +367,8 @@ static Outcome call(Operation *, Operands a, Type type) {
 }
 
 static Outcome squareRoot(Operation *, Operands a, Type type) {
-  // Of f64 too the host rounds correctly, and of what fits into half the digits
-  // twice over is rounded as once.
+  // The host rounds f64 correctly, too; a narrower type with at most half the
+  // digits is then rounded as if once.
   return fromDouble(std::sqrt(toDouble(a[0])), type);
 }
 

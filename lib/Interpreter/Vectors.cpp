@@ -408,8 +408,8 @@ static LogicalResult runTrace(Run &run, Operation *op) {
   return success();
 }
 
-// What follows is worked out in as many digits as the host has, and rounded
-// once: the result is the nearest number but for the last place of f64.
+// The algorithms below use as many digits as the host has, and round once: the
+// result is the nearest number but for the last place of f64.
 
 static SmallVector<long double> widen(const Numbers &numbers) {
   SmallVector<long double> result;

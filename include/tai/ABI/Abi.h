@@ -98,7 +98,7 @@ typedef struct TaiShadowSite {
   void *site;   // how the log knows it
 } TaiShadowSite;
 
-/// What one run of a function has counted for a site by itself.
+/// The counts of one run of a function for a site.
 typedef struct TaiShadowCount {
   int64_t lost;
   int64_t cancellations;

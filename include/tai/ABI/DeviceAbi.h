@@ -100,7 +100,7 @@ void tai_dev_fixed_scale_f32(uint32_t *scale, float value);
 void tai_dev_fixed_scale_f64(uint32_t *scale, double value);
 void tai_dev_fixed_add_f32(const uint32_t *scale, uint64_t *sum, float value);
 void tai_dev_fixed_add_f64(const uint32_t *scale, uint64_t *sum, double value);
-/// Of several threads that call it with one accumulator, one adds the sum.
+/// If several threads call it with one accumulator, one adds the sum.
 void tai_dev_fixed_round_f32(uint32_t *scale, uint64_t *sum, float *element);
 void tai_dev_fixed_round_f64(uint32_t *scale, uint64_t *sum, double *element);
 /// The sum, for an element of another type.

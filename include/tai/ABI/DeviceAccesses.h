@@ -82,8 +82,8 @@ struct DeviceAccess {
 constexpr char tileSuffix[] = "_tile";
 constexpr char tileSiteFunction[] = "tai_tile_site";
 
-/// One load or store in the body of a loop, by itself. Those of functions that
-/// can run in tiles are numbered; see ProgramTiles.h.
+/// One load or store in the body of a loop. Sites of functions that can run in
+/// tiles are numbered; see ProgramTiles.h.
 struct TileSite {
   /// Along one dimension of the loop: iteration i touches the cell of the
   /// number i + shift, of `extent` cells that lie `stride` bytes apart; with
@@ -143,7 +143,7 @@ struct FunctionAccesses {
     return words;
   }
 
-  /// What follows the word `sitesFollow`.
+  /// Encodes the part that follows the word `sitesFollow`.
   std::vector<int64_t> encodeSites() const {
     std::vector<int64_t> words = lower;
     for (const TileSite &site : sites) {
@@ -159,7 +159,8 @@ struct FunctionAccesses {
   }
   static constexpr int64_t sitesFollow = -1;
 
-  /// None for an empty list, and for one that `encode` cannot have made.
+  /// Returns no value for an empty list, and for one that `encode` cannot have
+  /// made.
   static std::optional<FunctionAccesses>
   decode(const std::vector<int64_t> &words) {
     size_t at = 0;

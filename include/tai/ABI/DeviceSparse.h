@@ -70,7 +70,7 @@ typedef struct TaiDeviceCellMove {
   const int64_t *offsets;
 } TaiDeviceCellMove;
 
-/// What tai_dev_move_cells does with the elements: copies them to a dense
+/// The effect of tai_dev_move_cells on the elements: copies them to a dense
 /// array, from one, exchanges both, or fills them with one scalar.
 #define TAI_CELLS_LOAD 0
 #define TAI_CELLS_STORE 1
@@ -85,9 +85,9 @@ typedef struct TaiDeviceCellMove {
 typedef struct TaiDeviceAccount {
   int64_t used;
   int64_t limit;
-  /// Of a tree whose memory is committed when it is first touched, else null: a
-  /// bit for each piece of `pieceBytes` bytes from `origin` on that holds cells
-  /// which have been active; the bytes of these pieces, and their limit.
+  /// For a tree whose memory is committed when it is first touched, else null:
+  /// a bit for each piece of `pieceBytes` bytes from `origin` on that holds
+  /// cells which have been active; the bytes of these pieces, and their limit.
   uint64_t *pieces;
   uint64_t origin;
   int64_t pieceBytes;
@@ -112,7 +112,7 @@ typedef struct TaiDeviceNode {
   /// Byte offsets, in the tree, of cell 0 and of the bits or lengths.
   int64_t offset, activityOffset;
   TaiDeviceActivity *activity;
-  /// What was deactivated since the host last read it, laid out like the bits
+  /// The cells deactivated since the host last read it, laid out like the bits
   /// or lengths.
   void *removed;
   /// A bit for each word of bits, or each list, that has been non-zero;

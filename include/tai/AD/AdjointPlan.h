@@ -132,7 +132,7 @@ struct PrimalDemands {
   llvm::SetVector<Operation *> draws;
   /// Accesses whose fields it reads in the version before the launch.
   llvm::SetVector<Operation *> before;
-  /// Stores whose elements it loads instead of computing what they hold.
+  /// Stores whose elements it loads instead of computing their values.
   llvm::SetVector<Operation *> stored;
   /// Splitting the kernel, one for each loop, would avoid the failure.
   bool parts = false;

@@ -10,10 +10,10 @@
 // which version holds the value of a read depends on the writes that may run
 // before and after it. Where neither does, part of the primal is re-executed.
 //
-// Which primal values an adjoint reads is known only after its rules have run.
-// So the first plan assumes no re-execution, which is enough for most kernels;
-// `settle` compares the demands of the emitted adjoint with the plan. A plan
-// only grows, by ops and storages of the primal, so that this ends.
+// The primal values that an adjoint reads are known only after its rules have
+// run. So the first plan assumes no re-execution, which is enough for most
+// kernels; `settle` compares the demands of the emitted adjoint with the plan.
+// A plan only grows, by ops and storages of the primal, so that this ends.
 //
 // See docs/decisions/0026-adjoint-planner.md.
 //

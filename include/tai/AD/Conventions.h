@@ -11,8 +11,9 @@
 //   ties = "split"   both operands of a max or min that tie get half
 //   arcs = "clamp"   the derivatives of asin and acos at ±1 are those of the
 //                    next number inside
-//   guards = false   a zero adjoint is multiplied like any other: what it costs
-//                    to test for it is measured so
+//   guards = false   a zero adjoint is multiplied like any other, to measure
+//   the
+//                    cost of testing for it
 //
 //===----------------------------------------------------------------------===//
 

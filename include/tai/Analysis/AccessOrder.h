@@ -40,7 +40,7 @@ public:
 
 private:
   llvm::MapVector<const void *, Accesses> storages;
-  /// Those that are not reads.
+  /// Accesses that are not reads.
   llvm::DenseMap<const void *, Accesses> writes;
 };
 

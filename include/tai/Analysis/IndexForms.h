@@ -80,9 +80,9 @@ public:
     return variables[variable].factors;
   }
   bool isOfLaunch(const LinearSum &sum) const;
-  /// What goes out of range with `index` in launches for which `system` holds,
-  /// without the assumption that numbers of the launch are as small as those of
-  /// storage, where it does so for all others too.
+  /// The launches of `system` in which `index` goes out of range, without the
+  /// assumption that numbers of the launch are as small as those of storage, if
+  /// it goes out of range for all others too.
   LinearSystem dropAssumptions(const LinearSystem &system,
                                const LinearSum &index) const;
   bool hasProduct(const LinearSum &sum) const;

@@ -26,16 +26,16 @@ struct IndexedAccess {
   Operation *op;
   /// "field '@x' of shape [4, 8]"; see `describeArray` for that of an array.
   std::string what;
-  /// As the program gives them. Those of components of an element follow those
-  /// of the element.
+  /// The indices of the program. Indices of components of an element follow
+  /// those of the element.
   SmallVector<OpOperand *> indices;
   SmallVector<int64_t> first;
   SmallVector<Extent> extents;
   /// The number of indices of the element; the others are of components.
   size_t rank = 0;
 
-  /// None for an operation that is not an access, or whose index space is not a
-  /// box.
+  /// Returns no value for an operation that is not an access, or whose index
+  /// space is not a box.
   static std::optional<IndexedAccess> get(Operation *op);
 };
 
@@ -43,7 +43,8 @@ struct IndexedAccess {
 std::string describeField(const FieldLayout &layout);
 /// "an element of shape [3] of field '@v'".
 std::string describeElement(FieldOp field);
-/// "an array of f32 of shape [{}, 3]"; what the launch decides is left open.
+/// "an array of f32 of shape [{}, 3]"; extents that the launch decides are left
+/// open.
 std::string describeArray(MemRefType type);
 
 } // namespace mlir::tai

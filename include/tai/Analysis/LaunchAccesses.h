@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What a kernel reads, writes and accumulates, by the names of fields; and
-// which elements, where the arguments of a launch alone decide that.
+// The fields that a kernel reads, writes and accumulates, by name; and the
+// elements, if the arguments of a launch alone decide them.
 //
 //===----------------------------------------------------------------------===//
 

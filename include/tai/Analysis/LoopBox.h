@@ -24,8 +24,8 @@ struct LoopBox {
   std::optional<unsigned> find(Value value);
 };
 
-/// The box of `loop`: its bounds, or those of the field that it visits. None
-/// where they are not constants, or the field has a sparse level.
+/// The box of `loop`: its bounds, or those of the field that it visits. Returns
+/// no value if they are not constants, or the field has a sparse level.
 std::optional<LoopBox> getConstantBox(ParallelForOp loop);
 
 /// The boxes of the outermost parallel loops below `root` with explicit

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Which primal values an adjoint reads: a tape records those before they are
+// The primal values that an adjoint reads: a tape records those before they are
 // overwritten, long before the adjoint has been compiled. So the analysis runs
 // as soon as a kernel has been differentiated, and its result is cached with
 // the code.
@@ -43,7 +43,7 @@ struct ToBeRecorded {
   std::string parts;
 
   std::string serialize() const;
-  /// None where the bytes are not those of a result.
+  /// Returns no value if the bytes are not those of a result.
   static std::optional<ToBeRecorded> deserialize(StringRef bytes);
 };
 

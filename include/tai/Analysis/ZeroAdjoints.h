@@ -22,8 +22,8 @@ struct LoopFlags {
 };
 
 /// Whether a result of an op without regions is zero where the operands with
-/// `isZero` are. Of a product, one factor is enough: guards see to it that a
-/// zero adjoint contributes zero, whatever the partial derivative is.
+/// `isZero` are. In a product, one zero factor is enough: guards make a zero
+/// adjoint contribute zero, whatever the partial derivative is.
 bool isZeroOfZeros(OpResult result, llvm::function_ref<bool(Value)> isZero);
 
 /// The loops of an adjoint over sparse fields; see

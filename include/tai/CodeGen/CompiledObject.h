@@ -29,7 +29,7 @@ struct CompiledObject {
   std::string symbol;
   /// The trees whose base addresses the function needs, in order.
   std::vector<std::string> trees;
-  /// Of adjoints, which values must be recorded: a serialized ToBeRecorded.
+  /// For adjoints, the values that must be recorded: a serialized ToBeRecorded.
   std::string toBeRecorded;
   /// A digest of the source locations, if they are part of the code.
   std::string places;
@@ -45,7 +45,7 @@ struct CompiledObject {
   llvm::SmallVector<char, 0> code;
 
   std::string serialize() const;
-  /// None where the bytes are not those of a serialized object.
+  /// Returns no value if the bytes are not those of a serialized object.
   static std::optional<CompiledObject> deserialize(llvm::StringRef bytes);
 };
 

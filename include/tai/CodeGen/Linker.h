@@ -32,7 +32,7 @@ class ObjectLinkingLayer;
 
 namespace mlir::tai {
 
-/// Thread-safe. What it linked lives until it is unloaded or the linker ends.
+/// Thread-safe. Linked code lives until it is unloaded or the linker ends.
 class Linker {
 public:
   using Library = llvm::orc::JITDylib;

@@ -49,7 +49,7 @@ struct CodegenOptions {
 void allowFastMath(llvm::Module &module);
 
 /// The libraries of vector functions that this process can load, by the names
-/// under which it does. Code may call them; what is cached is for those alone.
+/// under which it does. Code may call them; cached code is for those alone.
 llvm::ArrayRef<llvm::StringRef> getVectorLibraries();
 
 /// A CPU that code is made for, as LLVM describes it.
@@ -98,7 +98,7 @@ private:
 
   CodegenOptions options;
   std::unique_ptr<llvm::TargetMachine> machine;
-  /// What loops may call; none where floats are fast.
+  /// The functions that loops may call; null if floats are fast.
   std::unique_ptr<VectorMath> vectorMath;
   bool broken = false;
 };

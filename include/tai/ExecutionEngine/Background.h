@@ -68,7 +68,7 @@ public:
   /// a safepoint.
   bool runAside(std::function<void()> task);
 
-  /// What a job that waits for something outside of the process should do: keep
+  /// The way in which a job waits for something outside of the process: keep
   /// waiting, stop waiting and do without, or return at once. Queried on the
   /// thread that runs the job, or on one without a job, which passes
   /// safepoints.

@@ -38,7 +38,7 @@ struct CompileOptions {
   CodegenOptions codegen;
 #define TAI_COMPILE_OPTION(type, member, initial, key) type member = initial;
 #include "tai/Support/Options.def"
-  /// The device that runs the loops, and its target (see DeviceTarget). None
+  /// The device that runs the loops, and its target (see DeviceTarget). Empty
   /// for the CPU alone.
   std::optional<runtime::DeviceKind> device;
   std::string deviceTarget;

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Ties an MLIR context, the runtime and the compiler together, and owns what
-// was declared: trees, fields, kernels. The C API and tai-run use it.
+// Ties an MLIR context, the runtime and the compiler together, and owns the
+// declared trees, fields and kernels. The C API and tai-run use it.
 //
 // A session may be used by one thread at a time; it compiles on several.
 //

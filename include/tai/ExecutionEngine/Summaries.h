@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// What a kernel reads, writes and accumulates: converts the results of the
-// analyses to the types of the runtime.
+// The fields that a kernel reads, writes and accumulates: converts the results
+// of the analyses to the types of the runtime.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,7 +23,7 @@ namespace mlir::tai {
 std::vector<runtime::Access> summarize(const runtime::Runtime &rt,
                                        ModuleOp module, KernelOp kernel);
 
-/// Which stored floats of the kernel depend on which loaded ones, with or
+/// The dependences of the kernel's stored floats on loaded ones, with or
 /// without gradients; for the fields of its summary and for its arguments.
 runtime::KernelFlows findFlows(KernelOp kernel,
                                ArrayRef<runtime::Access> summary);

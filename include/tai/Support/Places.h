@@ -21,7 +21,7 @@ namespace mlir::tai {
 /// The file location of `location`, or null; for inlined code, that of the
 /// callee.
 inline FileLineColLoc findFileLocation(Location location) {
-  // Of a call site, use the location in the callee.
+  // For a call site, use the location in the callee.
   if (auto call = dyn_cast<CallSiteLoc>(location))
     return findFileLocation(call.getCallee());
   FileLineColLoc found;

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Drops what the current thread diagnoses during the lifetime of the object.
-// Handlers belong to the context, in which other threads compile as well: one
-// that drops whatever it is given loses their errors.
+// Drops the diagnostics of the current thread during the lifetime of the
+// object. Handlers belong to the context, in which other threads compile as
+// well: one that drops whatever it is given loses their errors.
 //
 //===----------------------------------------------------------------------===//
 

@@ -70,7 +70,7 @@ class SkipSet {
 public:
   static constexpr SkipSet all() { return SkipSet((1u << kNumSkips) - 1); }
   static constexpr SkipSet none() { return SkipSet(0); }
-  /// Those that affect generated code: passes query them.
+  /// The skips that affect generated code: passes query them.
   static constexpr SkipSet ofCompiler() {
     return SkipSet(bit(Skip::ActivityTests) | bit(Skip::RepeatedLookups) |
                    bit(Skip::InactiveValues) | bit(Skip::UnneededRecords) |

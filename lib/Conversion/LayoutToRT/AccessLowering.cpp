@@ -81,8 +81,8 @@ Value AccessLowering::checkCasts(OpBuilder &builder, Location loc,
     auto type = cast<FloatType>(value.getType());
     unsigned width = op->getResult(0).getType().getIntOrFloatBitWidth();
     bool isSigned = isa<arith::FPToSIOp>(op);
-    // Powers of two, which floats have: one too many on both sides, and what
-    // lies between rounds towards zero.
+    // Powers of two, which floats have: one too many on both sides, and numbers
+    // in between round towards zero.
     auto limit = [&](double number) -> Value {
       APFloat bound(number);
       bool ignored;
@@ -119,7 +119,7 @@ Value AccessLowering::checkRange(Operation *op, ValueRange zeroBased,
     return {};
   OpBuilder builder(op);
   Location loc = op->getLoc();
-  // Of an array, `what` shows those that the launch decides.
+  // `what` shows the extents of an array that the launch decides.
   SmallVector<Value> whatShows;
   for (OpFoldResult extent : extents)
     if (Value value = dyn_cast<Value>(extent))

@@ -122,7 +122,7 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
 
     SmallVector<Value> zeroBased = emitZeroBased(rewriter, loc, field, indices);
     Value inRange = lowering.checkElement(op, field, zeroBased);
-    // What stays is guarded all the same.
+    // The remaining op is guarded all the same.
     if (isDoneByLoop(op)) {
       if (inRange) {
         auto branch = scf::IfOp::create(rewriter, loc, inRange);

@@ -20,7 +20,7 @@ using namespace mlir::tai;
 namespace {
 struct ElementAccess {
   Operation *op;
-  /// Of a field; null for arrays, of which any two may be one.
+  /// The field; null for arrays, any two of which may be the same.
   const FieldInfo *field;
   ValueRange indices, components;
   bool stores;

@@ -16,11 +16,11 @@ namespace mlir::tai {
 /// told so.
 constexpr llvm::StringLiteral kKeepsOrderAttrName = "tai.keeps_order";
 
-/// Whether an iteration of the loop stores something and then accesses what may
-/// be the same element, where LLVM could combine accesses of several iterations
-/// into strided (interleaved) groups. LLVM's vectoriser does not look for
-/// dependences in a loop that is annotated as parallel, those within an
-/// iteration included, and moves such groups past one another. All fields of
+/// Whether an iteration of the loop stores something and then accesses an
+/// element that may be the same, if LLVM could combine accesses of several
+/// iterations into strided (interleaved) groups. LLVM's vectoriser does not
+/// look for dependences in a loop that is annotated as parallel, those within
+/// an iteration included, and moves such groups past one another. All fields of
 /// the loop are in the table.
 bool needsOrderWithin(ParallelForOp loop, FieldTable &fields);
 

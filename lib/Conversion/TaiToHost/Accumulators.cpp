@@ -34,8 +34,8 @@ static SmallVector<Value> getOutside(ValueRange values, ParallelForOp loop) {
   });
 }
 
-/// What partial sums of this type are kept in: of 16-bit floats in f32, which
-/// does not stop growing at 2048 of its terms; compensated ones in f64.
+/// The type of partial sums: f32 for 16-bit floats, since those stop growing at
+/// 2048 of their terms; f64 for compensated sums.
 static Type getSumType(Type type, AtomicKind kind, bool compensated) {
   if (!isa<FloatType>(type) || kind != AtomicKind::Add)
     return type;
@@ -53,7 +53,7 @@ static Value emitWidened(OpBuilder &builder, Location loc, Value value,
   return arith::ExtFOp::create(builder, loc, type, value);
 }
 
-/// A sum of such partial sums, as what it is of.
+/// A sum of such partial sums, in the type of the field.
 static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
                           Type type) {
   if (sum.getType() == type)
@@ -249,7 +249,7 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
   }
   if (buffers.empty())
     return parts;
-  // Each partition costs its elements, and the updates are what it saves.
+  // Each partition costs its elements, and saves the updates.
   double partsPerCount =
       updates * iterationsPerCount * kElementsPerUpdate / elements;
   RuntimeCalls &runtime = lowering->runtime;
@@ -649,8 +649,8 @@ void Accumulators::rewriteUpdates() {
   }
   for (Buffer &buffer : buffers) {
     const FieldInfo &field = *buffer.group.field;
-    // A buffer stands for its field: what does not reach the one does not reach
-    // the other.
+    // A buffer stands for its field: accesses that do not reach the one do not
+    // reach the other.
     AliasScopes scopes = lowering->fields.getScopes(field);
     for (AtomicOp atomic : buffer.group.atomics) {
       OpBuilder builder(atomic);

@@ -66,7 +66,7 @@ public:
   /// order of all targets: around the iterations of a chunk.
   void emitChunkStart(OpBuilder &builder, Location loc);
   void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk);
-  /// Of these sums, iteration i of `loop` belongs to lane i - `base`.
+  /// Iteration i of `loop` belongs to lane i - `base` of these sums.
   void setLanes(scf::ForOp loop, Value base) {
     innermost = loop;
     laneBase = base;
@@ -110,7 +110,7 @@ private:
     /// A pair whose terms are stored for a block of iterations; see PairSums.h.
     bool keepsTerms = false;
     std::optional<PairLanes> lanes;
-    /// Of sums in the order of all targets.
+    /// For sums in the order of all targets.
     std::optional<LaneSum> ordered;
   };
   /// Sums of a part of a field in a buffer.

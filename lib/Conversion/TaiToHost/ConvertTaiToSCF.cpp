@@ -40,7 +40,7 @@ ModuleLowering::ModuleLowering(ModuleOp module, bool deterministic, bool debug,
     treeIndex[tree.getSymNameAttr()] = i;
 }
 
-/// True if the launch can fail in this function or in what it runs.
+/// True if the launch can fail in this function or in one that it runs.
 static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
   for (LLVM::LLVMFuncOp function : functions) {
     WalkResult result = function.walk([](LLVM::CallOp call) {

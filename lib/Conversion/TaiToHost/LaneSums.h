@@ -22,7 +22,7 @@ class LaneSum {
 public:
   /// `type`: of the terms.
   LaneSum(AtomicKind kind, Type type);
-  /// Of the lanes and of their sum.
+  /// The type of the lanes and of their sum.
   Type getType() const { return type; }
 
   /// In the kernel, before the loop: room for the groups of all chunks.

@@ -17,7 +17,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// What the lowerings in one function share.
+/// State shared by the lowerings in one function.
 struct LeafLowering {
   LeafLowering(LLVM::LLVMFuncOp function, ModuleLowering &module)
       : function(function), frame(function.getArgument(0)), module(module),

@@ -27,7 +27,8 @@ struct ModuleLowering {
   RuntimeCalls runtime;
   FieldTable fields;
   bool deterministic, debug;
-  /// Of the kernel that is being lowered: sums have the order of all targets.
+  /// A mode of the kernel that is being lowered: sums have the order of all
+  /// targets.
   bool oneOrder = false;
   /// Position of each tree in TaiFrame::trees.
   llvm::DenseMap<StringAttr, int64_t> treeIndex;

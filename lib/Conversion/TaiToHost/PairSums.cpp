@@ -44,7 +44,7 @@ Pair tai::emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x) {
 }
 
 Value tai::emitRounded(OpBuilder &builder, Location loc, Pair pair) {
-  // Nothing is left of what an infinite sum has rounded away.
+  // An infinite sum has no rounding error.
   Value isNone = arith::CmpFOp::create(builder, loc, arith::CmpFPredicate::UNO,
                                        pair.rest, pair.rest);
   Value zero = arith::ConstantOp::create(

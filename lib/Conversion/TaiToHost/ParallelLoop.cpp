@@ -289,12 +289,12 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   if (failed(accumulators))
     return failure();
 
-  // What a partition counts.
+  // The units of a partition.
   std::optional<int64_t> rows = box.constantCount(box.rank() - 1);
   std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
-  // Where the partition decides the order of sums, which must not change, it
-  // does not ask for what a pass may drop.
+  // If the partition decides the order of sums, which must not change, it does
+  // not use results that a pass may drop.
   bool isFixed = Modes::of(loop).isDeterministic(false);
   bool keepsSums =
       !accumulators->empty() && (isFixed || lowering.deterministic);
@@ -302,7 +302,7 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
       estimateIteration(loop, keepsSums || loop->hasAttr(kIndependentAttrName));
   if (FloatAttr fixed = loop.getFixedCostAttr())
     cost = fixed.getValueAsDouble();
-  // Iterations in one step of what the partition counts.
+  // Iterations in one unit of the partition.
   double perStep = byRows ? double(*rowLength) : 1.0;
   size_t counted = byRows ? box.rank() - 1 : box.rank();
   if (IntegerAttr outer = loop.getOuterDimsAttr()) {

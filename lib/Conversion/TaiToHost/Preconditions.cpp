@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A launch tests once whether all preconditions hold. Which one does not, and
-// its message, is determined in a separate block, off the fast path.
+// A launch tests once whether all preconditions hold. A separate block, off the
+// fast path, determines the one that fails, and its message.
 //
 //===----------------------------------------------------------------------===//
 

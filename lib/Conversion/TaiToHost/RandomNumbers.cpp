@@ -245,8 +245,8 @@ Value tai::emitDraw(UnrealizedConversionCastOp op, Value frame,
     return width < 32 ? arith::TruncIOp::create(builder, loc, type, bits)
                       : bits;
 
-  // As many bits as the significand holds, so that 1 is never reached by
-  // rounding. They are fewer than the integer has: signed numbers convert in
+  // The number of bits is that of the significand, so that 1 is never reached
+  // by rounding. They are fewer than the integer has: signed numbers convert in
   // one instruction of vectors that few processors have for unsigned ones.
   auto floatType = cast<FloatType>(type);
   unsigned kept =

@@ -8,8 +8,8 @@
 // The approximate instructions of a GPU have bounds on their errors for some
 // arguments only (CUDA programming guide, "Intrinsic Functions"): sin.approx
 // and cos.approx between -pi and pi, div.approx for divisors up to 2^126, and
-// 2^(y log2 x) is NaN for negative x and for 0^0. What is done here costs a few
-// additions, and makes them right to some units for all arguments in use.
+// 2^(y log2 x) is NaN for negative x and for 0^0. The patterns here cost a few
+// additions, and make them right to some units for all arguments in use.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,8 +28,8 @@ template <typename Op> bool isApproximate(Op op) {
          bitEnumContainsAll(op.getFastmath(), arith::FastMathFlags::afn);
 }
 
-/// Creates arithmetic without leave to change it: what is here relies on the
-/// order of roundings.
+/// Creates arithmetic without leave to change it: the code relies on the order
+/// of roundings.
 class Exact {
 public:
   Exact(OpBuilder &builder, Location loc) : builder(builder), loc(loc) {}
@@ -101,7 +101,7 @@ struct PowerOfAny : OpRewritePattern<math::PowFOp> {
     Value size = LLVM::FAbsOp::create(rewriter, loc, x.getType(), x);
     Value log = exact.call("llvm.nvvm.lg2.approx.f", size);
     Value power = exact.call("llvm.nvvm.ex2.approx", exact.mul(y, log));
-    // Of a negative number: only whole powers, and odd ones are negative.
+    // A negative base: only whole powers, and odd ones are negative.
     auto isWhole = [&](Value value) {
       Value whole = math::TruncOp::create(rewriter, loc, value);
       return exact.compare(arith::CmpFPredicate::OEQ, whole, value);

@@ -11,9 +11,9 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether an operation computes on floats: what a processor that flushes
-/// denormals flushes, as operands and as results. What only moves bits, or
-/// changes the sign alone, keeps them.
+/// Whether an operation computes on floats, so that a processor that flushes
+/// denormals flushes its operands and results. Moves of bits and changes of the
+/// sign alone keep them.
 static bool computes(Operation *op) {
   return isa<LLVM::FAddOp, LLVM::FSubOp, LLVM::FMulOp, LLVM::FDivOp,
              LLVM::FRemOp, LLVM::FCmpOp, LLVM::FPExtOp, LLVM::FPTruncOp,

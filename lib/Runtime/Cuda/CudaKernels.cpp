@@ -125,7 +125,7 @@ Status CudaKernels::Filling::run() {
   return kernels.device.launch(*kernels.filler, shape, slots, words);
 }
 
-/// Adds it, or both halves of what is too much for an entry. The entries of the
+/// Adds it, or both halves of a fill too large for an entry. The entries of the
 /// table are queued if there is no room left.
 Status CudaKernels::Filling::add(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;

@@ -278,8 +278,8 @@ public:
   virtual void setStopWord(DevicePtr) {}
 };
 
-/// Opens device number `ordinal` of the CUDA driver. The failure names what is
-/// missing: the driver, a new enough driver, or a device. The environment
+/// Opens device number `ordinal` of the CUDA driver. The failure names the
+/// missing part: the driver, a new enough driver, or a device. The environment
 /// variable TAI_CUDA_DRIVER names another library to load as the driver.
 Status openCudaDevice(int ordinal, std::unique_ptr<Device> &device);
 

@@ -37,7 +37,7 @@ uint64_t deviceOutputBytes(const TaiDeviceState &state);
 struct DeviceReport {
   /// The first failure, with the same message as on the CPU.
   Status failure;
-  /// What was printed, in order, without the newlines.
+  /// The printed lines, in order, without the newlines.
   std::vector<std::string> lines;
   /// The number of lines dropped because the buffer was full.
   uint64_t lostLines = 0;

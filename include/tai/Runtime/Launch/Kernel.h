@@ -181,8 +181,8 @@ struct KernelInfo {
   CallerAdjoints callerAdjoints;
   /// The trees of the module, in the order of its `tai.tree` ops.
   std::vector<TreePtr> trees;
-  /// What the kernel reads, writes and accumulates. It must be complete,
-  /// because the tape ignores fields that are not listed.
+  /// The accesses of the kernel. It must be complete, because the tape ignores
+  /// fields that are not listed.
   std::vector<Access> summary;
   /// The function; null where the provider makes it.
   TaiKernelFn function = nullptr;
@@ -360,7 +360,7 @@ private:
   std::vector<Field *> adjointTargets;
   /// Fields whose adjoints its adjoint reads (fields that it changes).
   std::vector<Field *> adjointSources;
-  /// Those of `adjointSources` that are overwritten, not accumulated.
+  /// The fields of `adjointSources` that are overwritten, not accumulated.
   std::vector<Field *> overwritten;
   /// Sparse levels of its trees. For an adjoint that is launched by hand: the
   /// state of the levels when the last launch began, and the cells that its

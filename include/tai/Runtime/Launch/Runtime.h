@@ -70,7 +70,7 @@ public:
   HostWrites &writes() { return hostWrites; }
   Launcher &launcher() { return launches; }
   ShadowLog &shadowLog() { return shadowSites; }
-  /// Counters of what was and was not skipped; see
+  /// Counters of skipped and unskipped work; see
   /// docs/decisions/0008-skips.md.
   SkipCounters &skipCounters() { return skipCounts; }
 

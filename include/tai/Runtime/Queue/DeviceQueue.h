@@ -180,8 +180,8 @@ public:
       return Status::success();
     return flush();
   }
-  /// Fails for a handler that has interrupted work which runs what has been
-  /// collected: of that only a part has been queued, and on a device that does
+  /// Fails for a handler that has interrupted work which runs the collected
+  /// launches: only a part of them has been queued, and on a device that does
   /// not run by itself only a part is done.
   Status checkHandler() const;
   /// Whether launches are deferred; whether they may be; whether the next ones
@@ -191,7 +191,7 @@ public:
   bool expectsLaunches() const;
 
   /// For a timed launch, which cannot wait for the end of the sequence: queues
-  /// what has been collected; launchNow then queues the launch.
+  /// the collected work; launchNow then queues the launch.
   Status interrupt() {
     if (isRunning)
       if (Status status = checkHandler(); !status)
@@ -267,7 +267,7 @@ private:
   class PrefixedGraphs;
   class Program;
 
-  /// Queues what has been collected; a complete sequence may become a program.
+  /// Queues the collected work; a complete sequence may become a program.
   Status flush(bool isWhole);
   Status flush() {
     if (isRunning)

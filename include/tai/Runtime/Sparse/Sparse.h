@@ -39,7 +39,7 @@ namespace mlir::tai::runtime {
 class SparseNode;
 class Workers;
 
-/// What is needed to compute lists of active cells on the host.
+/// The services that lists of active cells need on the host.
 struct ListMaker {
   Workers &workers;
   const SkipSet &skips;
@@ -216,8 +216,8 @@ public:
   /// words of 64 bits.
   const std::atomic<uint64_t> *marked() const { return marks; }
   int64_t numMarked() const { return numMarks; }
-  /// A range of words of bits, or of lengths, from a device, and what it has
-  /// deactivated since the last fetch, or null.
+  /// A range of words of bits, or of lengths, from a device, and the cells that
+  /// it has deactivated since the last fetch, or null.
   struct Part {
     int64_t first, count;
     const void *activity, *gone;

@@ -8,7 +8,7 @@
 // The tape is data: a list of (kernel, argument slots). The reverse sweep
 // launches the adjoints in reverse order, and only those that can contribute: a
 // launch is needed if it changes a field whose adjoint may be non-zero, and
-// then the adjoints of what it reads may be non-zero too.
+// then the adjoints of its read fields may be non-zero too.
 //
 // A launch that overwrites elements used by an earlier launch kills their old
 // values: after its adjoint has run, the adjoints of these elements are zeroed.

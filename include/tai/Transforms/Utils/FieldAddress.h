@@ -49,7 +49,7 @@ struct SparseInfo {
   }
 };
 
-/// What the lowering needs to know about one field.
+/// The data about one field that the lowering needs.
 struct FieldInfo {
   FieldLayout layout;
   FieldStorage storage;

@@ -31,10 +31,10 @@ struct SumOrder {
   static constexpr int64_t kGroups = 4;
 };
 
-/// What the lanes of such a sum are kept in.
+/// The type of the lanes of such a sum.
 Type getLaneType(AtomicKind kind, Type type);
 
-/// What lanes start with: added to any number, also to -0, it leaves that.
+/// The start of the lanes: added to any number, also to -0, it leaves that.
 TypedAttr getLaneStart(AtomicKind kind, Type type);
 
 /// The iterations of a chunk, for a number of all that is not negative.

@@ -51,7 +51,7 @@ def cuts_graph(specs: list[Any], result: Any) -> bool:
 
 
 def is_grad_enabled() -> bool:
-    """Whether torch records what is computed now."""
+    """Whether torch records the current computations."""
     torch = sys.modules.get("torch")
     return torch is not None and torch.is_grad_enabled()
 

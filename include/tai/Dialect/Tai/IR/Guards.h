@@ -22,8 +22,8 @@ constexpr llvm::StringLiteral kGuard = "tai.guard";
 /// derivative zero, and their product.
 constexpr llvm::StringLiteral kInfiniteGuard = "tai.guard_infinite";
 
-/// Marks the reverse of a branch: its results are adjoints, and what is
-/// computed from those is guarded.
+/// Marks the reverse of a branch: its results are adjoints, and values computed
+/// from those are guarded.
 constexpr llvm::StringLiteral kAdjointBranch = "tai.adjoint_branch";
 
 } // namespace mlir::tai

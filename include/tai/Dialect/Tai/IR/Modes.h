@@ -7,8 +7,8 @@
 //
 // The attribute `modes` of kernels:
 //
-//   precision = "f64" or "f32"       what it computes in, whatever fields hold
-//   sums = "compensated"             sums are kept with twice the digits
+//   precision = "f64" or "f32"       the type of arithmetic, whatever fields
+//   hold sums = "compensated"             sums are kept with twice the digits
 //          "deterministic"           bits do not depend on threads
 //   math = "fast", "strict" or "accurate"
 //   ftz = true                       denormal numbers are zero
