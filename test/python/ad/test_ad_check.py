@@ -6,6 +6,8 @@ import inspect
 import numpy as np
 import pytest
 import tai as ti
+import tai.testing
+from tai._impl.ad import probe
 from tai._impl.ad.probe import relative_error
 
 
@@ -434,24 +436,154 @@ def test_a_tape_that_checks_nothing_raises():
         square()
 
 
-def test_check_gradient_that_compares_nothing():
-    from tai.testing import check_gradient
-
+def test_a_loss_that_the_program_never_clears():
+    """The kernel of the tutorial adds to the loss; each difference begins with 0."""
     ti.init(default_fp=ti.f64, offline_cache=False)
-    x = ti.field(ti.f64, shape=3, needs_grad=True, name="x")
-    y = ti.field(ti.f64, shape=3, needs_grad=True, name="y")
+    x = ti.field(ti.f64, shape=16, needs_grad=True, name="x")
+    loss = ti.field(ti.f64, shape=(), needs_grad=True, name="loss")
+    x.from_numpy(np.arange(16.0))
+
+    @ti.kernel
+    def measure():
+        for i in x:
+            loss[None] += (x[i] - 3) ** 2
+
+    measure()
+    for run in (ti.ad.check, tai.testing.check_gradient):
+        result = run(measure, loss=loss, wrt=[x])
+        assert result and result.error < 1e-9, str(result)
+    # The loss is put back, too.
+    assert loss[None] == ((np.arange(16) - 3) ** 2).sum()
+
+
+def test_a_heat_problem_whose_loss_is_never_cleared():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    n, steps = 32, 40
+    u = ti.field(ti.f64, shape=(steps + 1, n), needs_grad=True, name="u")
+    k = ti.field(ti.f64, shape=n, needs_grad=True, name="k")
     loss = total_field()
-    square = square_of(y, loss)
+    u.from_numpy(np.zeros((steps + 1, n)))
+    k.from_numpy(np.linspace(0.1, 0.3, n))
+    for i in range(n):
+        u[0, i] = np.sin(i / 3)
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i in range(1, n - 1):
+            u[t + 1, i] = u[t, i] + k[i] * (u[t, i + 1] - 2 * u[t, i] + u[t, i - 1])
+
+    @ti.kernel
+    def total():
+        for i in range(n):
+            loss[None] += (u[steps, i] - 0.5) ** 2
 
     def run():
-        loss[None] = 0
-        square()
+        for t in range(steps):
+            step(t)
+        total()
 
-    with pytest.raises(AssertionError, match="nothing was checked.*'x'"):
-        check_gradient(loss, [x], run)
-    with pytest.raises(AssertionError, match="wrt names no field"):
-        check_gradient(loss, [], run)
-    assert check_gradient(loss, [y], run) < 1e-7
+    run()
+    result = tai.testing.check_gradient(run, loss=loss, wrt=[k])
+    assert result, str(result)
+
+
+def test_the_other_name():
+    assert tai.testing.check_gradient is ti.ad.check
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    loss = total_field()
+    with pytest.raises(ti.TaiRuntimeTypeError, match="a kernel, a function or a tape") as caught:
+        tai.testing.check_gradient(loss, [loss], lambda: None)
+    assert "ti.ad.check(run, loss=loss, wrt=[x])" in caught.value.hint
+
+
+# Rounding
+
+
+def noisy_program(dtype, offset, wrong=1.0):
+    """x² + offset - offset, with the rounding errors of the sum."""
+    x = ti.field(dtype, shape=5, needs_grad=True, name="x")
+    loss = ti.field(dtype, shape=(), needs_grad=True, name="loss")
+    x.from_numpy(np.linspace(0.5, 1.5, 5).astype(dtype.numpy))
+
+    @ti.kernel
+    def measure():
+        for i in x:
+            loss[None] += (x[i] ** 2 + offset) - offset
+
+    @ti.ad.grad_replaced
+    def run():
+        measure()
+
+    @ti.kernel
+    def gradient():
+        for i in x:
+            x.grad[i] += 2 * x[i] * wrong * loss.grad[None]
+
+    @ti.ad.grad_for(run)
+    def backward():
+        gradient()
+
+    return x, loss, measure if wrong == 1.0 else run
+
+
+@pytest.mark.parametrize("offset", [1e5, 1e7, 1e8, 1e9])
+def test_rounding_noise_is_no_jump(offset):
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x, loss, run = noisy_program(ti.f64, offset)
+    result = ti.ad.check(run, loss=loss, wrt=[x], directions=8)
+    assert result, str(result)
+    assert not any(p.jump for p in result.fields[0].probes)
+    assert "jumps" not in str(result)
+
+
+def test_rounding_noise_of_f32():
+    ti.init(offline_cache=False)
+    x, loss, run = noisy_program(ti.f32, 2000.0)
+    result = ti.ad.check(run, loss=loss, wrt=[x], directions=8)
+    assert result, str(result)
+    assert not any(p.jump for p in result.fields[0].probes)
+
+
+@pytest.mark.parametrize("offset, wrong", [(1e5, 1.00001), (1e7, 1.001), (1e8, 1.01), (1e9, 1.1)])
+def test_noise_hides_no_greater_error(offset, wrong):
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x, loss, run = noisy_program(ti.f64, offset, wrong)
+    result = ti.ad.check(run, loss=loss, wrt=[x], bisect=False)
+    assert not result
+    assert "jumps" not in str(result)
+
+
+@pytest.mark.parametrize("height", [1e-4, 1.0])
+def test_a_jump_among_noise(height):
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=(), needs_grad=True, name="x")
+    loss = total_field()
+    x[None] = 1.0
+
+    @ti.kernel
+    def run():
+        loss[None] += (x[None] ** 2 + 1e7) - 1e7
+        if x[None] >= 1:
+            loss[None] += height
+
+    result = ti.ad.check(run, loss=loss, wrt=[x])
+    assert not result
+    assert all(p.jump for p in result.fields[0].probes if p.method == "differences")
+    assert "jumps" in str(result)
+
+
+def test_the_noise_of_a_function():
+    generator = np.random.default_rng(2)
+    assert probe.measure_noise(np.sin, 1e-6) < 1e-15
+    found = [
+        probe.measure_noise(lambda h: np.sin(h) + 1e-6 * generator.standard_normal(), 1e-6)
+        for _ in range(200)
+    ]
+    assert 0.3e-6 < np.median(found) < 1e-6
+    assert max(found) < 3e-6
+    # Smooth on both sides of a jump; not a number.
+    assert probe.measure_noise(lambda h: float(h >= 0), 1e-6) == 0
+    assert probe.measure_noise(lambda h: np.nan, 1e-6) == 0
 
 
 def test_elements_that_are_stored_by_one_launch_and_read_by_another():

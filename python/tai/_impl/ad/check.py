@@ -67,7 +67,8 @@ def check(
         recorded = None
     else:
         raise TaiRuntimeTypeError(
-            f"ti.ad.check takes a kernel, a function or a tape, but got {target!r}"
+            f"ti.ad.check takes a kernel, a function or a tape, but got {target!r}",
+            "ti.ad.check(run, loss=loss, wrt=[x])",
         )
     wrt = as_fields(wrt, "wrt")
     if loss is not None:

@@ -18,6 +18,13 @@ STEPS = tuple(10.0**-k for k in range(2, 11))  # 1e-2 … 1e-10
 # dot product of forward against reverse loses what sums of f32 lose.
 DIFFERENCES_TOLERANCE = {"f64": 1e-7, "f32": 5e-3}
 FORWARD_TOLERANCE = {"f64": 1e-12, "f32": 1e-4}
+# A difference of noisy values is known up to the noise by the step. A gradient that differs from it
+# by less passes, up to this relative error.
+_NOISE_TOLERANCE = {"f64": 1e-3, "f32": 5e-2}
+# The distance of the points that noise is measured by, and their number. Differences of order 4 of
+# values so close together leave nothing of a smooth function.
+_NOISE_STEP = {"f64": 2.0**-20, "f32": 2.0**-12}
+_NOISE_POINTS = 8
 # A derivative smaller than this share of the values it is taken of cannot be told from the
 # rounding of the differences.
 _FLOOR = {"f64": 1e-4, "f32": 1e-2}
@@ -56,6 +63,7 @@ class Probe:
         ladder: all steps that were tried.
         kink: the slopes on the two sides differ and do not meet as the step shrinks.
         jump: they grow without end as the step shrinks.
+        is_noisy: the tolerance is the noise of the differences.
     """
 
     method: str
@@ -67,6 +75,7 @@ class Probe:
     ladder: list[Rung] = field(default_factory=list)
     kink: bool = False
     jump: bool = False
+    is_noisy: bool = False
 
     @property
     def passed(self) -> bool:
@@ -184,8 +193,48 @@ def climb(
         best = (np.nan, ladder[-1].central, ladder[-1].step)
     probe = Probe("differences", reverse, best[1], best[0], tolerance, best[2], ladder)
     if not best[0] <= tolerance:
-        _look_for_kinks(probe, scale, size, float(np.finfo(dtype.replace("f", "float")).eps))
+        noise = measure_noise(lambda step: weigh(value(step), base), _NOISE_STEP[dtype])
+        eps = float(np.finfo(dtype.replace("f", "float")).eps)
+        _look_for_kinks(probe, scale, max(noise, 8 * eps * size))
+        if not probe.jump:
+            _allow_noise(probe, scale, noise, _NOISE_TOLERANCE[dtype])
     return probe
+
+
+def measure_noise(value: Callable[[float], float], step: float) -> float:
+    """The standard deviation of the rounding errors of a function near 0.
+
+    A smooth function leaves nothing of the fourth differences of values at close points, and
+    errors that do not depend on each other leave 8.4 (the root of 70) times their deviation
+    (Hamming, Numerical Methods, section 6.4). Both sides of 0 are measured and the smaller figure
+    counts, because a jump at 0 is no noise.
+
+    Args:
+        value: the function.
+        step: the distance of the points.
+    """
+    sides = []
+    for sign in (1.0, -1.0):
+        values = np.array([value(sign * k * step) for k in range(1, _NOISE_POINTS + 1)])
+        with np.errstate(all="ignore"):
+            fourth = np.diff(values, 4)
+            sides.append(float(np.sqrt(np.mean(fourth**2) / 70.0)))
+    finite = [side for side in sides if np.isfinite(side)]
+    return min(finite, default=0.0)
+
+
+def _allow_noise(probe: Probe, scale: float, noise: float, most: float) -> None:
+    """Lets a gradient pass that differs from the differences by no more than their noise."""
+    for rung in probe.ladder:
+        # Three deviations of a difference of two values with this noise. Extrapolation adds less.
+        bound = 3 * noise / (np.sqrt(2.0) * rung.step) / max(scale, abs(probe.reverse))
+        if probe.tolerance < bound <= most and rung.error <= bound:
+            best = rung.central
+            if rung.improved is not None:
+                best = min(best, rung.improved, key=lambda e: abs(e - probe.reverse))
+            probe.error, probe.expected, probe.step = rung.error, best, rung.step
+            probe.tolerance, probe.is_noisy = bound, True
+            return
 
 
 def _finest(ladder: list[Rung]) -> Rung:
@@ -193,14 +242,12 @@ def _finest(ladder: list[Rung]) -> Rung:
     return min(ladder, key=lambda r: abs(np.log10(r.step) + 6))
 
 
-def _look_for_kinks(probe: Probe, scale: float, size: float, eps: float) -> None:
-    gaps, slopes = [], []
+def _look_for_kinks(probe: Probe, scale: float, noise: float) -> None:
+    gaps = []
     for rung in probe.ladder:
-        noise = 16 * eps * size / rung.step
         gap = abs(rung.right - rung.left)
-        if gap > max(noise * 4, 1e-6 * scale):
+        if gap > max(8 * noise / rung.step, 1e-6 * scale):
             gaps.append((rung.step, gap))
-        slopes.append((rung.step, max(abs(rung.left), abs(rung.right)), noise))
     small = [(s, g) for s, g in gaps if 1e-8 <= s <= 1e-4]
     if len(small) >= 2:
         # Smooth: the gap shrinks with the step. Kink: it stays. Jump: it grows.
