@@ -132,7 +132,7 @@ def main() -> None:
     args = parser.parse_args()
     folder = args.keep or Path("out/gallery")
     folder.mkdir(parents=True, exist_ok=True)
-    parts = ["# Gallery", "What the programs of [examples](examples.md) draw, made by "
+    parts = ["# Gallery", "The pictures of the programs of [examples](examples.md), made by "
              "`python scripts/gallery.py`. Plots of the paper's experiments are on [their page]"
              "(paper.md)."]  # fmt: skip
     for entry in ENTRIES:

@@ -6,7 +6,6 @@ that stand for a noun. A room passes if it is below both of `BARS`.
 
     prose.py                  print the rooms and their densities
     prose.py --list ROOM      print the offending sentences of a room (or of a file)
-    prose.py --update         lower the figures of `ABOVE` to those of the tree
 """
 
 from __future__ import annotations
@@ -24,12 +23,6 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # Highest density of openings and of clauses that a room may have.
 BARS = (8.0, 6.0)
-
-# Rooms above the bars, with the number of their openings and clauses. The numbers may fall and
-# not rise, and a room that passes leaves the list (`--update` does both).
-ABOVE: dict[str, tuple[int, int]] = {
-    "pages": (139, 315),
-}
 
 OPENERS = "What Who Whose Whoever Those Of None Nobody Which".split()
 AS_OPENERS = "many much long far often soon".split()
@@ -203,28 +196,17 @@ def tracked() -> dict[str, str]:
     }
 
 
-def problems(rooms: dict[str, Room], above: dict[str, tuple[int, int]]) -> list[str]:
-    """Rooms that are above the bars and not listed, or worse than listed, or listed in vain."""
+def problems(rooms: dict[str, Room]) -> list[str]:
+    """Rooms above the bars."""
+    bars = f"at most {BARS[0]:g} and {BARS[1]:g}"
     found = []
     for name, room in sorted(rooms.items()):
-        opening, clause = room.densities()
-        if room.passes():
-            if name in above:
-                found.append(f"{name}: passes, take it out of ABOVE (scripts/prose.py --update)")
-            continue
-        figures = f"{opening:.1f} openings and {clause:.1f} clauses per 1,000 sentences"
-        remedy = f"rewrite some that `scripts/prose.py --list {name}` prints"
-        if name not in above:
-            bars = f"at most {BARS[0]:g} and {BARS[1]:g}"
-            found.append(f"{name}: {figures}, {bars}: {remedy}")
-        elif any(now > then for now, then in zip(room.counts(), above[name])):
-            then, now = above[name], room.counts()
+        if not room.passes():
+            opening, clause = room.densities()
             found.append(
-                f"{name}: {now[0]} openings and {now[1]} clauses, "
-                f"at most {then[0]} and {then[1]} as listed in ABOVE: {remedy}"
+                f"{name}: {opening:.1f} openings and {clause:.1f} clauses per 1,000 sentences, "
+                f"{bars}: rewrite some that `scripts/prose.py --list {name}` prints"
             )
-    for name in sorted(set(above) - set(rooms)):
-        found.append(f"{name}: is no room, take it out of ABOVE (scripts/prose.py --update)")
     return found
 
 
@@ -235,42 +217,16 @@ def check() -> list[str]:
         for name, text in texts.items()
         if not name.endswith(".md") and not has_header(name, text)
     ]
-    return problems(read_tree(texts), ABOVE) + without
-
-
-def lowered(
-    rooms: dict[str, Room], above: dict[str, tuple[int, int]]
-) -> dict[str, tuple[int, int]]:
-    """The list with the figures of the tree where these are lower, without rooms that pass."""
-    result = {}
-    for name, then in sorted(above.items()):
-        if name in rooms and not rooms[name].passes():
-            now = rooms[name].counts()
-            result[name] = (min(now[0], then[0]), min(now[1], then[1]))
-    return result
-
-
-def update(rooms: dict[str, Room]) -> None:
-    """Writes the lowered list into this script."""
-    lines = [f'    "{name}": {counts},\n' for name, counts in lowered(rooms, ABOVE).items()]
-    script = Path(__file__)
-    text = script.read_text()
-    begin = text.index("ABOVE: dict[str, tuple[int, int]] = {\n")
-    begin = text.index("\n", begin) + 1
-    end = text.index("}\n", begin)
-    script.write_text(text[:begin] + "".join(lines) + text[end:])
+    return problems(read_tree(texts)) + without
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--list", metavar="ROOM", help="print the offending sentences")
-    parser.add_argument("--update", action="store_true", help="lower the figures of ABOVE")
     asked = parser.parse_args()
     texts = tracked()
     rooms = read_tree(texts)
-    if asked.update:
-        update(rooms)
-    elif asked.list:
+    if asked.list:
         if asked.list in texts:
             rooms[asked.list] = read_room(asked.list, texts[asked.list])
         if asked.list not in rooms:

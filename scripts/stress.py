@@ -148,7 +148,7 @@ def page(collector: Collector, size: str) -> str:
         finds finite slopes ({collector.trees.count("passed")} tests)."""
     lines += ["", wrap(trees), "", "## Known to fail", ""]
     if not collector.known:
-        return "\n".join([*lines, "None of them on the CPU."]) + "\n"
+        return "\n".join([*lines, "No test is known to fail on the CPU."]) + "\n"
     lines += ["Each is a strict expected failure: the run fails when it passes.", ""]
     lines += ["| tests | why |", "|---|---|"]
     grouped: dict[str, list[str]] = defaultdict(list)

@@ -289,7 +289,7 @@ def make_page() -> str:
                 f"{'; '.join(runs)} |"
             )
         misses.append(f"| {name} | {miss} |")
-    return "\n".join([*lines, "", "What one miss is:", "", "| bar | a miss |", "|---|---|",
+    return "\n".join([*lines, "", "The meaning of one miss:", "", "| bar | a miss |", "|---|---|",
                       *misses, ""])  # fmt: skip
 
 

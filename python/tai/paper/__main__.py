@@ -204,7 +204,7 @@ def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
             "times are several times too large.**"
         )
     head = [
-        "What the programs of [examples](examples.md) give for the figures and tables of "
+        "Results of the programs of [examples](examples.md) for the figures and tables of "
         "*DiffTaichi: Differentiable Programming for Physical Simulation* (ICLR 2020). Made by "
         f"`python -m tai.paper --{lab.level}`; every number that is not said to be the paper's "
         "comes from that run.",
