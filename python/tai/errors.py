@@ -33,6 +33,8 @@ class TaiError(Exception):
         self.end_column: int | None = None
         self.trail: list[str] = []
         self.details: str | None = None
+        # The source line, where the file may have another one by now.
+        self.source: str | None = None
 
     def locate(
         self, filename: str, lineno: int, column: int, end_column: int | None = None
@@ -47,7 +49,9 @@ class TaiError(Exception):
         lines = [self.message]
         if self.lineno is not None:
             lines.append(f"  --> {shorten(self.filename)}:{self.lineno}:{self.column}")
-            lines += show_line(self.filename, self.lineno, self.column, self.end_column)
+            lines += show_line(
+                self.filename, self.lineno, self.column, self.end_column, self.source
+            )
         lines += [f"  {line}" for line in self.trail]
         if self.details:
             lines += [f"  {line}" for line in self.details.splitlines()]
@@ -129,11 +133,24 @@ def shorten(filename: str | None) -> str:
     return relative if len(relative) < len(filename) else filename
 
 
+# The lines of files that kernels were read from, as they were then.
+LINES: dict[str, list[str]] = {}
+
+
+def source_line(filename: str | None, lineno: int) -> str:
+    """A line of a file; empty where it is not at hand."""
+    lines = LINES.get(filename or "")
+    if not lines:
+        return linecache.getline(filename or "", lineno)
+    return lines[lineno - 1] if 0 < lineno <= len(lines) else ""
+
+
 def show_line(
-    filename: str | None, lineno: int, column: int | None, end_column: int | None = None
-) -> list[str]:
+    filename: str | None, lineno: int, column: int | None, end_column: int | None = None,
+    source: str | None = None,
+) -> list[str]:  # fmt: skip
     """The source line and a line with carets, or nothing where the source is not at hand."""
-    source = linecache.getline(filename or "", lineno).rstrip("\n")
+    source = (source_line(filename, lineno) if source is None else source).rstrip("\n")
     if not source.strip():
         return []
     margin = f"{lineno:5d} | "

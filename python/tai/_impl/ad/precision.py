@@ -5,14 +5,13 @@ The estimates are those of `rounding`: sums of adjoint times rounding error, of 
 
 from __future__ import annotations
 
-import linecache
 import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from ...errors import TaiAutodiffError, shorten
+from ...errors import TaiAutodiffError, shorten, source_line
 from ..base import dtypes
 from ..base.program import get_program
 from .rounding import BITS, Sweep
@@ -212,7 +211,7 @@ def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
             )
     value = float(loss[None])
     lines = [
-        LinePrecision(key[1], key[2], linecache.getline(key[1], key[2]).strip(), total)
+        LinePrecision(key[1], key[2], source_line(key[1], key[2]).strip(), total)
         for key, total in sweep.sums.items()
         if key[0] == "line" and total
     ]

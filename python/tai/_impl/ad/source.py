@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import ast
-import inspect
-import textwrap
 from typing import Any
 
-from ...errors import shorten
-from ..base import state
-from ..base.parsing import parse
+from ...errors import TaiSyntaxError, shorten
+from ..base import state, texts
 
 # Functions whose derivative is not finite everywhere.
 _SINGULAR = {"sqrt", "rsqrt", "log", "pow", "acos", "asin", "atan2", "tan", "norm", "normalized",
@@ -58,9 +55,9 @@ class Place:
     def suspects(self) -> list[tuple[int, str]]:
         """Lines with operations whose derivative is not finite everywhere."""
         try:
-            lines, start = inspect.getsourcelines(self.function)
-            tree = parse(textwrap.dedent("".join(lines)))
-        except (OSError, TypeError, SyntaxError):
+            tree = texts.definition(self.function)
+            lines = texts.text_of(self.function).lines
+        except (AttributeError, TaiSyntaxError):
             return []
         found: dict[int, str] = {}
         for node in ast.walk(tree):
@@ -72,5 +69,5 @@ class Place:
                     name = "pow"
             if name in _SINGULAR:
                 line = node.lineno  # type: ignore[attr-defined]
-                found[start + line - 1] = lines[line - 1].strip()
+                found[line] = lines[line - 1].strip()
         return sorted(found.items())

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import linecache
 import math
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
-from ...errors import TaiRuntimeError, shorten, spelled
+from ...errors import TaiRuntimeError, shorten, source_line, spelled
 from . import state
 from .program import get_program
 
@@ -91,7 +90,7 @@ class ShadowReport(list):
         for filename, rows in by_file.items():
             lines.append(f"{shorten(filename)}:")
             for lineno in sorted(rows):
-                lines.append(f"{lineno:>6} | {linecache.getline(filename, lineno).rstrip()}")
+                lines.append(f"{lineno:>6} | {source_line(filename, lineno).rstrip()}")
                 for row in rows[lineno]:
                     indent = " " * max(row.column - 1, 0)
                     lines.append(f"{'':>6} | {indent}^ {row.summary()}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -27,7 +29,9 @@ class StructType:
     and matrix types, and struct types.
     """
 
-    __name__: str  # the name of the class that it was made of
+    # The name of the class that it was made of, as in Python.
+    __name__: str
+    __qualname__: str
 
     def __init__(self, members: dict[str, Any], methods: dict[str, Any] | None = None):
         if not members:
@@ -44,6 +48,45 @@ class StructType:
                     )
                 kind = ScalarType(kind)
             self.members[name] = kind
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Sets a method where the value is a function."""
+        if not inspect.isfunction(value):
+            object.__setattr__(self, name, value)
+            return
+        former = getattr(self.methods.get(name), "_tai_func", None)
+        self.methods[name] = value
+        if former is not None:
+            former.drop_users()
+
+    def __getattr__(self, name: str) -> Any:
+        """A method: `Base.step(self)` in a method of a struct that derives from `Base`."""
+        if name in vars(self).get("methods", ()):
+            method = self.methods[name]
+            return _OfReceiver(method) if hasattr(method, "_tai_func") else method
+        raise AttributeError(f"the struct type has no attribute '{name}'")
+
+    def __mro_entries__(self, bases: tuple) -> tuple[type]:
+        """A class that derives from the type derives from what stands for it; see `dataclass`."""
+        return (self._stand_in,)
+
+    @functools.cached_property
+    def _stand_in(self) -> type:
+        name = vars(self).get("__name__", "struct")
+        return type(name, (_StandIn,), {"_tai_struct": self})
+
+    def __reduce__(self) -> Any:
+        name, home = vars(self).get("__qualname__", ""), vars(self).get("__module__", "")
+        found: Any = sys.modules.get(home)
+        for part in name.split("."):
+            found = getattr(found, part, None)
+        # By name, as classes are: functions that it has for methods cannot be pickled alone.
+        return name if found is self else (StructType, (self.members, self.methods))
+
+    def adopt(self, other: StructType) -> None:
+        """Takes the methods of the type that its module, loaded again, defines in its place."""
+        self.methods.clear()
+        self.methods.update(other.methods)
 
     def bind(self, args: tuple, kwargs: dict) -> dict[str, Any]:
         """The value of each member; zero if none is given."""
@@ -78,7 +121,13 @@ class StructType:
                 value = fitting.stored(value, kind.dtype, f"member '{name}'")
                 value = kind.dtype.numpy.type(value).item()
             entries[name] = value
-        return Struct(entries, self.methods)
+        return self.value_of(entries)
+
+    def value_of(self, entries: dict[str, Any]) -> Struct:
+        """A struct in Python, of members that have their types."""
+        made = Struct(entries, self.methods)
+        object.__setattr__(made, "_type", self)
+        return made
 
     def field(self, shape: Any = None, layout: Any = Layout.AOS, **options: Any) -> StructField:
         """A field of such structs; for the arguments see `ti.field`."""
@@ -90,6 +139,29 @@ class StructType:
             for name, kind in self.members.items()
         )
         return f"struct({', '.join(members)})"
+
+
+class _OfReceiver:
+    """A method that is called by the name of its type, with the struct as an argument."""
+
+    def __init__(self, method: Any):
+        self._tai_func, self._method = method._tai_func.of_receiver(), method
+        self.__name__ = method.__name__
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return self._method(*args, **kwargs)
+
+
+class _StandIn:
+    """A class that stands for a struct type where another class derives from it."""
+
+    _tai_struct: StructType
+
+    def __new__(cls, *args: Any, **members: Any) -> Any:
+        raise TaiTypeError(
+            f"class '{cls.__name__}' derives from a struct type, and is none itself",
+            "decorate it with @ti.dataclass",
+        )
 
 
 def _method(struct: Struct, name: str, problem: str) -> Any:
@@ -112,6 +184,14 @@ class Struct:
     def __init__(self, entries: dict[str, Any] | None = None, methods: Any = None, **more: Any):
         object.__setattr__(self, "entries", {**(entries or {}), **more})
         object.__setattr__(self, "methods", dict(methods or {}))
+
+    # What made it, or None.
+    _type: StructType | None = None
+
+    def __reduce__(self) -> Any:
+        if self._type is None:
+            return Struct, (dict(self.entries), self.methods)
+        return StructType.value_of, (self._type, dict(self.entries))
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "entries":  # of one that is being copied
@@ -357,6 +437,9 @@ class ElementOfStruct(Struct):
 
     __getitem__, __setitem__ = __getattr__, __setattr__
 
+    def __reduce__(self) -> Any:
+        return self._field.struct_type(self.to_dict()).__reduce__()  # as it is now
+
     def to_dict(self) -> dict[str, Any]:
         return {
             name: value.to_dict() if isinstance(value, Struct) else np.asarray(value).tolist()
@@ -409,13 +492,25 @@ def make_struct_field(
 def dataclass(cls: type) -> StructType:
     """A struct type with the annotations of a class as members, and its methods.
 
-    Methods that are `@ti.func` are for kernels, the others for Python.
+    Methods that are `@ti.func` are for kernels, the others for Python. Members and methods of the
+    classes and struct types that the class derives from come first.
     """
-    methods = {name: f for name, f in vars(cls).items() if inspect.isfunction(f)}
-    members = dict(getattr(cls, "__annotations__", {}))
-    if any(isinstance(kind, str) for kind in members.values()):
-        members = inspect.get_annotations(cls, eval_str=True)
+    methods: dict[str, Any] = {}
+    members: dict[str, Any] = {}
+    for base in reversed(cls.__mro__[:-1]):
+        struct = vars(base).get("_tai_struct")
+        if struct is not None:
+            members.update(struct.members)
+            methods.update(struct.methods)
+            continue
+        if base is _StandIn:
+            continue
+        own = inspect.get_annotations(base)
+        if any(isinstance(kind, str) for kind in own.values()):
+            own = inspect.get_annotations(base, eval_str=True)
+        members.update(own)
+        methods.update((name, f) for name, f in vars(base).items() if inspect.isfunction(f))
     made = StructType(members, methods)
-    made.__name__ = cls.__name__
-    made.__doc__ = cls.__doc__
+    made.__name__, made.__qualname__ = cls.__name__, cls.__qualname__
+    made.__module__, made.__doc__ = cls.__module__, cls.__doc__
     return made

@@ -106,6 +106,7 @@ class Context:
         is_dead: set while the statements that follow cannot be reached.
         diagnostics: gives errors their place.
         reads: attributes that the code depends on besides its arguments.
+        functions: the `FunctionInfo` of each `ti.func` that is inlined.
         walker: compiles nested nodes.
     """
 
@@ -120,6 +121,7 @@ class Context:
         self.diagnostics = Diagnostics(self.frames)
         constants = [spec.constant for _, spec in kernel.parameters if spec.kind == "template"]
         self.reads = Reads(constants)
+        self.functions: set[Any] = set()
         self.walker = walker
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import linecache
 import re
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -16,6 +15,7 @@ from ...errors import (
     TaiTypeError,
     shorten,
 )
+from ..base import texts
 from ..base.handlers import is_of_a_handler
 from ..values.misuse import KINDS
 from .scope import Frame, StaticBreak, StaticContinue
@@ -36,7 +36,6 @@ class Diagnostics:
 
     def __init__(self, frames: list[Frame]):
         self._frames = frames
-        self._lines: dict[tuple[str, int], str] = {}
         self.last_node: Any = frames[0].node
         self.from_python: TaiError | None = None
 
@@ -89,15 +88,17 @@ class Diagnostics:
             self.column(node.lineno, node.col_offset) + 1,
             self.column(node.lineno, node.end_col_offset) + 1 if same_line else None,
         )
+        error.source = self._line(node.lineno)
         error.trail = self.trail()
 
     def column(self, line: int, offset: int) -> int:
         """A column in characters; `ast` counts bytes."""
-        key = (self._frames[-1].filename, line)
-        text = self._lines.get(key)
-        if text is None:
-            text = self._lines[key] = linecache.getline(*key)
+        text = self._line(line)
         return offset if text.isascii() else len(text.encode()[:offset].decode(errors="ignore"))
+
+    def _line(self, line: int) -> str:
+        lines = texts.text_of(self._frames[-1].function).lines
+        return lines[line - 1] if line <= len(lines) else ""
 
     def trail(self) -> list[str]:
         """Where the code being compiled stands: functions, innermost first."""

@@ -16,7 +16,7 @@ from .refs import Place, Variable
 from .returns import Returns
 from .scope import Bound, Frame
 from .source import function_ast
-from .structs import Reference, StructValue, StructVariable, as_struct_value
+from .structs import Reference, StructPlace, StructValue, StructVariable, as_struct_value
 
 # How deep functions may call one another, and one of them itself.
 _MAX_INLINE_DEPTH = 400
@@ -48,6 +48,7 @@ class Inlining(Part):
                 f"more than {_MAX_INLINE_DEPTH} functions call one another",
                 "functions are compiled in place of each call: call fewer of them in each other",
             )
+        self.context.functions.add(info)
         bound = info.bind(args, kwargs)
         frame = Frame(info.function, function_ast(info.function), "func")
         frame.depth = self.context.depth
@@ -78,6 +79,8 @@ class Inlining(Part):
                 meaning = self.frame.find(node.id)
                 if isinstance(meaning, (Variable, Reference)):
                     return meaning
+                if isinstance(meaning, Bound) and isinstance(meaning.thing, StructPlace):
+                    return Reference(meaning.thing)  # `self`
             if isinstance(value, Place):
                 return Reference(value)
             return Variable(name, value) if isinstance(value, Value) else Bound(value)

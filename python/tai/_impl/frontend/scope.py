@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiNameError, did_you_mean
+from ..base import texts
 from .refs import Variable
 from .source import closure_of
 
@@ -59,7 +60,7 @@ class Frame:
     def __init__(self, function: Callable[..., Any], node: ast.FunctionDef, kind: str):
         self.function, self.node, self.kind = function, node, kind
         self.name = function.__name__
-        self.filename = function.__code__.co_filename
+        self.filename = texts.text_of(function).filename
         self.globals = function.__globals__
         self.closure = closure_of(function)
         self.scopes: list[dict[str, Variable | Bound]] = [{}]

@@ -3,52 +3,24 @@
 from __future__ import annotations
 
 import ast
-import linecache
 from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiSyntaxError
-from ..base.parsing import parse
-
-# File name -> (the text it was parsed from, functions by first line and name).
-_parsed: dict[str, tuple[str, dict[tuple[int, str], ast.FunctionDef | ast.AsyncFunctionDef]]] = {}
+from ..base import texts
 
 
 def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
     """The definition of `function`.
 
     Raises:
-        TaiSyntaxError: its source is not at hand.
+        TaiSyntaxError: its source is not at hand, or has changed.
     """
-    code = function.__code__
-    filename = code.co_filename
-    text = "".join(linecache.getlines(filename, function.__globals__))
-    cached = _parsed.get(filename)
-    if cached is None or cached[0] != text:
-        cached = _parsed[filename] = (text, _index(text))
-    found = cached[1].get((code.co_firstlineno, code.co_name))
-    if found is None:
-        hint = "kernels must stand in a file: the compiler reads their text"
-        if filename.startswith("<timed"):  # what IPython calls cells below %%time and %%timeit
-            hint = "define kernels in a cell without %%time: the compiler reads their text"
-        raise TaiSyntaxError(f"the source of function '{function.__name__}' cannot be read", hint)
+    found = texts.definition(function)
     if isinstance(found, ast.AsyncFunctionDef):
         raise TaiSyntaxError(
             f"'{function.__name__}' is an 'async def', and kernels have no coroutines", "write def"
-        ).locate(filename, found.lineno, found.col_offset + 1)
-    return found
-
-
-def _index(text: str) -> dict[tuple[int, str], ast.FunctionDef | ast.AsyncFunctionDef]:
-    try:
-        tree = parse(text)
-    except SyntaxError:
-        return {}
-    found = {}
-    for node in ast.walk(tree):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            first = node.decorator_list[0].lineno if node.decorator_list else node.lineno
-            found[first, node.name] = node
+        ).locate(function.__code__.co_filename, found.lineno, found.col_offset + 1)
     return found
 
 

@@ -241,16 +241,17 @@ def warn_at(frame: Any, message: str) -> None:
 
 
 @functools.lru_cache(maxsize=64)
-def _parse(filename: str) -> ast.Module | None:
+def _parse(text: str) -> ast.Module | None:
     try:
-        return parse("".join(linecache.getlines(filename)))
+        return parse(text)
     except (SyntaxError, ValueError):
         return None
 
 
 def _find_body(filename: str, line: int, name: str) -> ast.AST | None:
     """The definition of a function, or the module."""
-    module = _parse(filename)
+    linecache.checkcache(filename)  # a module may have been loaded again
+    module = _parse("".join(linecache.getlines(filename)))
     if module is None or name == "<module>":
         return module
     for node in ast.walk(module):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import functools
+import weakref
 from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
-from ..base import state
+from ..base import state, texts
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
+from . import autoreload
 from .signature import check_no_rest, defaults_of, names_of, parse_type, resolve
 
 
@@ -17,9 +20,23 @@ class FunctionInfo:
 
     def __init__(self, function: Callable[..., Any]):
         self.function, self.name = function, function.__name__
+        texts.note(function)
+        # The specialisations that it is compiled into.
+        self.users: weakref.WeakSet = weakref.WeakSet()
         self.names = names_of(function)
         self._kinds: dict[str, Any] | None = None
         self._defaults = defaults_of(function)
+
+    def of_receiver(self) -> FunctionInfo:
+        """The same for a method whose first argument is the struct itself, which it may change."""
+        made = copy.copy(self)
+        made._kinds = {**self.kinds, self.names[0]: "template"}
+        return made
+
+    def drop_users(self) -> None:
+        """Lets the kernels that it was compiled into be compiled again."""
+        for user in list(self.users):
+            user.drop()
 
     @property
     def kinds(self) -> dict[str, Any]:
@@ -93,11 +110,34 @@ def _make_function(function: Callable[..., Any], in_python: bool) -> Callable[..
         if state.emitter is not None:
             return state.emitter.call(wrapper, args, kwargs)
         if in_python:
-            return function(*args, **kwargs)
+            # Not that of the closure: a reloaded module may have put another one here.
+            return wrapper._tai_func.function(*args, **kwargs)  # type: ignore[attr-defined]
         raise TaiSyntaxError(
             f"function '{function.__name__}' can be called in kernels only",
             "decorate it with @ti.pyfunc to call it from Python too",
         )
 
-    wrapper._tai_func = FunctionInfo(function)  # type: ignore[attr-defined]
+    info = FunctionInfo(function)
+    wrapper._tai_func = info  # type: ignore[attr-defined]
+    _replace_former(info)
     return wrapper
+
+
+# The function that each module defined last under each qualified name.
+_last: dict[tuple[int, str], weakref.ref[FunctionInfo]] = {}
+
+
+def _replace_former(info: FunctionInfo) -> None:
+    """A module is loaded again, or a cell is run again: kernels look up their functions anew."""
+    names, qualname = info.function.__globals__, info.function.__qualname__
+    if "<locals>" in qualname:
+        return
+    own = (id(names), qualname)
+    keys = [own]
+    if qualname == f"{autoreload.CLASS_OF_A_METHOD}.{info.name}":
+        keys = [k for k in _last if k[0] == id(names) and k[1].split(".")[-1] == info.name]
+    for key in keys:
+        former = _last[key]() if key in _last else None
+        if former is not None and former.function.__globals__ is names:
+            former.drop_users()
+    _last[own] = weakref.ref(info)

@@ -8,12 +8,13 @@ from collections.abc import Callable
 from typing import Any, overload
 
 from ...errors import SHOW_TRACEBACK, TaiAutodiffError, TaiError, TaiSyntaxError, TaiTypeError
-from ..base import compiling, native, state
+from ..base import compiling, native, state, texts
 from ..base.modes import check_kernel, float_of
 from ..base.program import get_program
 from ..fields.arrays import Ndarray
 from ..history import origins
 from ..tracking import tracked
+from . import autoreload
 from .bound_kernel import BoundKernel
 from .functions import func, pyfunc, real_func
 from .launch import launch
@@ -37,14 +38,9 @@ class Kernel(native.Launcher):
     def __init__(
         self, function: Callable[..., Any], is_method: bool, modes: dict[str, Any] | None = None
     ):
-        self._function, self._is_method = function, is_method
-        # The modes that the kernel itself names.
-        self._modes = modes or {}
-        self.__name__ = function.__name__
-        self.__qualname__ = function.__qualname__
-        self.__doc__ = function.__doc__
-        self.__module__ = function.__module__
-        self.__wrapped__ = function
+        texts.note(function)
+        autoreload.follow()
+        self._take(function, is_method, modes or {})
         self._program: Any = None
         self._signature: Signature | None = None
         self._specializations = Specializations(self, function, self._modes)
@@ -54,8 +50,21 @@ class Kernel(native.Launcher):
         self.grad = GradientKernel(self)
         check_annotations(function, is_method)
 
+    def _take(self, function: Callable[..., Any], is_method: bool, modes: dict[str, Any]) -> None:
+        self._function, self._is_method = function, is_method
+        # The modes that the kernel itself names.
+        self._modes = modes
+        self.__name__ = function.__name__
+        self.__qualname__ = function.__qualname__
+        self.__doc__ = function.__doc__
+        self.__module__ = function.__module__
+        self.__wrapped__ = function
+
     def __get__(self, instance: Any, owner: Any = None) -> Any:
         return self if instance is None else BoundKernel(self, instance)
+
+    def __reduce__(self) -> str:
+        return self.__qualname__  # by name, as functions are
 
     def __repr__(self) -> str:
         return f"<ti.kernel '{self.__qualname__}'>"
@@ -126,6 +135,13 @@ class Kernel(native.Launcher):
             self._signature = None  # default types may be others now
             self._program = program
         return self._specializations.get(program, self._get_signature(), values, tracks)
+
+    def adopt(self, other: Kernel) -> None:
+        """Becomes the kernel that its module, loaded again, defines in its place."""
+        self.release()
+        self._take(other._function, other._is_method, other._modes)
+        self._signature = None
+        self._specializations = Specializations(self, self._function, self._modes)
 
     def forget_launches(self) -> None:
         """The next launch asks anew which code it needs."""

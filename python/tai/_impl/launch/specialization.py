@@ -37,6 +37,8 @@ class Specialization:
         self.has_gradients = True
         self.fields: weakref.WeakSet = weakref.WeakSet()
         self.stored: weakref.WeakSet = weakref.WeakSet()
+        # What `ti.func` made, of functions that are compiled into it.
+        self.functions: list[Any] = []
         self.accumulated: weakref.WeakSet = weakref.WeakSet()
         # Whether the launcher in C++ knows it, for `grad` false and true.
         self.registered: set[bool] = set()
@@ -155,6 +157,8 @@ class Specializations:
                 owner._drop(gone, key)
 
         found.drop = drop
+        for function in found.functions:
+            function.users.add(found)
         for tree in found.core.trees:
             program.trees[tree].users.add(found)
 
@@ -238,6 +242,7 @@ class Specializations:
         found.followed, found.result_pool = [number for number, _ in followed], pool
         found.has_gradients = compiler.has_gradients
         emitter = compiler.context.emitter
+        found.functions = list(compiler.context.functions)
         found.fields.update(emitter.fields)
         found.stored.update(emitter.stored)
         found.accumulated.update(emitter.accumulated)

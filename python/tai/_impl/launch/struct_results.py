@@ -110,7 +110,7 @@ class StructResult:
                 entries[name] = Matrix._wrap(array)
             else:
                 entries[name] = self._number(kind.dtype, next(numbers))
-        return Struct(entries, type_.methods)
+        return type_.value_of(entries)
 
 
 class TupleResult(StructResult):
