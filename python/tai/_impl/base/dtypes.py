@@ -42,7 +42,7 @@ class DataType:
         return cast(value, self)
 
     def __reduce__(self) -> Any:
-        return (_by_name.__getitem__, (self.name,))
+        return (_named, (self.name,))
 
     @property
     def min(self) -> float:
@@ -79,6 +79,12 @@ f64 = DataType("f64", "f", 64, "f64", "float64")
 all_types = [u1, i8, i16, i32, i64, u8, u16, u32, u64, f16, bf16, f32, f64]
 _by_name = {t.name: t for t in all_types}
 _by_numpy = {t.numpy: t for t in all_types if t is not bf16}
+
+
+def _named(name: str) -> DataType:
+    """The type of that name; what a type is pickled as, and copied."""
+    return _by_name[name]
+
 
 # NumPy-like names.
 int8, int16, int32, int64 = i8, i16, i32, i64

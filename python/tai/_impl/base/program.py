@@ -92,12 +92,21 @@ def get_program() -> Program:
 state.options = Options()
 
 
-def reset() -> None:
-    """Forgets all fields and compiled kernels."""
+def check_reset() -> None:
+    """Refuses to reset where a tape or forward mode is open.
+
+    Raises:
+        TaiRuntimeError: one is.
+    """
     if state.tape is not None:
         raise TaiRuntimeError("the program cannot be reset inside a ti.ad.Tape")
     if state.forward:
         raise TaiRuntimeError("the program cannot be reset in forward mode")
+
+
+def reset() -> None:
+    """Forgets all fields and compiled kernels."""
+    check_reset()
     if state.program is None:
         return
     _wait()

@@ -17,7 +17,7 @@ from .options import (
     signature_of,
     warn_of_options,
 )
-from .program import Program, reset
+from .program import Program, check_reset, reset
 from .targets import Arch, check_target, choose_arch, cpu, cuda, why_no_cuda
 
 
@@ -38,7 +38,7 @@ def init(
         TaiRuntimeError: an option that does not exist, or a target that is not available, and why.
         TaiRuntimeTypeError: a type that cannot be the default.
     """
-    reset()
+    check_reset()
     chosen: dict[str, Any] = {"accepted": {}}
     needs, unwanted = options.pop("require", ()), options.pop("exclude", ())
     for name, value in options.items():
@@ -85,11 +85,14 @@ def init(
     if chosen["arch"] == cuda and may_fall_back and (why := why_no_cuda()):
         print(f"[tai] falling back to arch=cpu: {why}", file=sys.stderr)
         chosen["arch"] = cpu
-    state.options = Options(**chosen)
-    state.program = Program(state.options)
+    taken = Options(**chosen)
+    program = Program(taken)
+    # Only now nothing can be refused any more: until then the fields live.
+    reset()
+    state.options, state.program = taken, program
 
 
 # The keywords are those of the table of options.
 init.__signature__ = signature_of(KEYWORDS)  # type: ignore[attr-defined]
-assert init.__doc__ is not None
-init.__doc__ = init.__doc__.replace("    Args:\n", f"    Args:\n{described(KEYWORDS)}\n", 1)
+if init.__doc__:  # python -OO has none
+    init.__doc__ = init.__doc__.replace("    Args:\n", f"    Args:\n{described(KEYWORDS)}\n", 1)

@@ -31,6 +31,12 @@ class Field(Elements, Shareable):
 
     offset: Any
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise TaiRuntimeTypeError(
+            f"field '{self.name}' cannot be copied or pickled: its memory belongs to the program",
+            "to_numpy() copies its values, and copy_from(other) those of another field",
+        )
+
     def __init__(self, dtype: Any, element_shape: tuple[int, ...], name: str | None, role: str):
         resolved = dtypes.stored_as(dtype)
         if resolved is None:

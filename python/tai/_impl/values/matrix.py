@@ -349,6 +349,9 @@ class ElementOfField(Vector):
     def fill(self, value: Any) -> None:
         self[...] = value
 
+    def __reduce__(self) -> Any:
+        return Matrix._wrap, (self._array.copy(),)  # as it is now
+
 
 def _operator(name: str, function: Any) -> None:
     def forward(self: Matrix, other: Any) -> Any:

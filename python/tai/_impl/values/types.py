@@ -33,6 +33,16 @@ class MatrixType:
         if dtypes.to_dtype(dtype) is None:
             raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, MatrixType) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple:
+        return self.n, self.columns, self._dtype
+
     @property
     def m(self) -> int:
         return 1 if self.columns is None else self.columns
@@ -152,6 +162,11 @@ class NdarrayType:
         self._dtype = dtype
         if dtype is not None and dtypes.to_dtype(dtype) is None:
             raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
+
+    def __repr__(self) -> str:
+        given = {"dtype": self._dtype, "ndim": self.ndim, "element_shape": self.element_shape}
+        words = (f"{name}={value!r}" for name, value in given.items() if value is not None)
+        return f"ti.types.ndarray({', '.join(words)})"
 
     @property
     def dtype(self) -> dtypes.DataType | None:
