@@ -1,4 +1,4 @@
-"""IPython's `%autoreload`: what was imported from a module that is loaded again.
+"""IPython's `%autoreload`: objects that a program imported from a module loaded again.
 
 It changes the functions and classes that a program holds to those that the module defines now, by
 a list of rules for kinds of objects. Kernels and struct types are neither; here are their rules.
@@ -24,7 +24,7 @@ def follow() -> None:
 
 def _can_adopt(old: Any, new: Any) -> bool:
     if isinstance(old, StructType) and isinstance(new, StructType):
-        # Fields of other members stay what they are.
+        # Fields with other members keep their type.
         return repr(old) == repr(new)
     return type(old) is type(new) and getattr(old, "_tai_kernel", False) and hasattr(old, "adopt")
 

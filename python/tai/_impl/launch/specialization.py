@@ -37,7 +37,7 @@ class Specialization:
         self.has_gradients = True
         self.fields: weakref.WeakSet = weakref.WeakSet()
         self.stored: weakref.WeakSet = weakref.WeakSet()
-        # What `ti.func` made, of functions that are compiled into it.
+        # The `FunctionInfo` of each `ti.func` that is compiled into it.
         self.functions: list[Any] = []
         self.accumulated: weakref.WeakSet = weakref.WeakSet()
         # Whether the launcher in C++ knows it, for `grad` false and true.
