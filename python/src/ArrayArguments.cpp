@@ -135,8 +135,8 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
                                    : Match::Yes;
 }
 
-/// A launch that only reads what earlier ones of the tape have used needs
-/// nothing to be kept. If its adjoint reads the array, the array must be
+/// A launch that only reads arrays that earlier ones of the tape have used
+/// needs nothing to be kept. If its adjoint reads the array, the array must be
 /// unchanged since then; the launch reads the copy of it, if there is one.
 Match HeldArrays::matchTaped(const Range &range, PyObject *object, Slots &slots,
                              size_t first) const {

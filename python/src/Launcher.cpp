@@ -90,7 +90,7 @@ bool isKnownSite(const std::unordered_set<uint64_t> &known) {
   return isKnown;
 }
 
-/// Whether torch records what is computed now.
+/// Whether torch records the current computations.
 bool isTorchRecording() {
   static PyObject *isGradEnabled = nullptr;
   if (!isGradEnabled) {

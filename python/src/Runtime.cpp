@@ -449,8 +449,8 @@ void bindField(py::module_ &module) {
                  f.handle, toIndices(f, indices).data(), &address));
              return reinterpret_cast<uintptr_t>(address);
            })
-      // Address, whether it is on a device, bytes from index to index, and what
-      // keeps the memory.
+      // Address, whether it is on a device, bytes from index to index, and the
+      // owner of the memory.
       .def("lend",
            [](Field &f) {
              TaiFieldMemory memory;

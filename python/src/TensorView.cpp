@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // Reads tensors by the C functions of DLPack's exchange table if the type has
-// one, else by attributes, each of which costs as much as a launch.
+// one, else by attributes, each of which takes as long as a launch.
 //
 //===----------------------------------------------------------------------===//
 
@@ -55,7 +55,7 @@ TensorType taipy::findTensorType(PyObject *object) {
   return entry;
 }
 
-/// As NumPy has it; 0 for what kernels do not know.
+/// The format in NumPy's notation; 0 for one that kernels do not know.
 static char formatOf(const dlpack::Tensor &tensor) {
   if (tensor.lanes != 1)
     return 0;

@@ -193,8 +193,8 @@ from .errors import did_you_mean as _did_you_mean
 native.check_built()
 alias.install()
 
-# Loaded when they are first used: the extension module with libtai behind it, and what
-# draws and writes pictures.
+# Loaded when they are first used: the extension module with libtai behind it, and modules that draw
+# and write pictures.
 _LAZY = {
     name: module
     for module, names in {
@@ -214,7 +214,7 @@ _LAZY = {
     }.items()
     for name in names.split()
 }
-# Names of Taichi that are known and missing: the answer says so, and what to take instead.
+# Names of Taichi that are known and missing: the error says so, and names a replacement.
 _NOT_YET = {
     name: instead
     for names, instead in {

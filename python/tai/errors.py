@@ -224,7 +224,7 @@ def from_core(
 ) -> TaiError:
     """The exception for a failure of the C API; called from the extension module."""
     kind = _BY_STATUS.get(status, TaiRuntimeError)
-    if status == 4 and file:  # what fails at a line of a kernel is an assertion or an index
+    if status == 4 and file:  # a failure at a line of a kernel is an assertion or an index
         kind = TaiAssertionError
     message = in_python(message)
     # Fields have no such sign in Python.

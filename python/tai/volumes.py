@@ -230,7 +230,7 @@ def _load_npz(path: Any, fields: dict[str, Field]) -> dict[str, tuple]:
         raise
     except Exception as error:  # whatever zlib, zipfile and NumPy say of damaged files
         why = str(error) or type(error).__name__
-        if "pickle" in why:  # what NumPy takes a file for that it does not know
+        if "pickle" in why:  # NumPy takes a file of an unknown kind for a pickle
             why = "it is no archive of arrays"
         raise TaiRuntimeError(
             f"{path} is damaged, or no file of ti.volumes.save: {why}",

@@ -13,9 +13,10 @@ include "mlir/Pass/PassBase.td"
 def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
   let summary = "make kernels that accumulate the gradients of kernels";
   let description = [{
-    For a kernel `@k`, makes the kernel `@k_grad` that reads the adjoints of what
-    `@k` writes and accumulates the adjoints of what it reads (paper, section
-    3.1 and appendix B), and names it in the `adjoint` attribute of `@k`.
+    For a kernel `@k`, makes the kernel `@k_grad` that reads the adjoints of the
+    elements that `@k` writes and accumulates the adjoints of those that it
+    reads (paper, section 3.1 and appendix B), and names it in the `adjoint`
+    attribute of `@k`.
 
     Parallel loops stay parallel, serial loops run backwards, branches are
     mirrored. The adjoint recomputes the primal values that its partial
@@ -63,10 +64,10 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
     before the store.
 
     The attribute `gradients` of a kernel, or `tai.gradients` of a function,
-    selects instead what it is differentiated with respect to, besides fields:
-    positions of arguments and results, numbered consecutively. The adjoint has
-    one more memref for each. It adds to the adjoints of numbers and vectors
-    among the arguments, and reads those of results: `memref<f32>` for `f32`,
+    selects the variables of the derivative instead, besides fields: positions
+    of arguments and results, numbered consecutively. The adjoint has one more
+    memref for each. It adds to the adjoints of numbers and vectors among the
+    arguments, and reads those of results: `memref<f32>` for `f32`,
     `memref<3xf32>` for `vector<3xf32>`. Other arguments and results are
     constant. Contributions of the iterations of a parallel loop to a number are
     summed in registers. Two arguments must not be memrefs that overlap.
@@ -323,8 +324,8 @@ def CheckAccessRules : Pass<"tai-check-access-rules", "::mlir::ModuleOp"> {
     than once is accumulated from the second write on, and that no element is
     read before its accumulation is done. Within one iteration, in serial loops
     and from loop to loop the order of accesses is known, and differentiation
-    deals with such programs. What remains is between the iterations of one
-    parallel loop: in a field with an adjoint,
+    deals with such programs. The remaining rules are about iterations of
+    one parallel loop: in a field with an adjoint,
 
     1. two iterations must not store to the same element;
     2. none may read an element that others still accumulate.

@@ -355,8 +355,8 @@ def CheckLowerable : Pass<"tai-check-lowerable", "::mlir::ModuleOp"> {
   let summary = "check that a program holds only ops that can be lowered";
   let description = [{
     Fails at each operation of a dialect that no later pass lowers, such as one
-    of a plugin. The error is at the original op with its name, not at what the
-    last pass finds.
+    of a plugin. The error is at the original op with its name, not at an op
+    that the last pass finds.
   }];
 }
 

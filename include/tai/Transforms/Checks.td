@@ -127,8 +127,8 @@ def CheckBounds : Pass<"tai-check-bounds"> {
 def GuardDivisions : Pass<"tai-guard-divisions", "::mlir::ModuleOp"> {
   let summary = "define integer division by zero";
   let description = [{
-    The `arith` dialect leaves undefined what a division of integers by zero
-    yields, and the smallest integer divided by -1. In kernels, and in host
+    The `arith` dialect leaves the result of a division of integers by zero
+    undefined, and that of the smallest integer by -1. In kernels, and in host
     functions that hold ops of this dialect, both get a result: the quotient and
     the remainder by zero are 0, the smallest integer divided by -1 is itself,
     and leaves 0.
@@ -164,10 +164,10 @@ def VersionGuards : Pass<"tai-version-guards"> {
     block without them, if a test says that they would have no effect, and else
     with them.
 
-    Where it can, the test comes first, and is of what partial derivatives are
-    computed from: quotients, logarithms, exponentials and the like are finite,
-    divisors are clear of zero, and so are what loops carry and what comes from
-    memory, as far as a result that is tested does not tell about it. Results
+    If possible, the test comes first, and checks the operands of partial
+    derivatives: quotients, logarithms, exponentials and the like are finite,
+    divisors are clear of zero, and so are loop-carried and loaded values, as
+    far as a tested result does not tell about them. Results
     that tell about several values are tested in their place. Products of finite
     numbers count as finite.
 

@@ -175,7 +175,7 @@ def SinkAdjoints : Pass<"tai-sink-adjoints"> {
 }
 
 def SummarizeKernels : Pass<"tai-summarize-kernels"> {
-  let summary = "list what each kernel reads, writes and accumulates";
+  let summary = "list the accesses of each kernel to fields";
   let description = [{
     Sets the `summary` attribute of each kernel: one `#tai.access` for each
     field, kind of access and index map, in the order of the first such access.
@@ -248,11 +248,12 @@ def ScatterToGather : Pass<"tai-scatter-to-gather"> {
     becomes a loop over the whole field, whose body tests whether it is in the
     interior.
 
-    Left alone: additions at an index that is no shift of a loop index, loops
-    over less of the field, values that cannot be computed twice or that read
-    what the loop writes, and more than `max-ops` operations to compute again.
+    The pass leaves alone: additions at an index that is no shift of a loop
+    index, loops over less of the field, values that cannot be computed twice or
+    that read what the loop writes, and more than `max-ops` operations to
+    compute again.
 
-    In a kernel with compensated sums what an iteration gathers is summed with
+    In a kernel with compensated sums the terms of an iteration are summed with
     twice the digits: f32 in f64, f64 with its rounding errors beside it.
 
     ```mlir
@@ -378,13 +379,14 @@ def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
     arithmetic between), each of one parallel loop over the same constant box,
     and no iteration of the second meets what another iteration of the first
     wrote, or overwrites what another one reads, launches one kernel with one
-    loop that runs both bodies. Loads of what the same iteration has just stored
-    become that value; the stores stay. Longer runs of launches become one
-    likewise. The kernels themselves stay for others that launch them.
+    loop that runs both bodies. Loads of an element that the same iteration has
+    just stored become that value; the stores stay. Longer runs of launches
+    become one likewise. The kernels themselves stay for others that launch
+    them.
 
-    Indices are compared as sums of induction variables and of what the host
-    passes. An argument that differs by a constant from one of the other launch
-    is computed from that.
+    Indices are compared as sums of induction variables and of operands of the
+    host. An argument that differs by a constant from one of the other launch is
+    computed from that.
 
     ```mlir
     tai.launch @f(%t) : (i32) -> ()   // y[t + 1, i] = f(x[t, i])
@@ -484,8 +486,8 @@ def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
     address is no affine function of the index. This pass turns a loop over the
     elements of such a field into one over its blocks. In the interior, where
     every question about the indices has the same answer for all elements, each
-    row of a block becomes operations on vectors: what lies across a border is a
-    shuffle of two rows. Other blocks run element by element.
+    row of a block becomes operations on vectors: neighbours across a border are
+    a shuffle of two rows. Other blocks run element by element.
 
     Applies to loops that read elements at constant distances, compute with
     elementwise operations and write to the iteration's own elements.
@@ -548,10 +550,10 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
 def RerollAccumulations : Pass<"tai-reroll-accumulations"> {
   let summary = "reroll unrolled additions into iterations, on a GPU";
   let description = [{
-    Of a loop with few iterations and a long body that only adds to fields, such
+    In a loop with few iterations and a long body that only adds to fields, such
     as the adjoint of a dense layer whose sum is written out, additions that
-    differ in constant indices alone become iterations, where these indices take
-    even steps. What is left is done by one iteration more.
+    differ in constant indices alone become iterations, if these indices take
+    even steps. One additional iteration does the rest.
 
     ```mlir
     tai.parallel_for (%i) = (%c0) to (%c32) {
@@ -569,8 +571,8 @@ def RerollAccumulations : Pass<"tai-reroll-accumulations"> {
 
     Additions to one element that are not atomic stay in one iteration. Terms of
     a long sum that is added atomically are added one by one, so in another
-    order. Bodies that read what they add to, store, or use what was there
-    before stay as they are.
+    order. Bodies that read the elements that they add to, store, or use former
+    values are not changed.
   }];
   let options = [
     Option<"maxIterations", "max-iterations", "int64_t", /*default=*/"512",
@@ -587,13 +589,12 @@ def RerollAccumulations : Pass<"tai-reroll-accumulations"> {
 def CoarsenThreads : Pass<"tai-coarsen-threads"> {
   let summary = "process several neighbouring elements in each thread, on a GPU";
   let description = [{
-    Of a loop over a large box whose accesses lie side by side in memory along
-    the innermost index, each iteration gets a strip of as many elements as 16
+    If the accesses of a loop over a large box are adjacent in memory along the
+    innermost index, each iteration gets a strip of as many elements as 16
     bytes hold. Inside of the borders, where every question about a single index
-    has one answer, their operations are interleaved, so that what is next to
-    each other is read and written at once; at borders they follow one another.
-    Where rows read what lies in other rows, the iterations of a block are those
-    of a tile.
+    has one answer, their operations are interleaved, so that adjacent elements
+    are read and written at once; at borders they follow one another. If rows
+    read elements of other rows, the iterations of a block are those of a tile.
 
     ```mlir
     tai.parallel_for (%i, %j) = (%c0, %c0) to (%c8192, %c8192) {
@@ -633,7 +634,7 @@ def CoarsenThreads : Pass<"tai-coarsen-threads"> {
 }
 
 def HoistAllocations : Pass<"tai-hoist-allocations"> {
-  let summary = "allocate once what each iteration of a loop allocates and frees";
+  let summary = "allocate memory of loop iterations once";
   let description = [{
     Moves a call of `malloc` in the body of an `scf.for` before the loop, and the
     `free` of the same block behind it, if the size does not change. Adjoints

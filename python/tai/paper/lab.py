@@ -93,8 +93,8 @@ class Lab:
         examples: the folder of the programs.
         out: where runs and results go.
         level: `once` (single iterations), `quick` or `full`.
-        arch: what computes.
-        resume: go on with what runs in `out` have left.
+        arch: the target.
+        resume: go on with the results of runs in `out`.
         extra: options for every program.
     """
 

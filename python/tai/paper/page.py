@@ -16,7 +16,7 @@ color:#2b3a55;background:#f4f1ea}table{border-collapse:collapse;margin:1em 0}
 td,th{border-bottom:1px solid #9a9484;padding:.2em .7em;text-align:left}img{max-width:100%}
 figure{display:inline-block;width:48%;margin:0 0 1em}code{font-size:90%}"""
 
-Row = tuple[str, str, str, Result]  # name, where in the paper, title, what came of it
+Row = tuple[str, str, str, Result]  # name, where in the paper, title, result
 
 
 def verdict(result: Result) -> str:

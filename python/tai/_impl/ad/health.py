@@ -75,7 +75,7 @@ class Finding:
 
     Attributes:
         kind: `nan`, `overflow`, `growth` or `flat`.
-        message: what, and where.
+        message: the problem, and its place.
         record, kernel, filename, lineno: of the record where it appears first, where known.
     """
 
@@ -345,7 +345,8 @@ def _find_flat(report: HealthReport, core: Any, loss: Any) -> None:
     alive = {row.symbol for row in report.rows if row.norm or row.nans or row.infs}
     for symbol, reads in found.masks.items():
         f = found.known[symbol]
-        # Where it may be stored before it is read, only what no adjoint ever reached is flat.
+        # Where it may be stored before it is read, only elements that no adjoint ever reached are
+        # flat.
         mask = found.sure[symbol] if symbol in alive else reads
         if not mask.any():
             continue

@@ -55,7 +55,7 @@ def check_tangent(field: Any, tangent: Any) -> np.ndarray:
         raise TaiRuntimeTypeError(
             f"the tangent of field '{field.name}' must be made of numbers, but got {tangent!r}"
         ) from None
-    # A list of all components in order is what Taichi takes.
+    # Taichi takes a list of all components in order.
     if array.shape != wanted and array.shape != (int(np.prod(wanted, dtype=int)),):
         raise TaiRuntimeTypeError(
             f"the tangent of field '{field.name}' must have shape {wanted}, but got {array.shape}"

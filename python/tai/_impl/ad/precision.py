@@ -169,7 +169,7 @@ def _relative(error: float | None, loss: float) -> str:
 
 
 def find_not_finite() -> dict[str, str]:
-    """The fields that hold NaN or an infinity, and what to say of each behind its name."""
+    """The fields that hold NaN or an infinity, and the text about each behind its name."""
     found = {}
     for f in own_fields():
         array = Snapshot._take(f)

@@ -15,7 +15,7 @@ import numpy as np
 STEPS = tuple(10.0**-k for k in range(2, 11))  # 1e-2 … 1e-10
 
 # Relative errors that pass. Differences in f32 lose about two thirds of its seven digits; a
-# dot product of forward against reverse loses what sums of f32 lose.
+# dot product of forward against reverse loses as many as sums of f32.
 DIFFERENCES_TOLERANCE = {"f64": 1e-7, "f32": 5e-3}
 FORWARD_TOLERANCE = {"f64": 1e-12, "f32": 1e-4}
 # A difference of noisy values is known up to the noise by the step. A gradient that differs from it

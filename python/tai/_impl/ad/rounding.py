@@ -122,7 +122,7 @@ class Probes:
 
 
 class RoundingEmitter(Emitter):
-    """Emits what its base does, and a probe behind each result that is rounded."""
+    """Emits the operations of its base, and a probe behind each result that is rounded."""
 
     def __init__(self, builder: Any, probes: Probes):
         super().__init__(builder)

@@ -14,7 +14,7 @@ _DECLARE = "loss = ti.field(ti.f32, shape=(), needs_grad=True)"
 
 
 def as_losses(loss: Any) -> list[Any]:
-    """The fields of the losses, from what `ti.ad.Tape` was given.
+    """The fields of the losses, from the argument of `ti.ad.Tape`.
 
     Raises:
         TaiRuntimeTypeError: something that is no field.

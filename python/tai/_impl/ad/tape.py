@@ -57,10 +57,10 @@ class Tape(native.WithBlock):
     print(x.grad[0])
     ```
 
-    A kernel may overwrite what others have read, as in `x[i] += dt * v[i]`: the tape saves
-    the old values that the reverse sweep reads, and restores them during it. After the sweep,
-    all fields have the values of the end of the block again. If that takes too much memory,
-    the tape keeps snapshots and runs kernels again: see `memory_budget` and `checkpoint`.
+    A kernel may overwrite elements that others have read, as in `x[i] += dt * v[i]`: the tape saves
+    the old values that the reverse sweep reads, and restores them during it. After the sweep, all
+    fields have the values of the end of the block again. If that takes too much memory, the tape
+    keeps snapshots and runs kernels again: see `memory_budget` and `checkpoint`.
 
     Args:
         loss: a field without dimensions that has a gradient: a sum, which is set to zero when

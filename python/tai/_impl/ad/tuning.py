@@ -282,7 +282,7 @@ def _refuse_impossible(report: PrecisionReport, base: tuple, error: float) -> No
             "tape.health() says where that begins",
         )
     if all(f.dtype == "f64" for f in report.fields):
-        return  # what f32 would do is an offer, and need not be taken
+        return  # an adjoint in f32 is only offered, and need not be taken
     if report.loss == 0:
         raise TaiAutodiffError(
             "the loss is 0, so that no error of it is a relative one",

@@ -41,7 +41,7 @@ class Violation(NamedTuple):
     """A rule broken at one element.
 
     Attributes:
-        message: what happened, such as "x[3] is overwritten after it was read".
+        message: the violation, such as "x[3] is overwritten after it was read".
         field: the name of the field.
         index: the indices of the element.
         component: the component of a vector or matrix (row-major), or None.

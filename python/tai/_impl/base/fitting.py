@@ -21,7 +21,7 @@ def stored(value: Any, dt: DataType, what: Any) -> Any:
 
     Args:
         value, dt: the number and the type.
-        what: the field, or what to call the place.
+        what: the field, or the name of the place.
 
     Raises:
         TaiRuntimeTypeError: the place holds whole numbers, and this is none that fits.

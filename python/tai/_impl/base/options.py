@@ -144,7 +144,7 @@ KEYWORDS = keywords_of(ROWS)
 
 
 class Options:
-    """The options of `ti.init` that change what happens, by the names of the keywords.
+    """The options of `ti.init` that have an effect, by the names of the keywords.
 
     Attributes:
         accepted: values of options that are accepted and change nothing.

@@ -45,7 +45,7 @@ class Program:
         # Fields by symbol, for diagnostics and for clearing gradients.
         self.fields: dict[str, Any] = {}
         self.kernels: weakref.WeakSet = weakref.WeakSet()
-        # Where forward mode keeps what kernels return; see `tracking.tangents`.
+        # The place where forward mode keeps results of kernels; see `tracking.tangents`.
         self.pools: list[Any] = []
         # Where a precision report has its derivatives; see `ad.rounding`.
         self.probes: Any = None
@@ -117,7 +117,7 @@ def reset() -> None:
 
 @atexit.register
 def _wait() -> None:
-    """Before the program goes, what kernels on a GPU have printed appears, and why they failed."""
+    """Before the program goes, the output and the failures of kernels on a GPU appear."""
     if state.program is None or state.program.options.arch == cpu:
         return
     try:

@@ -54,10 +54,9 @@ _SUPPORTED = {
 
 
 def is_extension_supported(arch: Arch, ext: Extension) -> bool:
-    """Whether a target has what `ext` names.
+    """Whether a target has the feature `ext`.
 
-    Loops that carry values are differentiable without a limit, which is what `adstack`
-    asks for.
+    Loops that carry values are differentiable without a limit, as `adstack` requires.
     """
     return arch in (cpu, arm64, cuda, python) and ext in _SUPPORTED
 

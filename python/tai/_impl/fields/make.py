@@ -89,7 +89,7 @@ def field(
         dtype: `ti.f32`, `ti.i32`, …, `int` or `float`, or a type such as `ti.math.vec3`.
         shape: extents; without it the field is placed by hand: `ti.root.dense(…).place(x)`.
         order: layout order of the axes, such as `"ji"`, slowest first.
-        name: what to call the field in messages and IR.
+        name: the name of the field in messages and IR.
         offset: the first index along each dimension.
         needs_grad, needs_dual: place a gradient, a tangent.
     """

@@ -13,7 +13,7 @@ _MOST, _WARP, _USUAL = 1024, 32, 256
 
 
 def check_block_dim(value: Any, options: Options) -> int:
-    """The `block_dim` of a loop: threads of a block, 0 for what suits the kernel.
+    """The `block_dim` of a loop: threads of a block, 0 for the choice that suits the kernel.
 
     Raises:
         TaiTypeError: no number, or one that blocks of a GPU cannot have where there is one.
@@ -39,6 +39,6 @@ def block_dim_of(loop: dict[str, Any], options: Options) -> int:
         return threads
     if loop.get("block_dim_adaptive", True) or options.arch != "cuda":
         return 0
-    # Not to be chosen for this loop: what all others begin with.
+    # The size is not to be chosen for this loop: the one that all others begin with.
     usual = options.default_gpu_block_dim or _USUAL
     return min(usual, options.max_block_dim) if options.max_block_dim else usual

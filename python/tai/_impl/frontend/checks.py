@@ -82,7 +82,7 @@ def holds_value(thing: Any) -> bool:
 
 
 def refuse_condition(thing: Any) -> None:
-    """Refuses what Python would take for true although it says nothing of its contents."""
+    """Refuses values that Python would take for true, whatever they contain."""
     if isinstance(thing, (StructValue, StructPlace)):
         raise TaiTypeError("the truth of a struct is not one answer", "compare its members")
     if isinstance(thing, ListElement):

@@ -17,7 +17,7 @@ from .refs import ArrayArgument, Variable
 from .scope import Bound
 from .structs import StructPlace, changes_struct
 
-# A function of which only what will be compiled says which one it is.
+# Stands for a function that is known only when the code around it is compiled.
 _UNKNOWN = object()
 
 # The least that `ti.init(unrolling_limit=…)` can mean: Taichi's only warns, from 32 on.

@@ -227,7 +227,7 @@ class Compiler:
         return self._guarded(method, node)
 
     def body(self, statements: list[ast.stmt]) -> None:
-        """Compiles the statements of a block; what follows an exit runs only without it."""
+        """Compiles the statements of a block; statements behind an exit run only without it."""
         self._statements.block(statements)
 
     def _find_method(self, kind: type[ast.AST]) -> Callable[[Any], Any]:

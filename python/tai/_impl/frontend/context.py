@@ -66,7 +66,7 @@ class Kernel:
     Attributes:
         symbol: the name of the kernel in IR.
         parameters: name and form of each parameter.
-        result: what it returns, or None.
+        result: the form of the result, or None.
         followed: the names of the parameters whose values forward mode keeps, each with the field
             that has them.
         result_field: where forward mode keeps the result, or None.
@@ -91,7 +91,7 @@ class Walker(Protocol):
         """Compiles a node; gives the value of an expression."""
 
     def body(self, statements: list[ast.stmt]) -> None:
-        """Compiles the statements of a block; what follows an exit runs only without it."""
+        """Compiles the statements of a block; statements behind an exit run only without it."""
 
 
 class Context:
@@ -162,7 +162,7 @@ class Part:
     """A part of the compiler: it handles some nodes of syntax trees, by `visit_<node>`.
 
     Args:
-        context: what all parts share.
+        context: the state that all parts share.
     """
 
     def __init__(self, context: Context):

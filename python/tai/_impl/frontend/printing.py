@@ -127,7 +127,7 @@ _NO_SPEC = re.compile(r"[{}]|[,_nczs]|\d{4,}")
 
 
 def _check_spec(spec: str, value: Value) -> None:
-    """Refuses what Python would refuse for a number of this type."""
+    """Refuses specifications that Python would refuse for a number of this type."""
     problem = None
     if not spec.isascii() or _NO_SPEC.search(spec):
         problem = "kernels have no such format"

@@ -59,7 +59,7 @@ class Statements(Part):
         self.returns, self.regions = returns, regions
 
     def block(self, statements: list[ast.stmt]) -> None:
-        """Compiles a list of statements; what follows a possible exit runs only without it."""
+        """Compiles a list of statements; statements behind a possible exit run only without it."""
         outer, self.emitter.stopped = self.emitter.stopped, self.stopped_in(statements)
         try:
             self._statements(statements)
@@ -108,7 +108,7 @@ class Statements(Part):
         self.context.is_dead = is_dead
 
     def as_top(self, action: Callable[[], None]) -> Callable[[], None]:
-        """Lets the outermost loops of what follows a return still run in parallel."""
+        """Lets the outermost loops behind a return still run in parallel."""
         if self.context.depth != self.context.top_depth:
             return action
 
@@ -137,7 +137,7 @@ class Statements(Part):
         return None if stopped is None else self.emitter.unary("not", stopped)
 
     def visit_If(self, node: ast.If, rest: list[ast.stmt] | None = None) -> None:
-        """A branch; `rest` is what follows where its first part returns."""
+        """A branch; `rest` are the statements that follow if its first part returns."""
         condition, is_static = self.compile_time.evaluate(node.test)
         if isinstance(condition, Value) and is_static:
             raise TaiTypeError(

@@ -44,7 +44,7 @@ class WhileLoops(Part):
             return None if value else emitter.constant(False, u1)
 
         self.frame.loops.append(loop)
-        # The condition may call what changes a variable.
+        # The condition may call a function that changes a variable.
         test = ast.copy_location(ast.Expr(node.test), node.test)
         variables = self.regions.changed_by([test], node.body)
         self.frame.loops.pop()

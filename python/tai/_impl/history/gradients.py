@@ -18,7 +18,7 @@ class Gradient:
 
     Attributes:
         shape: that of the value.
-        dt: the type in which a kernel returned the value; None for variables and for what
+        dt: the type in which a kernel returned the value; None for variables and for values that
             Python computed.
         parts: for a value that Python computed, the values it was computed from: their
             gradients, a component or None, and the partial derivative.
@@ -76,7 +76,7 @@ class Gradient:
                 self.add(amount)
 
 
-# All variables, and all arrays with a gradient: what clearing gradients clears.
+# All variables, and all arrays with a gradient, which clearing gradients clears.
 _variables: weakref.WeakSet = weakref.WeakSet()
 _arrays: weakref.WeakSet = weakref.WeakSet()
 # Sets do not like to grow while somebody goes through them.

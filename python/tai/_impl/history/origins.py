@@ -184,7 +184,7 @@ def check_call(kernel: Any, parameters: list, values: list) -> None:
 
 
 def check_write(field: Any, value: Any) -> None:
-    """Looks at what Python writes to a field; to be called under a tape or in forward mode."""
+    """Checks a write of Python to a field; to be called under a tape or in forward mode."""
     if not has_history(field):
         return
     is_field = hasattr(field, "_companions")
@@ -263,7 +263,7 @@ def _find_body(filename: str, line: int, name: str) -> ast.AST | None:
 
 
 class _Scope:
-    """The text of a function, and what its names mean."""
+    """The text of a function, and the meanings of its names."""
 
     def __init__(self, body: ast.AST | None, names: list[dict[str, Any]], depth: int):
         self._nodes = [] if body is None else list(ast.walk(body))

@@ -1,6 +1,6 @@
 """Borders between the gradients of torch and those of kernels.
 
-Torch differentiates what its own functions compute. A launch is none of them: a tape adds to
+Torch differentiates the results of its own functions. A launch is none of them: a tape adds to
 `grad` of a leaf, which torch leaves alone, and a launch without a tape is a constant to torch.
 """
 

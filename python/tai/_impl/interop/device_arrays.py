@@ -130,7 +130,7 @@ def from_dlpack(value: Any) -> Any:
 
     Returns:
         a NumPy array that shares the memory, or for memory of a GPU a `DeviceArray`, which
-        kernels take as an argument. Launches wait for what its library has queued so far.
+        kernels take as an argument. Launches wait for all work that its library has queued so far.
 
     Raises:
         TaiRuntimeTypeError: memory of another kind, or a type that kernels do not know.

@@ -136,7 +136,7 @@ class Specializations:
                 program, signature, specs, list(zip(followed, inputs, strict=True)), pool,
                 self.find_constants(values),
             )  # fmt: skip
-            # First what drops it: Ctrl-C may come in between.
+            # First the function that drops it: Ctrl-C may come in between.
             self._note_users(program, found, tuple(key))
             variants.append(found)
             if found.reads:

@@ -113,7 +113,7 @@ class ResultSpec:
         return self.type.convert(emitter, value)
 
     def description(self) -> tuple:
-        """Kind and width of a number, how many, and what makes a matrix of them."""
+        """Kind and width of a number, how many, and the function that makes a matrix of them."""
         kind = "d" if self.dt.name == "f64" else self.dt.kind
         count = int(np.prod(self.shape, dtype=int))
         return (kind, self.dt.bits, count, self._wrap if self.shape else None)

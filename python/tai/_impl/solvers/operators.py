@@ -183,12 +183,12 @@ class Operator:
         self._run(self._kernel, self.x, self.image, self.args)
 
     def pull(self) -> None:
-        """x.grad += Jᵀ image.grad, at what x holds; the gradient of the image is zero then."""
+        """x.grad += Jᵀ image.grad, at the present x; the gradient of the image is zero then."""
         self._linear().grad(*self._first, self.x, self.image, *self._plain)
         self.image.grad.fill(0)
 
     def push(self, source: Any) -> None:
-        """image.dual = J source.dual, at what `source` holds; in forward mode."""
+        """image.dual = J source.dual, at the present `source`; in forward mode."""
         self._run(self._linear(), source, self.image, self._plain)
 
     def _run(self, kernel: Any, source: Any, target: Any, args: tuple) -> None:

@@ -73,7 +73,7 @@ def adjoint_slots(found: Any, values: list, tape: Any) -> tuple[list, Any]:
 
 
 def check_arrays(kernel: str, parameters: list, found: Any, values: list) -> None:
-    """Refuses what cannot be differentiated right."""
+    """Refuses arrays that cannot be differentiated correctly."""
     names = [parameter.name for parameter in parameters]
     arrays = []
     for name, spec, value in zip(names, found.specs, values, strict=True):

@@ -116,7 +116,7 @@ def cell_of(value: Any) -> Any:
 
 
 def combine(name: str, a: Any, b: Any) -> Cell | None:
-    """The place of what Python computes from two numbers; None if it is a constant."""
+    """The place of the result of Python's arithmetic on two numbers; None if it is a constant."""
     first, second = cell_of(a), cell_of(b)
     if first is None and second is None:
         return None

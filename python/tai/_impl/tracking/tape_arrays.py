@@ -429,7 +429,7 @@ class TapeArrays:
             self._sampled[key] = _Sampled(held)
 
     def _stage(self, held: HeldArray) -> None:
-        """The kernel gets a contiguous copy of what others change: a replay copies again."""
+        """The kernel gets a contiguous copy of an array; a replay copies again."""
         copy, array = held.launched, held.array
         self._core.keep(copy)
         self._core.note_array_copy(copy.ctypes.data, *_range_of(array))
@@ -473,7 +473,7 @@ class TapeArrays:
         self._launcher.forget_taped_arrays()
 
     def find(self, array: np.ndarray, has_gradient: bool) -> str | None:
-        """The argument of a launch that minds what Python does to the array now, if any.
+        """The argument of a launch that forbids Python's access to the array now, if any.
 
         Launches that have had copies of a constant array do not.
         """
@@ -512,7 +512,7 @@ class TapeArrays:
             watched.check()
 
     def take_versions(self) -> None:
-        """The launches run forward again, on what arrays and tensors hold now."""
+        """The launches run forward again, on the present contents of arrays and tensors."""
         for entry in self._tensors.values():
             entry[1] = _version(entry[0])
         for frozen in self._frozen.values():

@@ -76,7 +76,7 @@ def gradient_of(value: Any) -> Gradient | None:
 
 
 def _is_tracked(value: Any) -> bool:
-    """Whether what Python computes from the value has a gradient or a tangent, too.
+    """Whether the results of Python's arithmetic on the value have a gradient or a tangent, too.
 
     The gradient of a variable matters while a tape records; the result of a kernel under a tape may
     become part of a loss afterwards.
@@ -345,7 +345,7 @@ class TapeValues:
 
     def __init__(self, core: Any, runs_again: bool = False, clears: bool = True):
         self.core = core
-        self._gradients: list[Gradient] = []  # of results and of what Python computed
+        self._gradients: list[Gradient] = []  # of results and of values that Python computed
         self._passed: set[tuple[int, Any]] = set()
         self.arrays = TapeArrays(core, runs_again, weakref.WeakMethod(self.take))
         self._fed_back = False
@@ -530,7 +530,7 @@ def begin(core: Any, runs_again: bool = False, clears: bool = True) -> TapeValue
 
 
 def recording() -> TapeValues | None:
-    """The values of the tape that records, whoever began it."""
+    """The values of the tape that records, in any thread."""
     core, active = state.tape, gradients.of_thread.active
     if core is None:
         return None

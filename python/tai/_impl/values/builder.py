@@ -343,7 +343,7 @@ class Builder:
         """Ends the program unless the condition holds; `{}` in the message are the values.
 
         Args:
-            failure: what kind it is, such as `FAIL_INDEX`. Others are for debug mode.
+            failure: its kind, such as `FAIL_INDEX`. Others are for debug mode.
         """
         attributes = {"message": self._string(message)}
         if failure is not None:
@@ -375,7 +375,7 @@ class Builder:
             arguments, result: types, as texts.
             gradients: the numbers of arguments by which it is differentiated besides fields; that
                 of the result, if it is, comes after the last argument.
-            conventions: what gradients do at kinks, where that is not the usual.
+            conventions: the choices of gradients at kinks that differ from the default.
             modes: how it rounds, sums and approximates, where that is not the usual.
         """
         results = "()" if result is None else result

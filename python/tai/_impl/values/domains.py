@@ -15,8 +15,8 @@ from .value import Value
 if TYPE_CHECKING:
     from .emitter import Emitter
 
-# The predicate that holds where there is a value, the bound, whether of the absolute
-# value, and what to say. NaN passes: it was made elsewhere.
+# The predicate that holds where there is a value, the bound, whether of the absolute value, and the
+# text of the message. NaN passes: it was made elsewhere.
 _ABOVE, _FROM, _UP_TO = (UNORDERED[op] for op in (">", ">=", "<="))
 _DOMAINS = {
     "log": (_ABOVE, 0.0, False, "the logarithm of {}"),

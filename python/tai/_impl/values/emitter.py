@@ -53,7 +53,7 @@ class Emitter:
     """Emits operations at the insertion point of a builder.
 
     Args:
-        builder: what appends the operations.
+        builder: appends the operations.
     """
 
     def __init__(self, builder: Builder):

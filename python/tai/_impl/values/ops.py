@@ -380,7 +380,7 @@ def loop_config(**options: Any) -> None:
         serialize: run it on one thread, in order.
         parallelize: 1 for the same.
         block_dim: threads of a block on a GPU, a multiple of 32 or a power of two, 1024 at most;
-            0 for what suits the kernel. Without effect on the CPU.
+            0 for a size that suits the kernel. Without effect on the CPU.
         block_dim_adaptive: False for blocks of the usual size on a GPU where `block_dim` names
             none, whatever suits the kernel.
     """

@@ -29,7 +29,7 @@ def flat(emitter: Emitter, component: Any, shape: tuple[int, ...]) -> Any:
 
 
 def in_range(emitter: Emitter, component: Any, matrix: Any) -> Any:
-    """A component of a value or variable, by what `ti.init(bounds=…)` says of others.
+    """A component of a value or variable; `ti.init(bounds=…)` decides about others.
 
     Elements of fields and of arrays are checked as their indices are.
     """

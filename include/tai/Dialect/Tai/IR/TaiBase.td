@@ -16,10 +16,10 @@ def Tai_Dialect : Dialect {
   let summary = "parallel, differentiable kernels over layout-typed fields";
   let description = [{
     The `tai` dialect describes physical simulators as imperative, parallel
-    kernels that read and write *fields*. What a kernel computes and how a
-    field is stored are kept apart: a field is an element of a *tree*, and the
-    type of the tree (`!tai.root<…>`) is its whole layout. Changing that type
-    changes the generated code, never the results.
+    kernels that read and write *fields*. The arithmetic of a kernel and the
+    storage of a field are kept apart: a field is an element of a *tree*, and
+    the type of the tree (`!tai.root<…>`) is its whole layout. Changing that
+    type changes the generated code, never the results.
 
     Kernels are written with `scf`, `arith`, `math`, `vector` and the ops of
     this dialect, and are differentiated in this form: `tai-make-adjoint` turns

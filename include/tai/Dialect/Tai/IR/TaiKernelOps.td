@@ -31,8 +31,8 @@ def Tai_KernelOp : Tai_Op<"kernel", [
        `"accurate"`; `"default"` of each; and `ftz`, true or false.
 
     `adjoint` names the kernel that accumulates its gradient; it has the same
-    arguments. `summary` lists what the kernel reads, writes and accumulates
-    (see `#tai.access`). `tangent` names its forward-mode variant.
+    arguments. `summary` lists the accesses of the kernel (see `#tai.access`).
+    `tangent` names its forward-mode variant.
 
     `modes` sets precision, summation and approximations (docs/precision.md);
     its adjoint and its forward-mode variant have the same.

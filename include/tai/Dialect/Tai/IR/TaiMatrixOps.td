@@ -264,9 +264,9 @@ def Tai_SymEigOp : Tai_MatrixOp<"sym_eig", [
     AllTypesMatch<["matrix", "vectors"]>]> {
   let summary = "eigenvalues and eigenvectors of a symmetric matrix";
   let description = [{
-    Of a symmetric 2×2 or 3×3 matrix (the lower triangle is read): the
-    eigenvalues in descending order, and the matrix whose columns are the
-    eigenvectors.
+    The eigendecomposition of a symmetric 2×2 or 3×3 matrix (the lower triangle
+    is read): the eigenvalues in descending order, and the matrix whose columns
+    are the eigenvectors.
 
     ```mlir
     %l, %q = tai.sym_eig %a : vector<2x2xf32> -> vector<2xf32>
