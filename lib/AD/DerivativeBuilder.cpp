@@ -31,7 +31,7 @@ Value DerivativeBuilder::createConstant(Type type, double value) {
 }
 
 Value DerivativeBuilder::createExtract(Value vector, int64_t component) {
-  // Looks through what made the vector, so that sums of components stay
+  // Looks through the op that made the vector, so that sums of components stay
   // scalar.
   if (auto elements = vector.getDefiningOp<vector::FromElementsOp>())
     return elements.getElements()[component];

@@ -119,7 +119,7 @@ static bool isUnderstood(Value value, FunctionOpInterface function) {
          isa<MemRefType>(value.getType());
 }
 
-/// True for what only hands its operands on.
+/// True for ops that only hand their operands on.
 static bool isMove(Operation *op) {
   StringRef name = op->getName().getStringRef();
   return name == "arith.select" || name == "vector.extract" ||

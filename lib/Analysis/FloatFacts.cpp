@@ -420,7 +420,7 @@ bool FloatFacts::computeMayBeNonFinite(Value value) {
   if (auto loop = dyn_cast<scf::ForOp>(op))
     return mayBeNonFinite(loop.getRegionIterArg(number));
   if (op->getNumRegions() != 0)
-    return true; // what arrives there is not looked into
+    return true; // values arriving there are not looked into
   if (matchPattern(op, m_Constant()))
     return !matchConstant(value, [](const APFloat &x) { return x.isFinite(); });
   // The bounds of a clamp hold for an infinite operand too; NaN passes, but

@@ -301,8 +301,8 @@ LinearForm LinearForm::plus(const LinearForm &other, int64_t scale) const {
 
 void IndexForms::assumeFits(LinearForm &form, Type type) const {
   NumberRange most = rangeOfType(type);
-  // A product is looked at where it is largest: what wraps there is no index,
-  // either.
+  // A product is looked at where it is largest: one that wraps there is no
+  // index, either.
   if (hasProduct(form.sum)) {
     form.isComplete = false;
     return;

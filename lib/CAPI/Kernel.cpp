@@ -175,7 +175,7 @@ TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward) {
   return context.status(tape->tape->replay(forward, backward));
 }
 
-/// Calls back into the host's language; what failed there is the context's last
+/// Calls back into the host's language; a failure there is the context's last
 /// error, or unknown.
 static std::function<runtime::Status()>
 wrapCallback(TaiContextImpl &context, TaiTapeCallback callback, void *user) {

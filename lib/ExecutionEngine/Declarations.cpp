@@ -267,7 +267,7 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
 
 LogicalResult Declarations::declareUsed(ModuleOp module) {
   // In the order of first use, so that the module, and with it the key of its
-  // cached code, does not depend on what else the session holds.
+  // cached code, does not depend on other contents of the session.
   llvm::SetVector<StringAttr> pending;
   module.walk([&](Operation *op) {
     op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {

@@ -83,7 +83,7 @@ static LogicalResult clampIndices(ModuleOp module,
   return failures.fail(std::move(failure));
 }
 
-/// The options of the kernel's own code, where it says what its modes are.
+/// The options of the kernel's own code, if it names its modes.
 static FailureOr<CompileOptions> getOwnOptions(KernelOp kernel,
                                                const CompileOptions &options,
                                                FailureLog &failures) {

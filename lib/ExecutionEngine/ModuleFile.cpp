@@ -58,9 +58,9 @@ static std::string checkHeader(StringRef bytes) {
   return "";
 }
 
-/// Where text asks for what MLIR's parser dies of, and why it is refused: an
-/// array of `index`, and a result so far behind the others that there is no
-/// memory for those before it.
+/// The place of a construct that MLIR's parser dies of, and the reason of the
+/// refusal: an array of `index`, and a result so far behind the others that
+/// there is no memory for those before it.
 static std::optional<std::pair<size_t, StringRef>>
 findFatalText(StringRef text) {
   constexpr size_t kMostDigits = 6;

@@ -27,9 +27,9 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Runs each task where it is submitted. With a pool set, MLIR locks what
-/// threads share, which compiling on several threads needs; passes themselves
-/// stay on the thread that runs them, for kernels are too small to split.
+/// Runs each task where it is submitted. With a pool set, MLIR locks shared
+/// data, which compiling on several threads needs; passes themselves stay on
+/// the thread that runs them, for kernels are too small to split.
 class InlineThreadPool : public llvm::ThreadPoolInterface {
   void asyncEnqueue(llvm::unique_function<void()> task,
                     llvm::ThreadPoolTaskGroup *) override {

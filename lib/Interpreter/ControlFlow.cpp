@@ -54,7 +54,7 @@ static LogicalResult runWhile(Run &run, Operation *op) {
     if (failed(run.passSafepoint()) ||
         failed(run.runBlock(*loop.getBeforeBody(), carried)))
       return failure();
-    // The condition, and what both the body and the results get.
+    // The condition, and the values for the body or the results.
     bool goesOn = isTrue(run.ended.front().numbers.front());
     Data forwarded(run.ended.begin() + 1, run.ended.end());
     if (!goesOn) {

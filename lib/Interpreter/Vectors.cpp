@@ -516,7 +516,7 @@ static LogicalResult runSymEig(Run &run, Operation *op) {
   auto eig = cast<SymEigOp>(op);
   int64_t n = getRows(eig.getMatrix());
   SmallVector<long double> a = widen(run.get(eig.getMatrix()).numbers);
-  // The lower triangle is what counts.
+  // Only the lower triangle counts.
   for (int64_t i = 0; i != n; ++i)
     for (int64_t j = i + 1; j != n; ++j)
       a[i * n + j] = a[j * n + i];

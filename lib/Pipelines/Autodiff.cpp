@@ -19,7 +19,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   // Helpers go into the kernels that call them: a call hides their reads.
   addInliner(pm);
   addPerFunction(pm, [](OpPassManager &function) {
-    // Values instead of variables, so that the rest sees what depends on what.
+    // Values instead of variables, so that the later passes see dependences.
     function.addPass(createEliminateLocals());
     addCanonicalization(function);
     // One value for each index, so that equal elements are seen to be equal.

@@ -42,7 +42,8 @@ static Operation *findTaiOp(Operation *op) {
   return found;
 }
 
-/// Calls `action` with what `op` names in its module, and the op that names it.
+/// Calls `action` with each symbol that `op` names in its module, and the op
+/// that names it.
 static void
 forEachNamed(Operation *op, SymbolTable &symbols,
              llvm::function_ref<void(Operation *, Operation *)> action) {

@@ -54,7 +54,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
       function.addPass(createCoarsenThreads());
   });
 
-  // While accesses name fields: what addresses are made of is in range.
+  // While accesses name fields: the parts of their addresses are in range.
   pm.addPass(createNarrowIndices());
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;

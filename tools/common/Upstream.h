@@ -7,7 +7,7 @@
 //
 // The upstream parts of MLIR that the tools register. With shared libraries,
 // everything. In the portable library, where that would include every dialect
-// and backend and triple its size, only what tai's own lowerings use.
+// and backend and triple its size, only those that tai's own lowerings use.
 //
 //===----------------------------------------------------------------------===//
 

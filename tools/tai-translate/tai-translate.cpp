@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// `--mlir-to-llvmir` prints the LLVM IR of what `tai-opt --tai-to-llvm` made,
-// `--tai-to-ptx` (in DeviceCode.cpp) that of its device code,
+// `--mlir-to-llvmir` prints the LLVM IR of the output of `tai-opt
+// --tai-to-llvm`, `--tai-to-ptx` (in DeviceCode.cpp) that of its device code,
 // `--tai-to-bytecode` (in ModuleFiles.cpp) the file that programs load.
 //
 //===----------------------------------------------------------------------===//

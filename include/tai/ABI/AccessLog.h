@@ -39,7 +39,7 @@ enum class ViolationKind : int64_t {
   WrittenTwice,
   /// A second store by another iteration of the same loop.
   Race,
-  /// A read of what another iteration of the same loop writes.
+  /// A read of an element that another iteration of the same loop writes.
   EarlyRead,
 };
 

@@ -182,8 +182,8 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 /// The number of the first part that is the body of a kernel.
 #define TAI_FIRST_PART 5
 /// Added to the number of a part where no barrier is needed before the next
-/// step: no thread of that step accesses what another one has written since the
-/// last barrier.
+/// step: no thread of that step accesses memory that another one has written
+/// since the last barrier.
 #define TAI_PART_APART ((uint64_t)1 << 32)
 
 /// The maximum of words in a row.

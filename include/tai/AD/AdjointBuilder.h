@@ -84,8 +84,8 @@ struct Frame {
 
 class AdjointBuilder : public DerivativeBuilder {
 public:
-  /// Builds what `plan` says into the body of `adjoint`, whose arguments begin
-  /// with those of the primal.
+  /// Builds the operations of `plan` into the body of `adjoint`, whose
+  /// arguments begin with those of the primal.
   AdjointBuilder(FunctionOpInterface adjoint, const AdjointPlan &plan);
   ~AdjointBuilder();
 

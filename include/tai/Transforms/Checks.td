@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Checks of indices, divisions and accesses, and versions without guards: what
-// lib/Transforms/Checks holds. Passes.td includes it.
+// Checks of indices, divisions and accesses, and versions without guards: the
+// passes of lib/Transforms/Checks. Passes.td includes it.
 //
 //===----------------------------------------------------------------------===//
 

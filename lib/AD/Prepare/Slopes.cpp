@@ -53,7 +53,7 @@ static DenseSet<Value> getDependents(Value source) {
 }
 
 namespace {
-/// The ops from a source to values, and what else they read.
+/// The ops from a source to values, and the other values that they read.
 struct Path {
   llvm::SetVector<Operation *> ops;
   llvm::SetVector<Value> captured;

@@ -141,9 +141,9 @@ AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
   return diag;
 }
 
-/// Extends the plan by executing again what reads and writes the storage of
-/// `lost`. False if that does not happen in one place: in one iteration of a
-/// parallel loop that runs once, or in serial code.
+/// Extends the plan by executing again the operations that read and write the
+/// storage of `lost`. False if that does not happen in one place: in one
+/// iteration of a parallel loop that runs once, or in serial code.
 bool AdjointPlanner::planReexecution(
     DifferentiableAccessInterface lost,
     ArrayRef<DifferentiableAccessInterface> reads) {

@@ -18,7 +18,7 @@
 //
 //   1. values[p] = v; elements[p] = e; total[e] (kind)= v    the loop, forward
 //   2. count[e] += 1 where values[p] decides                 over all p
-//   3. weight[e], and the adjoint of what stood there        over all e
+//   3. weight[e], and the adjoint of the old value           over all e
 //   4. values[p] = the adjoint of v                          over all p
 //
 // where p numbers the executions of the atomic, and e elements of the field.
@@ -199,8 +199,8 @@ static Value createRun(AdjointBuilder &b, const KeptValues &kept,
   return run;
 }
 
-/// Removes from a copy of a loop the effects that it had in the primal, and
-/// what nothing needs without them.
+/// Removes from a copy of a loop the effects that it had in the primal, and the
+/// ops that nothing needs without them.
 static LogicalResult
 removeEffects(AdjointBuilder &b, Operation *copy,
               const DenseMap<Operation *, Operation *> &originals) {

@@ -286,7 +286,7 @@ void Contention::countDeciding(const KeptValues &kept) {
 //===----------------------------------------------------------------------===//
 
 /// The adjoint of one factor of an element, given the weight of the element:
-/// its adjoint times what stood there before and the factors but for zeros.
+/// its adjoint times the former value and the factors but for zeros.
 Value Contention::createFactorAdjoint(Value factor, Value element) {
   Value all = load(weight, element), zeros = load(count, element);
   Value zero = constant(0);

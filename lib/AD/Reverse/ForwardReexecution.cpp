@@ -273,7 +273,7 @@ Value ForwardReexecution::fetchCount(scf::WhileOp loop) {
 void ForwardReexecution::leave(Frame &frame) {
   ReexecutedBlock *from = innermost.get();
   if (from && &frame == &from->frame) {
-    // Out of the way before what hangs on it goes.
+    // Taken out of the way before its children are freed.
     std::unique_ptr<ReexecutedBlock> outer = std::move(from->parent);
     innermost = std::move(outer);
     frame.recomputeBegin->erase();

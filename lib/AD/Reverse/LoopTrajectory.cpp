@@ -16,8 +16,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-// A vector is kept component by component, so that what lowers the adjoint need
-// not know memrefs of vectors.
+// A vector is kept component by component, so that the lowering of the adjoint
+// need not know memrefs of vectors.
 
 static MemRefType getHistoryType(Type type) {
   SmallVector<int64_t> shape = {ShapedType::kDynamic};
@@ -87,7 +87,7 @@ static Value loadState(AdjointBuilder &b, Type type, Value buffer,
   return b.createVector(vector, components);
 }
 
-// How large the buffer is and what writes it is decided when the reverse is
+// The size and the writer of the buffer are decided when the reverse is
 // complete.
 Value LoopTrajectory::load(Frame &frame, unsigned index,
                            const ReverseDraft &draft) {

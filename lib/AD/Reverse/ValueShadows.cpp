@@ -19,7 +19,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The indices of a component, counted row by row, of what `shadow` holds.
+/// The indices of a component, counted row by row, in the contents of `shadow`.
 static SmallVector<Value> createIndices(AdjointBuilder &b, Value shadow,
                                         int64_t component) {
   ArrayRef<int64_t> shape = cast<MemRefType>(shadow.getType()).getShape();

@@ -49,7 +49,7 @@ static constexpr StringLiteral kInlineFirst =
     "run 'inline' first; a function that calls itself, or that is defined "
     "elsewhere, cannot be differentiated";
 
-/// True for what only looks at an array.
+/// True for ops that only look at an array.
 static bool isQuery(Operation *op) {
   return isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(op);
 }

@@ -60,7 +60,7 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
 
 private:
   /// `type` in the floats of the field, which may be wider: gradients of
-  /// narrow floats are sums, which lose what narrow floats do not hold.
+  /// narrow floats are sums, which would lose digits in narrow floats.
   static Type getStoredType(Operation *op, Storage storage, Type type) {
     FieldOp field = lookupField(op, storage.field);
     Type element = field ? getElementTypeOrSelf(field.getType()) : Type();

@@ -335,7 +335,7 @@ static Error checkParameters(const llvm::Function &kernel) {
 constexpr StringLiteral kDenormalsAttrName = "denormal-fp-math-f32";
 constexpr StringLiteral kFlushing = "preserve-sign,preserve-sign";
 
-/// Says for the whole module what PTX can only say for each operation.
+/// Sets for the whole module a mode that PTX can only set for each operation.
 void DeviceCompiler::prepareForCuda(llvm::Module &module) {
   auto saysFlush = [](const llvm::Function &function) {
     return function.getFnAttribute(kDenormalsAttrName).getValueAsString() ==
@@ -627,7 +627,7 @@ getBitcode(const llvm::Module &module) {
   return bytes;
 }
 
-/// Takes away what programs alone use.
+/// Takes away functions that programs alone use.
 static void removeTileFunctions(llvm::Module &module,
                                 ArrayRef<std::string> functions) {
   SmallVector<llvm::Function *> unused;

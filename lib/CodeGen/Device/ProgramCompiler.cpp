@@ -610,8 +610,8 @@ mlir::tai::makeProgram(DeviceCompiler &compiler,
     for (llvm::Function &function : module)
       if (&function != kernel)
         dropInvariantLoads(function);
-    // Called once, the runner of tables is best in place; so is what moves
-    // rows, which then knows its parameters.
+    // Called once, the runner of tables is best in place; so is the function
+    // that moves rows, which then knows its parameters.
     if (llvm::Function *runner = module.getFunction(getRunnerName(plan.scope)))
       if (runner->hasOneUse())
         runner->addFnAttr(llvm::Attribute::AlwaysInline);

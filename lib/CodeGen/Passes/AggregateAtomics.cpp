@@ -202,7 +202,8 @@ bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
   auto *op = dyn_cast<Instruction>(value);
   if (!op || depth == 0 || op->mayReadOrWriteMemory() || isa<PHINode>(op))
     return false;
-  // Iterations that fill warps: their number without what counts threads.
+  // Iterations that fill warps: their number without the part that counts
+  // threads.
   bool isDivision = op->getOpcode() == Instruction::UDiv ||
                     op->getOpcode() == Instruction::SDiv;
   bool isShift = op->getOpcode() == Instruction::LShr ||

@@ -273,8 +273,8 @@ void BlockDivider::outline(const Part &part, unsigned number) {
       use.set(mine);
     }
   }
-  // The last use of a part's values in it has been seen, so what places there
-  // are is known.
+  // The last use of a part's values in it has been seen, so that its places are
+  // known.
   for (Instruction *instruction : part) {
     if (!places.contains(instruction))
       continue;

@@ -465,7 +465,7 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
   if (matrices.empty())
     return false;
   number();
-  // The time of what follows grows with the square of that.
+  // The time of the steps below grows with the square of that.
   constexpr size_t most = 8000;
   if (memory.size() > most)
     return false;

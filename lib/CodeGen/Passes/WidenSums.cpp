@@ -29,7 +29,7 @@ using namespace mlir::tai;
 /// So many terms are added up in f32 before they are widened.
 static constexpr size_t kTermsInF32 = 4;
 /// The most sums at once that have registers in f64: the adjoint of a layer of
-/// a network adds to as many as it has inputs.
+/// a network has one for each of its inputs.
 static constexpr size_t kMostSums = 8;
 
 namespace {

@@ -83,7 +83,7 @@ static bool isSeen(ParallelForOp loop, Operation *op) {
   return isa<AtomicOp, AssertOp, LLVM::AtomicCmpXchgOp>(op);
 }
 
-/// Leaves what values are computed from.
+/// Leaves the operands of the values.
 static void removeEffects(ParallelForOp loop) {
   SmallVector<Operation *> seen;
   loop.getBody().walk([&](Operation *op) {
@@ -94,7 +94,7 @@ static void removeEffects(ParallelForOp loop) {
     op->erase();
 }
 
-/// Removes what only removed ops used.
+/// Removes ops that only removed ops used.
 static void removeDeadOps(ParallelForOp loop) {
   SmallVector<Operation *> ops;
   // Backwards, users come before their operands, and operations inside an op

@@ -284,7 +284,7 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
   return true;
 }
 
-/// False for what belongs to one thread, and where it is not known.
+/// False for memory that belongs to one thread, and for unknown memory.
 bool LoopAccesses::follow(Address &address, Value pointer,
                           DenseI64ArrayAttr digits) {
   while (!loop.isDefinedOutsideOfLoop(pointer)) {
@@ -375,8 +375,8 @@ void LoopAccesses::mergeNeighbours() {
   addresses = std::move(merged);
 }
 
-/// Says of each access what all iterations touch, and no longer which of them
-/// touches what: columns of weights that are written out lie side by side then.
+/// Replaces each access by the range of all iterations, without the cells of
+/// each: columns of weights that are written out lie side by side then.
 void LoopAccesses::foldIterations() {
   for (Address &address : addresses)
     for (auto [stride, lower, upper] :

@@ -128,7 +128,7 @@ std::optional<ConstantIntRanges> Proof::getInductiveRange(Value value) {
   if (!value.getType().isIntOrIndex())
     return std::nullopt;
   Operation *op = value.getDefiningOp();
-  // Cells of a tree are as many as its bytes at most.
+  // The cells of a tree are not more than its bytes.
   if (isa_and_present<ActiveCellsOp, LengthOp, AppendOp>(op))
     return value.getType().isIndex() ? std::optional(getRange(0, kMostBytes))
                                      : std::nullopt;

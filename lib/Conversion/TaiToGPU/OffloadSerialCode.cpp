@@ -380,7 +380,7 @@ void tai::fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
   });
   for (UnrealizedConversionCastOp value : values) {
     if (!value->use_empty()) {
-      // As late as can be: whoever waits for it waits for all before.
+      // As late as possible, since a wait for it is one for all work before.
       Operation *first = nullptr;
       for (Operation *user : value->getUsers()) {
         Operation *here = value->getBlock()->findAncestorOpInBlock(*user);

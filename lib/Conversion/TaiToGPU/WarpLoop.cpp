@@ -199,7 +199,8 @@ static std::pair<Value, int64_t> splitAddress(Value address) {
   return {address, offset};
 }
 
-/// `distance` is how far the address is behind what its key stands for.
+/// `distance` is the distance of the address from the one that its key stands
+/// for.
 AdditionOrder::Key AdditionOrder::getKey(Value base, int64_t &distance) {
   distance = 0;
   auto element = base.getDefiningOp<LLVM::GEPOp>();
@@ -349,8 +350,8 @@ static bool isRepeated(Operation *op) {
       .wasInterrupted();
 }
 
-/// True for what follows from the number of an iteration alone: all threads
-/// have one. Bounds of loops are among it.
+/// True for values that follow from the number of an iteration alone: all
+/// threads have one. Bounds of loops are among it.
 bool AdditionOrder::isForAll(Value value) {
   if (Operation *op = value.getDefiningOp())
     return forAll.contains(op) || !body->getParentOp()->isAncestor(op);

@@ -552,8 +552,8 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
 }
 
 /// Moves an update behind the branches that it stands in; where it would not
-/// run it adds what changes nothing. LLVM vectorises the sum then, which it
-/// does not do for one that only some iterations change.
+/// run it adds a neutral value. LLVM vectorises the sum then, which it does not
+/// do for one that only some iterations change.
 static void moveBehindBranches(Operation *update, OpOperand &updated,
                                AtomicKind kind) {
   while (auto branch = dyn_cast<scf::IfOp>(update->getParentOp())) {

@@ -132,8 +132,8 @@ Value Closure::emit(RuntimeCalls &runtime) {
 // Arguments and results
 //===----------------------------------------------------------------------===//
 
-/// Replaces an array argument by its address and extents, which is what
-/// tai-lower-layout left of it.
+/// Replaces an array argument by its address and extents, the remains of it
+/// after tai-lower-layout.
 static LogicalResult replaceArray(BlockArgument array, Value address,
                                   ArrayRef<Value> extents) {
   for (OpOperand &use : llvm::make_early_inc_range(array.getUses())) {

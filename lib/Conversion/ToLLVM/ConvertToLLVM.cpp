@@ -289,8 +289,8 @@ static void relaxMathOps(Operation *root) {
   });
 }
 
-/// Calls of libm become what intrinsics are: they access no memory (nobody asks
-/// for errno), and may be contracted.
+/// Calls of libm get the properties of intrinsics: they access no memory (errno
+/// is not used), and may be contracted.
 static void relaxMathCalls(LLVM::LLVMFuncOp function, bool contract) {
   // Functions without an intrinsic.
   static const llvm::StringSet<> names{"expm1", "expm1f", "log1p", "log1pf",

@@ -169,7 +169,7 @@ Status CudaDevice::open() {
   return status;
 }
 
-/// Memory that kernels ask for while they run: what loops record.
+/// Memory that kernels ask for while they run, for the records of loops.
 Status CudaDevice::setHeap(size_t memoryBytes) {
   auto wanted = static_cast<size_t>(deviceHeapBytes());
   size_t bytes =
@@ -467,7 +467,7 @@ Status CudaDevice::fillAlone(const DeviceFill &fill) {
 Status CudaDevice::fillAll(const std::vector<DeviceFill> &fills) {
   if (fills.size() == 1)
     return fillAlone(fills.front());
-  // The others come last: what follows is made ready while they run.
+  // The others come last: later work is made ready while they run.
   Status status;
   int64_t large = largeFillBytes();
   std::vector<const DeviceFill *> together;

@@ -435,7 +435,7 @@ Status CudaDevice::order(Stream first, Stream second) {
 // Beside other work
 //===----------------------------------------------------------------------===//
 
-/// In a branch of the graph: what another stream is given while this one is
+/// In a branch of the graph: the work of another stream while this one is
 /// recorded.
 Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
   if (!side || !isCapturing || isAside)

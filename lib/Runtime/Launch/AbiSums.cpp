@@ -336,7 +336,8 @@ static void addStrided(void *context, int64_t cut) {
   int64_t end = boundOf(c.cells, cut + 1, c.cuts);
   constexpr int64_t block = 1024;
   T sums[block];
-  // Whole cells, as many as fit; a matrix has at most 16 components.
+  // Whole cells, up to the size of the block; a matrix has at most 16
+  // components.
   int64_t cellsInBlock = std::max<int64_t>(block / c.components, 1);
   for (int64_t at = begin; at < end; at += cellsInBlock) {
     int64_t cells = std::min(cellsInBlock, end - at);

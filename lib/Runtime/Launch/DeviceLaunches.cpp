@@ -79,7 +79,7 @@ static Status loadCode(Device &device, const DeviceImage &image,
   return status;
 }
 
-/// The same; what came from the cache and is not taken is compiled anew, once.
+/// The same; an image from the cache that is not taken is compiled anew, once.
 static Status loadOrMakeAgain(Device &device,
                               std::shared_ptr<const DeviceImage> &image,
                               std::unique_ptr<DeviceModule> &module,
@@ -209,7 +209,7 @@ void DeviceLaunches::leave(Launch &launch) {
   Status status = onDevice.finish();
   if (onDevice.usesState) {
     devices.get()->noteStateUsed();
-    // Otherwise what happened is said when somebody waits.
+    // Otherwise the next wait reports failures.
     if (status && options.debug && !onDevice.waited) {
       status = devices.device()->synchronize();
       onDevice.waited = true;

@@ -143,8 +143,8 @@ void Launcher::prepare(Kernel &kernel) {
   made.adjoints = kernel.changedAdjoints.data();
   made.adjointsEnd = made.adjoints + kernel.changedAdjoints.size();
   if (fieldsOf(prepared) != fieldsOf(made)) {
-    // A launch of another thread may be using what there is. No launch begins
-    // to while the state is another one.
+    // A launch of another thread may be using the present tables. No launch
+    // begins to while the state is another one.
     bool isUsed = false;
     if (before != 0) {
       runningLaunches.publishState();

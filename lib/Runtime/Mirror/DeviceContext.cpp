@@ -146,8 +146,8 @@ Status DeviceContext::take(int64_t bytes, const std::string &owner,
 }
 
 void DeviceContext::giveBack(int64_t bytes, DevicePtr memory) {
-  // Work is in the order in which it was asked for, so whoever has the memory
-  // next comes after those that use it now.
+  // Work is in the order of its requests, so that the next owner's work comes
+  // after that of the present users.
   constexpr int often = 2;
   std::lock_guard<std::recursive_mutex> lock(mutex);
   spare.emplace(bytes, memory);

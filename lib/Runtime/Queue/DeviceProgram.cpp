@@ -145,8 +145,8 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
   std::sort(ways.begin(), ways.end(), [](const auto &a, const auto &b) {
     return a->predicted < b->predicted;
   });
-  // A way that is far behind by the model is not tried. A graph is, always: it
-  // asks for no compilation and is what to fall back to.
+  // A way that is far behind by the model is not tried. A graph always is: it
+  // asks for no compilation and is the fallback.
   if (wanted == ProgramMode::Automatic && !ways.empty()) {
     double best = ways.front()->predicted;
     ways.erase(std::remove_if(ways.begin(), ways.end(),

@@ -203,8 +203,8 @@ Status DeviceQueue::synchronize() {
 }
 
 void DeviceQueue::free(DevicePtr memory) {
-  // The collected work may use it. A recording goes on: who frees what a tape
-  // has kept need not wait.
+  // The collected work may use it. A recording goes on: a thread that frees
+  // memory kept by a tape need not wait.
   if (!records)
     (void)settle();
   if (collected->empty() && prefix->empty() && !isRunning)

@@ -24,7 +24,7 @@ struct Footprint {
     DeviceAccess access;
     /// The range of addresses relative to the first iteration.
     int64_t low = 0, high = 0;
-    /// Empty if it is not known which thread accesses what.
+    /// Empty if the accesses of each thread are not known.
     Map map;
   };
   std::vector<Line> lines;
@@ -51,7 +51,7 @@ struct StepMemory {
 
   static StepMemory ofLaunch(const Footprint *footprint, const uint64_t *slots,
                              size_t numSlots);
-  /// Adds a range for which it is not known which thread accesses what.
+  /// Adds a range for which the accesses of each thread are not known.
   void add(DeviceAccess::Kind kind, uint64_t begin, uint64_t bytes);
   /// Adds strided rows.
   void addRows(DeviceAccess::Kind kind, uint64_t begin, uint64_t step,

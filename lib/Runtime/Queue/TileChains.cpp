@@ -252,7 +252,7 @@ bool ChainMaker::findCyclicDimensions() {
   return true;
 }
 
-/// Whether an iteration reads what others of the same launch write.
+/// Whether an iteration reads writes of others of the same launch.
 bool ChainMaker::findRaces() const {
   for (const TileStage &stage : chain.stages)
     for (size_t k = 0; k < stage.sites.size(); ++k)
@@ -361,8 +361,8 @@ bool ChainMaker::chooseTile() {
     chain.tile = tile;
   };
   std::vector<int64_t> tile(rank, 1);
-  // Along all but the last dimension any number of tiles; there, as many as are
-  // left.
+  // Along all but the last dimension any number of tiles; there, the rest of
+  // them.
   auto choose = [&](auto &self, size_t d, int64_t left) -> void {
     int64_t extent = chain.upper[d] - chain.lower[d];
     if (d + 1 == rank) {
@@ -408,7 +408,7 @@ mlir::tai::runtime::makeChain(const ChainStep *steps, size_t count,
   return ChainMaker(steps, count, limits).make();
 }
 
-/// Whether the last launch touches what others of the chain write.
+/// Whether the last launch touches cells that others of the chain write.
 static bool isLastRelated(const TileChain &chain) {
   const TileStage &last = chain.stages.back();
   for (size_t s = 0; s + 1 < chain.stages.size(); ++s)

@@ -89,7 +89,7 @@ static Status read(const Field &field, const int64_t *index, int64_t component,
   return status;
 }
 
-/// Writes what `store` makes of a number; the cell becomes active.
+/// Writes a number by `store`; the cell becomes active.
 template <typename Number>
 static Status write(Field &field, const int64_t *index, int64_t component,
                     void (*store)(ScalarKind, char *, Number), Number value) {

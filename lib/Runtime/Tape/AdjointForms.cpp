@@ -22,7 +22,7 @@ bool AdjointForms::loadsStored(size_t index) const {
 Status AdjointForms::find(size_t index, Kernel *&adjoint) const {
   Kernel &kernel = *recording[index].kernel;
   bool zeroes = plan.zeroesAt(index);
-  // Found once; what makes them takes a lock.
+  // Found once; the function that makes them takes a lock.
   if (loadsStored(index)) {
     adjoint = TapedKernel::known(kernel, zeroes, /*stored=*/true);
     if (adjoint)

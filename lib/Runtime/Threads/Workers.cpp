@@ -94,8 +94,8 @@ int64_t Workers::partition(int64_t n, double cost, bool reduces) {
   constexpr int64_t leastPartNs = 2000;
   int64_t parts = std::min<int64_t>(numThreads, total / leastPartNs);
   if (!reduces) {
-    // Smaller parts even out what other processes take, and let a long loop be
-    // interrupted.
+    // Smaller parts even out the load of other processes, and let a long loop
+    // be interrupted.
     constexpr int64_t goodPartNs = 25000, longestPartNs = 10000000;
     parts =
         std::max({parts, std::min<int64_t>(4 * numThreads, total / goodPartNs),

@@ -178,8 +178,8 @@ bool LoopRelaxation::isWorthPrivate(const AccumulationGroup &group) {
   // Sums of 16 bits would stop growing after some hundred additions.
   if (isFloat && (compensated || is16Bits(field.scalarType)))
     return true;
-  // Where the number of iterations is known at run time only, so is what pays:
-  // too few of them run in one partition, which needs no buffers.
+  // If the number of iterations is known at run time only, so is the gain: too
+  // few of them run in one partition, which needs no buffers.
   std::optional<int64_t> iterations = getNumIterations(loop);
   return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
 }

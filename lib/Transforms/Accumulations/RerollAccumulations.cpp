@@ -241,7 +241,7 @@ bool Shapes::matchOperands(OpOperand &model, OpOperand &other) {
          matchOps(a.getOwner(), b.getOwner());
 }
 
-/// Also goes through what both share, so that all members have the same holes.
+/// Also goes through shared operands, so that all members have the same holes.
 bool Shapes::matchOps(Operation *model, Operation *other) {
   auto [found, isNew] = matched.try_emplace(model, other);
   if (!isNew)

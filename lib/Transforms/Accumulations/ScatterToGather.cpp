@@ -571,8 +571,8 @@ static Value emitCompensatedSum(OpBuilder &builder, Location loc,
   return arith::SelectOp::create(builder, loc, isNumber, add(sum, rest), sum);
 }
 
-/// Computes at the end of the body what `group` adds to the element that the
-/// iteration owns.
+/// Computes at the end of the body the terms of `group` for the element that
+/// the iteration owns.
 static Gathered gather(LoopBox &box, Group &group, bool compensated) {
   OpBuilder builder(box.body().getTerminator());
   Scatter &first = group.front();
@@ -620,8 +620,8 @@ static void sinkAdditions(LoopBox &box) {
   }
 }
 
-/// Makes the loop one over all elements that it has to own; what its body does
-/// it does in the iterations that it had.
+/// Makes the loop one over all elements that it has to own; its body runs in
+/// the former iterations.
 static void widen(LoopBox &box, const Owned &owned) {
   OpBuilder builder(box.loop);
   Location loc = box.loop.getLoc();

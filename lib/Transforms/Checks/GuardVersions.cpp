@@ -13,8 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Moves what only ops of `to` use from in front of `branch` to the start of
-/// that block.
+/// Moves ops that only ops of `to` use from in front of `branch` to the start
+/// of that block.
 static void sinkInto(Block *to, Operation *branch) {
   for (Operation *op = branch->getPrevNode(); op;) {
     Operation *candidate = std::exchange(op, op->getPrevNode());
@@ -71,7 +71,7 @@ scf::IfOp tai::createVersions(Operation *begin, Value condition,
     op->moveBefore(yield);
   for (Operation *op : tail)
     op->moveBefore(yield);
-  // Partial derivatives that guards ask about, and what follows the test.
+  // Partial derivatives that guards test, and the ops behind the test.
   sinkInto(guarded, branch);
   sinkInto(fast, branch);
   return branch;

@@ -34,8 +34,8 @@ Value markLikely(OpBuilder &builder, Value condition);
 scf::IfOp createVersions(Operation *begin, Value condition, IRMapping &bare,
                          ArrayRef<Operation *> own);
 
-/// Versions all guards of a block by a test of what their partial derivatives
-/// are computed from.
+/// Versions all guards of a block by a test of the operands of their partial
+/// derivatives.
 class EarlyTest {
 public:
   explicit EarlyTest(Block &block)

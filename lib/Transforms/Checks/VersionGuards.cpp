@@ -179,7 +179,7 @@ SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
       values, [&](Value value) { return tested.contains(value); });
 }
 
-/// The values to test: results, or what guards look at, whichever are fewer.
+/// The values to test: results, or operands of guards, whichever are fewer.
 SmallVector<Value> Segment::findTested() {
   SmallVector<Value> ofResults = prune(results),
                      ofFactors = prune(findFactors());

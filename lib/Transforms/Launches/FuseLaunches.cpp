@@ -222,9 +222,9 @@ struct Source {
 };
 } // namespace
 
-/// Finds operands of the new launch for those of the second one: what differs
-/// by a constant from one that is passed already is computed from that, so that
-/// what both kernels touch is seen to be the same.
+/// Finds operands of the new launch for those of the second one: an operand
+/// that differs by a constant from one that is passed already is computed from
+/// that, so that common accesses of both kernels are recognised.
 static Source getSource(Value operand, SmallVectorImpl<Value> &operands) {
   for (auto [i, known] : llvm::enumerate(operands)) {
     if (known == operand)

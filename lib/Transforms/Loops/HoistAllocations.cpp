@@ -56,7 +56,7 @@ struct HoistAllocations : tai::impl::HoistAllocationsBase<HoistAllocations> {
   using Base::Base;
 
   void runOnOperation() override {
-    // Inner loops first: what leaves them may leave the next.
+    // Inner loops first: an op that leaves them may leave the next.
     getOperation()->walk<WalkOrder::PostOrder>(
         [](scf::ForOp loop) { hoistFrom(loop); });
   }

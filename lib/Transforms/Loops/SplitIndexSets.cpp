@@ -39,7 +39,7 @@ struct Split {
 };
 } // namespace
 
-/// The constant c with value = iv + c, if that is what `value` is.
+/// The constant c with value = iv + c, if there is one.
 static std::optional<int64_t> getOffsetFrom(Value value, Value iv) {
   int64_t offset = 0;
   while (value != iv) {

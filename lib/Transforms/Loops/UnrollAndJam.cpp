@@ -400,7 +400,8 @@ static bool isUnrolledByLLVM(scf::ForOp loop) {
   return trips->ule(kUnrolledOps / ops);
 }
 
-/// Whether a value is computed from what ops within `scope` load, or carry.
+/// Whether a value is computed from loads, or carried values, of ops within
+/// `scope`.
 static bool dependsOnLoads(Value value, Operation *scope) {
   llvm::SmallDenseSet<Value> seen;
   SmallVector<Value> list = {value};

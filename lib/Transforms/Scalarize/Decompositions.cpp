@@ -114,7 +114,8 @@ emitSweeps(ScalarMath &math, Components state,
 //===----------------------------------------------------------------------===//
 
 /// A matrix divided by its largest entry, so that squares neither overflow nor
-/// vanish. `scale` is what to multiply by afterwards, `empty` whether it is 0.
+/// vanish. `scale` is the factor to multiply by afterwards, `empty` whether it
+/// is 0.
 static Components emitScaled(ScalarMath &math, ArrayRef<Value> a, Value &scale,
                              Value &empty) {
   Type type = a[0].getType();

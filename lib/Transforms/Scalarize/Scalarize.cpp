@@ -69,7 +69,7 @@ Components Scalarizer::indicesOf(VectorType type, int64_t position) {
 }
 
 //===----------------------------------------------------------------------===//
-// Structure: what carries values
+// Structure: ops that carry values
 //===----------------------------------------------------------------------===//
 
 /// Inserts an argument for each component behind each vector argument. The old

@@ -39,7 +39,7 @@ static bool mayRunAnyway(Operation *op) {
   return isMemoryEffectFree(op) || isa<LoadOp>(op);
 }
 
-/// True if what `op` computes, and its derivative, are finite wherever its
+/// True if the result of `op`, and its derivative, are finite wherever its
 /// operands are.
 static bool staysFinite(Operation *op, FloatFacts &facts) {
   if (mayHaveNonFinitePartial(op, facts))

@@ -33,7 +33,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Sinks what follows a branch into one of its arms.
+/// Sinks the code behind a branch into one of its arms.
 class Sinking {
 public:
   /// `zeroArm` is 0 for the arm of the condition and 1 for the other.
@@ -68,8 +68,8 @@ private:
 };
 } // namespace
 
-/// Finds what follows and what of it is zero. False if it does more than add
-/// zeros up.
+/// Finds the ops behind it, and the zeros among them. False if it does more
+/// than add zeros up.
 bool Sinking::collect() {
   for (Value operand : getYield(zeroArm)->getOperands())
     if (!matchPattern(operand, m_AnyZeroFloat()))

@@ -218,7 +218,7 @@ bool Checker::mayReach(ValueRange a, ValueRange b) {
   return true;
 }
 
-/// True if no iteration sees or overwrites what another writes.
+/// True if no iteration sees or overwrites the writes of another.
 bool Checker::isFree(const PlaceAccesses &place) {
   using Access = PlaceAccesses::Access;
   auto meets = [&](const Access &a, const Access &b) {

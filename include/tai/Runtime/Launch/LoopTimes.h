@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // The compiler's estimate of an iteration is right within a factor of about
-// ten: it does not know what will be vectorised or cached. Loops whose estimate
-// is close to the cost of a fork are timed when they first run, and the
+// ten: it does not foresee vectorisation and caches. Loops whose estimate is
+// close to the cost of a fork are timed when they first run, and the
 // measurement decides whether they are parallelised.
 //
 //===----------------------------------------------------------------------===//

@@ -90,7 +90,7 @@ public:
   Item find(ProfileKind kind, const std::string &name,
             const std::string &place);
   /// Sets the bytes of a kernel's launches for its device function. With
-  /// several functions, it is not known which of them accesses what.
+  /// several functions, the accesses of each are not known.
   void noteBytes(const std::vector<std::string> &functions, int64_t bytes);
   void noteFacts(Item item, const DeviceFunctionFacts &facts,
                  const LaunchShape &shape, double occupancy);

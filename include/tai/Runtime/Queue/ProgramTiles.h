@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A tile chain: launches over one box in which each reads what earlier ones
-// wrote at nearby cells (stencils). A block computes one tile of all of them,
+// A tile chain: launches over one box in which each reads results of earlier
+// ones at nearby cells (stencils). A block computes one tile of all of them,
 // the earlier ones with a halo, without waiting for other blocks: it keeps the
 // written cells in an overlay in shared memory, and stores its own tile at the
 // end (overlapped tiling). See docs/decisions/0012-fused-launches.md.

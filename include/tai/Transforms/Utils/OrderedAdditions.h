@@ -28,8 +28,8 @@ Operation *findDivergence(ParallelForOp loop, OpPredicate isAddition);
 
 /// True if the additions of `loop` that are neither exclusive nor sums over all
 /// iterations can be executed in the order of iteration numbers while the rest
-/// of the iterations runs in parallel: nothing in the loop reads what other
-/// iterations write.
+/// of the iterations runs in parallel: nothing in the loop reads the writes of
+/// other iterations.
 bool canOrderAdditions(ParallelForOp loop, FieldTable &fields);
 
 /// The same for the order of iterations: no element gets more than one of the

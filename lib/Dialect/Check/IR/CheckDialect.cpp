@@ -63,7 +63,7 @@ void CheckDialect::initialize() {
 void tai::registerCheckDialect(DialectRegistry &registry) {
   registry.insert<CheckDialect>();
   registry.addExtension(+[](MLIRContext *context, TaiDialect *) {
-    // Unless it is what loads that of tai.
+    // Unless it is the one that loads that of tai.
     context->loadDialect<CheckDialect>();
   });
 }

@@ -142,7 +142,7 @@ LogicalResult TreeOp::verify() {
   auto root = cast<RootType>(getLayout());
   DataLayout layout = DataLayout::closest(*this);
   // Offsets are 64-bit numbers; half of these leave room for alignment and for
-  // what sparse levels keep beside their cells.
+  // the data of sparse levels beside their cells.
   uint64_t bytes = 0;
   for (Type child : root.getChildren())
     bytes = llvm::SaturatingAdd(bytes, countBytes(child, layout));

@@ -186,7 +186,7 @@ private:
   std::map<std::pair<const Tree *, int64_t>, std::unique_ptr<Track>> tracks;
   std::unordered_map<const Kernel *, std::unique_ptr<KernelUses>> kernelUses;
   std::vector<Candidate> candidates;
-  /// For the next record: what its host function accesses, and changes.
+  /// For the next record: the accesses of its host function, and its changes.
   std::vector<Part> parts, changedParts;
   std::unordered_map<size_t, std::vector<Part>> partsByRecord;
   bool lost = false;
