@@ -11,9 +11,9 @@ tai.field @v = @t["v"] : vector<2xf32>, rank 1, adjoint @v_grad
 tai.field @plain = @t["plain"] : f32, rank 1
 tai.field @n = @t["n"] : i32, rank 1
 
-// What does not reach a field with an adjoint, or does not come from one, has no
-// adjoint code; neither have comparisons, conversions and index arithmetic.
-// Output and checks are not repeated.
+// Values that do not reach a field with an adjoint, or do not come from one,
+// have no adjoint code; neither have comparisons, conversions and index
+// arithmetic. Output and checks are not repeated.
 // CHECK-LABEL: tai.kernel @mixed_grad(
 //   CHECK-NOT:   tai.print
 //   CHECK-NOT:   tai.assert

@@ -1,8 +1,8 @@
 // RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s
 // RUN: tai-opt %s --tai-autodiff --tai-to-llvm | FileCheck %s --check-prefix=LLVM
 
-// By what a kernel is differentiated besides fields: arguments, arrays and
-// results that `tai.gradients` names.
+// Variables of a derivative besides fields: arguments, arrays and results that
+// `tai.gradients` names.
 
 tai.tree @t : !tai.root<dense<[i: 1024], {x: f32, x_grad: f32, y: f32, y_grad: f32}>>
 tai.field @x_grad = @t["x_grad"] : f32, rank 1
@@ -11,7 +11,7 @@ tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
 tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
 
 // The sweep begins with the adjoint of the result and ends with those of the
-// arguments. What the iterations contribute is summed up before.
+// arguments. The contributions of the iterations are summed up before.
 // CHECK-LABEL: tai.kernel @scale_grad(
 //  CHECK-SAME:     %[[A:.+]]: f32, %[[V:.+]]: vector<2xf32>, %[[N:.+]]: i32, %[[GA:.+]]: memref<f32>, %[[GV:.+]]: memref<2xf32>, %[[GR:.+]]: memref<f32>) {
 //   CHECK-DAG:   %[[C0:.+]] = arith.constant 0 : index
@@ -69,7 +69,7 @@ tai.kernel @gather(%x: memref<?xvector<2xf32>>, %at: memref<?xi32>, %y: memref<?
   tai.return
 }
 
-// What is not named is constant, whatever its type.
+// Other arguments are constant, whatever their type.
 // CHECK-LABEL: tai.kernel @constant_grad(
 //  CHECK-SAME:     %{{[^:]+}}: memref<?xf64>, %{{[^:]+}}: f64, %[[GB:[^:]+]]: memref<f64>, %[[GR:[^:]+]]: memref<f64>) {
 //  CHECK-NEXT:   %[[C0:.+]] = arith.constant 0 : index

@@ -8,8 +8,8 @@ tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
 tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
 
 // The values are computed once and kept; who is equal to the greatest gets an
-// equal share. What stood there before is read as it was, and keeps its adjoint
-// if no value reaches it.
+// equal share. The former value is read as it was, and keeps its adjoint if no
+// value reaches it.
 // CHECK-LABEL: tai.kernel @extreme_grad(
 //  CHECK-SAME:   reads_before = [@y]
 //   CHECK-DAG:   %[[BEST:.+]] = memref.alloc() : memref<3xf32>

@@ -11,8 +11,8 @@ tai.field @a = @t["a"] : f32, rank 0, adjoint @a_grad
 tai.field @n = @t["n"] : i32, rank 1
 tai.field @next = @t["next"] : i32, rank 1
 
-// A branch that stays is mirrored. What its arms contribute to values from
-// outside leaves it as a result; the arm that contributes nothing yields zero.
+// A branch that stays is mirrored. The contributions of its arms to values from
+// outside leave it as results; the arm without one yields zero.
 // CHECK-LABEL: tai.kernel @branch_grad(
 //       CHECK:   %[[X:.+]] = tai.load @x
 //       CHECK:   %[[C:.+]] = arith.cmpf
@@ -132,7 +132,7 @@ tai.kernel @list() {
   tai.return
 }
 
-// The adjoint of what the top level read goes on to the field inside the loop.
+// The adjoint of a value read at the top level is added inside the loop.
 // CHECK-LABEL: tai.kernel @captured_grad(
 //       CHECK:   %[[A:.+]] = tai.load @a[]
 //       CHECK:   tai.parallel_for

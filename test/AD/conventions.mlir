@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse --split-input-file --verify-diagnostics | FileCheck %s
 
-// What a kernel chooses at kinks, by its attribute 'tai.conventions'.
+// Choices of a kernel at kinks, by its attribute 'tai.conventions'.
 
 !t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, z: f32, z_grad: f32}>>
 tai.tree @t : !t
@@ -45,7 +45,7 @@ tai.kernel @second() {
   tai.return
 }
 
-// 1 - x² is at least 2⁻²³: what it is at the next number below 1.
+// 1 - x² is at least 2⁻²³: its value at the next number below 1.
 // CHECK-LABEL: tai.kernel @clamped_grad(
 //   CHECK-DAG:   %[[LEAST:.+]] = arith.constant 1.1920929E-7 : f32
 //       CHECK:   %[[OUTSIDE:.+]] = arith.cmpf olt, %[[SQUARE:.+]], %[[LEAST]]

@@ -3,7 +3,7 @@
 // RUN:   -e 's/what the gradient/what the derivative/' %s \
 // RUN:   | tai-opt --split-input-file --verify-diagnostics --tai-forward-diff
 
-// What is made from a value with a derivative has one, whatever its type and
+// A value made from one with a derivative has one, whatever its type and
 // whatever op makes it, unless the op is known to be discrete. Both modes say
 // the same of the same programs.
 
@@ -138,7 +138,7 @@ func.func @nested(%p: memref<4xmemref<4xf64>>, %y: memref<f64>) attributes {tai.
 
 // -----
 
-// Too late: nothing says any more what is a field.
+// Too late: fields cannot be recognised any more.
 tai.tree @t : !tai.root<{x: f64, gx: f64, y: f64, gy: f64}>
 tai.field @gx = @t["gx"] : f64, rank 0
 tai.field @gy = @t["gy"] : f64, rank 0

@@ -1,9 +1,9 @@
 // RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s --check-prefixes=CHECK,REV
 // RUN: tai-opt %s --tai-forward-diff --canonicalize --cse | FileCheck %s --check-prefixes=CHECK,FWD
 
-// What is known to be discrete cuts the path: comparisons, conversions to
-// integers, sizes, and what chooses an index or a branch by them, the bits of a
-// float among it.
+// A value known to be discrete cuts the path: comparisons, conversions to
+// integers, sizes, and choices of an index or a branch by them, the bits of a
+// float included.
 // REV-LABEL: func.func @discrete_grad(
 //       REV:   memref.store %{{.+}}, %{{.+}}[%{{.+}}] : memref<8xf64>
 // FWD-LABEL: func.func @discrete_fwd(

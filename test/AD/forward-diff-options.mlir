@@ -2,7 +2,7 @@
 // RUN: not tai-opt %s --tai-forward-diff=kernel=nobody 2>&1 | FileCheck %s --check-prefix=NAME
 // RUN: tai-opt %s --tai-forward-diff | FileCheck %s --check-prefix=ARRAYS
 
-// Without tangents of arrays, what is stored there would be lost in silence.
+// Without tangents of arrays, a tangent stored there would be lost in silence.
 // CHECK: [[# @LINE + 16]]:5: error: a tangent is lost in an array, which has none
 // CHECK: note: store what has a tangent to a field with a dual
 // NAME: error: there is no kernel or function '@nobody' to differentiate

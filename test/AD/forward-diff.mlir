@@ -36,9 +36,9 @@ tai.kernel @square() {
   tai.return
 }
 
-// What is constant is stored with the tangent zero: the old one must go. What is
-// read from a field without a dual is constant, and what is stored there loses
-// its tangent, as in reverse mode.
+// A constant is stored with the tangent zero: the old one must go. A value read
+// from a field without a dual is constant, and a value stored there loses its
+// tangent, as in reverse mode.
 // CHECK-LABEL: tai.kernel @constants_fwd(
 //   CHECK-DAG:   %[[ZERO:.+]] = arith.constant 0.000000e+00 : f32
 //       CHECK:   %[[C:.+]] = tai.load @c
@@ -56,7 +56,7 @@ tai.kernel @constants() {
   tai.return
 }
 
-// Loops carry tangents behind values; what is discrete carries none.
+// Loops carry tangents behind values; discrete values have none.
 // CHECK-LABEL: tai.kernel @loop_fwd(
 //       CHECK:   %{{.+}}:3 = scf.for {{.*}} iter_args(%[[S:.+]] = %{{.+}}, %[[K:.+]] = %{{.+}}, %[[DS:.+]] = %{{.+}}) -> (f32, i32, f32)
 //       CHECK:     math.sin %[[S]]

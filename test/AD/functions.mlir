@@ -8,9 +8,9 @@
 // RUN:   | FileCheck %s --check-prefix=VALUES
 
 // A function of memrefs, with no tai type in it: each float memref gets a second
-// one for its adjoint, at the end. What iterations share is added atomically,
-// what is theirs alone is a plain addition. A sum over a parallel loop hands its
-// adjoint to every iteration.
+// one for its adjoint, at the end. Shared contributions of iterations are added
+// atomically, their own are plain additions. A sum over a parallel loop hands
+// its adjoint to every iteration.
 // CHECK-LABEL: func.func @f(
 //  CHECK-SAME:     tai.adjoint = @f_grad
 // CHECK-LABEL: func.func @f_grad(

@@ -108,8 +108,8 @@ tai.kernel @vectors() {
   tai.return
 }
 
-// What ranges tell: 1 + exp(x), max(x, eps), 2 + sin(x), 1 + x^2, and quotients
-// of them, cannot be zero.
+// Facts from ranges: 1 + exp(x), max(x, eps), 2 + sin(x), 1 + x^2, and
+// quotients of them, cannot be zero.
 // CHECK-LABEL: tai.kernel @ranges_grad(
 //   CHECK-NOT:   arith.cmpf oeq
 //       CHECK:   tai.return

@@ -37,8 +37,8 @@ tai.kernel @polynomial() {
   tai.return
 }
 
-// What a loop carries is infinite in all iterations, where its result is. A
-// factor that is zero takes nothing of it.
+// A loop-carried value is infinite in all iterations if its result is. A factor
+// that is zero takes nothing of it.
 // CHECK-LABEL: tai.kernel @root_of_product_grad
 //       CHECK:   scf.for
 //       CHECK:     arith.select %{{.+}}, %{{.+}}, %{{.+}} {tai.guard_infinite}
@@ -59,8 +59,8 @@ tai.kernel @root_of_product(%n: index) {
   tai.return
 }
 
-// A sum of quotients is not: what is infinite is made inside of the iteration,
-// and goes to none before it.
+// A sum of quotients is not: the infinity is made inside of the iteration, and
+// goes to none before it.
 // CHECK-LABEL: tai.kernel @sum_of_quotients_grad
 //   CHECK-NOT:   tai.guard_infinite
 //       CHECK:   tai.return

@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --tai-make-adjoint --split-input-file --verify-diagnostics
 
-// What cannot be differentiated is refused where it stands, with a way out.
+// A program without a derivative is refused at its line, with a remedy.
 
 !t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, n: i32, plain: f32}>>
 tai.tree @t : !t
@@ -21,7 +21,7 @@ tai.kernel @serial_maximum() {
   tai.return
 }
 
-// What an iteration reads depends on which others have run.
+// The read value depends on the iterations that have run.
 tai.kernel @maximum_so_far() {
   %c0 = arith.constant 0 : index
   tai.parallel_for (%i) in @x {
@@ -83,7 +83,7 @@ tai.kernel @as_often_as_a_field_says() {
   tai.return
 }
 
-// What decides depends on the order of iterations.
+// The condition depends on the order of iterations.
 tai.kernel @first_come() {
   %c0 = arith.constant 0 : index
   %one = arith.constant 1 : i32
@@ -128,7 +128,7 @@ tai.kernel @counter() {
   tai.return
 }
 
-// The gradient would read what it is adding to.
+// The gradient would read the field it is adding to.
 tai.kernel @reads_adjoint() {
   tai.parallel_for (%i) in @x {
     // expected-error @+2 {{the value read here is needed by the gradient, but is an adjoint that the gradient itself accumulates}}
@@ -280,7 +280,7 @@ func.func @product(%x: memref<4xf32>, %out: memref<f32>) attributes {tai.differe
 
 // -----
 
-// Nobody could bring back what the caller's array held.
+// The former contents of the caller's array could not be restored.
 func.func @in_place(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.differentiate} {
   %c0 = arith.constant 0 : index
   // expected-error @+2 {{the value read here is needed by the gradient, but is overwritten}}

@@ -177,7 +177,7 @@ tai.kernel @closed_form(%n: index) {
 }
 
 // An update with an exact inverse: the value goes backwards with the loop, from
-// what the loop ends with. 3 has the inverse 2863311531 modulo 2^32.
+// the result of the loop. 3 has the inverse 2863311531 modulo 2^32.
 // CHECK-LABEL: tai.kernel @invertible_grad(
 //   CHECK-DAG:   %[[INV:.+]] = arith.constant -1431655765 : i32
 //   CHECK-NOT:   memref.alloc
@@ -238,7 +238,7 @@ tai.kernel @not_invertible() {
   tai.return
 }
 
-// Of two floats that take turns, one record is enough.
+// Two floats that take turns need one record.
 // CHECK-LABEL: tai.kernel @turns_grad(
 //       CHECK:   memref.alloc() : memref<8xf32>
 //   CHECK-NOT:   memref.alloc

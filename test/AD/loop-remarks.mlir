@@ -13,7 +13,7 @@ tai.field @y_grad = @t["y_grad"] : f32, rank 1
 tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
 tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
 
-// What a chunk begins with counts, too: %seed decides the next %v.
+// The start of a chunk counts, too: %seed decides the next %v.
 // CHECK:      loop-remarks.mlir:[[# @LINE + 27]]:{{.*}}[Passed] flattened | Category:tai-branches | Function=each
 // CHECK:      loop-remarks.mlir:[[# @LINE + 24]]:{{.*}}[Analysis] reversed | Category:tai-loops | Function=each | History="4 bytes for each iteration", Iterations=100, Remark="the for loop runs backwards"
 // CHECK:      [Missed] carried | Category:tai-loops | Function=each | BytesPerChunk=0, BytesPerIteration=4, Class=trajectory, Type=f32, Value=#0

@@ -4,8 +4,8 @@ tai.tree @t : !tai.root<dense<[i: 8], {x: f64, dx: f64}>>
 tai.field @dx = @t["dx"] : f64, rank 1
 tai.field @x = @t["x"] : f64, rank 1, dual @dx
 
-// What kept an infinite derivative from a zero adjoint would be a branch, and its
-// derivative zero where it is not.
+// The guard of an infinite derivative against a zero adjoint would be a branch,
+// and its derivative zero where it is not.
 tai.kernel @gradient() attributes {guarded} {
   tai.parallel_for (%i) in @x {
     %zero = arith.constant 0.0 : f64

@@ -10,7 +10,7 @@ func.func @f(%x: f64) -> f64 attributes {tai.differentiate} {
 
 // -----
 
-// The result is what is wanted, and nobody said so.
+// A derivative of the result is wanted, but not named.
 // expected-error @+2 {{'@f' writes no array of floats}}
 // expected-note @+1 {{array<i64: 0, 1>}}
 func.func @f(%x: memref<f64>) -> f64 attributes {tai.differentiate} {
@@ -29,7 +29,7 @@ func.func @f(%x: tensor<4xf64>, %n: index) -> tensor<4xf64> attributes {tai.diff
 
 // -----
 
-// Of the arguments none is read.
+// No argument is read.
 // expected-error @+2 {{'@f' reads no array of floats that a derivative is wanted of}}
 // expected-note @+1 {{array<i64: 0, 1>}}
 func.func @f(%x: memref<f64>) -> f64

@@ -35,8 +35,8 @@ tai.kernel @once() {
   tai.return
 }
 
-// What is read was overwritten: it is needed as it was before. The adjoint of the
-// element is taken before that of the old value is added.
+// The read value was overwritten: it is needed in its former version. The
+// adjoint of the element is taken before that of the old value is added.
 // CHECK-LABEL: tai.kernel @in_place_grad() attributes {reads_before = [@x]} {
 //       CHECK:   %[[ZERO:.+]] = arith.constant 0.0
 //       CHECK:   tai.parallel_for (%[[I:.+]]) in
@@ -234,7 +234,7 @@ tai.kernel @some_component(%c: index) {
   tai.return
 }
 
-// What the top level read is overwritten between: its adjoint is summed beside.
+// A value of the top level is overwritten: its adjoint is summed beside.
 // CHECK-LABEL: tai.kernel @captured_grad() attributes {reads_before = [@a]} {
 //       CHECK:   %[[SUM:.+]] = memref.alloca
 //       CHECK:   tai.parallel_for
@@ -271,8 +271,8 @@ func.func @copy_and_clear(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.
   return
 }
 
-// The additions of a stencil are to be gathered, so what they read is not zeroed
-// until they are done.
+// The additions of a stencil are to be gathered, so their operands are not
+// zeroed until they are done.
 // CHECK-LABEL: tai.kernel @stencil_grad()
 //   CHECK-NOT:   tai.store
 //       CHECK:   tai.return

@@ -1,8 +1,8 @@
 // RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s
 // RUN: tai-opt %s --tai-forward-diff --canonicalize --cse | FileCheck %s --check-prefix=FWD
 
-// At the position -1 of a vector is poison, which depends on nothing. What is
-// computed beside it keeps its gradient.
+// At the position -1 of a vector is poison, which depends on nothing. Values
+// beside it keep their gradient.
 // CHECK-LABEL: func.func @extract_grad(
 //  CHECK-SAME:     %{{[^:]+}}: memref<2xf64>, %{{[^:]+}}: memref<2xf64>, %[[XG:[^:]+]]: memref<2xf64>, %[[YG:[^:]+]]: memref<2xf64>)
 //   CHECK-DAG:   %[[C0:.+]] = arith.constant 0 : index

@@ -67,7 +67,7 @@ tai.kernel @nested(%c: i1) {
   tai.return
 }
 
-// Serial code owns what it touches.
+// Serial code owns its elements.
 // CHECK-LABEL: tai.kernel @serial
 //       CHECK:   %[[A:.+]] = tai.load @a[]
 //       CHECK:   %[[R:.+]] = scf.for %{{.+}} iter_args(%{{.+}} = %[[A]])
@@ -104,8 +104,8 @@ tai.kernel @component() {
   tai.return
 }
 
-// What needs one state only stays as it is: a time step that is read again, and a
-// state that is changed in place.
+// A kernel that needs one state only is not changed: a time step that is read
+// again, and a state changed in place.
 // CHECK-LABEL: tai.kernel @one_state
 //       CHECK:     tai.store %{{.+}}, @y
 //       CHECK:     tai.load @y
@@ -143,7 +143,7 @@ tai.kernel @may_meet() {
   tai.return
 }
 
-// Which iteration stores is not known: the others must not store.
+// The iteration that stores is not known: others must not store.
 // CHECK-LABEL: tai.kernel @not_owned
 //       CHECK:     scf.if
 //       CHECK:       tai.load @a

@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s
 
-// Where the reverse needs both what a field held before and what it holds
-// afterwards, the iteration is run forward again and records it.
+// If the reverse needs both the former and the new values of a field, the
+// iteration is run forward again and records it.
 
 !t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, plain: f32, v: vector<2xf32>, v_grad: vector<2xf32>}>>
 tai.tree @t : !t
@@ -43,8 +43,8 @@ tai.kernel @sequence() {
   tai.return
 }
 
-// In a serial loop it is pushed by the rerun and popped by the reverse. What
-// nothing needs is not run again.
+// In a serial loop it is pushed by the rerun and popped by the reverse.
+// Unneeded operations are not run again.
 // CHECK-LABEL: tai.kernel @repeated_grad() attributes {reads_before = [@x], reexecutes} {
 //       CHECK:   tai.parallel_for (%[[I:.+]]) in @x {
 //       CHECK:     %[[STACK:.+]] = tai.stack_create : !tai.stack<f32>
@@ -109,8 +109,8 @@ tai.kernel @branches(%n: index) {
   tai.return
 }
 
-// A recurrence that runs over and over: the loops are run again as a whole, with
-// what they carry.
+// A recurrence that runs over and over: the loops are run again as a whole,
+// with their carried values.
 // CHECK-LABEL: tai.kernel @sweeps_grad(%{{.+}}: index) attributes {reads_before = [@x], reexecutes} {
 //   CHECK-DAG:   %[[STACK:.+]] = tai.stack_create
 //       CHECK:   scf.for
@@ -136,8 +136,8 @@ tai.kernel @sweeps(%n: index) {
   tai.return
 }
 
-// How long a loop ran is counted when it is run again. The condition that ends it
-// has pushed too: what it pushed is popped, needed or not.
+// How long a loop ran is counted when it is run again. The condition that ends
+// it has pushed too: its value is popped, needed or not.
 // CHECK-LABEL: tai.kernel @until_grad(
 //       CHECK:     %[[STACK:.+]] = tai.stack_create
 //       CHECK:     %[[LENGTH:.+]] = scf.while (%[[COUNT:.+]] = %{{.+}}) : (index) -> index {

@@ -48,7 +48,7 @@ func.func @main() {
   return
 }
 
-// What only runs forward may overwrite what it read.
+// Kernels that only run forward may overwrite their inputs.
 tai.field @x_grad = @s["x_grad"] : f32, rank 1
 tai.field @x = @s["x"] : f32, rank 1, adjoint @x_grad
 tai.tree @s : !tai.root<dense<[i: 4], {x: f32, x_grad: f32}>>

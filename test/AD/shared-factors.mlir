@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s
 // RUN: tai-opt %s --tai-forward-diff --canonicalize --cse | FileCheck %s --check-prefix=FORWARD
 
-// What depends on a quotient does not depend on a factor of both operands: it
+// A function of a quotient does not depend on a factor of both operands: it
 // gets nothing, in the place of two numbers that cancel.
 
 !t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, z: f32, z_grad: f32, r: f32, r_grad: f32, x_dual: f32, r_dual: f32}>>
@@ -55,7 +55,7 @@ tai.kernel @velocity() {
   tai.return
 }
 
-// Of (x y) / (x z), y and z get what they get of y / z.
+// In (x y) / (x z), y and z get the same as in y / z.
 // CHECK-LABEL: tai.kernel @both_grad(
 //       CHECK:   %[[Z:.+]] = tai.load @z[
 //       CHECK:   %[[G:.+]] = tai.load @r_grad

@@ -15,8 +15,8 @@ tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
 tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
 tai.field @c = @t["c"] : f32, rank 1
 
-// Of three values that the loop carries, one is recorded: the sum is linear,
-// and the count a formula. Without the analysis, all are.
+// One of three values that the loop carries is recorded: the sum is linear, and
+// the count a formula. Without the analysis, all are.
 // CHECK-LABEL: tai.kernel @loop_grad()
 //     ALL:     memref.alloc(%{{.+}}) : memref<?xf32>
 //     ALL-NOT: memref.alloc

@@ -7,7 +7,7 @@ tai.field @y_grad = @d["y_grad"] : f32, rank 1
 tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
 tai.field @y = @d["y"] : f32, rank 1, adjoint @y_grad
 
-// What the cell held would be needed again, and its adjoint become zero.
+// The former value would be needed again, and its adjoint become zero.
 tai.kernel @clears() {
   tai.parallel_for (%i) in @x {
     // expected-note @+1 {{reads or writes it here; deactivate in a kernel of its own, or by 'deactivate_all' between kernels}}

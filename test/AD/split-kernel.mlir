@@ -10,8 +10,8 @@ tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
 tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
 tai.field @a = @t["a"] : f32, rank 0, adjoint @a_grad
 
-// Each of two loops needs what x held before it. What both compute with is
-// computed in both; the last has the result.
+// Each of two loops needs what x held before it. Shared values are computed in
+// both; the last has the result.
 // CHECK-LABEL: tai.kernel @twice(%{{.+}}: f32) -> f32
 //       CHECK:   tai.parallel_for
 //       CHECK:   tai.parallel_for

@@ -56,7 +56,7 @@ tai.kernel @layer(%t: i32) {
   tai.return
 }
 
-// A component of what is stored.
+// A component of a stored value.
 // CHECK-LABEL: tai.kernel @component_grad_stored(
 //      CHECK:    tai.parallel_for (%[[I:.+]]) in @x {
 //  CHECK-NOT:      math.exp
@@ -187,7 +187,7 @@ tai.kernel @sometimes(%t: index, %n: index) {
   tai.return
 }
 
-// What is stored was rounded.
+// The stored value was rounded.
 // CHECK-LABEL: tai.kernel @rounded_grad(
 //  CHECK-NOT:  @rounded_grad_stored
 tai.kernel @rounded(%t: index) {
@@ -213,7 +213,7 @@ tai.kernel @cheap(%t: index) {
   tai.return
 }
 
-// What was there before is wanted too, and it is one or the other.
+// The former value is needed too, and only one of both is there.
 // CHECK-LABEL: tai.kernel @in_place_grad(
 // CHECK-SAME:    {guarded, reads_before = [@x]}
 //  CHECK-NOT:  @in_place_grad_stored

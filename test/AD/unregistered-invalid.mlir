@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --allow-unregistered-dialect --tai-make-adjoint --verify-diagnostics
 
-// What a loop carries is made by ops that nobody knows: each of them is refused
-// once, however often the gradient asks for it.
+// Unknown ops make the carried values of a loop: each of them is refused once,
+// however often the gradient asks for it.
 func.func @carried(%x: memref<4xf64>, %y: memref<f64>) attributes {tai.differentiate} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index

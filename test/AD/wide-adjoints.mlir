@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --split-input-file --verify-diagnostics --tai-autodiff | FileCheck %s
 
-// The adjoint of f32 is f64: what is read of it is rounded, what is added is
-// widened. Its kernel has the modes of the other.
+// The adjoint of f32 is f64: loads of it are rounded, additions are widened.
+// Its kernel has the modes of the other.
 tai.tree @s : !tai.root<dense<[i: 64], {x: f32, y: f32, gx: f64, gy: f64}>>
 tai.field @x = @s["x"] : f32, rank 1, adjoint @gx
 tai.field @y = @s["y"] : f32, rank 1, adjoint @gy
@@ -26,7 +26,7 @@ tai.kernel @square() attributes {modes = {math = "strict"}} {
 
 // -----
 
-// What is computed in f64 is added as such, and not by way of f32.
+// A value computed in f64 is added as such, and not by way of f32.
 tai.tree @s : !tai.root<dense<[i: 64], {x: f32, y: f32, gx: f64, gy: f64}>>
 tai.field @x = @s["x"] : f32, rank 1, adjoint @gx
 tai.field @y = @s["y"] : f32, rank 1, adjoint @gy

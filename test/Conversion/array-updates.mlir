@@ -3,8 +3,8 @@
 tai.tree @t : !tai.root<dense<[i: 128], {x: f32}>>
 tai.field @x = @t["x"] : f32, rank 1
 
-// An array may be another one, too: what is read of it does not go past the
-// caches of writes where the loop adds to an array. Fields are no arrays.
+// An array may be another one, too: a read of it does not go past the caches of
+// writes if the loop adds to an array. Fields are no arrays.
 // CHECK-LABEL: llvm.func @update_0(
 //       CHECK:   llvm.load %{{.+}} invariant {alias_scopes = [#[[X:.+]]]} : !llvm.ptr -> f32
 //       CHECK:   llvm.load %{{[0-9]+}} {alias_scopes = [#[[$ARRAYS:.+]]], noalias_scopes = [#[[X]]]} : !llvm.ptr -> f32

@@ -47,7 +47,7 @@ tai.field @z = @t["z"] : f32, rank 1
 //       LLVM-NOT: call range(i32 {{[01]}}, 6{{[45]}})
 //       LLVM-NOT: nvvm.maxntid
 
-// As many iterations, rounded up to blocks.
+// The number of iterations, rounded up to blocks.
 //   LAUNCH-LABEL: llvm.func @two(
 //         LAUNCH:   gpu.launch_func @kernels::@two_0 blocks in (%c2{{[^ ]*}}, %{{.+}}) threads in (%c64
 //         LAUNCH:   gpu.launch_func @kernels::@two_1 blocks in (%c1{{[^ ]*}}, %{{.+}}) threads in (%c256

@@ -187,7 +187,7 @@ tai.kernel @clamped() {
   tai.return
 }
 
-// Left alone: what lies apart in memory,
+// Left alone: elements apart in memory,
 // CHECK-LABEL: tai.kernel @columns(
 //       CHECK:   tai.parallel_for (%{{.+}}, %{{.+}}) = (%c0, %c0) to (%c128, %c64) {
 tai.kernel @columns(%f: f32) {
@@ -262,7 +262,7 @@ tai.kernel @random() {
   tai.return
 }
 
-// and what the device alone knows the length of.
+// and loops whose length only the device knows.
 // CHECK-LABEL: tai.kernel @unknown(
 //       CHECK:   tai.parallel_for (%{{.+}}, %{{.+}}) = (%c0, %c0) to (%{{.+}}, %c128) {
 tai.kernel @unknown(%n: index, %f: f32) {

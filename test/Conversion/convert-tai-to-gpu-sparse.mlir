@@ -5,8 +5,8 @@ tai.field @x = @t["x"] : f32, rank 1
 tai.field @y = @t["y"] : f32, rank 1
 
 // The list of active cells is made on the device; a loop captures its address,
-// and that of its length, which the host does not know. What is known to be
-// active is not asked for.
+// and that of its length, which the host does not know. Cells known to be
+// active are not tested.
 // CHECK-LABEL: llvm.func @visit_0(
 //  CHECK-SAME:     %[[LENGTH:[^:]+]]: !llvm.ptr, %[[LIST:[^:]+]]: !llvm.ptr,
 //       CHECK:   %[[NUMBER:.+]] = llvm.load %[[LENGTH]] : !llvm.ptr -> i64
@@ -47,7 +47,7 @@ tai.kernel @visit() {
   tai.return
 }
 
-// What the host knows of activity is out of date after the launch.
+// The host's record of activity is out of date after the launch.
 // CHECK-LABEL: llvm.func @write.entry(
 //  CHECK-SAME:     %[[FRAME:.+]]: !llvm.ptr) -> i32
 //       CHECK:   gpu.launch_func @kernels::@write_0

@@ -7,7 +7,7 @@ tai.field @y = @t["y"] : f32, rank 2
 tai.field @sum = @t["sum"] : f32, rank 0
 tai.field @n = @t["n"] : i32, rank 0
 
-// A loop becomes a function of what it uses, and a launch.
+// A loop becomes a function of its operands, and a launch.
 // CHECK-LABEL: gpu.module @kernels
 //   How a tree is aligned is known, and that two fields are neighbours in it.
 //       CHECK:   llvm.func @scale_0(%[[TREE:[^:]+]]: !llvm.ptr {llvm.align = 16 : i64}, %[[S:[^:]+]]: f32)
@@ -105,7 +105,7 @@ tai.kernel @steps(%n: i32) {
   tai.return
 }
 
-// What the caller is given waits for the device.
+// The caller's results wait for the device.
 // CHECK-LABEL: llvm.func @result(
 //       CHECK:   gpu.launch_func
 //       CHECK:   llvm.call @tai_rt_device_fetch

@@ -60,8 +60,8 @@ tai.kernel @tree() -> f32 {
   tai.return %1 : f32
 }
 
-// One dimension: the partition is a range of the index. What the body uses
-// from outside travels in the closure; constants are copied.
+// One dimension: the partition is a range of the index. Values from outside of
+// the body travel in the closure; constants are copied.
 // CHECK-LABEL: llvm.func @range(
 //  CHECK-SAME:     %[[FRAME:.+]]: !llvm.ptr)
 //       CHECK:   %[[CLOSURE:.+]] = llvm.alloca %{{.+}} x !llvm.array<1 x i64>

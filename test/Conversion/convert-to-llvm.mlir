@@ -43,8 +43,8 @@ llvm.func @functions(%x: f32) -> f32 {
   llvm.return %4 : f32
 }
 
-// Structured control flow becomes branches, and what is known of a loop goes to
-// its latch.
+// Structured control flow becomes branches, and facts about a loop go to its
+// latch.
 // CHECK-LABEL: llvm.func @loop
 //   CHECK-NOT:   scf.
 //       CHECK:   llvm.br ^bb1(%{{.+}} : i64)

@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --tai-to-llvm | FileCheck %s
 
-// A kernel with the name of a function that its code calls is not what is
+// A kernel with the name of a function that its code calls is not
 // called.
 // CHECK-LABEL: llvm.func @tan.entry(
 //       CHECK:   llvm.intr.tan

@@ -15,7 +15,7 @@ tai.kernel @product(%x: f32, %j: index) {
 
 // -----
 
-// Which of them it is.
+// It has no number.
 tai.tree @t : !tai.root<dense<[i: 100], {v: f32}>>
 tai.field @v = @t["v"] : f32, rank 1
 tai.kernel @no_number(%x: f32, %j: index) {

@@ -1,9 +1,9 @@
 // RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" --tai-lower-layout=on-device=true --convert-tai-to-gpu=deterministic=true | FileCheck %s
 
 // The first two passes of additions in fixed point are without the other
-// effects of the loop. What only these used goes with them: a branch whose
-// result nobody needs, and what is in it, are removed once. (A branch that went
-// first took what was in it along, which was then looked at in freed memory: a
+// effects of the loop. Values that only these used go with them: a branch whose
+// result is not needed, and its contents, are removed once. (A branch that went
+// first took its contents along, which were then looked at in freed memory: a
 // memory checker sees it here, random programs died of it.)
 
 tai.tree @t : !tai.root<dense<[i: 20000], {at: i32, v: f32, y: f32}>, dense<[i: 100], {one: f32}>>

@@ -56,8 +56,8 @@ tai.kernel @scatter() {
   tai.return
 }
 
-// Of a time slot and of vectors there are accumulators for what varies. Other
-// effects are those of the last pass, which is over the iterations then.
+// For a time slot and vectors there are accumulators for the varying part.
+// Other effects are those of the last pass, which is over the iterations then.
 // RELAX-LABEL: tai.kernel @effects
 // RELAX-COUNT-2: strategy private buffer
 //       RELAX:   strategy register
@@ -127,9 +127,9 @@ tai.kernel @stacks() {
   tai.return
 }
 
-// A warp or a thread does what remains.
+// A warp or a thread does the rest.
 
-// What an iteration reads after it has written it would not be there yet.
+// A value that an iteration reads after its own write would be missing.
 // RELAX-LABEL: tai.kernel @reads_its_own
 //   RELAX-NOT:   strategy private
 //       RELAX: } {in_warp}

@@ -5,7 +5,7 @@ tai.tree @t : !tai.root<dense<[i: 64], {x: i32}>>
 tai.field @x = @t["x"] : i32, rank 1, offset [1]
 tai.field @y = @t["x"] : i32, rank 1
 
-// Both what has no quotient and what has one that is too large.
+// Both a missing quotient and one that is too large.
 // CHECK-LABEL: tai.kernel @any(
 //  CHECK-SAME:     %[[A:.+]]: i32, %[[B:.+]]: i32)
 //       CHECK:   %[[C0:.+]] = arith.constant 0 : i32

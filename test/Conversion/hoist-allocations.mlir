@@ -45,7 +45,7 @@ func.func @nested(%n: i64, %from: index, %to: index, %step: index) {
   return
 }
 
-// What stays: memory of another size in each iteration, memory that lives on,
+// These stay: memory of another size in each iteration, memory that lives on,
 // and memory that only some iterations free.
 // CHECK-LABEL: func.func @stays(
 //       CHECK:   scf.for

@@ -96,7 +96,7 @@ tai.kernel @nested(%x: memref<?xf32>, %count: index) {
 
 // -----
 
-// Nobody knows when this one ends.
+// The end of this one is unknown.
 // CHECK-LABEL: llvm.func @search_0(
 //       CHECK:   scf.while
 //  CHECK-NEXT:     arith.constant {{[0-9]+}} : i32

@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --tai-lower-struct-for --tai-relax-atomics=on-device=true --tai-lower-layout=on-device=true --convert-tai-to-gpu | FileCheck %s
 
-// What device functions touch, in terms of their parameters: first whether
+// Accesses of device functions, in terms of their parameters: first whether
 // iteration i is of thread i, the rank and the extents. Then of each access the
 // kind (0 a read, 1 a write, 2 a sum), the parameter that it starts from, the
 // offset, the window, the step, the size, the unit of a product in 32 bits; the
@@ -12,7 +12,7 @@ tai.field @a = @tree["a"] : f32, rank 2
 tai.field @b = @tree["b"] : f64, rank 2
 tai.field @n = @tree["n"] : i32, rank 0
 
-// Rows by what has become of the argument: parameters 0 and 2.
+// Rows by the lowered argument: parameters 0 and 2.
 // CHECK-LABEL: llvm.func @rows_0(
 //  CHECK-SAME:   tai.accesses = array<i64: 1, 2, 10, 8,
 //  CHECK-SAME:   0, 1, 0, 4, 4, 4, 0, 32, 4, 1, 0, 64, 320,
@@ -59,8 +59,8 @@ tai.kernel @stencil() {
   tai.return
 }
 
-// Serial loops inside widen the window of an iteration, and what the program
-// multiplies in 32 bits has a unit.
+// Serial loops inside widen the window of an iteration, and products of the
+// program in 32 bits have a unit.
 // CHECK-LABEL: llvm.func @columns_0(
 //  CHECK-SAME:   tai.accesses = array<i64: 1, 1, 10,
 //  CHECK-SAME:   0, 1, 0, 36, 32, 4, 320, 0, 1, 0, 32, 960>
@@ -81,7 +81,7 @@ tai.kernel @columns(%t: i32) {
   tai.return
 }
 
-// Of a loop that prints nothing is said.
+// A loop that prints has no list.
 // CHECK-LABEL: llvm.func @says_0(
 //   CHECK-NOT:   tai.accesses
 //       CHECK:   llvm.return

@@ -48,7 +48,7 @@ tai.kernel @array(%m: memref<?xf32>, %i: index, %x: f32) {
   tai.return
 }
 
-// What is known to lie in range is not checked again.
+// Indices known to be in range are not checked again.
 // CHECK-LABEL: tai.kernel @known(
 //   CHECK-NOT:   tai.assert
 //       CHECK:   tai.return
@@ -58,7 +58,7 @@ tai.kernel @known(%m: memref<?xf32>, %i: index, %c: index, %x: f32) {
   tai.return
 }
 
-// Of a float that no integer stands for, the cast may make anything.
+// A float that no integer stands for may become any integer.
 // CHECK-LABEL: tai.kernel @float(
 //  CHECK-SAME:     %[[M:[^:]+]]: memref<?xf32>, %[[F:[^:]+]]: f32
 //       CHECK:   %[[N:.+]] = memref.dim %[[M]]

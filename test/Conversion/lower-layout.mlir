@@ -122,7 +122,7 @@ func.func @foreign(%strided: memref<4xf64, strided<[2], offset: 1>>,
   return %0, %2 : f64, f64
 }
 
-// What tai-relax-atomics took out of memory is left to convert-tai-to-scf.
+// Sums that tai-relax-atomics took out of memory stay for convert-tai-to-scf.
 // CHECK-LABEL: tai.kernel @kept
 //       CHECK:   tai.atomic add %{{.+}}, @x[{{.+}}] strategy private
 tai.kernel @kept(%i: index, %x: f32) {

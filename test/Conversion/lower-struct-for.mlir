@@ -59,7 +59,7 @@ tai.kernel @scalar() {
   tai.return
 }
 
-// What is said of the loop stays.
+// Attributes of the loop stay.
 // CHECK-LABEL: tai.kernel @attributes
 //       CHECK:   tai.parallel_for {{.+}} serialize block_dim 64
 tai.kernel @attributes() {

@@ -3,7 +3,7 @@
 // RUN: echo '}' >> %t.mlir
 // RUN: tai-opt %t.mlir --verify-diagnostics --tai-convert-to-nvvm=emulated=true
 
-// What a kernel has become says its modes in a text, which no verifier reads.
+// The lowered kernel has its modes in a text, which no verifier reads.
 // expected-error @+1 {{there is no mode 'math=exact'; there are}}
 llvm.func @lowered() attributes {passthrough = [["tai.modes", "ftz=true,math=exact"]]} {
   llvm.return

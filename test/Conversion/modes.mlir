@@ -33,9 +33,9 @@ tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
   tai.return
 }
 
-// Nothing is wider than f64: what the sum rounds away is summed beside it. No
-// flag lets LLVM cancel that, and nothing is fused into it. The loop that LLVM
-// vectorises stores its terms, and another one adds them up in lanes.
+// Nothing is wider than f64: the rounding errors of the sum are summed beside
+// it. No flag lets LLVM cancel that, and nothing is fused into it. The loop
+// that LLVM vectorises stores its terms, and another one adds them up in lanes.
 // CHECK-LABEL: llvm.func internal @pairs.loop0
 //       CHECK:   %[[TERMS:.+]] = llvm.alloca %{{.+}} x vector<8xf64>
 //       CHECK:   %[[TERM:.+]] = llvm.load %{{.+}} : !llvm.ptr -> f64

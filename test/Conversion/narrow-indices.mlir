@@ -2,8 +2,8 @@
 // RUN: tai-opt %s --split-input-file --tai-narrow-indices=remarks 2>&1 \
 // RUN:   | FileCheck %s --check-prefix=REMARK
 
-// What comes from i32 fits, and so does what is added to it to say where an
-// access goes.
+// Values from i32 fit, and so do sums of them that address an
+// access.
 // CHECK: module attributes {tai.index_bits = 32 : i64}
 module {
   tai.tree @t : !tai.root<dense<[i: 64, j: 64], {x: f32}>>
@@ -287,8 +287,8 @@ module {
 
 // -----
 
-// What 64 bits make of a negative index without its sign, 32 do not: -2 is 14
-// modulo 18 in 64 bits, and 2 in 32.
+// A negative index without its sign differs in 64 and 32 bits: -2 is 14 modulo
+// 18 in 64 bits, and 2 in 32.
 // REMARK:    %rest = arith.remui
 // CHECK:     module {
 module {

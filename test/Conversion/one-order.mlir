@@ -57,10 +57,10 @@ tai.kernel @sums() attributes {modes = {math = "strict"}} {
   tai.return
 }
 
-// What meets in memory is added by iterations: on a CPU by one thread. No part
-// of the field is copied. On a GPU threads of a warp take turns; where an
-// element may get two additions of an iteration, one thread does all. A sum of
-// all iterations that meets such a loop takes its turns as well.
+// Additions that meet are in the order of iterations: on a CPU by one thread.
+// No part of the field is copied. On a GPU threads of a warp take turns; where
+// an element may get two additions of an iteration, one thread does all. A sum
+// of all iterations that meets such a loop takes its turns as well.
 // RELAX-LABEL: tai.kernel @scatter
 //        HOST:   serialize
 //        HOST:   tai.atomic add %{{.+}}, @g[%{{.+}}] exclusive : f64

@@ -2,7 +2,7 @@
 // RUN: tai-opt %s --tai-lower-layout --convert-tai-to-gpu | FileCheck %s --check-prefix=GPU
 // RUN: tai-opt %s --tai-to-llvm | tai-translate --mlir-to-llvmir | FileCheck %s --check-prefix=IR
 
-// One branch at the top, and a block that says what is wrong: code that runs
+// One branch at the top, and a block that reports the failure: code that runs
 // comes after it. A kernel that cannot fail otherwise returns a constant.
 // CHECK-LABEL: llvm.func @step(
 //       CHECK:   %[[OK:.+]] = arith.andi

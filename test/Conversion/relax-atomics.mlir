@@ -69,7 +69,7 @@ tai.kernel @reduction() {
 }
 
 // The time slot is the same for all iterations, computed before the loop, and
-// what is read is another slot: the slice that is updated gets buffers.
+// the read slot is another one: the slice that is updated gets buffers.
 // CHECK-LABEL: tai.kernel @slice(
 //  CHECK-SAME:     %[[T:.+]]: index
 //       CHECK:   %[[NEXT:.+]] = arith.addi %[[T]], %{{.+}} : index
@@ -91,7 +91,7 @@ tai.kernel @slice(%t: index) {
   tai.return
 }
 
-// What is updated is read as well: the updates stay in memory. Deterministic
+// The updated field is read as well: the updates stay in memory. Deterministic
 // mode runs such a loop on one thread.
 // CHECK-LABEL: tai.kernel @reads
 //        FREE:     tai.atomic add %{{.+}}, @y[%{{[^]]+}}] : f32

@@ -417,7 +417,7 @@ tai.kernel @branch() {
   tai.return
 }
 
-// What is added to is read.
+// The updated field is read.
 // CHECK-LABEL: tai.kernel @reads
 // CHECK:       tai.parallel_for (%{{[a-z0-9]*}}) =
 // CHECK:         tai.return
@@ -516,7 +516,7 @@ tai.kernel @stores() {
   tai.return
 }
 
-// So has what was there before.
+// So has the former value.
 // CHECK-LABEL: tai.kernel @takes_what_was_before
 // CHECK:       tai.parallel_for (%{{[a-z0-9]*}}) =
 // CHECK:         tai.return

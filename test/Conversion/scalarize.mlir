@@ -113,7 +113,7 @@ tai.kernel @dynamic(%x: f32, %y: f32, %k: index, %i: index) {
 }
 
 // A position beyond the vector, or at -1, is poison: any component will do, and
-// what is inserted there is dropped.
+// an insertion there is dropped.
 // CHECK-LABEL: tai.kernel @beyond(
 //  CHECK-SAME:     %[[X:[^:]+]]: f32, %[[Y:[^:]+]]: f32, %[[I:[^:]+]]: index)
 //   CHECK-NOT:   vector.

@@ -5,7 +5,7 @@
 
 // A result that alone is off is counted in the frame. Operands, results and
 // places are handed over where it may be the worst; the difference itself is
-// what it was.
+// unchanged.
 // CHECK-LABEL: llvm.func @difference(
 //  CHECK-SAME:     %[[FRAME:[^:]+]]: !llvm.ptr, %[[A:[^:]+]]: f32, %[[B:[^:]+]]: f32)
 //       CHECK:   %[[COUNTS:.+]] = llvm.alloca %{{.+}} x i8
@@ -43,7 +43,7 @@ llvm.func @product(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
   llvm.return %1 : f32
 }
 
-// Shadows of what is loaded and stored stand in the table, at twice the bits of
+// Shadows of loaded and stored values are in the table, at twice the bits of
 // the address.
 // CHECK-LABEL: llvm.func @memory(
 //       CHECK:   %[[ADDRESS:.+]] = llvm.mlir.addressof @tai_rt_shadows
@@ -78,7 +78,7 @@ llvm.func @no_entry(%frame: !llvm.ptr, %p: !llvm.ptr) {
   llvm.return
 }
 
-// What a block is given has a shadow that it is given, too.
+// A block argument has a shadow that is an argument, too.
 // CHECK-LABEL: llvm.func @loop(
 //       CHECK:   llvm.br ^[[HEAD:bb[0-9]+]](%{{.+}}, %{{.+}}, %{{.+}} : f32, i64, f64)
 //       CHECK: ^[[HEAD]](%[[X:.+]]: f32, %{{.+}}: i64, %[[S:.+]]: f64):

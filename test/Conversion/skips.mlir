@@ -9,8 +9,8 @@
 
 // WRONG: there is no skip 'lists'; the skips are all, none, unchanged-lists,
 
-// What a loop over a sparse field leaves out: to ask whether the cell of the
-// iteration is active, and to look its number up for each element again.
+// Work that a loop over a sparse field leaves out: to test whether the cell of
+// the iteration is active, and to look its number up for each element again.
 
 tai.tree @t : !tai.root<pointer<[i: 4], dense<[i: 8], {x: f32, y: f32}>>>
 tai.field @x = @t["x"] : f32, rank 1

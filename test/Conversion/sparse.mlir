@@ -33,7 +33,7 @@ tai.kernel @visit_level() {
   tai.return
 }
 
-// What a kernel deactivates it may also deactivate under its own feet.
+// A kernel may deactivate the cells that it visits.
 // LOOP-LABEL: tai.kernel @changes
 //   LOOP-NOT:   tai.active}
 tai.kernel @changes() {
@@ -131,7 +131,7 @@ tai.kernel @length(%i: index, %k: index) -> i64 {
 // -----
 
 // Two fields below one level: equal indices are the same cell only where both
-// divide what lies below it alike.
+// divide the levels below alike.
 tai.tree @t : !tai.root<pointer<[i: 4], dense<[i: 8], {x: f32}>, dense<[i: 2], {y: f32}>, dense<[i: 8], {z: f32}>>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.field @y = @t["y"] : f32, rank 1

@@ -55,8 +55,8 @@ tai.kernel @sweep(%t: i32) {
 }
 
 // Inside of the borders the shift was taken out of the index; a store that not
-// every iteration does is not certain, and what is read from anywhere in a
-// dimension is not regular.
+// every iteration does is not certain, and reads from anywhere in a dimension
+// are not regular.
 // CHECK-LABEL: llvm.func @inside_0(
 //  CHECK-SAME:   tai.tiles = array<i64: 1, 2,
 //  CHECK-SAME:   0, 0, 0, 4, 0, 4, 0, 0, 0, 0, 1, 1, 128, 10, -1, 0, 16, 8, 1, 0,

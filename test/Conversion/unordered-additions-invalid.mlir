@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --convert-tai-to-scf=deterministic --verify-diagnostics
 
 // In deterministic mode, tai-relax-atomics leaves no addition whose order is not
-// fixed. One that is there has lost what the pass had noted on it.
+// fixed. An addition that remains has lost the note of the pass on it.
 tai.kernel @lost(%n: index, %x: f32) {
   %c0 = arith.constant 0 : index
   %one = llvm.mlir.constant(1 : i64) : i64

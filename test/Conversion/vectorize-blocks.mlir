@@ -75,8 +75,8 @@ tai.kernel @keeps() attributes {keeps_activity} {
   tai.return
 }
 
-// What depends on data, on two indices at once, or on the order of iterations
-// is done element by element.
+// Accesses that depend on data, on two indices at once, or on the order of
+// iterations are made element by element.
 // CHECK-LABEL: tai.kernel @data
 //   CHECK-NOT:   level 2
 //       CHECK:   tai.return
@@ -132,7 +132,7 @@ tai.kernel @contended() {
 
 // -----
 
-// Places side by side in a cell: what lies between is not touched.
+// Places side by side in a cell: the bytes between are not touched.
 tai.tree @t : !tai.root<dense<[i: 4], dense<[i: 4], {a: f64, x: vector<2xf64>}>>>
 tai.field @a = @t["a"] : f64, rank 1
 tai.field @x = @t["x"] : vector<2xf64>, rank 1

@@ -4,7 +4,7 @@ tai.tree @t : !tai.root<dense<[i: 8], {x: f32, v: vector<8xf32>}>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.field @v = @t["v"] : vector<8xf32>, rank 1
 
-// What a loop carries is written in place, also in a branch.
+// A loop-carried vector is written in place, also in a branch.
 // CHECK-LABEL: tai.kernel @in_place(
 //       CHECK:   tai.parallel_for
 //       CHECK:     %[[A:.+]] = memref.alloca() : memref<8xf32>

@@ -66,7 +66,7 @@ tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
   tai.return
 }
 
-// Of f32, where there are more than 2^15 for each element.
+// For f32, if there are more than 2^15 for each element.
 // RELAX-LABEL: tai.kernel @many
 //       RELAX: tai.atomic add {{.+}}, @few[{{.+}}] strategy private buffer 0 : f32
 //       RELAX: tai.atomic add {{.+}}, @few[{{[^ ]+}}] : f32

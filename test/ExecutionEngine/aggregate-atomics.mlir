@@ -1,5 +1,5 @@
-// What all threads of a warp add to the same elements is added up first; and
-// loads come before stores to other memory.
+// Additions of all threads of a warp to the same elements are added up first;
+// and loads come before stores to other memory.
 //
 // RUN: tai-translate --tai-to-ptx %s | FileCheck %s
 // RUN: tai-translate --tai-to-ptx --device-target=sm_80 %s | FileCheck %s
@@ -154,7 +154,7 @@ gpu.module @kernels {
     llvm.return
   }
 
-  // A load in between sees what was added before.
+  // A load in between sees the earlier additions.
   // CHECK-LABEL: between(
   // CHECK-NOT: activemask
   // CHECK: .entry

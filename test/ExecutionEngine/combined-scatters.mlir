@@ -1,6 +1,6 @@
 // Elements that data choose: the threads of a warp compare them, and add up
-// what goes to the same one first. Not where a thread has an element of its
-// own, adds to many, or adds f64; and not in strict and deterministic kernels.
+// terms of the same one first. Not where a thread has an element of its own,
+// adds to many, or adds f64; and not in strict and deterministic kernels.
 //
 // RUN: tai-opt %s --tai-to-nvvm -o %t.mlir
 // RUN: tai-translate --tai-to-ptx %t.mlir | FileCheck %s

@@ -1,5 +1,5 @@
 // A cell is zeroed by those threads of a warp that come with one each, together,
-// and what lies below it is cleared when all have zeroed their parts.
+// and the cells below it are cleared when all have zeroed their parts.
 
 // RUN: tai-translate --tai-to-ptx --device-target=sm_75 %s | FileCheck %s
 

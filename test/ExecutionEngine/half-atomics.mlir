@@ -3,9 +3,9 @@
 // RUN: env TAI_CUDA_EMULATION=1 tai-run %s --no-cache --arch=cuda --print-field=@h,@b | FileCheck %s
 // RUN: tai-run %s --no-cache --opt-level=0 --print-ir=llvmir 2>&1 | FileCheck %s --check-prefix=IR
 
-// What is compared and exchanged are the bits in memory. As a float, a
-// signalling NaN of 16 bits is another one after a detour through 32, and a
-// denormal bf16 may be zero: the exchange would be tried for ever.
+// The bits in memory are compared and exchanged. As a float, a signalling NaN
+// of 16 bits is another one after a detour through 32, and a denormal bf16 may
+// be zero: the exchange would be tried for ever.
 
 tai.tree @t : !tai.root<dense<[i: 4], {h: f16, b: bf16}>,
                      dense<[i: 4096], {p: i32, q: f16, r: bf16}>>

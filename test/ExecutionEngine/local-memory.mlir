@@ -1,4 +1,4 @@
-// A thread that is given no memory frees what it has and goes to where the sums
+// A thread that is given no memory frees its memory and goes to where the sums
 // of the block are added up, or to the end of its function.
 //
 // RUN: tai-translate --tai-to-device-llvmir --device-target=sm_90 %s | FileCheck %s
@@ -17,7 +17,7 @@
 //       CHECK:   call fastcc void @tai_rt_local_free(ptr nonnull %[[A]])
 //       CHECK:   br label %[[MEETING]]
 
-// What an earlier function was given is there or not.
+// Memory of an earlier function is there or not.
 // CHECK-LABEL: define ptx_kernel void @given(
 //       CHECK:   %[[P:.+]] = load ptr, ptr %0
 //       CHECK:   %[[NONE:.+]] = icmp eq ptr %[[P]], null

@@ -1,7 +1,7 @@
 // Additions that meet in memory, in deterministic mode: a warp does them
 // together. The PTX is run with threads in random orders, and gives the bits
-// of a model of the order in Python. What an iteration writes, threads that have
-// none must not read: an index, say.
+// of a model of the order in Python. Threads without an iteration must not read
+// the writes of others: an index, say.
 //
 // RUN: tai-opt %s --tai-to-nvvm=deterministic=true -o %t.nvvm.mlir
 // RUN: tai-translate --tai-to-ptx --device-floats=strict %t.nvvm.mlir -o %t.ptx

@@ -1,6 +1,6 @@
 // Kernels for graphs whose launches overlap: each lets the next one be made
 // ready, and waits for the one before. They have begun when that one writes, so
-// that no load goes past the caches of writes. What is known of addresses stays
+// that no load goes past the caches of writes. Facts about addresses stay
 // known.
 //
 // RUN: tai-translate --tai-to-ptx %s | FileCheck %s --check-prefix=PLAIN

@@ -21,7 +21,7 @@
 // WIDE: error: parameter 1 of kernel 'k' does not fit into eight bytes
 // RESULT: error: kernel 'k' returns a value
 // FOREIGN: foreign.mlir:3:5: error: unsupported GPU operation: gpu.barrier
-// What ends LLVM's own tools is an error here.
+// Code that ends LLVM's own tools is an error here.
 // FATAL: error: {{.*}}cos
 // OLD: error: unknown GPU 'sm_60': code is made for sm_70 and later
 // OTHER: error: unknown GPU 'gfx90a': code is made for sm_70 and later

@@ -1,5 +1,5 @@
-// Functions of CUDA's math library are linked in, and do what the float mode
-// asks for: libdevice by itself would take the approximate square root.
+// Functions of CUDA's math library are linked in, and follow the float mode:
+// libdevice by itself would take the approximate square root.
 //
 // REQUIRES: libdevice
 // RUN: tai-translate --tai-to-ptx %s | FileCheck %s --check-prefixes=CHECK,DEFAULT

@@ -1,4 +1,4 @@
-// From a gpu.module to PTX: what is read once goes past the cache that writes
+// From a gpu.module to PTX: elements read once go past the cache that writes
 // use, and float operations say how they are rounded.
 //
 // RUN: tai-translate --tai-to-ptx %s | FileCheck %s --check-prefixes=CHECK,DEFAULT
@@ -6,7 +6,7 @@
 // RUN: tai-translate --tai-to-ptx --device-floats=fast %s | FileCheck %s --check-prefixes=CHECK,FAST
 
 module attributes {gpu.container_module} {
-  // What the host does is not looked at.
+  // Code of the host is not looked at.
   llvm.func @host(%frame: !llvm.ptr) -> i32 {
     %zero = llvm.mlir.constant(0 : i32) : i32
     llvm.return %zero : i32
@@ -56,7 +56,7 @@ module attributes {gpu.container_module} {
       llvm.return %x : f32
     }
 
-    // What neighbours in memory is read and written at once.
+    // Neighbours in memory are read and written at once.
     // CHECK-LABEL: .visible .entry vectors
     // CHECK: ld.global.nc.v4.b32
     // CHECK: st.global.v4.b32

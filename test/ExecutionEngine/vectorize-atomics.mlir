@@ -55,8 +55,8 @@ gpu.module @kernels {
     llvm.return
   }
 
-  // Who looks at what was there, or at the memory in between, sees what the
-  // program says.
+  // A read of the former value, or of the memory in between, sees the program's
+  // order.
   // CHECK-LABEL: .entry seen(
   // CHECK: atom.global.add.f32
   // CHECK: ld.global.b32

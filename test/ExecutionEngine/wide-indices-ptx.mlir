@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-to-nvvm | tai-translate --tai-to-ptx --device-target=sm_90 | FileCheck %s
 
 // Bounds of 64 bits are compared in 64 bits on the device, and an index of 64
-// bits is not cut on its way to what it says.
+// bits is not cut on its way to the access.
 // CHECK-LABEL: .entry wide_0
 //   CHECK-NOT: cvt.u32.u64
 //       CHECK: setp.{{ge|gt|lt|le}}.{{s|u}}64

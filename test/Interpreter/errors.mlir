@@ -9,7 +9,7 @@
 // RUN: tai-run %t/assert.mlir --interpret --no-cache
 // RUN: not tai-run %t/precondition.mlir --interpret --no-cache 2>&1 | FileCheck %t/precondition.mlir
 
-// What the program leaves undefined ends it, where it stands.
+// An undefined result ends the program, at its place.
 
 //--- field.mlir
 tai.tree @s : !tai.root<dense<[i: 4, j: 2], {x: f32}>>

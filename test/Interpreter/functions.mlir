@@ -3,7 +3,7 @@
 // RUN: tai-run %s --no-cache --interpret
 // RUN: env TAI_CUDA_EMULATION=1 tai-run %s --no-cache --arch=cuda
 
-// Functions near the points where what they are made of cancels.
+// Functions near the points where their terms cancel.
 
 tai.kernel @wide(%x: f64) -> f64 {
   %0 = math.expm1 %x : f64

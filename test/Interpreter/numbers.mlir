@@ -146,7 +146,7 @@ tai.kernel @doubles(%two: f64) {
   tai.store %even, @d[%c4] : f64
   %ceil = math.ceil %x : f64
   tai.store %ceil, @d[%c5] : f64
-  // The rest has the sign of what is divided.
+  // The remainder has the sign of the dividend.
   %rest = arith.remf %y, %two : f64
   tai.store %rest, @d[%c6] : f64
   %z = arith.constant 1.5 : f64

@@ -46,7 +46,7 @@ tai.kernel @fill() {
 
 // Visits 1 and 6; of the hash table 4 and 5; counts 1000 for x[0], whose block
 // is active and whose cell is not, 100 for each cell of z, the length, nothing
-// for what was made inactive, and 2 for the last append's place less one.
+// for deactivated cells, and 2 for the last append's place less one.
 tai.kernel @visit() {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index

@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-to-nvvm=fast-math=true | tai-translate --tai-to-ptx --device-floats=fast | FileCheck %s --check-prefix=FAST
 
 // The approximate instructions of a GPU are wrong far from zero, and for powers
-// of what is not positive. No library is needed, nor called.
+// of numbers that are not positive. No library is needed, nor called.
 // FAST-NOT: .extern
 
 tai.tree @t : !tai.root<dense<[i: 64], {x: f32, y: f32, z: f32}>>

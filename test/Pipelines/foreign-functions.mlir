@@ -84,7 +84,7 @@ tai.kernel @double() {
   }
   tai.return
 }
-// What calls a host program is one.
+// The caller of a host program is one.
 // CHECK-LABEL: llvm.func @outer(
 //  CHECK-SAME:     !llvm.ptr) -> i32
 //       CHECK:   llvm.call @tai_rt_host_launch

@@ -11,7 +11,7 @@ tai.field @loss = @flat["loss"] : f32, rank 0
 
 // CHECK-LABEL: gpu.module @kernels
 //   CHECK-NOT: {{ (arith|scf|cf|vector|math|tai|func)[.]}}
-//   Of both components, of the norm, and of the sum: what they touch.
+//   Accesses of both components, of the norm, and of the sum.
 //       CHECK: llvm.func @norms_0({{.+}}) attributes {gpu.kernel, no_unwind, nvvm.kernel,
 //  CHECK-SAME:   tai.accesses = array<i64: 1, 2, 128, 64,
 //  CHECK-SAME:   0, 0, 0, 4, 8, 4, 0, 512, 8, 0, 0, 0, 4, 4, 8, 4, 0, 512, 8, 0,
@@ -26,7 +26,7 @@ tai.field @loss = @flat["loss"] : f32, rank 0
 // EMULATED-NOT: nvvm
 //     EMULATED: llvm.call @tai_dev_thread_id
 //     EMULATED: llvm.intr.exp
-//  What is known to lie in range is not checked, but what depends on data is.
+//  Indices known to be in range are not checked, but data-dependent ones are.
 //  DEBUG-LABEL: llvm.func @norms_0(
 //    DEBUG-NOT: tai_rt_fail
 //  DEBUG-LABEL: llvm.func @pick_0(

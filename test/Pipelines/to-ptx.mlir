@@ -1,9 +1,9 @@
 // RUN: tai-opt %s --tai-to-nvvm | tai-translate --tai-to-ptx | FileCheck %s
 
-// What is expected of the code of simple kernels: indices of 32 bits without
-// divisions by extents that are powers of two, loads past the cache of writes,
-// vectors as one access, sums and products in one operation, and one addition
-// to memory for a scatter of a vector.
+// The expected code of simple kernels: indices of 32 bits without divisions by
+// extents that are powers of two, loads past the cache of writes, vectors as
+// one access, sums and products in one operation, and one addition to memory
+// for a scatter of a vector.
 
 tai.tree @t : !tai.root<dense<[i: 4096, j: 4096], {x: vector<4xf32>}>, dense<[i: 1024, j: 1024], {p: f32}>, dense<[i: 1024, j: 1024], {q: f32}>, dense<[i: 2048, j: 2048], {large: f32}>, dense<[i: 2048, j: 2048], {result: f32}>, dense<[i: 4096], {sums: vector<2xf32>}>, dense<[i: 64, j: 64], {momentum: vector<2xf32>, mass: f32, rest: f32}>>
 tai.field @x = @t["x"] : vector<4xf32>, rank 2
@@ -40,7 +40,7 @@ tai.kernel @scale(%a: f32) {
 // CHECK-COUNT-8: ld.global.nc.b32
 // CHECK-COUNT-4: st.global.b32
 //       CHECK: bra
-//   What is left, with one counter for the loop.
+//   The remaining code, with one counter for the loop.
 //       CHECK: ld.global.nc.b32
 //   CHECK-NOT: {{(div|rem)[.]}}
 //       CHECK: ld.global.nc.b32
@@ -79,7 +79,7 @@ tai.kernel @scatter(%a: vector<2xf32>) {
   tai.return
 }
 
-// Of a large array four elements for each thread. Inside: three vectors, two
+// In a large array, four elements for each thread. Inside: three vectors, two
 // neighbours, one vector.
 // CHECK-LABEL: .entry stencil_0(
 //   CHECK-NOT: {{(div|rem)[.]}}

@@ -1,4 +1,4 @@
-// What is written is read back, by the tools and as programs do.
+// Written bytecode is read back, by the tools and as programs do.
 // RUN: tai-translate --tai-to-bytecode %s -o %t.bc
 // RUN: tai-translate --tai-from-bytecode %t.bc | FileCheck %s
 // RUN: tai-run %t.bc --print-field=@x | FileCheck %s --check-prefix=RAN

@@ -1,7 +1,7 @@
 // RUN: tai-reduce %s -opt-reduction-pass='opt-pass=canonicalize test=%S/Inputs/has-atomic.sh' | FileCheck %s
 
-// What canonicalization can take away is gone, and the file still has what the
-// test asks for.
+// Ops that canonicalization can take away are gone, and the file still passes
+// the test.
 //     CHECK: tai.kernel @interesting
 // CHECK-NOT:   arith.
 //     CHECK:   tai.atomic

@@ -1,5 +1,5 @@
 // Checks were ops of 'tai'. The parser reads their former names as the present
-// ones; what the generic form or bytecode makes is replaced by canonicalisation
+// ones; ops of the generic form or bytecode are replaced by canonicalisation
 // and where host functions are lowered.
 //
 // RUN: split-file %s %t

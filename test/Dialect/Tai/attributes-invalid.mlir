@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --split-input-file --verify-diagnostics
 
-// What nothing reads would be a gradient that nobody makes.
+// An attribute that nothing reads would be a missing gradient.
 // expected-error @+1 {{there is no attribute 'tai.diferentiate'; did you mean 'tai.differentiate'?}}
 func.func @f(%x: memref<f64>) attributes {tai.diferentiate} {
   return

@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --tai-check-access-rules --split-input-file --verify-diagnostics
 
-// What breaks a rule for certain is reported; the rest of the file is legal, or
+// A certain breach of a rule is reported; the rest of the file is legal, or
 // cannot be proven, and stays silent.
 
 !t = !tai.root<dense<[i: 8, j: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32}>>

@@ -10,7 +10,7 @@ tai.field @x = @t["x"] : f32, rank 1, offset [2]
 tai.field @k = @t["k"] : i32, rank 1
 tai.field @v = @t["v"] : vector<3xf32>, rank 1
 
-// What the launch decides and what data decide, in one kernel.
+// Indices that the launch decides and ones that data decide, in one kernel.
 // CHECK-LABEL: tai.kernel @mixed(
 //  CHECK-SAME:     attributes {checks_indices}
 //       CHECK:   tai.precondition

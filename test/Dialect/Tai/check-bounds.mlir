@@ -61,7 +61,7 @@ tai.kernel @direct(%n: i32) -> f32 {
   tai.return %a : f32
 }
 
-// Of 64 bits, all numbers beyond the range are refused, however large.
+// With 64 bits, all numbers beyond the range are refused, however large.
 // CHECK-LABEL: tai.kernel @wide(
 //   CHECK-NOT:   arith.addi
 //       CHECK:   arith.cmpi s{{gt|ge|lt|le}}, %{{.+}}, %{{.+}} : i64
@@ -104,8 +104,8 @@ tai.kernel @empty() {
   tai.return
 }
 
-// What conditions on indices leave out is left out: ghost cells, one side and
-// the other, as "and", as "or", and by what is not.
+// Iterations that conditions on indices leave out are left out: ghost cells,
+// one side and the other, as "and", as "or", and by negation.
 // CHECK-LABEL: tai.kernel @guarded(
 //   CHECK-NOT:   tai.precondition
 //       CHECK:   tai.return
@@ -166,7 +166,7 @@ tai.kernel @wrong_guard() {
   tai.return
 }
 
-// What depends on data, or runs under a condition that does, is not certain.
+// An access by data, or under a condition of data, is not certain.
 // CHECK-LABEL: tai.kernel @uncertain(
 //   CHECK-NOT:   tai.precondition
 //       CHECK:   tai.return
@@ -218,8 +218,8 @@ tai.kernel @triangle() {
   tai.return
 }
 
-// Two dimensions, and a serial loop in a parallel one: what is reported is the
-// first iteration that leaves the field.
+// Two dimensions, and a serial loop in a parallel one: the first iteration that
+// leaves the field is reported.
 // CHECK-LABEL: tai.kernel @nested(
 //  CHECK-SAME:     %[[N:.+]]: i32, %[[S:.+]]: i32)
 //       CHECK:   tai.precondition %{{.+}}, "index [{}, {}] is out of range for field '@m' of shape [4, 8]"(%{{.+}}, %{{.+}}) : i64, i64
@@ -311,7 +311,7 @@ tai.kernel @one_element() {
   tai.return
 }
 
-// Indices that wrap around, and what is left over.
+// Indices that wrap around, and remainders.
 // CHECK-LABEL: tai.kernel @wraps(
 //   CHECK-NOT:   tai.precondition
 //       CHECK:   tai.return
@@ -339,7 +339,7 @@ tai.kernel @wraps(%n: i32) {
   tai.return
 }
 
-// Half of 16 is out of range, and so is what comes after.
+// Half of 16 is out of range, and so are later iterations.
 // CHECK-LABEL: tai.kernel @halves(
 //   CHECK-DAG:   %[[C8:.+]] = arith.constant 8 : i64
 //       CHECK:   tai.precondition %{{.+}}, {{.+}}(%[[C8]])
@@ -355,7 +355,7 @@ tai.kernel @halves(%n: i32) {
   tai.return
 }
 
-// A condition on arguments is part of what is decided.
+// A condition on arguments is part of the test.
 // CHECK-LABEL: tai.kernel @switch(
 //  CHECK-SAME:     %[[ON:.+]]: i1)
 //       CHECK:   tai.precondition

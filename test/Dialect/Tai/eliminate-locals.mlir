@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --tai-eliminate-locals | FileCheck %s
 
-// A load takes what was stored last; before the first store that is zero.
+// A load takes the value stored last; before the first store that is zero.
 // CHECK-LABEL: func.func @straight(
 //  CHECK-SAME:     %[[A:.+]]: f32)
 //       CHECK:   %[[ZERO:.+]] = arith.constant 0.000000e+00 : f32
@@ -15,7 +15,7 @@ func.func @straight(%a: f32) -> (f32, f32) {
 }
 
 // Only the variable that an arm writes leaves the branch as a result; an arm
-// that does not write it passes on what it was.
+// that does not write it passes on the old value.
 // CHECK-LABEL: func.func @branch(
 //  CHECK-SAME:     %[[C:.+]]: i1, %[[A:.+]]: f32, %[[B:.+]]: f32)
 //       CHECK:   %[[R:.+]] = scf.if %[[C]] -> (f32) {
@@ -62,7 +62,7 @@ func.func @branch_with_result(%c: i1, %a: f32, %p: vector<2xf32>)
   return %r, %0 : f32, vector<2xf32>
 }
 
-// What a loop writes, it carries; also through a branch inside it.
+// A variable that a loop writes is carried; also through a branch inside it.
 // CHECK-LABEL: func.func @loop(
 //  CHECK-SAME:     %[[N:.+]]: index, %[[C:.+]]: i1, %[[A:.+]]: f32)
 //       CHECK:   %[[R:.+]] = scf.for %{{.+}} iter_args(%[[V:.+]] = %[[A]]) -> (f32) {

@@ -32,7 +32,7 @@ tai.kernel @exclusive(%a: f32, %m: vector<2x2xf32>) {
   tai.return
 }
 
-// What an atomic returns is what was loaded, of integers too.
+// The result of an atomic is the loaded value, of integers too.
 // CHECK-LABEL: tai.kernel @old(
 //       CHECK:   %[[N:.+]] = tai.load @n[%[[I:.+]]] : i32
 //       CHECK:   %[[O:.+]] = arith.ori %[[N]], %{{.+}} : i32

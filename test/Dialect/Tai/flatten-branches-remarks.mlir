@@ -4,7 +4,7 @@
 tai.tree @t : !t
 tai.field @x = @t["x"] : f32, rank 1
 
-// What becomes of a branch is said, with the reason where it stays.
+// The treatment of a branch is reported, with the reason if it stays.
 // CHECK: [[# @LINE + 6]]:8: remark: [Passed] flattened | Category:tai-branches | Function=all | Remark="both arms run, and a select takes the result"
 // CHECK: remark: [Missed] kept | {{.*}} Reason="a value or derivative can be infinite or NaN where its arm does not run", Remark="the branch stays"
 // CHECK: remark: [Missed] kept | {{.*}} Reason="an arm has an effect or can fault"

@@ -46,7 +46,7 @@ func.func @root(%a: f32) -> f32 {
 
 // -----
 
-// A root of what is known to be positive, and a division by a constant, are
+// A root of a positive number, and a division by a constant, are
 // safe.
 // CHECK-LABEL: func.func @safe_root(
 //   CHECK-NOT:   scf.if

@@ -38,7 +38,7 @@ func.func @vector() -> vector<2xf32> {
   return %0 : vector<2xf32>
 }
 
-// What is known at run time only stays, and a NaN of the program is one.
+// Values known at run time only stay, and a NaN of the program is one.
 // CHECK-LABEL: func.func @other(
 //  CHECK-SAME:     %[[X:.+]]: f64)
 //       CHECK:   %[[NAN:.+]] = arith.constant 0x7FF8000000000000 : f64

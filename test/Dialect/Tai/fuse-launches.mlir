@@ -4,8 +4,8 @@
 // RUN: tai-opt %s --tai-to-llvm --split-input-file | FileCheck %s --check-prefix=PIPELINE
 // RUN: tai-opt %s --tai-to-llvm=fuse-launches=false --split-input-file | FileCheck %s --check-prefix=OFF
 
-// The second kernel reads what the same iteration of the first one stored, one
-// row further on; the third one goes on with that. What is stored stays stored.
+// The second kernel reads stores of the same iteration of the first one, one
+// row further on; the third one goes on with that. Stored values stay stored.
 
 tai.tree @tree : !tai.root<dense<[i: 8, j: 16], {x: f32}>, dense<[i: 8, j: 16], {y: f32}>, dense<[i: 16], {z: f32}>>
 tai.field @x = @tree["x"] : f32, rank 2
@@ -164,7 +164,7 @@ func.func @unknown_rows(%t: i32, %u: i32) {
   return
 }
 
-// Launches under a tape stay, and what stands between launches is a barrier.
+// Launches under a tape stay, and an op between launches is a barrier.
 // CHECK-LABEL: func.func @between
 //       CHECK:   tai.launch @add(
 //       CHECK:   tai.store
@@ -338,8 +338,8 @@ func.func @main(%a: f32) {
 
 // -----
 
-// What is computed in another way is another kernel; one of the same modes is
-// fused, and keeps them.
+// A kernel of other modes is not fused; one of the same modes is fused, and
+// keeps them.
 
 tai.tree @tree : !tai.root<dense<[i: 16], {x: f32}>, dense<[i: 16], {y: f32}>, dense<[i: 16], {z: f32}>>
 tai.field @x = @tree["x"] : f32, rank 1

@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-scatter-to-gather --canonicalize | FileCheck %s
 
-// The reverse of a stencil over active cells: each element adds up what the
-// iterations around it would have added, as far as there are such iterations.
+// The reverse of a stencil over active cells: each element adds up the terms of
+// the iterations around it, as far as there are such iterations.
 tai.tree @t : !tai.root<pointer<[i: 8], dense<[i: 8], {x: f32, x_grad: f32, y_grad: f32}>>, pointer<[i: 8], dense<[i: 8], {z_grad: f32}>>>
 tai.field @x = @t["x"] : f32, rank 1
 tai.field @x_grad = @t["x_grad"] : f32, rank 1
@@ -37,7 +37,7 @@ tai.kernel @reverse() attributes {keeps_activity} {
   tai.return
 }
 
-// A kernel that makes cells active adds to more than what it visits.
+// A kernel that makes cells active adds to more cells than it visits.
 // CHECK-LABEL: tai.kernel @forward
 //   CHECK-NOT:   tai.visits_all
 //       CHECK:   tai.atomic add %{{.+}}, @x_grad[%{{.+}}] : f32
@@ -51,7 +51,7 @@ tai.kernel @forward() {
   tai.return
 }
 
-// What is added to may be active elsewhere.
+// The elements added to may be active elsewhere.
 // CHECK-LABEL: tai.kernel @apart
 //   CHECK-NOT:   tai.visits_all
 //       CHECK:   tai.atomic add %{{.+}}, @z_grad[%{{.+}}] : f32

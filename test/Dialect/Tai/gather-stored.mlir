@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-scatter-to-gather | FileCheck %s
 
-// Additions that depend on what the loop takes from the same field stay where
-// they are: another iteration would find zero there, or not.
+// Additions that depend on values that the loop takes from the same field stay
+// where they are: another iteration would find zero there, or not.
 
 !t = !tai.root<dense<[i: 2, j: 16], {g: f32}>>
 tai.tree @t : !t

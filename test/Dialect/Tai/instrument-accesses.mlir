@@ -62,7 +62,7 @@ tai.kernel @checked() attributes {checked_accesses = []} {
 
 // -----
 
-// Who launches it would have to pass the new arguments.
+// A kernel that launches it would have to pass the new arguments.
 tai.kernel @launched() {
   tai.return
 }

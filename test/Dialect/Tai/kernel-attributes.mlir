@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --verify-roundtrip --split-input-file --verify-diagnostics | FileCheck %s
 
-// What kernels say of themselves is theirs: no pass may drop it unread. Former
+// The attributes of kernels are inherent: no pass may drop them unread. Former
 // names, which were discardable, are taken for the present ones.
 // CHECK-LABEL: tai.kernel @former_grad() attributes
 //  CHECK-SAME:     {conventions = {ties = "split"}, gradients = array<i64>, keeps_activity, modes = {ftz = true, math = "strict"}, part_of = @whole, reads_before = [@x], reexecutes, stored_form = @form, tangent = @tangent, zeroes_adjoint}
@@ -13,7 +13,7 @@ tai.kernel @former_grad() attributes {
 
 // -----
 
-// Those of functions of other dialects stay as they are.
+// Attributes of functions of other dialects stay as they are.
 // CHECK-LABEL: func.func @f(
 //  CHECK-SAME:     attributes {tai.conventions = {ties = "split"}, tai.gradients = array<i64: 0>}
 func.func @f(%x: f64) attributes {tai.conventions = {ties = "split"}, tai.gradients = array<i64: 0>} {

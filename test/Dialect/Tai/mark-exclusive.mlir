@@ -99,8 +99,8 @@ tai.kernel @serial(%a: f32, %n: index) {
   tai.return
 }
 
-// What is computed in 8 or 16 bits comes around: iterations 0 and 256 meet. In
-// 32 bits, as indices usually are, it does not.
+// Arithmetic in 8 or 16 bits comes around: iterations 0 and 256 meet. In 32
+// bits, as indices usually are, it does not.
 // CHECK-LABEL: tai.kernel @narrow(
 //   CHECK-NOT:   exclusive
 //       CHECK:   tai.return

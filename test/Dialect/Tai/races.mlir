@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-check-access-rules --split-input-file --verify-diagnostics
 
 // Iterations of a parallel loop that meet for certain are reported, with both
-// places. What cannot be proven is left to `validation=True`.
+// places. Possible meetings are left to `validation=True`.
 
 !t = !tai.root<dense<[i: 8, j: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, n: i32}>, dense<[i: 8], {v: vector<2xf32>, v_grad: vector<2xf32>}>>
 tai.tree @t : !t
@@ -128,7 +128,7 @@ tai.kernel @legal(%t: index, %m: index) {
 }
 
 // Odd elements are read, even ones written; two time steps; a component each;
-// under a condition; what a field says.
+// under a condition; values of a field.
 tai.kernel @unproven(%s: index, %t: index, %c: i1) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index

@@ -59,8 +59,8 @@ tai.kernel @ring(%t: index) {
 tai.tree @t : !tai.root<dense<[i: 3, j: 8], {g: f32}>>
 tai.field @g = @t["g"] : f32, rank 2
 
-// Conditions move along; what would fall outside the loop is left out. Two
-// slices of one field are two groups, read a third.
+// Conditions move along; terms outside the loop are left out. Two slices of one
+// field are two groups, read a third.
 // CHECK-LABEL: tai.kernel @cut_off(
 //       CHECK:   tai.parallel_for (%[[I:.+]]) =
 //       CHECK:     scf.if
@@ -209,7 +209,7 @@ tai.kernel @inner(%f: f32) {
   tai.return
 }
 
-// What wraps around the range of the loop does not reach what is outside of it.
+// An index that wraps around the range of the loop stays inside of it.
 // CHECK-LABEL: tai.kernel @inner_ring(
 //   CHECK-DAG:   %[[C1:.+]] = arith.constant 1 : index
 //   CHECK-DAG:   %[[C7:.+]] = arith.constant 7 : index
@@ -233,7 +233,7 @@ tai.kernel @inner_ring() {
   tai.return
 }
 
-// Random numbers are those of positions in the box, which stays what it is.
+// Random numbers are those of positions in the box, which does not change.
 // CHECK-LABEL: tai.kernel @inner_random(
 //       CHECK:   tai.parallel_for (%{{.+}}) = (%c1) to (%c7) {
 //       CHECK:     tai.random
@@ -267,7 +267,7 @@ tai.kernel @two_sizes() {
   tai.return
 }
 
-// What is added is read from a field that the loop writes.
+// The term is read from a field that the loop writes.
 // CHECK-LABEL: tai.kernel @written(
 //       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
 tai.kernel @written(%f: f32) {
@@ -353,7 +353,7 @@ tai.field @z = @t["z"] : f32, rank 1
 //       CHECK:     %[[N:.+]] = arith.truncf %[[W]] : f64 to f32
 //   CHECK-DAG:     tai.atomic add %[[V]], @g[%{{.+}}] exclusive
 //   CHECK-DAG:     tai.atomic add %[[N]], @h[%{{.+}}] exclusive
-// Those of f64 stay where products are fused with several additions.
+// Additions of f64 stay where products are fused with several additions.
 // SINGLE-LABEL: tai.kernel @compensated(
 //   SINGLE-DAG:     tai.atomic add %{{.+}}, @h[%{{.+}}] exclusive
 //   SINGLE-DAG:     tai.atomic add %{{.+}}, @g[%{{.+}}] : f64

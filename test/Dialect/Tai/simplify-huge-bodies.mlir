@@ -7,8 +7,8 @@ tai.tree @t : !t
 tai.field @x = @t["x"] : f32, rank 1
 tai.field @y = @t["y"] : f32, rank 1
 
-// Equal values, and reads with no write between them, are one; what a pattern
-// can simplify is simplified; what may have changed is read again.
+// Equal values, and reads with no write between them, are one; ops that a
+// pattern can simplify are simplified; changed elements are read again.
 // CHECK-LABEL: tai.kernel @huge
 //       CHECK: tai.parallel_for (%[[I:.+]]) =
 //  CHECK-NEXT:   %[[A:.+]] = tai.load @x[%[[I]]]

@@ -8,7 +8,7 @@ tai.field @s = @t["s"] : f64, rank 1
 tai.field @p = @t["p"] : i32, rank 1
 tai.field @v = @t["v"] : vector<2xf64>, rank 1
 
-// All that follows adds products of what the branch returns.
+// All code behind it adds products of the branch's results.
 // CHECK-LABEL: tai.kernel @scatter
 //       CHECK:   tai.parallel_for
 //       CHECK:     scf.if
@@ -69,8 +69,8 @@ tai.kernel @other_arm() {
   tai.return
 }
 
-// What a loop carries is as it was where nothing is added to it, but for what
-// comes from elsewhere.
+// A carried value without an addition is unchanged, but for values from
+// elsewhere.
 // CHECK-LABEL: tai.kernel @carried
 //       CHECK:   scf.for {{.*}} iter_args(%[[SUM:.+]] = %{{.+}}, %[[REST:.+]] = %{{.+}})
 //       CHECK:     %[[R:.+]]:2 = scf.if

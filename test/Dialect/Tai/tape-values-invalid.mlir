@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --split-input-file --verify-diagnostics
 
-// A tape records launches. What goes from one to the next through the host
-// would take part in the program and not in its gradient.
+// A tape records launches. A value that goes from one to the next through the
+// host would take part in the program and not in its gradient.
 tai.tree @t : !tai.root<{x: f64, gx: f64, loss: f64, gl: f64, c: f64}>
 tai.field @gx = @t["gx"] : f64, rank 0
 tai.field @gl = @t["gl"] : f64, rank 0
@@ -88,7 +88,7 @@ func.func @main() {
 
 // -----
 
-// What a launch has seen is changed behind the back of the tape.
+// A field that a launch has seen is changed behind the back of the tape.
 tai.tree @t : !tai.root<{x: f64, gx: f64, loss: f64, gl: f64, c: f64}>
 tai.field @gx = @t["gx"] : f64, rank 0
 tai.field @gl = @t["gl"] : f64, rank 0
@@ -116,7 +116,7 @@ func.func @main() {
 
 // -----
 
-// In a loop, what stands before the launch comes behind it as well.
+// In a loop, code before the launch comes behind it as well.
 tai.tree @t : !tai.root<{x: f64, gx: f64, loss: f64, gl: f64, c: f64}>
 tai.field @gx = @t["gx"] : f64, rank 0
 tai.field @gl = @t["gl"] : f64, rank 0

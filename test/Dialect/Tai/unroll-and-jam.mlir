@@ -4,9 +4,9 @@
 #group = #llvm.access_group<id = distinct[0]<>>
 #parallel = #llvm.loop_annotation<parallelAccesses = #group>
 
-// A sum of 1000 terms in f64: few ops, so two vectors of four. What does not
-// depend on the iteration is computed once.
-// Where any order will do, LLVM makes vectors of terms of one sum.
+// A sum of 1000 terms in f64: few ops, so two vectors of four. Values
+// independent of the iteration are computed once. Where any order will do, LLVM
+// makes vectors of terms of one sum.
 // ANY-LABEL: func.func @sums(
 //   ANY-NOT:   arith.andi
 // CHECK-LABEL: func.func @sums(
@@ -52,7 +52,7 @@ func.func @sums(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) {
 #group = #llvm.access_group<id = distinct[0]<>>
 #parallel = #llvm.loop_annotation<parallelAccesses = #group>
 
-// Of twelve iterations in f32 there is no vector of sixteen: eight, and a rest.
+// Twelve iterations in f32 fill no vector of sixteen: eight, and a rest.
 // CHECK-LABEL: func.func @few(
 //       CHECK:   arith.andi %{{.+}}, %c-8
 //       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c8
@@ -84,7 +84,7 @@ func.func @few(%a: !llvm.ptr, %b: !llvm.ptr) {
 #other = #llvm.access_group<id = distinct[1]<>>
 #parallel = #llvm.loop_annotation<parallelAccesses = #group>
 
-// None of these is unrolled: a short sum, which LLVM unrolls; an access of another
+// These are not unrolled: a short sum, which LLVM unrolls; an access of another
 // group; one of none; a call; no annotation; a loop that carries no sum.
 // CHECK-LABEL: func.func @left(
 //   CHECK-NOT:   arith.andi
@@ -196,7 +196,7 @@ func.func @triangle(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
 #group = #llvm.access_group<id = distinct[0]<>>
 #parallel = #llvm.loop_annotation<parallelAccesses = #group>
 
-// None of these, whose bounds differ: a beginning that was loaded; little work for
+// Nor these, whose bounds differ: a beginning that was loaded; little work for
 // each load by a loaded index; a loop inside; steps of two.
 // CHECK-LABEL: func.func @uneven_left(
 //   CHECK-NOT:   arith.andi

@@ -42,7 +42,7 @@ tai.kernel @scatter() {
   tai.return
 }
 
-// Lanes of a vector take both branches of what is tested.
+// Lanes of a vector take both branches of a test.
 // CHECK-LABEL: tai.kernel @elementwise
 //   CHECK-NOT:   scf.if
 //       CHECK:   tai.guard
@@ -62,9 +62,9 @@ tai.kernel @elementwise() {
   tai.return
 }
 
-// A quotient by what a guard has decided hides an infinite value: 1 / inf = 0.
-// What the second partial is computed from comes behind the first guard, so that
-// there is no test in front of both.
+// A quotient by the result of a guard hides an infinite value: 1 / inf = 0.
+// The operands of the second partial come behind the first guard, so that there
+// is no test in front of both.
 // CHECK-LABEL: tai.kernel @divisor
 //   CHECK-NOT:   scf.if
 //       CHECK:   tai.guard
@@ -120,8 +120,8 @@ tai.kernel @carried() {
   tai.return
 }
 
-// What stands in a region behind the guards moves with it, and a region between
-// them ends what is tested.
+// Code in a region behind the guards moves with it, and a region between them
+// ends the tested part.
 // CHECK-LABEL: tai.kernel @regions
 //       CHECK:   %[[S:.+]] = scf.if %{{.+}} -> (f64)
 //       CHECK:   scf.if %{{.+}} {
@@ -157,9 +157,9 @@ tai.kernel @regions() {
   tai.return
 }
 
-// A quotient and a logarithm that are finite say that what they divide by, and
-// are taken of, is not zero: one sum of both is tested. The conditions stand
-// behind the first guard, and are moved in front of it.
+// A quotient and a logarithm that are finite show that their operands are not
+// zero: one sum of both is tested. The conditions stand behind the first guard,
+// and are moved in front of it.
 // CHECK-LABEL: tai.kernel @witnesses
 //       CHECK:   arith.divf
 //       CHECK:   %[[U:.+]] = arith.divf
@@ -198,8 +198,8 @@ tai.kernel @witnesses() {
   tai.return
 }
 
-// What a loop carries may be infinite since an earlier iteration. It is tested,
-// by a quotient of it, where an infinite adjoint has a guard.
+// A loop-carried value may be infinite since an earlier iteration. It is
+// tested, by a quotient of it, where an infinite adjoint has a guard.
 // CHECK-LABEL: tai.kernel @carried_infinite
 //       CHECK:   scf.for {{.*}} iter_args(%[[C:.+]] = %{{.+}})
 //       CHECK:     %[[Q:.+]] = arith.divf %[[C]], %{{.+}}
@@ -234,8 +234,8 @@ tai.kernel @carried_infinite() {
 }
 
 // An adjoint that is infinite in front of a loop: the guard there has no part in
-// the test of the loop, which is of the adjoint itself and not of what the root
-// was taken of.
+// the test of the loop, which is of the adjoint itself and not of the root's
+// operand.
 // CHECK-LABEL: tai.kernel @infinite_around
 //       CHECK:   %[[SUM:.+]] = tai.load @x
 //       CHECK:   %[[SEED:.+]] = arith.select %{{.+}}, %{{.+}}, %{{.+}} {tai.guard}
@@ -277,9 +277,9 @@ tai.field @p = @t["p"] : i32, rank 1
 tai.field @d = @t["d"] : vector<3xf64>, rank 1
 tai.field @gd = @t["gd"] : vector<3xf64>, rank 1
 
-// A branch between the guards, with one that depends on what the branch alone
-// computes: each part has a test, and the last one also of what comes out of
-// the branch. The guarded code behind the first test has none of these.
+// A branch between the guards, with one that depends on values that the branch
+// alone computes: each part has a test, and the last one also of the branch's
+// results. The guarded code behind the first test has none of these.
 // CHECK-LABEL: tai.kernel @parts
 //       CHECK:   %[[FIRST:.+]] = llvm.intr.expect
 //       CHECK:   scf.if %[[FIRST]] {

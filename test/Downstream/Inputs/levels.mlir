@@ -30,7 +30,7 @@ tai.kernel @fill() {
   tai.return
 }
 
-// The sum of squares, over what is active.
+// The sum of squares, over active cells.
 tai.kernel @sum() {
   tai.parallel_for (%i, %j) in @x {
     %v = tai.load @x[%i, %j] : f64

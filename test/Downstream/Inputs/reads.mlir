@@ -4,11 +4,11 @@ tai.field @y_grad = @t["y_grad"] : f64, rank 1
 tai.field @x = @t["x"] : f64, rank 1, adjoint @x_grad
 tai.field @y = @t["y"] : f64, rank 1, adjoint @y_grad
 
-// What it reads stands in the summary, with its indices.
+// Its reads stand in the summary, with their indices.
 // SUMMARY-DAG: #[[NEXT:.+]] = affine_map<(d0)[s0] -> (d0 + 1)>
 // SUMMARY-DAG: #[[OWN:.+]] = affine_map<(d0)[s0] -> (d0)>
 //     SUMMARY: tai.kernel @next({{.*}}summary = [#tai.access<read @x, #[[NEXT]]>, #tai.access<write @y, #[[OWN]]>]
-// Which launches would leave the field is found as for tai.load.
+// Launches that would leave the field are found as for tai.load.
 // BOUNDS-LABEL: tai.kernel @next
 //       BOUNDS:   tai.precondition {{.*}} out of range for field '@x' of shape [8]
 //       BOUNDS:   %[[X:.+]] = tai.load @x[

@@ -270,7 +270,7 @@ tai.kernel @lists() {
 
 // While loops that carry derivatives, with an exit that depends on data: in a
 // branch, with a captured value, a vector, an integer that the gradient needs,
-// a condition that computes what it passes on, and one loop inside another.
+// a condition that computes the passed values, and one loop inside another.
 tai.kernel @whiles() {
   %half = arith.constant 0.5 : f64
   %limit = arith.constant 2.5 : f64

@@ -1,4 +1,4 @@
-// Loops that say how large their blocks are compute what they compute without:
+// Loops that say how large their blocks are have the same results as without:
 // here under a tape, with a stencil whose gradient is gathered. Sizes that no
 // GPU has are refused where there is one.
 //

@@ -2,11 +2,11 @@
 // RUN: tai-run %s --no-cache --deterministic
 // RUN: sed -e 's/wrt \[@x\] tolerance/wrt [@y] tolerance/' %s | not tai-run - --no-cache 2>&1 | FileCheck %s
 
-// Of a field with a time axis all steps but the first are overwritten before
-// they are read. Their adjoints are right, and differences of what they held
-// before show nothing: the check leaves them out. Elements that are updated in
-// place are read first, and are checked. Written with the former names of checks, as
-// programs outside of this tree are.
+// In a field with a time axis all steps but the first are overwritten before
+// they are read. Their adjoints are right, and differences of their former
+// values show nothing: the check leaves them out. Elements that are updated in
+// place are read first, and are checked. Written with the former names of
+// checks, as programs outside of this tree are.
 // CHECK: nothing is checked: all elements of 'y' are overwritten before they are read
 tai.tree @t : !tai.root<dense<[i: 6, j: 3], {x: f64, gx: f64}>,
                         dense<[i: 4], {y: f64, gy: f64}>, {loss: f64, gl: f64}>

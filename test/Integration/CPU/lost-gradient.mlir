@@ -1,7 +1,7 @@
 // RUN: tai-run %s 2>&1 | FileCheck %s
 
-// The square is kept in a field without adjoint: a warning says where. What the
-// loss does not depend on is kept there without a word.
+// The square is kept in a field without adjoint: a warning says where. Values
+// that the loss does not depend on are kept there without a word.
 
 tai.tree @t : !tai.root<{x: f64, gx: f64, kept: f64, seen: f64, loss: f64, gloss: f64}>
 tai.field @x = @t["x"] : f64, rank 0, adjoint @gx

@@ -1,15 +1,15 @@
 // RUN: tai-opt %s --tai-make-adjoint="kernel=many,until takes=true" | sed "s/launch @adjoint_of_\([a-z]*\)/launch @\1_grad/" | tai-run - --no-cache
 // RUN: tai-opt %s --tai-make-adjoint="kernel=many,until takes=true" | sed "s/launch @adjoint_of_\([a-z]*\)/launch @\1_grad/" | tai-run - --no-cache --opt-level=0 --threads=2
 
-// Adjoints that run their kernel forward again, launched by hand on what was there
-// before. Each stack grows many times.
+// Adjoints that run their kernel forward again, launched by hand on the former
+// values. Each stack grows many times.
 
 tai.tree @t : !tai.root<dense<[i: 5], {x: f64, x_grad: f64, want: f64}>>
 tai.field @x_grad = @t["x_grad"] : f64, rank 1
 tai.field @x = @t["x"] : f64, rank 1, adjoint @x_grad
 tai.field @want = @t["want"] : f64, rank 1
 
-// x starts from 0.1 to 0.9; the adjoints of what a kernel leaves are 1.
+// x starts from 0.1 to 0.9; the adjoints of a kernel's outputs are 1.
 tai.kernel @start() {
   %one = arith.constant 1.0 : f64
   %scale = arith.constant 0.2 : f64

@@ -1,7 +1,7 @@
 // RUN: tai-run %s --no-cache
 // RUN: tai-run %s --no-cache --opt-level=0
 
-// What may go through the host under a tape: numbers that no field with an
+// These may go through the host under a tape: numbers that no field with an
 // adjoint stands behind, numbers that are read before it, numbers that are said
 // to be constants, and stores of the host that no launch has seen yet.
 tai.tree @t : !tai.root<{x: f64, gx: f64, loss: f64, gl: f64, c: f64}>
