@@ -15,7 +15,7 @@ from ..base import native, state
 from ..base.program import get_program
 from ..fields.arrays import Ndarray
 from ..fields.root import materialize
-from ..history import gradients
+from ..history import gradients, origins
 from ..tracking import tracked
 from ..tracking.tape_arrays import Ordered
 from . import library as library
@@ -162,6 +162,7 @@ class Tape(native.WithBlock):
             self._core.check_accesses(LIMIT, not self._validates)
         state.of_thread.tape = self._core
         native.set_tape(self._core)
+        origins.note_tape()
         self._was_seeded = was_seeded
         if self._losses and not was_seeded:
             self._missing = self._missing or _Missing(self._losses)

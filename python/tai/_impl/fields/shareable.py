@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..history import torch_graphs
+from ..base import state
+from ..history import origins, torch_graphs
 from ..interop import sharing
 
 
@@ -13,6 +14,8 @@ class Shareable:
 
     def to_torch(self, device: Any = None) -> Any:
         """A copy as a torch tensor: on the GPU that kernels run on, without the host."""
+        if state.tape is not None or state.forward:
+            origins.note_read(self)
         return sharing.to_torch(self, device)
 
     def from_torch(self, tensor: Any) -> None:
@@ -37,7 +40,9 @@ class Shareable:
         Raises:
             BufferError: a sparse field, or elements that do not lie evenly.
         """
-        return sharing.field_dlpack(self, stream, max_version, dl_device, copy)
+        capsule = sharing.field_dlpack(self, stream, max_version, dl_device, copy)
+        origins.note_view(self, *sharing.place_of(self))
+        return capsule
 
     def __dlpack_device__(self) -> tuple[int, int]:
         """Where the field is: `(1, 0)` for the host, `(2, 0)` for the GPU."""

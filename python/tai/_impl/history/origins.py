@@ -17,6 +17,7 @@ import math
 import sys
 import threading
 import warnings
+from collections.abc import Callable
 from types import FunctionType
 from typing import Any
 
@@ -27,6 +28,8 @@ from ..base import native, state
 from ..base.elements import Elements
 from ..base.parsing import parse
 from ..base.program import at_close
+from . import marks
+from .marks import Mark
 
 # Functions without a number as their result, or whose result does not change a little with their
 # argument.
@@ -61,6 +64,7 @@ def begin() -> None:
 
 def end() -> None:
     """Nothing is recorded or followed any more."""
+    marks.clear()
     if _of_thread.watches:
         _of_thread.watches = False
         native.watch_numbers(False)
@@ -130,6 +134,62 @@ def note_read(field: Any) -> None:
         begin()
 
 
+def note_tape() -> None:
+    """A tape begins to record."""
+    if marks.has_views():
+        begin()
+
+
+def note_view(field: Any, address: int, steps: tuple[int, ...]) -> None:
+    """Another library has got a view of the memory of a field.
+
+    Args:
+        field: which.
+        address, steps: of its first element, and the bytes from index to index.
+    """
+    extents = (*field.shape, *field.element_shape)
+    if 0 in extents or not field.dtype.is_float or not field._companions:
+        return
+    pairs = zip(extents, steps, strict=True)
+    marks.mark_view(field, marks.made_of(address, field.dtype.bits // 8, pairs))
+    if state.tape is not None or state.forward:
+        note_read(field)
+
+
+def note_stored(array: Any) -> None:
+    """A recorded kernel stores numbers that depend on values with a gradient to an array."""
+    marks.mark(array, Mark.KERNEL)
+    begin()
+
+
+def note_computed(result: Any, *operands: Any) -> Any:
+    """Marks a result of the host if an operand depends on values with a gradient.
+
+    Returns:
+        The result.
+    """
+    if (state.tape is not None or state.forward) and any(map(carries_history, operands)):
+        marks.mark(result)
+        begin()
+    return result
+
+
+def carries_history(value: Any) -> bool:
+    """Whether the numbers that Python reads of a value depend on values with a gradient."""
+    if _is_followed(value):
+        return True
+    if isinstance(value, Elements) and any(map(has_history, _leaves_of(value))):
+        return True
+    return not marks.is_empty() and _is_marked(value)
+
+
+def _is_marked(value: Any) -> bool:
+    if marks.mark_of(value) is not None:
+        return True
+    field = marks.field_behind(value)
+    return field is not None and has_history(field)
+
+
 def calling_frame() -> Any:
     """The frame of the program that has called the package; None if there is none."""
     frame: Any = sys._getframe(2)
@@ -157,8 +217,13 @@ def _as_kernel(called: Any) -> Any:
     return getattr(called, "_kernel", called)
 
 
-def check_call(kernel: Any, parameters: list, values: list) -> None:
-    """Looks at the plain numbers that a kernel is called with."""
+def check_call(kernel: Any, names: list[str], values: dict[str, Any]) -> None:
+    """Looks at the plain numbers that a kernel is called with.
+
+    Args:
+        kernel, names: of the call, and its parameters.
+        values: the arguments by name. Members of structs have names of their own.
+    """
     if not _of_thread.watches:
         return
     frame = calling_frame()
@@ -168,7 +233,16 @@ def check_call(kernel: Any, parameters: list, values: list) -> None:
     native.note_site(frame.f_code, frame.f_lineno, kernel)
     if not is_new_place(frame, kernel):
         return
-    scope = _Scope.of_frame(frame)
+    for name in _names_of(frame, kernel, names, _Scope.has_history):
+        if name in values and _is_plain(values[name]):
+            _warn(frame, f"what parameter '{name}' of kernel '{kernel.__name__}' is given")
+
+
+def _names_of(
+    frame: Any, kernel: Any, names: list[str], holds: Callable[[_Scope, ast.AST], bool]
+) -> list[str]:
+    """The parameters of a kernel that a line gives expressions of some kind."""
+    scope, found = _Scope.of_frame(frame), []
     for call in scope.calls_at(frame.f_lineno):
         if _as_kernel(scope.resolve(call.func)) is not kernel:
             continue
@@ -176,11 +250,45 @@ def check_call(kernel: Any, parameters: list, values: list) -> None:
         offset = int(kernel._is_method and not isinstance(of, type))
         given = {n + offset: argument for n, argument in enumerate(call.args)}
         named = {keyword.arg: keyword.value for keyword in call.keywords}
-        for number, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
-            expression = given.get(number, named.get(parameter.name))
-            if expression is not None and _is_plain(value) and scope.has_history(expression):
-                what = f"parameter '{parameter.name}' of kernel '{kernel.__name__}'"
-                _warn(frame, f"what {what} is given")
+        for number, name in enumerate(names):
+            expression = given.get(number, named.get(name))
+            if expression is not None and holds(scope, expression):
+                found.append(name)
+    return found
+
+
+def check_arrays(kernel: Any, names: list[str], arrays: dict[str, Any]) -> None:
+    """Looks at arrays without a gradient that a recorded launch reads.
+
+    The tape follows an array from a launch that stores to it to one that reads it. It sees neither
+    an array that Python computes in between, nor that the memory is that of a field.
+
+    Args:
+        kernel: of the launch.
+        names: its parameters.
+        arrays: the arguments for such parameters, by name.
+    """
+    if not arrays or not _of_thread.watches and marks.is_empty():
+        return
+    frame = calling_frame()
+    if frame is None:
+        return
+    for name, value in arrays.items():
+        field = marks.field_behind(value)
+        if field is not None and has_history(field) and is_new_place(frame, field):
+            warn_at(
+                frame,
+                f"array '{name}' of kernel '{kernel.__name__}' is a view of field '{field.name}', "
+                "which has a gradient: to the tape it is a constant. Use the field in the kernel",
+            )
+        if marks.mark_of(value) is Mark.HOST and is_new_place(frame, _warn):
+            _warn(frame, f"what array '{name}' of kernel '{kernel.__name__}' is given")
+    # Arrays that kernels have stored to are followed by the tape.
+    unknown = [n for n, v in arrays.items() if marks.mark_of(v) is None]
+    if unknown and _of_thread.watches and is_new_place(frame, kernel.grad):
+        for name in set(unknown) & set(_names_of(frame, kernel, names, _Scope.is_computed)):
+            if marks.field_behind(arrays[name]) is None:
+                _warn(frame, f"what array '{name}' of kernel '{kernel.__name__}' is given")
 
 
 def check_write(field: Any, value: Any) -> None:
@@ -189,14 +297,15 @@ def check_write(field: Any, value: Any) -> None:
         return
     is_field = hasattr(field, "_companions")
     what = f"what Python writes to field '{field.name}'" if is_field else "what an array is given"
-    tracked = _is_followed(value)
+    tracked = _is_followed(value) or (not marks.is_empty() and _is_marked(value))
     if not tracked and (not _of_thread.watches or isinstance(value, int)):
         return
     frame = calling_frame()
-    if frame is None or not is_new_place(frame, check_write):
+    if frame is None or not is_new_place(frame, _warn if tracked else check_write):
         return
+    is_array = marks.extent_of(value) is not None
     if tracked or any(
-        scope.has_history(expression)
+        (scope.is_computed if is_array else scope.has_history)(expression)
         for scope in [_Scope.of_frame(frame)]
         for expression in scope.written_at(frame.f_lineno)
     ):
@@ -311,7 +420,11 @@ class _Scope:
             if not getattr(node, "lineno", line + 1) <= line <= last:
                 continue
             if isinstance(node, (ast.Assign, ast.AugAssign)):
-                found.append(node.value)
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                # A name is bound anew, and no field is written.
+                if any(isinstance(part, (ast.Subscript, ast.Attribute))
+                       for target in targets for part in ast.walk(target)):  # fmt: skip
+                    found.append(node.value)
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
                 if node.func.attr in ("fill", "from_numpy", "from_torch"):
                     found += node.args
@@ -321,6 +434,12 @@ class _Scope:
         """The value that a name or an attribute stands for now; None if that is unknown."""
         if isinstance(node, ast.Name):
             return next((names[node.id] for names in self._names if node.id in names), None)
+        if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
+            base, key = self.resolve(node.value), node.slice.value
+            if type(base) is dict:
+                return base.get(key)
+            is_item = type(base) in (list, tuple) and type(key) is int and 0 <= key < len(base)
+            return base[key] if is_item else None
         if not isinstance(node, ast.Attribute):
             return None
         base = self.resolve(node.value)
@@ -338,23 +457,47 @@ class _Scope:
     def has_history(self, node: ast.AST) -> bool:
         """Whether the value of an expression comes from one with a history."""
         if isinstance(node, ast.Name):
-            return node.id in self._tainted or _is_followed(self.resolve(node))
+            return node.id in self._tainted or self._is_known(node)
         if isinstance(node, (ast.Compare, ast.Constant, ast.Lambda)):
             return False
-        if isinstance(node, ast.Attribute) and _is_followed(self.resolve(node)):
+        if isinstance(node, ast.Attribute) and self._is_known(node):
             return True
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.FloorDiv):
             return False
         if isinstance(node, ast.Subscript):
+            if self._is_known(node):
+                return True
             field = self.resolve(node.value)
             if isinstance(field, Elements):
-                return any(map(has_history, _leaves_of(field)))
+                return carries_history(field)
             return self.has_history(node.value)
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+            # A sparse matrix reads the vector.
+            if carries_history(self.resolve(node.right)):
+                return True
         if isinstance(node, ast.IfExp):
             return self.has_history(node.body) or self.has_history(node.orelse)
         if isinstance(node, ast.Call):
             return self._call_has_history(node)
         return any(self.has_history(child) for child in ast.iter_child_nodes(node))
+
+    def is_computed(self, node: ast.AST) -> bool:
+        """Whether an expression gives an array that was computed from values with a history.
+
+        The memory of an array that it merely names has been looked at.
+        """
+        if isinstance(node, ast.Name):
+            return node.id in self._tainted
+        if isinstance(node, (ast.Subscript, ast.Attribute)):
+            return self.is_computed(node.value)
+        if isinstance(node, ast.IfExp):
+            return self.is_computed(node.body) or self.is_computed(node.orelse)
+        return self.has_history(node)
+
+    def _is_known(self, node: ast.AST) -> bool:
+        """Whether a name or an attribute stands for a value with a history now."""
+        value = self.resolve(node)
+        return _is_followed(value) or (not marks.is_empty() and _is_marked(value))
 
     def _call_has_history(self, node: ast.Call) -> bool:
         called = self.resolve(node.func)
@@ -365,12 +508,14 @@ class _Scope:
         if isinstance(node.func, ast.Attribute):
             base = self.resolve(node.func.value)
             if isinstance(base, Elements):
-                reads = node.func.attr in ("to_numpy", "to_torch")
-                return reads and any(map(has_history, _leaves_of(base)))
+                return node.func.attr in ("to_numpy", "to_torch") and carries_history(base)
             if self.has_history(node.func.value):
                 return True
         if called in _DISCRETE:
             return False
+        if getattr(called, "__name__", None) == "from_dlpack":
+            if any(carries_history(self.resolve(argument)) for argument in node.args):
+                return True
         if isinstance(called, FunctionType) and self._returns_history(called, node):
             return True
         arguments = [*node.args, *(keyword.value for keyword in node.keywords)]

@@ -64,6 +64,28 @@ def field_dlpack(
     )  # fmt: skip
 
 
+def place_of(field: Any) -> tuple[int, tuple[int, ...]]:
+    """The address of the first element of a field, and the bytes from index to index."""
+    address, _, steps, _ = _storage(field).core.lend()
+    return address, steps
+
+
+class _Lent:
+    """A field for `torch.from_dlpack`, whose tensor does not outlive a copy."""
+
+    def __init__(self, field: Any):
+        self._field = field
+
+    def __dlpack__(
+        self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None,
+        copy: bool | None = None,
+    ) -> Any:  # fmt: skip
+        return field_dlpack(self._field, stream, max_version, dl_device, copy)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return field_device(self._field)
+
+
 def _shares_with(field: Any, tensor: Any) -> Any:
     """A tensor that shares the memory of the field, if it is where `tensor` is; else None.
 
@@ -75,7 +97,7 @@ def _shares_with(field: Any, tensor: Any) -> Any:
     try:
         if (kind, tensor.index or 0) != field_device(field):
             return None
-        return torch.from_dlpack(field)
+        return torch.from_dlpack(_Lent(field))
     except (BufferError, RuntimeError, TypeError):
         return None
 

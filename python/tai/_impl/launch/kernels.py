@@ -84,12 +84,14 @@ class Kernel(native.Launcher):
                 f"kernel '{self.__name__}' is called while another kernel is compiled",
                 "make it a @ti.func",
             )
-        values = self._get_signature().bind(args, kwargs)
+        signature = self._get_signature()
+        values = signature.bind(args, kwargs)
         if state.tape is not None or state.forward:
-            origins.check_call(self, self._get_signature().parameters, values)
+            numbers = dict(zip(signature.names, values, strict=True))
+            origins.check_call(self, [p.name for p in signature.given], numbers)
         tracks = grad or state.tape is not None
         found = self._specialize(values, tracks)
-        signature = self._get_signature()
+        signature = self._get_signature()  # another one after `ti.init`
         if grad and not found.has_gradients:
             raise TaiAutodiffError(
                 f"kernel '{self.__name__}' has no gradient: nothing that it uses has one",

@@ -126,6 +126,9 @@ def launch(
         cell = tangents.Cell(found.result_pool, count)
         slots.append(cell.first)
     gradient = None
+    if tape is not None and kept and not grad:
+        arrays = {h.name: h.value for h in kept if h.is_read and not h.has_gradient}
+        origins.check_arrays(launcher, [p.name for p in signature.given], arrays)
     try:
         for held in kept if tape is not None else ():
             is_read = found.core.reads_in_reverse(held.slot)
@@ -133,6 +136,8 @@ def launch(
             held = held._replace(is_read_in_reverse=is_read, ends_gradients=ends)
             launched = tape.arrays.use(held)
             slots[held.slot] = launched.ctypes.data
+            if ends:
+                origins.note_stored(held.value)
         if tracks:
             adjoints, gradient = adjoint_slots(found, values, tape)
             slots += adjoints

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiRuntimeTypeError
+from ..history import origins
 from .sparse_matrix import SparseMatrix, as_numpy, get_scipy, like
 
 
@@ -35,4 +36,5 @@ class SparseCG:
         b = as_numpy(self.b).astype(np.float64)
         x0 = None if self.x0 is None else as_numpy(self.x0).astype(np.float64)
         x, ended = solvers.cg(a, b, x0, rtol=0.0, atol=self.atol, maxiter=self.max_iter)
-        return like(self.b, x.astype(self.matrix.dtype.numpy)), ended == 0
+        result = like(self.b, x.astype(self.matrix.dtype.numpy))
+        return origins.note_computed(result, self.matrix, self.b, self.x0), ended == 0

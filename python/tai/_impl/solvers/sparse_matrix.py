@@ -19,6 +19,7 @@ from ..base.program import sync
 from ..fields.arrays import Ndarray
 from ..fields.field import Field
 from ..fields.triplets import Triplets
+from ..history import origins
 
 # SciPy's formats by Taichi's.
 _FORMATS = {"col_major": "csc", "row_major": "csr"}
@@ -138,7 +139,7 @@ class SparseMatrixBuilder(Triplets):
         made = sparse.coo_array(
             (values.astype(kind.numpy), (rows, columns)), (self.num_rows, self.num_cols)
         )
-        return SparseMatrix._of(made.asformat(self._format))
+        return origins.note_computed(SparseMatrix._of(made.asformat(self._format)), self.values)
 
 
 def as_numpy(x: Any) -> np.ndarray:
@@ -208,6 +209,7 @@ class SparseMatrix:
             # That it is slow.
             warnings.simplefilter("ignore")
             self._matrix[indices] = value
+        origins.note_computed(self, value)
 
     def _combined(self, other: Any, op: str, apply: Callable[[Any, Any], Any]) -> Any:
         if not isinstance(other, SparseMatrix):
@@ -216,7 +218,11 @@ class SparseMatrix:
             sizes = " and ".join(f"{a}×{b}" for a, b in (self.shape, other.shape))
             raise TaiRuntimeTypeError(f"'{op}' takes sparse matrices of one size, but got {sizes}")
         made = apply(self._matrix, other._matrix)
-        return SparseMatrix._of(made.asformat(self._matrix.format))
+        return self._derived(made.asformat(self._matrix.format), other)
+
+    def _derived(self, matrix: Any, *operands: Any) -> SparseMatrix:
+        """A matrix that is computed from this one and from others."""
+        return origins.note_computed(SparseMatrix._of(matrix), self, *operands)
 
     def __add__(self, other: Any) -> Any:
         return self._combined(other, "+", operator.add)
@@ -225,11 +231,11 @@ class SparseMatrix:
         return self._combined(other, "-", operator.sub)
 
     def __neg__(self) -> SparseMatrix:
-        return SparseMatrix._of(-self._matrix)
+        return self._derived(-self._matrix)
 
     def __mul__(self, other: Any) -> Any:
         if isinstance(other, (int, float, np.number)):
-            return SparseMatrix._of(self._matrix * self._matrix.dtype.type(other))
+            return self._derived(self._matrix * self._matrix.dtype.type(other))
         return self._combined(other, "*", operator.mul)
 
     __rmul__ = __mul__
@@ -242,16 +248,18 @@ class SparseMatrix:
                 + (f"{inner}" if inner is not None else f"{other!r}")
             )
         if isinstance(other, SparseMatrix):
-            return SparseMatrix._of((self._matrix @ other._matrix).asformat(self._matrix.format))
+            product = (self._matrix @ other._matrix).asformat(self._matrix.format)
+            return self._derived(product, other)
         result = self._matrix @ as_numpy(other)
-        return like(other, result)
+        return origins.note_computed(like(other, result), self, other)
 
     def spmv(self, x: Any, y: Any) -> None:
         """y = A x for fields or arrays."""
-        y.from_numpy(np.asarray(self._matrix @ as_numpy(x), dtype=y.dtype.numpy))
+        product = np.asarray(self._matrix @ as_numpy(x), dtype=y.dtype.numpy)
+        y.from_numpy(origins.note_computed(product, self, x))
 
     def transpose(self) -> SparseMatrix:
-        return SparseMatrix._of(self._matrix.T.asformat(self._matrix.format))
+        return self._derived(self._matrix.T.asformat(self._matrix.format))
 
     def build_from_ndarray(self, triplets: Any) -> None:
         """Takes the entries of an array of (row, column, value), one after another."""
@@ -261,6 +269,7 @@ class SparseMatrix:
             (flat[:, 2], (flat[:, 0].astype(np.int64), flat[:, 1].astype(np.int64))), self.shape
         )
         self._matrix = made.astype(self._matrix.dtype).asformat(self._matrix.format)
+        origins.note_computed(self, triplets)
 
     def mmwrite(self, filename: str) -> None:
         """Writes the matrix as a Matrix Market file."""
@@ -354,6 +363,7 @@ class SparseSolver:
             self._problem = "the matrix is not positive definite, as LLT needs it"
             return
         self._factors = factors
+        origins.note_computed(self, sparse_matrix)
 
     def compute(self, sparse_matrix: SparseMatrix) -> None:
         """`analyze_pattern`, which `factorize` includes, and `factorize`."""
@@ -372,7 +382,7 @@ class SparseSolver:
                 f"the right-hand side has {self._factors.shape[0]} elements, but got {right.shape}"
             )
         found = self._factors.solve(right.astype(np.float64))
-        return like(b, found.astype(self.dtype.numpy))
+        return origins.note_computed(like(b, found.astype(self.dtype.numpy)), self, b)
 
     def info(self) -> bool:
         """Whether the last matrix could be factorised."""

@@ -1,0 +1,164 @@
+"""Arrays and objects outside of fields whose numbers depend on values with a gradient.
+
+A recorded kernel may store such numbers to an array of the caller, a sparse matrix may be built of
+them, and a view of a field by DLPack shows them to other libraries. The tape follows none of these
+back to a field. So they are marked while it records, and `origins` warns where they come back.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import weakref
+from collections.abc import Iterable
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..base.program import at_close
+
+
+class Mark(Enum):
+    """Where the numbers come from."""
+
+    KERNEL = 1  # a recorded kernel has stored them
+    HOST = 2  # Python has computed them
+    VIEW = 3  # they are those of a field, by a view that other libraries use
+
+
+class Extent(NamedTuple):
+    """Memory of an array: elements of `size` bytes, at distances that `step` divides.
+
+    Attributes:
+        begin: the address of the first byte.
+        end: the address behind the last byte.
+    """
+
+    begin: int
+    end: int
+    step: int
+    size: int
+
+    def overlaps(self, other: Extent) -> bool:
+        """Whether elements may share memory: the columns of a matrix lie between each other."""
+        if self.begin >= other.end or other.begin >= self.end:
+            return False
+        common = math.gcd(self.step, other.step)
+        apart = (self.begin - other.begin) % common
+        return apart < other.size or apart + self.size > common
+
+
+class _Region:
+    """Memory with a mark, for as long as its owner lives."""
+
+    def __init__(self, extent: Extent, mark: Mark, owner: Any):
+        # A part of an array may be a new object for each use.
+        while isinstance(getattr(owner, "base", None), np.ndarray):
+            owner = owner.base
+        self.extent, self.mark, self.owner = extent, mark, weakref.ref(owner)
+
+
+class _OfThread(threading.local):
+    def __init__(self) -> None:
+        self.objects: dict[int, weakref.ref] = {}
+        self.regions: dict[tuple[Extent, Mark], _Region] = {}
+
+
+_of_thread = _OfThread()
+# Memory of fields that other libraries have views of. It outlives tapes.
+_views: list[_Region] = []
+
+
+def extent_of(value: Any) -> Extent | None:
+    """The memory of an array; None for other values and for empty arrays."""
+    value = getattr(value, "array", value)
+    if isinstance(value, np.ndarray):
+        if value.size == 0:
+            return None
+        address, size = value.ctypes.data, value.itemsize
+        pairs = zip(value.shape, value.strides, strict=True)
+    elif hasattr(value, "data_ptr") and hasattr(value, "element_size"):  # a torch tensor
+        if value.numel() == 0:
+            return None
+        address, size = value.data_ptr(), value.element_size()
+        steps = (int(step) * size for step in value.stride())
+        pairs = zip(map(int, value.shape), steps, strict=True)
+    elif hasattr(value, "ctypes") and hasattr(value, "nbytes"):  # a `DeviceArray`
+        if value.nbytes == 0:
+            return None
+        address, size = value.ctypes.data, value.dtype.itemsize
+        pairs = zip((value.nbytes // size,), (size,), strict=True)
+    else:
+        return None
+    return made_of(address, size, pairs)
+
+
+def made_of(address: int, size: int, pairs: Iterable[tuple[int, int]]) -> Extent:
+    """The memory of an array, by its extents and the bytes from index to index."""
+    steps = [(n - 1, step) for n, step in pairs if n > 1 and step]
+    begin = address + sum(n * step for n, step in steps if step < 0)
+    end = address + size + sum(n * step for n, step in steps if step > 0)
+    step = math.gcd(*(step for _, step in steps)) if steps else size
+    return Extent(begin, end, step, size)
+
+
+def mark(value: Any, how: Mark = Mark.HOST) -> None:
+    """The numbers of an array, or of another object, depend on values with a gradient."""
+    extent = extent_of(value)
+    if extent is None:
+        _of_thread.objects[id(value)] = weakref.ref(value)
+    else:
+        _of_thread.regions[extent, how] = _Region(extent, how, value)
+
+
+def mark_view(field: Any, extent: Extent) -> None:
+    """Other libraries have a view of the memory of a field."""
+    _views[:] = [v for v in _views if v.owner() is not None and v.owner() is not field]
+    _views.append(_Region(extent, Mark.VIEW, field))
+
+
+def field_behind(value: Any) -> Any:
+    """The field whose memory an array is a view of, or None."""
+    extent = extent_of(value) if _views else None
+    if extent is None:
+        return None
+    for view in _views:
+        if view.extent.overlaps(extent):
+            field = view.owner()
+            if field is not None and (getattr(field, "single", None) or field).is_current():
+                return field
+    return None
+
+
+def mark_of(value: Any) -> Mark | None:
+    """The mark of an array or object of the tape that records, if it has one."""
+    known = _of_thread.objects.get(id(value))
+    if known is not None and known() is value:
+        return Mark.HOST
+    extent = extent_of(value) if _of_thread.regions else None
+    if extent is None:
+        return None
+    for region in _of_thread.regions.values():
+        if region.extent.overlaps(extent) and region.owner() is not None:
+            return region.mark
+    return None
+
+
+def has_views() -> bool:
+    """Whether other libraries have views of fields."""
+    return bool(_views)
+
+
+def is_empty() -> bool:
+    """Whether nothing is marked, so that no value need be looked up."""
+    return not (_of_thread.regions or _of_thread.objects or _views)
+
+
+def clear() -> None:
+    """The tape records no more."""
+    _of_thread.objects.clear()
+    _of_thread.regions.clear()
+
+
+at_close.append(_views.clear)
