@@ -1,4 +1,4 @@
-//===- RuntimeMicro.cpp - What the runtime adds to a kernel ---------------===//
+//===- RuntimeMicro.cpp - The runtime's time per launch -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

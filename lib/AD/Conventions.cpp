@@ -1,4 +1,4 @@
-//===- Conventions.cpp - What a program chooses at kinks ------------------===//
+//===- Conventions.cpp - Choices of derivatives at kinks ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AccessOrder.cpp - Which access follows which -----------------------===//
+//===- AccessOrder.cpp - Order of accesses --------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

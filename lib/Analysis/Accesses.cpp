@@ -1,4 +1,4 @@
-//===- Accesses.cpp - Which elements a kernel touches ---------------------===//
+//===- Accesses.cpp - Elements that a kernel touches ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Activity.cpp - Which values carry derivatives ----------------------===//
+//===- Activity.cpp - Values that carry derivatives -----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

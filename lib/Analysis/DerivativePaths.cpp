@@ -1,4 +1,4 @@
-//===- DerivativePaths.cpp - Where derivatives may pass -------------------===//
+//===- DerivativePaths.cpp - Paths of derivatives -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

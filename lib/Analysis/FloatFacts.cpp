@@ -1,4 +1,4 @@
-//===- FloatFacts.cpp - What is known about a float -----------------------===//
+//===- FloatFacts.cpp - Facts about floats --------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ValueFlows.cpp - Which values depend on which loads ----------------===//
+//===- ValueFlows.cpp - Dependence of values on loads ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

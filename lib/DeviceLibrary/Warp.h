@@ -1,4 +1,4 @@
-//===- Warp.h - What the lanes of a whole warp exchange ---------*- C++ -*-===//
+//===- Warp.h - Exchange among lanes of a warp ------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

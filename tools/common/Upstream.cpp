@@ -1,4 +1,4 @@
-//===- Upstream.cpp - What tools register of MLIR -------------------------===//
+//===- Upstream.cpp - Parts of MLIR for the tools -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Upstream.h - What tools register of MLIR -----------------*- C++ -*-===//
+//===- Upstream.h - Parts of MLIR for the tools -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Common.h - what the CUDA floors share -------------------*- C++ -*-===//
+//===- Common.h - Shared parts of the CUDA floors ---------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

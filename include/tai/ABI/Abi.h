@@ -1,4 +1,4 @@
-//===- Abi.h - What compiled kernels and the runtime share ------*- C++ -*-===//
+//===- Abi.h - ABI of kernels and runtime -----------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

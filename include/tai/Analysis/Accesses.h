@@ -1,4 +1,4 @@
-//===- Accesses.h - Which elements a kernel touches -------------*- C++ -*-===//
+//===- Accesses.h - Elements that a kernel touches --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

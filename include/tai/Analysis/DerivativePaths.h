@@ -1,4 +1,4 @@
-//===- DerivativePaths.h - Where derivatives may pass -----------*- C++ -*-===//
+//===- DerivativePaths.h - Paths of derivatives -----------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- FloatFacts.h - What is known about a float ---------------*- C++ -*-===//
+//===- FloatFacts.h - Facts about floats ------------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

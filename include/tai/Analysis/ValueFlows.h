@@ -1,4 +1,4 @@
-//===- ValueFlows.h - Which values depend on which loads --------*- C++ -*-===//
+//===- ValueFlows.h - Dependence of values on loads -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

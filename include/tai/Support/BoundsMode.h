@@ -1,4 +1,4 @@
-//===- BoundsMode.h - What happens to indices out of range ------*- C++ -*-===//
+//===- BoundsMode.h - Treatment of indices out of range ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- Skips.h - What is left out because a scene does not need it --------===//
+//===- Skips.h - Names of the work that is skipped --------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TangentFlow.cpp - Which values may have a tangent ------------------===//
+//===- TangentFlow.cpp - Values that may have a tangent -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ShadowReports.cpp - What shadow execution finds --------------------===//
+//===- ShadowReports.cpp - Reports of shadow execution --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ShadowReports.h - What shadow execution finds ------------*- C++ -*-===//
+//===- ShadowReports.h - Reports of shadow execution ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- FlowTracker.cpp - Where derivatives are cut off --------------------===//
+//===- FlowTracker.cpp - Ends of derivatives ------------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

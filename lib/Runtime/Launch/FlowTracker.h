@@ -1,4 +1,4 @@
-//===- FlowTracker.h - Where derivatives are cut off ------------*- C++ -*-===//
+//===- FlowTracker.h - Ends of derivatives ----------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- SweepSeeds.cpp - Where reverse sweeps start ------------------------===//
+//===- SweepSeeds.cpp - Starts of reverse sweeps --------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- SweepSeeds.h - Where reverse sweeps start ----------------*- C++ -*-===//
+//===- SweepSeeds.h - Starts of reverse sweeps ------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- MemoryVectors.cpp - Which vectors go to memory ---------------------===//
+//===- MemoryVectors.cpp - Chooses vectors for memory ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

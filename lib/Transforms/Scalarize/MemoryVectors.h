@@ -1,4 +1,4 @@
-//===- MemoryVectors.h - Which vectors go to memory -------------*- C++ -*-===//
+//===- MemoryVectors.h - Chooses vectors for memory -------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

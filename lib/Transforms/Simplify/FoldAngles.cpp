@@ -1,4 +1,4 @@
-//===- FoldAngles.cpp - Guards what upstream folds wrongly ----------------===//
+//===- FoldAngles.cpp - Folds atan2 before upstream does ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

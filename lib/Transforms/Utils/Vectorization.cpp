@@ -1,4 +1,4 @@
-//===- Vectorization.cpp - What LLVM may vectorise ------------------------===//
+//===- Vectorization.cpp - Limits of LLVM's vectorisation -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AdjointPlannerTest.cpp - What an adjoint is to do ------------------===//
+//===- AdjointPlannerTest.cpp - Plans of adjoints -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- AggregateAtomicsTest.cpp - What a warp adds to memory --------------===//
+//===- AggregateAtomicsTest.cpp - Combined additions of a warp ------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

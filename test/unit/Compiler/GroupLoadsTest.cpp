@@ -1,4 +1,4 @@
-//===- GroupLoadsTest.cpp - Which loads pass which stores -----------------===//
+//===- GroupLoadsTest.cpp - Loads that pass stores ------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

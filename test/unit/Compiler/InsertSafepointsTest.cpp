@@ -1,4 +1,4 @@
-//===- InsertSafepointsTest.cpp - Which loops are polled in ---------------===//
+//===- InsertSafepointsTest.cpp - Loops with safepoints -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- LaunchAccessesTest.cpp - What launches touch and adjoints need -----===//
+//===- LaunchAccessesTest.cpp - Accesses of launches ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TransposeColumnsTest.cpp - Which columns become rows ---------------===//
+//===- TransposeColumnsTest.cpp - Columns that become rows ----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

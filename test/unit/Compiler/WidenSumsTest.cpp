@@ -1,4 +1,4 @@
-//===- WidenSumsTest.cpp - Which sums are kept in f64 ---------------------===//
+//===- WidenSumsTest.cpp - Sums that are kept in f64 ----------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- BlockTrialTest.cpp - Which size of blocks stays --------------------===//
+//===- BlockTrialTest.cpp - Trials of block sizes -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

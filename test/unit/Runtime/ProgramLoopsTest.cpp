@@ -1,4 +1,4 @@
-//===- ProgramLoopsTest.cpp - What repeats in a sequence of work ----------===//
+//===- ProgramLoopsTest.cpp - Loops in a sequence of work -----------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- ProgramScheduleTest.cpp - Where steps wait for each other ----------===//
+//===- ProgramScheduleTest.cpp - Barriers between steps -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

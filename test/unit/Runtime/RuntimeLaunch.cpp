@@ -1,4 +1,4 @@
-//===- RuntimeLaunch.cpp - Launches and what kernels call -----------------===//
+//===- RuntimeLaunch.cpp - Launches and their services --------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

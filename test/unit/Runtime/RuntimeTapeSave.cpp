@@ -1,4 +1,4 @@
-//===- RuntimeTapeSave.cpp - What a tape saves before it is overwritten ---===//
+//===- RuntimeTapeSave.cpp - Values that a tape saves ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- SkipsTest.cpp - The switch of what is left out ---------------------===//
+//===- SkipsTest.cpp - The switch of skipped work -------------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TapePlanTest.cpp - What tapes record and decide, as data -----------===//
+//===- TapePlanTest.cpp - Recordings and plans of tapes -------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

@@ -1,4 +1,4 @@
-//===- TileChainsTest.cpp - Which launches share tiles --------------------===//
+//===- TileChainsTest.cpp - Launches that share tiles ---------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

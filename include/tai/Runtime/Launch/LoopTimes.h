@@ -1,4 +1,4 @@
-//===- LoopTimes.h - What the loops of a kernel cost ------------*- C++ -*-===//
+//===- LoopTimes.h - Times of a kernel's loops ------------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception

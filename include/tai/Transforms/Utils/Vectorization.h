@@ -1,4 +1,4 @@
-//===- Vectorization.h - What LLVM may vectorise ----------------*- C++ -*-===//
+//===- Vectorization.h - Limits of LLVM's vectorisation ---------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
