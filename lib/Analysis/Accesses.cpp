@@ -97,7 +97,7 @@ static LinearIndex getSum(Value value, unsigned depth) {
 }
 
 LinearIndex mlir::tai::getLinearIndex(Value value) {
-  // Deep chains are unrolled sums; a form of more terms helps nobody.
+  // Deep chains are unrolled sums; a form of more terms is of no use.
   LinearIndex sum = getSum(value, /*depth=*/16);
   llvm::erase_if(sum.terms, [](auto &term) { return term.second == 0; });
   llvm::sort(sum.terms, [](auto &lhs, auto &rhs) {
@@ -297,8 +297,8 @@ void mlir::tai::markExclusiveAtomics(FunctionOpInterface function) {
   });
   for (auto &[key, writes] : groups) {
     Operation *loop = key.first;
-    // Outside of parallel loops, and in one that runs on one thread, nobody
-    // else is there.
+    // Outside of parallel loops, and in one that runs on one thread, there are
+    // no other threads.
     auto parallel = dyn_cast_if_present<ParallelForOp>(loop);
     bool exclusive = !loop || (parallel && parallel.getSerialize());
     if (!exclusive)

@@ -77,9 +77,9 @@ static Interval getInterval(Value value) {
 }
 
 namespace {
-/// How the second of two accesses is later than the first: in the same
+/// The distance of the second of two accesses from the first: in the same
 /// iteration of all loops around both (no loop), or in a later one of a serial
-/// loop, by the same positive number of steps of all that is known to move.
+/// loop, by the same positive number of steps of all values known to move.
 struct Later {
   Operation *loop = nullptr;
   /// Values that grow by a constant, possibly negative, in each iteration.

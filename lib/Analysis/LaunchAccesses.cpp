@@ -297,7 +297,7 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
       return add(field, isSum ? Kind::Accumulate : Kind::Write,
                  atomic.getIndices());
     }
-    // Whatever else touches a field may do anything to it.
+    // Other operations on a field may have any effect on it.
     add(field, Kind::Read);
     add(field, Kind::Write);
   });

@@ -32,7 +32,7 @@ static void onFatalError(void *, const char *message, bool) {
     fatalTarget->message = message;
     std::longjmp(fatalTarget->place, 1);
   }
-  // Somebody else's error, on another thread: as if there were no handler.
+  // An error on another thread, of other code: as if there were no handler.
   errs() << "LLVM ERROR: " << message << '\n';
 }
 

@@ -72,7 +72,7 @@ static std::string formatAt(FileLineColLoc place, StringRef kind,
 static void appendDiagnostic(std::string &text, Location location,
                              StringRef kind, StringRef message) {
   text += formatAt(findFileLocation(location), kind, message);
-  // Where inlined code was called from.
+  // The place of the call of inlined code.
   location->walk([&](Location inner) {
     if (auto call = dyn_cast<CallSiteLoc>(inner))
       if (FileLineColLoc caller = findFileLocation(call.getCaller()))

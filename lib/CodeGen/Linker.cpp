@@ -109,7 +109,7 @@ Expected<Linker::Linked> Linker::link(ArrayRef<char> object,
 void Linker::unload(Library *library) {
   consumeError(session->removeJITDylib(*library));
   linked.fetch_sub(1, std::memory_order_relaxed);
-  // Names are kept until somebody looks for those that nobody uses.
+  // Unused names are kept until the next clean-up.
   constexpr uint64_t often = 256;
   if (unloaded.fetch_add(1, std::memory_order_relaxed) % often == often - 1)
     session->getSymbolStringPool()->clearDeadEntries();

@@ -19,7 +19,8 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace mlir::tai {
-/// All that there are. Never destroyed: threads may end after everything else.
+/// All objects of the class. Never destroyed: threads may end after everything
+/// else.
 struct BackgroundForks {
   std::mutex mutex;
   std::vector<Background *> all;

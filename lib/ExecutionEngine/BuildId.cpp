@@ -98,7 +98,7 @@ static std::optional<StringRef> findBuildId(StringRef notes, size_t alignment) {
   return std::nullopt;
 }
 
-/// The id that the linker gave; else one of all that nobody writes to.
+/// The id that the linker gave; else one of all memory that is never written.
 std::string Image::getId() const {
   for (const ElfW(Phdr) &segment : segments)
     if (segment.p_type == PT_NOTE)
@@ -116,7 +116,7 @@ std::string Image::getId() const {
 }
 
 namespace {
-/// All that is loaded now, and the ids of those that were asked for.
+/// All loaded libraries, and the ids of those that were asked for.
 class Images {
 public:
   /// The ids of those that hold one of these addresses, or need one of the

@@ -91,7 +91,7 @@ KernelCode::runAside(std::function<std::optional<Result>(Failure &)> step,
   return std::move(state->result);
 }
 
-/// Where the caller was interrupted, nobody else hears of the function.
+/// If the caller was interrupted, the function is not passed on.
 std::optional<Compiler::Function>
 KernelCode::keepFunction(std::optional<Compiler::Function> function) {
   std::lock_guard<std::mutex> lock(functionsMutex);

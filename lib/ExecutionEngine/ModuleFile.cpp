@@ -135,7 +135,7 @@ OwningOpRef<ModuleOp> mlir::tai::readModule(StringRef bytes,
     emitError(start, problem).attachNote() << kRemedy;
     return {};
   }
-  // Where resources lie as they were aligned when they were written.
+  // Resources keep the alignment with which they were written.
   StringRef bytecode = bytes.drop_front(kHeaderSize);
   auto aligned = llvm::WritableMemoryBuffer::getNewUninitMemBuffer(
       bytecode.size(), file, llvm::Align(64));

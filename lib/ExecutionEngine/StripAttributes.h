@@ -42,7 +42,7 @@ public:
     });
   }
 
-  /// Where the environment variable TAI_STRIP_ATTRIBUTES is set.
+  /// Added if the environment variable TAI_STRIP_ATTRIBUTES is set.
   static void addIfWanted(PassManager &manager) {
     if (const char *names = std::getenv("TAI_STRIP_ATTRIBUTES"))
       manager.addInstrumentation(std::make_unique<StripAttributes>(names));

@@ -41,7 +41,7 @@ std::vector<runtime::Access> mlir::tai::summarize(const runtime::Runtime &rt,
       if (!llvm::is_contained(summary, line))
         summary.push_back(std::move(line));
     }
-    // All that lies below a cell becomes zero, whichever field names it.
+    // All levels and fields below a cell become zero, whichever field names it.
     op.walk([&](DeactivateOp deactivate) {
       runtime::FieldPtr named = rt.findField(deactivate.getField().str());
       for (const runtime::FieldPtr &field : rt.fields()) {

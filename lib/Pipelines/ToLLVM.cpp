@@ -60,7 +60,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     if (fast)
       function.addPass(createCSEPass());
 
-    // How accumulations are done is decided while they still name fields.
+    // The form of accumulations is decided while they still name fields.
     RelaxAtomicsOptions relax;
     relax.deterministic = options.deterministic;
     function.addPass(createRelaxAtomics(relax));

@@ -53,7 +53,7 @@ template <typename M> void deleteExport(M *managed) {
   delete made;
 }
 
-/// The destructor of a capsule that nobody has taken.
+/// The destructor of a capsule that was not taken.
 template <typename M> void destroyCapsule(PyObject *capsule) {
   if (!PyCapsule_IsValid(capsule, nameOf<M>()))
     return;
@@ -123,7 +123,7 @@ template <typename M> py::dict takeFrom(const py::object &capsule) {
   if constexpr (std::is_same_v<M, ManagedVersioned>)
     readOnly = managed->flags & kReadOnly;
   result["read_only"] = readOnly;
-  // Taken: by its new name, nobody else can take it, and its end is ours.
+  // Taken: under its new name, it cannot be taken again, and we end it.
   PyObject *owner = PyCapsule_New(managed, usedNameOf<M>(), destroyTaken<M>);
   if (!owner)
     throw py::error_already_set();

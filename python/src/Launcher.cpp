@@ -32,7 +32,7 @@ namespace {
 /// or `ti.reset` has replaced.
 uint64_t generation = 1;
 
-/// How many threads record, and whether this one does.
+/// The number of threads that record, and whether this one does.
 int recordingThreads = 0;
 thread_local bool isRecordingHere = false;
 inline bool isRecording() {
@@ -171,8 +171,8 @@ struct InUse {
 
 using Specializations = std::vector<std::unique_ptr<Specialization>>;
 
-/// Drops specialisations that nobody uses. Their destructors may call Python,
-/// which must find a consistent list.
+/// Drops unused specialisations. Their destructors may call Python, which must
+/// find a consistent list.
 template <typename Predicate>
 void drop(Specializations &all, Predicate isDropped) {
   Specializations gone;

@@ -27,7 +27,7 @@ struct CallState {
   PyThreadState *released = nullptr;
   /// A signal handler has raised an exception, which is set.
   bool isInterrupted = false;
-  /// Either of them.
+  /// Whether either of them has happened.
   bool isChanged = false;
   /// The call ends an object: it raises nothing.
   bool isTeardown = false;

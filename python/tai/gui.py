@@ -272,7 +272,7 @@ class GUI:
         """Ends the program's loop over frames."""
         self.running = False
 
-    # Keys and mice: of the window of `tai.view`. Elsewhere nobody is at the keyboard.
+    # Keys and mice: of the window of `tai.view`. Elsewhere there is no keyboard.
 
     def get_events(self, *filters: Any) -> Iterator[Event]:
         """Events since the last call that match a filter; others are discarded.

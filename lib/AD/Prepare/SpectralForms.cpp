@@ -46,7 +46,7 @@ struct Chain {
   SmallVector<Value> scales;
 };
 
-/// Where the two factors of a decomposition stand in a chain.
+/// The positions of the two factors of a decomposition in a chain.
 struct Span {
   size_t first, last;
 };

@@ -110,7 +110,7 @@ AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
     before.push_back(field);
     return success();
   }
-  // A tape can bring back a field, and nobody an array.
+  // A tape can restore a field, but not an array.
   bool canRestore = field && isa<KernelOp>(plan.primal.getOperation());
   DifferentiableAccessInterface changed, earlier;
   for (DifferentiableAccessInterface read : reads)

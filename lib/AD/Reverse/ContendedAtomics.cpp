@@ -110,7 +110,7 @@ LogicalResult ContendedAtomics::check(FunctionOpInterface kernel,
   return failure(result.wasInterrupted());
 }
 
-/// How often a loop runs along one dimension, as an index.
+/// The number of iterations of a loop along one dimension, as an index.
 static CountedLoop countLoop(AdjointBuilder &b, Value iv, Value lower,
                              Value upper, Value step) {
   auto toIndex = [&](Value value) -> Value {
@@ -182,7 +182,8 @@ ContendedAtomics::countLoops(ParallelForOp loop, AtomicOp atomic) {
 // The loop, forward
 //===----------------------------------------------------------------------===//
 
-/// How often the atomic could have run before, given the indices of the loops.
+/// The number of earlier executions of the atomic at most, given the indices of
+/// the loops.
 static Value createRun(AdjointBuilder &b, const KeptValues &kept,
                        llvm::function_ref<Value(Value)> getIndex) {
   Value run = arith::ConstantIndexOp::create(b, 0);

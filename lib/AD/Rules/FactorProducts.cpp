@@ -38,7 +38,7 @@ static SvdOp getDecomposition(Value value) {
 }
 
 namespace {
-/// Where the two factors stand in a chain.
+/// The positions of the two factors in a chain.
 struct FactorFrame {
   SvdOp svd;
   size_t first, last;

@@ -29,7 +29,7 @@ Num RuleArgs::cast(Num a, unsigned i) {
 }
 
 //===----------------------------------------------------------------------===//
-// Where a partial may not be finite
+// Conditions under which a partial may not be finite
 //===----------------------------------------------------------------------===//
 
 static Value operand(RuleArgs &a, unsigned i) {

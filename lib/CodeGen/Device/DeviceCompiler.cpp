@@ -330,7 +330,7 @@ static Error checkParameters(const llvm::Function &kernel) {
   return Error::success();
 }
 
-/// How denormal numbers of 32 bits are treated, and the way that makes them
+/// The attribute for denormal numbers of 32 bits, and the value that makes them
 /// zero.
 constexpr StringLiteral kDenormalsAttrName = "denormal-fp-math-f32";
 constexpr StringLiteral kFlushing = "preserve-sign,preserve-sign";

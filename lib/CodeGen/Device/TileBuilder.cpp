@@ -253,7 +253,7 @@ void TileBuilder::emitLoads(ArrayRef<llvm::Value *> slots) {
     return;
   forEachCell(window, [&](const Cell &cell) {
     // All loads are on their way before the first one is waited for. Beyond the
-    // array any element will do: nobody asks for it.
+    // array any element will do: it is not used.
     SmallVector<llvm::Value *> values;
     for (auto [row, origin] : llvm::zip(loaded, origins)) {
       SmallVector<llvm::Value *> indices(cell.index);

@@ -27,7 +27,7 @@ using namespace llvm;
 /// that is in use for longer.
 static constexpr unsigned mostWords = 48;
 
-/// How many writes a load is compared with.
+/// The limit of the writes that a load is compared with.
 static constexpr size_t mostWrites = 128;
 
 namespace {

@@ -173,7 +173,7 @@ public:
   void divide();
 
 private:
-  /// Where a value is while other parts may need it.
+  /// The offset of a value that other parts may use.
   uint64_t getPlace(Value *value);
   Value *getAddress(IRBuilder<> &builder, Value *memory, Value *value);
   void storeTo(IRBuilder<> &builder, Value *memory, Value *value);

@@ -72,7 +72,7 @@ private:
   SmallVector<BasicBlock *> behind;
   DenseMap<const BasicBlock *, int> partOf;
   SmallVector<Function *> made;
-  /// Where values are that several parts use.
+  /// Offsets of values that several parts use.
   MapVector<Value *, uint64_t> places;
   uint64_t size = 0;
   AllocaInst *memory = nullptr;

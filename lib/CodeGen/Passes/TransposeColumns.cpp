@@ -177,7 +177,7 @@ private:
   DenseMap<Instruction *, Columns> known;
   /// Bytes from a row to the next, where they are known.
   std::map<Rows, std::optional<int64_t>> steps;
-  /// Where the first row starts.
+  /// The address of the first row.
   std::map<Rows, Value *> firstRows;
 };
 } // namespace

@@ -65,8 +65,8 @@ static bool isGridStride(const Value *value, unsigned depth = 0) {
   });
 }
 
-/// How many iterations at a time: many loads, but not more registers than let
-/// all threads of a multiprocessor be there.
+/// The number of iterations at a time: many loads, but no more registers than
+/// allow all threads of a multiprocessor to be resident.
 static unsigned chooseFactor(const BasicBlock &block) {
   unsigned size = 0, loads = 0;
   for (const Instruction &instruction : block) {

@@ -63,8 +63,8 @@ private:
 // Elements of fields
 //===----------------------------------------------------------------------===//
 
-/// How the address of an access is made up, for those who follow it; null if
-/// the program computes an index from digits of its own that could be taken for
+/// The digits of the address of an access, for later analyses; null if the
+/// program computes an index from digits of its own that could be taken for
 /// those of the field. From each index `peeled` has been taken away.
 static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
                                    ValueRange indices,

@@ -197,8 +197,8 @@ LogicalResult KernelOffload::run() {
   auto start = LLVM::ZeroOp::create(builder, loc, runtime.getPointerType());
   entry->getOperations().splice(entry->end(), body.getOperations());
   for (LLVM::CallOp array : arrays) {
-    // Nothing is copied that nobody looks at: a kernel that does nothing has no
-    // device code either.
+    // Unused arrays are not copied: a kernel that does nothing has no device
+    // code either.
     if (array.use_empty()) {
       array.erase();
     } else if (!isWritten(array.getResult())) {

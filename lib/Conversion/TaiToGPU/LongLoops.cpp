@@ -32,7 +32,7 @@ using namespace mlir::tai;
 static constexpr uint64_t kLongLoop = 20000000;
 /// The number of operations between two polls, if there are so many iterations.
 static constexpr uint64_t kBetween = 4096;
-/// And at most as many iterations, where nobody knows how long each is.
+/// And at most as many iterations, if their lengths are not known.
 static constexpr uint64_t kIterationsBetween = 16;
 /// The cost of loops that may be long, in the body of another one.
 static constexpr uint64_t kUnknown = UINT64_MAX;

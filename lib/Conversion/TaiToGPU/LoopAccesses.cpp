@@ -25,7 +25,7 @@ using namespace mlir;
 using namespace mlir::tai;
 using runtime::DeviceAccess;
 
-/// More than this is a list that nobody goes through in time.
+/// The analysis of a longer list would take too long.
 static constexpr size_t kMostAccesses = 96;
 
 std::optional<int64_t> tai::getWholeConstant(Value value) {

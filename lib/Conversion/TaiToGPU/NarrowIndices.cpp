@@ -268,7 +268,7 @@ bool Proof::run() {
     return llvm::all_of(values, [&](Value value) { return fits(value); });
   };
   for (auto kernel : module.getOps<KernelOp>()) {
-    // How large arrays are is known when they come.
+    // The sizes of arrays are known at the launch.
     if (llvm::any_of(kernel.getArgumentTypes(), llvm::IsaPred<MemRefType>))
       return fail(kernel, "how large an array is, its launch says");
     WalkResult result = kernel->walk([&](Operation *op) {

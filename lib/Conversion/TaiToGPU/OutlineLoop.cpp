@@ -404,7 +404,7 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
   Value one = math.constant(1);
-  // How large a block is for one warp, its function says.
+  // The function of a block for one warp tells its size.
   bool inWarp = loop.getInWarp();
   Value threads =
       inWarp ? one : math.constant(loop.getBlockDim().value_or(kBlockDim));

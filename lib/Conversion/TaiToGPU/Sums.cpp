@@ -21,8 +21,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// How many sums are added up one after another in the end, of a loop that one
-/// warp runs: its threads have parts of their own.
+/// The number of sums that are added up one after another in the end, in a loop
+/// that one warp runs: its threads have parts of their own.
 static int64_t getNumChunks(ParallelForOp loop) {
   if (loop.getInWarp())
     return 1;

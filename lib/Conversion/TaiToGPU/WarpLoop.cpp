@@ -381,7 +381,7 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
   }
   if (moved.empty())
     return;
-  // Results that somebody else uses.
+  // Results that other code uses.
   SmallVector<Value> used;
   for (Operation *op : moved)
     for (Value result : op->getResults())

@@ -267,7 +267,7 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
   return arith::MinSIOp::create(builder, loc, parts, limit);
 }
 
-/// Where register `i` begins: pairs take two slots.
+/// The slot at which register `i` begins: pairs take two slots.
 int64_t Accumulators::getPartialSlot(size_t i) const {
   int64_t slot = 0;
   for (const Register &sum : ArrayRef(registers).take_front(i))

@@ -36,7 +36,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 static constexpr StringLiteral kTable = "tai_rt_shadows";
-/// How often no result is to be reported for each time that one is.
+/// The number of silent results for each reported one.
 static constexpr uint32_t kRightToWrong = 100;
 
 static bool isFloat(Type type) {
@@ -104,7 +104,7 @@ private:
     return convert(value, shadowType(value.getType()));
   }
   Value getShadow(Value value);
-  /// How far the shadow lies above the value, in the type of shadows.
+  /// The distance of the shadow above the value, in the type of shadows.
   Value getError(Value value) {
     return LLVM::FSubOp::create(b, getShadow(value), extend(value));
   }

@@ -11,8 +11,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// How often no call is made for each time that one is. Registers are to be
-/// saved at the calls, and not before the tests.
+/// The number of tests without a call for each one with a call. Registers are
+/// to be saved at the calls, and not before the tests.
 static constexpr uint32_t kSilentToTold = 1000;
 /// Sites of a function that have counts of their own; 64 KiB of its stack.
 static constexpr size_t kMostCounts = 2048;

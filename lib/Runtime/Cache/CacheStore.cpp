@@ -132,8 +132,8 @@ bool makeFolders(const std::string &path) {
 }
 
 /// The first folder on the way to this one in which anybody may rename the
-/// files of others, if there is one. In a sticky folder, as /tmp is, nobody
-/// can.
+/// files of others, if there is one. In a sticky folder, as /tmp is, this is
+/// not possible.
 std::string findOpenFolder(const std::string &path) {
   char *real = realpath(path.c_str(), nullptr);
   if (!real)
@@ -200,7 +200,7 @@ int CacheStore::openFolder(std::string &reason) const {
     reason = std::strerror(errno);
     return -1;
   }
-  // A link that somebody else made could be turned elsewhere at any time.
+  // A link of another user could be turned elsewhere at any time.
   struct stat link;
   if (lstat(path.c_str(), &link) == 0 && S_ISLNK(link.st_mode) &&
       link.st_uid != geteuid()) {
@@ -254,7 +254,7 @@ std::optional<std::string> CacheStore::readEntry(const std::string &name,
                                                  const std::string_view *key,
                                                  bool &broken) const {
   broken = false;
-  // A pipe in place of the file would wait for somebody to write.
+  // A pipe in place of the file would wait for a writer.
   Descriptor file(
       openat(folderDescriptor, name.c_str(),
              O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY));

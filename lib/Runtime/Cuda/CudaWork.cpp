@@ -92,7 +92,7 @@ unsigned CudaDevice::residentBlocks(const DeviceFunction &function,
 
 Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                           const uint64_t *slots, int count) {
-  // All that the driver takes: parameters fill 4096 bytes at most.
+  // The most parameters that the driver takes: they fill 4096 bytes at most.
   constexpr int mostParameters = 512;
   void *parameters[mostParameters];
   if (__builtin_expect(count > mostParameters, false))

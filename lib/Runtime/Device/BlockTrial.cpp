@@ -10,10 +10,10 @@
 
 using namespace mlir::tai::runtime;
 
-/// How often each size is tried, of which the quickest counts.
+/// The trials of each size, of which the quickest counts.
 static constexpr size_t kRounds = 3;
 /// Launches between the last trial and the decision: the device has come there
-/// by then as a rule, so that nobody waits.
+/// by then as a rule, so that no wait is needed.
 static constexpr size_t kLaunchesBetween = 8;
 /// The factor by which another size must beat the usual one.
 static constexpr double kGain = 0.97;

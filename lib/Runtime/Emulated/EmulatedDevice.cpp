@@ -65,7 +65,7 @@ extern "C" void tai_emu_next_in_group(void) {
 }
 extern "C" void tai_emu_end_group(void) { place = group.before; }
 
-/// Where the kernel that this thread runs has been told to end.
+/// The word by which the kernel of this thread was told to end.
 static thread_local uint32_t *stoppedAt = nullptr;
 
 extern "C" void tai_emu_look(uint32_t *stop) {

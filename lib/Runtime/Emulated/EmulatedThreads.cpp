@@ -133,7 +133,7 @@ void Block::start() {
   }
 }
 
-/// Lets the warps go on of which nobody is missing.
+/// Lets the warps go on that are complete.
 bool Block::releaseWarps() {
   bool any = false;
   for (unsigned first = 0; first < size(); first += kEmulatedWarp) {

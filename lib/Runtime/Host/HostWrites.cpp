@@ -208,7 +208,8 @@ Status HostWrites::setActive(const TreePtr &tree, int64_t level, int64_t cell,
     return free;
   if (Recorder *tape = recordings.current())
     return tape->changeActivity(tree, change);
-  // Without tapes nobody asks, and a device need not be waited for.
+  // Without tapes the result is not needed, and the host does not wait for a
+  // device.
   SparseNode &node = *tree->sparseNodes()[level];
   uint64_t before = recordings.areThereTapes() ? node.lastRemoval() : 0;
   Status status = change();

@@ -15,7 +15,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// How far a float lies from its shadow, in parts of it; 1 at the most.
+/// The distance of a float from its shadow, in parts of it; 1 at the most.
 static double relativeError(double value, double error) {
   double exact = value + error;
   if (error == 0)

@@ -198,7 +198,7 @@ public:
     }
   }
 
-  /// How many cells addAround adds at most.
+  /// The most cells that addAround adds.
   int64_t numAround(int64_t reach) const {
     int64_t count = 1;
     for (const Dimension &dimension : dimensions)

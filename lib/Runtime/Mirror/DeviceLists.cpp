@@ -96,8 +96,8 @@ Status DeviceLists::find(const ActiveListPtr &list, DevicePtr &address) {
       address = known.memory + DeviceCells::cellsOffset;
       return Status::success();
     }
-  // Lists that nobody else has any more are not asked for again; the oldest of
-  // the others go.
+  // Lists without another owner are not asked for again; the oldest of the
+  // others go.
   constexpr size_t mostLists = 64;
   auto isOld = [&](const Uploaded &known) {
     bool old = (known.list.use_count() == 1 ||

@@ -17,7 +17,7 @@
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
-/// How many tiles a list of the level is made of.
+/// The number of tiles of a list of the level.
 static int64_t numTiles(const SparseNode &node) {
   int64_t units = node.info().isList ? node.numCells() / node.capacity()
                                      : (node.numCells() + 63) / 64;
@@ -234,7 +234,8 @@ void SparseMirror::touch(int64_t begin, int64_t end) {
   touched[begin] = end;
 }
 
-/// Where the bits or lengths of a level are worth a look at its marks.
+/// Whether the bits or lengths of a level are so many that its marks are looked
+/// at.
 static bool hasLongRow(const SparseNode &node) {
   return node.activityBytes() >= int64_t(1) << 20;
 }
@@ -458,7 +459,7 @@ bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
         cellLists.list(const_cast<SparseNode &>(*field.sparseNode()), cells);
   if (status && !cells)
     return false;
-  // How many there are is known there.
+  // The number of cells is known there.
   if (status)
     status = mover->fill({cells->cells(), -1}, scalarBytes);
   context.note(std::move(status));

@@ -130,7 +130,7 @@ Status DeviceQueue::endRecording(bool isSwept) {
 Status DeviceQueue::launchRecorded(Function &function, const LaunchShape &shape,
                                    const uint64_t *slots, int count) {
   Status status;
-  // Its sweep does not come, or somebody uses memory without asking.
+  // Its sweep does not come, or raw memory is in use.
   if (hasRecorded || numShared.load(std::memory_order_relaxed) > 0) {
     status = flush();
     if (status)

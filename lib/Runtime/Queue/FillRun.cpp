@@ -79,7 +79,7 @@ bool mlir::tai::runtime::isFilledAgain(const DeviceFill &earlier,
 }
 
 //===----------------------------------------------------------------------===//
-// All that follow one another
+// Adjacent fills
 //===----------------------------------------------------------------------===//
 
 bool FillRun::add(const DeviceFill &fill) {

@@ -29,7 +29,8 @@ static bool areAlike(const LoopStep &a, const LoopStep &b) {
   return a.part == b.part && a.waits == b.waits && a.numSlots == b.numSlots;
 }
 
-/// How often the steps from `first` come, one period after the other.
+/// The number of repetitions of the steps from `first`, one period after the
+/// other.
 static size_t countRepetitions(const std::vector<LoopStep> &steps, size_t first,
                                size_t period) {
   size_t same = 0;
@@ -39,7 +40,7 @@ static size_t countRepetitions(const std::vector<LoopStep> &steps, size_t first,
   return 1 + same / period;
 }
 
-/// How a parameter changes from one time around to the next.
+/// The change of a parameter from one turn to the next.
 static ProgramSlot::Kind classify(const std::vector<LoopStep> &steps,
                                   size_t first, size_t period, size_t count,
                                   size_t slot) {

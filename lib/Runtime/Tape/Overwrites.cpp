@@ -149,7 +149,7 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
     const uint64_t *args = recording.args(record);
     positions.clear();
     bool again = TapedKernel::alwaysZeroes(*kernel);
-    // An adjoint that somebody wrote may come in one form.
+    // An adjoint written by hand may have one form only.
     bool canZero = kernel->hasZeroingAdjoint();
     auto look = [&](const Repeated::Use &use) {
       Used &entry = used[use.used];

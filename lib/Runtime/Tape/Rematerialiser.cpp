@@ -163,8 +163,8 @@ Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
   return status;
 }
 
-/// How many of the snapshots, from the first on, a sweep should start with: by
-/// now their number of records is known, and others may serve better in the
+/// The number of snapshots, from the first on, that a sweep should start with:
+/// by now their number of records is known, and others may serve better in the
 /// places that the later ones take.
 int64_t Rematerialiser::bestSnapshots() const {
   int64_t count = checkpoints->count();

@@ -285,7 +285,7 @@ const std::string &Tape::explain() {
   if (planHolds(/*cleared=*/true) && tape.isDirect() &&
       tape.direct.findReverse(tape.plan, tape.forms))
     tape.report.addDirect(tape.plan.replayed().size(), "adjoints");
-  // How a device runs sequences of launches.
+  // The ways in which a device runs sequences of launches.
   if (const DeviceQueue *queue = tape.services.owner().getDeviceQueue())
     tape.report.add(queue->explain());
   return tape.report.get();

@@ -17,8 +17,8 @@ std::atomic<uint64_t> tai_rt_tick{1};
 std::atomic<unsigned> safepoint::runningHandlers{0};
 
 namespace {
-/// Counts while somebody looks: its thread ends when nobody does, and a thread
-/// that sees the tick that it leaves behind starts another one. Never
+/// Counts while threads read it: its own thread ends when they do not, and a
+/// thread that sees the tick that it leaves behind starts another one. Never
 /// destroyed, since threads may look until the very end of the process.
 class Clock {
 public:

@@ -112,7 +112,7 @@ private:
   SmallVectorImpl<int64_t> *values = nullptr;
 };
 
-/// How the body of one loop becomes iterations.
+/// Turns the body of one loop into iterations.
 class Spreading {
 public:
   Spreading(LoopBox box, int64_t count) : box(std::move(box)), count(count) {}

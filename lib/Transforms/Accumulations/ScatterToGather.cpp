@@ -676,7 +676,7 @@ static bool keepsActivity(ParallelForOp loop) {
   return kernel && kernel.getKeepsActivity();
 }
 
-/// How many cells away the iterations are that add to an element, at most; -1
+/// The largest distance in cells of the iterations that add to an element; -1
 /// if they may be anywhere.
 static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
   int64_t reach = 0;
@@ -719,7 +719,7 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
       [&](AtomicOp op) { byStorage[getStorageKey(op)].push_back(op); });
   bool changed = false;
   for (auto &[storage, atomics] : byStorage) {
-    // Additions that nobody else can meet are plain already.
+    // Additions that cannot meet others are plain already.
     if (llvm::all_of(atomics, [](AtomicOp op) { return op.getExclusive(); }))
       continue;
     FieldOp field =

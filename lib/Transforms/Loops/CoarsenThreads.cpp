@@ -60,7 +60,7 @@ constexpr int64_t kWidestTile = 32, kNarrowestTile = 8;
 constexpr int64_t kMaxLoads = 16;
 
 namespace {
-/// How one loop is cut.
+/// The strips of one loop.
 struct Strips {
   LoopBox box;
   /// Elements of a strip, and the index of the first element of the first.
@@ -174,9 +174,9 @@ static void findInterior(Strips &strips) {
   }
 }
 
-/// How far apart the elements of two iterations that follow one another are, in
-/// bytes, inside of the borders. Nothing for elements far apart; fills in the
-/// first index of the dimension.
+/// The distance of the elements of two consecutive iterations, in bytes, inside
+/// of the borders. Nothing for elements far apart; fills in the first index of
+/// the dimension.
 static std::optional<int64_t> getStride(Operation *access, Strips &strips,
                                         const FieldInfo &field,
                                         int64_t &origin) {

@@ -38,7 +38,7 @@ struct Condition {
   bool answer;
 };
 
-/// Where all conditions of a loop have one answer.
+/// The range in which all conditions of a loop have one answer.
 struct Interior {
   int64_t lower, upper;
   SmallVector<Condition> conditions;

@@ -80,7 +80,7 @@ struct PlaceAccesses {
     SmallVector<Value> indices;
     bool isSparse;
   };
-  /// Atomic updates whose result nobody uses, plain writes, and reads.
+  /// Atomic updates without a used result, plain writes, and reads.
   SmallVector<Access> updates, writes, reads;
 };
 

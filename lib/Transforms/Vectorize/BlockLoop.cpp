@@ -19,7 +19,7 @@ using namespace mlir::tai;
 /// a few registers.
 static constexpr int64_t kShortestRow = 4, kLongestRow = 64;
 
-/// How many elements apart the elements of a row may lie.
+/// The largest distance of the elements of a row, in elements.
 static constexpr int64_t kLargestStep = 4;
 
 const IndexDigit *tai::findInnermost(const FieldInfo &field,

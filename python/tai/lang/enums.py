@@ -6,7 +6,7 @@ from .._impl.fields.snode import Layout
 
 
 class AutodiffMode(Enum):
-    """How a kernel takes part in differentiation."""
+    """The way in which a kernel takes part in differentiation."""
 
     NONE = 0
     VALIDATION = 1

@@ -20,7 +20,7 @@ Row = tuple[str, str, str, Result]  # name, where in the paper, title, result
 
 
 def verdict(result: Result) -> str:
-    """How an experiment went, in a cell of a table."""
+    """The outcome of an experiment, in a cell of a table."""
     if result.status == "ok":
         return "as expected"
     word = "FAILED" if result.status == "failed" else "left out"

@@ -73,7 +73,7 @@ static bool isFloatLike(Type type) {
   return isa<FloatType>(getElementTypeOrSelf(type));
 }
 
-/// All that a kernel and the functions that it calls name.
+/// All symbols that a kernel and the functions that it calls name.
 const DenseSet<Attribute> &TapeValues::getNames(FlatSymbolRefAttr kernel) {
   auto [it, isNew] = namesOf.try_emplace(kernel);
   if (!isNew)

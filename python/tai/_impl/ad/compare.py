@@ -35,7 +35,7 @@ class GradientCheckError(TaiAutodiffError, AssertionError):
 
 @dataclass
 class FieldCheck:
-    """How the gradient of one field fared.
+    """The result of the check of one field's gradient.
 
     Attributes:
         name, dtype: of the field.

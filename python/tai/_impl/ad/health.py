@@ -109,7 +109,7 @@ class HealthReport:
 
     @property
     def first_nan(self) -> Finding | None:
-        """Where a NaN or an infinity appears first in the sweep."""
+        """The first NaN or infinity in the sweep."""
         return next((f for f in self.findings if f.kind in ("nan", "overflow")), None)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How a tape keeps the values that a reverse sweep needs: options and reports."""
+"""Options and reports on the values that a tape keeps for the reverse sweep."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def follow(inputs: Sequence[Any], all_others: bool) -> None:
 
 
 def find_lost(outputs: Sequence[Any]) -> list[str]:
-    """Where tangents got lost on the way to the outputs; to be called in forward mode."""
+    """Tangents that got lost on the way to the outputs; to be called in forward mode."""
     return get_program().context.lost_tangents(_cores_of(outputs)).splitlines()
 
 

@@ -258,7 +258,7 @@ def _fields(sweep: Sweep) -> list[FieldPrecision]:
 
 
 def _error(kind: str, f: Any, sums: dict[tuple, float]) -> float:
-    """How far the loss is off if the field is stored in a type.
+    """The expected error of the loss if the field is stored in a type.
 
     The effects of one rounding may cancel by chance; roundings to several widths do not all cancel.
     """

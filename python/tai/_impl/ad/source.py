@@ -24,7 +24,7 @@ def function_of(symbol: str | None) -> Any:
 
 
 class Place:
-    """Where a record of a tape comes from.
+    """The source location of a record of a tape.
 
     Attributes:
         kernel: name of the kernel or host function.

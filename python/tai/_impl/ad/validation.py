@@ -58,7 +58,7 @@ class Violation(NamedTuple):
 
 
 def take_violations(tape: Any) -> tuple[int, list[Violation]]:
-    """How many rules were broken in the launches of a tape, and the first of them."""
+    """The number of broken rules in the launches of a tape, and the first of them."""
     total, rows = tape.violations()
     found = []
     for kind, field, index, component, access, earlier in rows:

@@ -70,7 +70,7 @@ class Watcher:
         text = f"compiling kernel '{name}'"
         if self._done:
             text += f", {self._done} done"
-        # Somebody draws a progress bar, and puts whole lines above it: one is enough.
+        # Another program draws a progress bar, and puts whole lines above it: one is enough.
         if sys.stderr is not sys.__stderr__:
             if not self._is_shown:
                 self._write(f"{text} …\n")
@@ -105,7 +105,7 @@ _watcher = Watcher()
 
 
 def is_shown() -> bool:
-    """Whether somebody would see the line."""
+    """Whether the line would be visible."""
     if not state.options.compile_progress:
         return False
     try:

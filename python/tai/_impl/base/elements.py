@@ -14,5 +14,5 @@ class Elements:
         return f"a {type(self).__name__}"
 
     def _example(self) -> str | None:
-        """How an element of it is read, to show in a hint."""
+        """An access to one of its elements, to show in a hint."""
         return None

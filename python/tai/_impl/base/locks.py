@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class Lock(_thread.RLock):  # type: ignore[misc]  # typeshed calls it final; CPython does not
-    """A lock that a thread may take again, and that nobody holds in a forked child.
+    """A lock that a thread may take again, and that is free in a forked child.
 
     Python may call a signal handler or a finaliser between any two steps: with a plain lock, either
     would wait for the thread that it runs on. Handlers and finalisers that come in the middle of a

@@ -182,7 +182,7 @@ def bounds_of(options: Options) -> str:
     return "check" if options.debug or options.check_out_of_bound else options.bounds
 
 
-# Where the text is not that of the value; None leaves an option as it is.
+# Options whose text is not that of the value; None leaves an option as it is.
 _TEXTS: dict[str, Callable[[Options], Any]] = {
     "arch": lambda o: "interpreter" if o.arch == python else o.arch,
     "bounds": bounds_of,

@@ -39,7 +39,7 @@ class Program:
         self.num_trees = 0
         # The roots of the trees that are allocated, by symbol.
         self.trees: dict[str, Any] = {}
-        # How many tapes have been swept; losses of which it was said that they are NaN or infinite.
+        # The number of swept tapes; losses that were reported as NaN or infinite.
         self.sweeps = 0
         self.told_losses: set[str] = set()
         # Fields by symbol, for diagnostics and for clearing gradients.
@@ -47,7 +47,7 @@ class Program:
         self.kernels: weakref.WeakSet = weakref.WeakSet()
         # The place where forward mode keeps results of kernels; see `tracking.tangents`.
         self.pools: list[Any] = []
-        # Where a precision report has its derivatives; see `ad.rounding`.
+        # The derivatives of a precision report; see `ad.rounding`.
         self.probes: Any = None
         self.count_kernels_from_here()
         # Lists that sparse levels had made and reused at the last `clear_skips`.
@@ -73,7 +73,7 @@ class Program:
         self.first_kernel = state.kernels_made
 
     def kernels_defined(self) -> int:
-        """How many kernels were defined since, and those before that are in use."""
+        """The number of kernels defined since, and of earlier ones in use."""
         earlier = sum(kernel.number < self.first_kernel for kernel in snapshot(self.kernels))
         return state.kernels_made - self.first_kernel + earlier
 

@@ -113,7 +113,7 @@ def _context() -> Any:
 
 
 def shadow_report() -> ShadowReport:
-    """Where digits were lost since `ti.init(shadow=True)` or the last `clear_shadow_report`.
+    """The lines that lost digits since `ti.init(shadow=True)` or `clear_shadow_report`.
 
     See docs/shadow.md.
     """

@@ -81,7 +81,7 @@ def skips() -> Skips:
 
 
 def _lists(program: Any) -> dict[Any, tuple[int, int]]:
-    """How many lists of active cells each sparse level has made and reused."""
+    """The numbers of lists of active cells that each sparse level has made and reused."""
     found = {}
     roots = {field.level.root_node for field in program.fields.values() if field.level}
     for root in roots:

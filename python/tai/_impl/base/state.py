@@ -16,7 +16,7 @@ from typing import Any
 options: Any = None
 # The program, made at the first use.
 program: Any = None
-# How many kernels have been defined.
+# The number of kernels that have been defined.
 kernels_made: int = 0
 
 

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from ... import errors
 from .locks import Lock
 
-# How many names that were given back are looked at for each one that is taken: more than one, so
-# that none are left behind.
+# The number of returned names that are looked at for each one that is taken: more than one, so that
+# none are left behind.
 _LOOKS = 4
 
 

@@ -25,7 +25,7 @@ _BLOCKS = (ast.stmt, ast.excepthandler, ast.match_case)
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef
 
-# How many texts of one file are kept besides those that functions were noted with.
+# The number of texts of one file that are kept besides those that functions were noted with.
 _MOST_TEXTS = 8
 
 _FEATURES = functools.reduce(

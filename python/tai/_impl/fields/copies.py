@@ -72,7 +72,7 @@ def store_component(target: Any, value: Any) -> bool:
     """Stores numbers of Python to a component of a vector field, and only there.
 
     Returns:
-        False where nobody follows: the whole field may be written.
+        False if the copy is not followed: the whole field may be written.
     """
     if not is_followed(target) or not target.dtype.is_float:
         return False

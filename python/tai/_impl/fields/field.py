@@ -121,7 +121,7 @@ class Field(Elements, Shareable):
                 what = "gradient" if self.role == "grad" else "dual"
                 first = f"make it with needs_{self.role}=True"
                 if getattr(self.primal, f"needs_{self.role}", False):
-                    # Where it is, nobody has said: the field was placed by hand.
+                    # The place is not known: the field was placed by hand.
                     first = f"place it too: level.place({of}, {of}.{self.role})"
                 raise TaiAutodiffError(
                     f"field '{of}' has no {what}",

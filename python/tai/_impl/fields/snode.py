@@ -308,7 +308,7 @@ class SNode:
 
     @property
     def _offset_bytes_in_parent_cell(self) -> int:
-        """Where the first of these cells lies in the cell above."""
+        """The offset of the first of these cells in the cell above."""
         return offsets.offset_in_parent(self)
 
     @property
@@ -447,7 +447,7 @@ class SNode:
 
 
 class Place(SNode):
-    """Where a field stands in a cell: the end of the path from the root.
+    """The place of a field in a cell: the end of the path from the root.
 
     A loop over a place, and a query of its activity, refer to the level that holds it.
     """
@@ -567,7 +567,7 @@ class Root(SNode):
             field.declare(program, self.tree)
 
     def _undo(self, program: Program) -> None:
-        """As if nobody had begun to allocate it."""
+        """Restores the state before the allocation."""
         for field in self.places():
             field.release()
             if field.symbol is not None:
@@ -693,7 +693,7 @@ class SNodeTree:
 
 
 class Layout:
-    """How the components of a vector or matrix field are stored."""
+    """The storage order of the components of a vector or matrix field."""
 
     AOS = "aos"
     SOA = "soa"

@@ -136,7 +136,7 @@ class Context:
 
     @property
     def depth_below_top(self) -> int:
-        """How many regions enclose the operations that are made, besides those of returns."""
+        """The number of regions around new operations, besides those of returns."""
         return self.depth - self.top_depth
 
     @property

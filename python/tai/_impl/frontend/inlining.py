@@ -18,7 +18,7 @@ from .scope import Bound, Frame
 from .source import function_ast
 from .structs import Reference, StructPlace, StructValue, StructVariable, as_struct_value
 
-# How deep functions may call one another, and one of them itself.
+# The limits of nested calls of functions, and of calls of one of them by itself.
 _MAX_INLINE_DEPTH = 400
 _MAX_RECURSION = 50
 

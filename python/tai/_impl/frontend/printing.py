@@ -19,7 +19,7 @@ from .expressions import Expressions
 from .refs import ArrayArgument, Place
 from .structs import StructValue
 
-# Where the runtime puts a value.
+# The mark of a value in a text for the runtime.
 _PLACE = re.compile(r"\{(?::([^}]*))?\}")
 
 

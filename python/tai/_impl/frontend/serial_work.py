@@ -11,7 +11,7 @@ from ...errors import TaiCompilationWarning
 from ..values.value import Value
 from .context import Context, Part
 
-# From as many operations on, one after another, somebody may wonder whether a GPU's thread ends.
+# From as many operations on, one after another, a user may wonder whether a GPU's thread ends.
 # Three million with their gradient took less than half a second on an H100.
 _LONG = 1e7
 # Loops of as many iterations are no work for a GPU.

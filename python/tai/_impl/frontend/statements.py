@@ -104,7 +104,7 @@ class Statements(Part):
     ) -> None:
         """Compiles statements that run only if no earlier one has left the body."""
         is_dead = self.regions.branch(running, self.as_top(action), None, rest, node)[0]
-        # Either it was left before, or it is left there.
+        # The body was left before, or it is left there.
         self.context.is_dead = is_dead
 
     def as_top(self, action: Callable[[], None]) -> Callable[[], None]:

@@ -36,7 +36,7 @@ _LEAVES = (bool, int, float, complex, str, bytes, type(None), np.generic, np.nda
 # Attributes of an array that say nothing of its elements.
 ARRAY_FORM = ("shape", "ndim", "size", "dtype")
 
-# How often a kernel is compiled for attributes that change until it says so.
+# The number of compilations for changing attributes after which a kernel warns.
 _MANY = 16
 
 
@@ -171,7 +171,7 @@ def warn_of_many(name: str, variants: list[Any]) -> None:
 
 
 def _outside() -> int:
-    """How many calls above its own caller the code of the program stands."""
+    """The number of calls between its own caller and the code of the program."""
     level = 1
     frame: FrameType | None = sys._getframe(1)
     while frame is not None and frame.f_globals.get("__name__", "").split(".")[0] == "tai":

@@ -14,7 +14,7 @@ from ..base.locks import Lock, snapshot
 
 
 class Gradient:
-    """Where the gradient of one value adds up.
+    """The sum of the gradient of one value.
 
     Attributes:
         shape: that of the value.
@@ -79,7 +79,7 @@ class Gradient:
 # All variables, and all arrays with a gradient, which clearing gradients clears.
 _variables: weakref.WeakSet = weakref.WeakSet()
 _arrays: weakref.WeakSet = weakref.WeakSet()
-# Sets do not like to grow while somebody goes through them.
+# A set must not grow while another thread goes through it.
 _lock = Lock()
 
 

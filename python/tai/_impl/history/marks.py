@@ -20,7 +20,7 @@ from ..base.program import at_close
 
 
 class Mark(Enum):
-    """Where the numbers come from."""
+    """The origin of the numbers."""
 
     KERNEL = 1  # a recorded kernel has stored them
     HOST = 2  # Python has computed them

@@ -19,7 +19,7 @@ _RECIPE = "torch.autograd.Function, see docs/gpu.md"
 def check_leaf(value: Any, what: str) -> None:
     """Refuses a tensor that torch computed, where a launch is differentiated by it.
 
-    Its gradient would be added to a `grad` that torch passes on to nobody.
+    Its gradient would be added to a `grad` that torch does not pass on.
 
     Args:
         value: an argument of a launch.

@@ -75,7 +75,7 @@ class Kernel(native.Launcher):
         try:
             return self._launch(self, args, kwargs, False)
         except TaiError as error:
-            # How the compiler came there says nothing about the program.
+            # The compiler's own traceback says nothing about the program.
             raise error if SHOW_TRACEBACK else error.with_traceback(None)  # noqa: B904
 
     def _launch(self, launcher: Any, args: tuple, kwargs: dict, grad: bool) -> Any:

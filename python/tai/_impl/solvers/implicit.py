@@ -20,7 +20,7 @@ from .operators import Operator, check_unknown, scratch
 from .report import Caller, SolveInfo
 from .vectors import get_kernels
 
-# How often Newton's method halves a step before it gives up.
+# The number of times that Newton's method halves a step before it gives up.
 _HALVINGS = 30
 
 
@@ -54,7 +54,7 @@ def implicit(
         args: more arguments of the kernel.
 
     Returns:
-        How it ended. Where it did not converge there is a `TaiConvergenceWarning`.
+        How it ended. If it did not converge, there is a `TaiConvergenceWarning`.
     """
     solver = "ti.ad.implicit"
     check_unknown(x, "the fixed point", solver)
@@ -122,7 +122,7 @@ def newton(
         args: more arguments of the kernel.
 
     Returns:
-        How it ended. Where it did not converge there is a `TaiConvergenceWarning`.
+        How it ended. If it did not converge, there is a `TaiConvergenceWarning`.
     """
     solver = "ti.linalg.newton"
     check_unknown(x, "the solution", solver)

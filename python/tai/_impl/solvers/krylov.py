@@ -15,7 +15,7 @@ from .vectors import get_kernels
 
 
 class Progress(NamedTuple):
-    """How an iteration ended: `reason` says why it stopped before the tolerance, or is empty."""
+    """The end of an iteration: `reason` says why it stopped before the tolerance, or is empty."""
 
     iterations: int
     residual: float

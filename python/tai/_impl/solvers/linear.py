@@ -76,7 +76,7 @@ def cg(
         args: more arguments of the kernel.
 
     Returns:
-        How it ended. Where it did not converge there is a `TaiConvergenceWarning`.
+        How it ended. If it did not converge, there is a `TaiConvergenceWarning`.
     """
     return _solve(
         "ti.linalg.cg", conjugate_gradients, apply, b, x, tol, max_iterations, args

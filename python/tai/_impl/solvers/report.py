@@ -34,7 +34,7 @@ _HINTS = {
 
 @dataclass
 class SolveInfo:
-    """How a solver ended.
+    """The result of a solver.
 
     Attributes:
         iterations: the number of iterations.

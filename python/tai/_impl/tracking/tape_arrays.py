@@ -268,7 +268,7 @@ class _Watched:
 
 
 def _version(tensor: Any) -> int | None:
-    """How often torch has changed a tensor in place; None where nobody counts."""
+    """The number of in-place changes of a tensor by torch; None if they are not counted."""
     try:
         return tensor._version
     except (AttributeError, RuntimeError):  # of an inference tensor
@@ -390,7 +390,7 @@ class TapeArrays:
         return held.launched
 
     def _check_version(self, value: Any) -> int | None:
-        """How often its library has changed a tensor, which must not be now."""
+        """The number of changes of a tensor by its library, which must not change now."""
         version = _version(value)
         if version is not None:
             known = self._tensors.setdefault(id(value), [value, version])

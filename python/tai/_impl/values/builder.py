@@ -30,7 +30,7 @@ FAIL_INDEX = 2
 # In `static_position`, the place of an index that is an operand.
 _DYNAMIC = -(2**63)
 
-# How `memref.atomic_rmw` combines, by number.
+# The combinations of `memref.atomic_rmw`, by number.
 _ARRAY_ATOMICS = {
     "addf": 0, "addi": 1, "andi": 2, "assign": 3, "maximumf": 4, "maxnumf": 5, "maxs": 6, "maxu": 7,
     "minimumf": 8, "minnumf": 9, "mins": 10, "minu": 11, "mulf": 12, "muli": 13, "ori": 14,
@@ -73,7 +73,7 @@ class Builder:
         return self._attribute(f"{number} : i64")
 
     def _sizes(self, *sizes: int) -> Any:
-        """How many operands belong to each group."""
+        """The number of operands of each group."""
         return self._attribute(f"array<i32: {', '.join(map(str, sizes))}>")
 
     def _position(self, position: Sequence[int]) -> dict[str, Any]:
@@ -318,7 +318,7 @@ class Builder:
     # Arrays of the caller
 
     def extent(self, array: Handle, dimension: Handle) -> Handle:
-        """How long an array is along a dimension, as an index."""
+        """The length of an array along a dimension, as an index."""
         return self._op("memref.dim", [array, dimension], [self.type("index")])
 
     def load_from_array(self, array: Handle, indices: Sequence[Handle], type_: Type) -> Handle:

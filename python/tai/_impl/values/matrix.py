@@ -64,7 +64,7 @@ class Matrix:
 
     @classmethod
     def _wrap(cls, array: np.ndarray) -> Any:
-        """A matrix around an array that nobody else uses; a number for no dimension."""
+        """A matrix around an array that has no other user; a number for no dimension."""
         if np.ndim(array) == 0:
             return array.item() if isinstance(array, (np.generic, np.ndarray)) else array
         made = object.__new__(Vector if array.ndim == 1 else Matrix)
