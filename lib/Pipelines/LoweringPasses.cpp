@@ -34,7 +34,7 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
   // Helpers go into the kernels that call them.
   addInliner(pm);
 
-  // Nothing that folds runs before.
+  // No pass that folds may run before.
   pm.addPass(createFoldAngles());
 
   // On the program as it was written: a report names the index that the program

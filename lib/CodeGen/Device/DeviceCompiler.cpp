@@ -168,7 +168,7 @@ DeviceCompiler::create(const DeviceTarget &target,
     return createStringError("no code generator for NVIDIA GPUs: %s",
                              message.c_str());
   llvm::TargetOptions targetOptions;
-  // Said for each operation in the PTX, too: ptxas would fuse by itself.
+  // PTX repeats it for each operation, since ptxas would fuse by itself.
   targetOptions.AllowFPOpFusion = options.contract || options.fastMath
                                       ? llvm::FPOpFusion::Fast
                                       : llvm::FPOpFusion::Strict;

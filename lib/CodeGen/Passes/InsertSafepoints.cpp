@@ -28,7 +28,7 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-/// By its type, which is the same at all levels.
+/// The type of the function tells, which is the same at all levels.
 bool mlir::tai::mayReturnEarly(const Function &function) {
   llvm::FunctionType *type = function.getFunctionType();
   if (type->isVarArg())

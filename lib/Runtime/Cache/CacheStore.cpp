@@ -117,7 +117,7 @@ bool makeFolders(const std::string &path) {
     at = path.find('/', at);
     std::string part = path.substr(0, at);
     if (mkdir(part.c_str(), 0700) != 0 && errno != EEXIST && errno != EISDIR) {
-      // A folder above may exist and not be ours to write.
+      // A folder above may exist without being writable.
       int why = errno;
       struct stat info;
       if (stat(part.c_str(), &info) != 0) {

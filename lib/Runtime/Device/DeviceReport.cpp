@@ -39,7 +39,7 @@ struct Record {
   std::vector<int32_t> kinds, shapes;
   std::string text, where;
 
-  /// False where the bytes are no record.
+  /// Returns false if the bytes are no record.
   bool parse(const char *bytes, uint64_t available);
   std::string format();
 

@@ -100,7 +100,7 @@ Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
       (isExported() || writes++ < few + accessesWorth(tree.bytes()))) {
     pristine = false;
     ++changes;
-    // Where both are current, both stay so.
+    // If both copies are current, both are written.
     if (onHost())
       std::memcpy(tree.base() + offset, from, static_cast<size_t>(bytes));
     Status status = device().fill(at(offset), from, static_cast<int>(bytes), 1);

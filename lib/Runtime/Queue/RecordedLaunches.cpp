@@ -168,8 +168,9 @@ void RecordedLaunches::judge(const Outcome &outcome) {
   }
   if (outcome.chosenMs < 0 || wish == Wish::Always)
     return;
-  // While launches are collected, the device does nothing. Launched at once, it
-  // runs them meanwhile, and only its lead over the host comes after.
+  // While launches are collected, the device does nothing. Launched one by one,
+  // they run meanwhile, and only the device's time beyond that of the host is
+  // left.
   auto launches = double(entry.items.size());
   double share = launches / std::max(double(outcome.steps), launches);
   double deviceNs = 1e6 * outcome.chosenMs * share;

@@ -130,7 +130,7 @@ Value Instrumentation::createComponent(const Shadow &shadow, ValueRange indices,
 }
 
 /// The parallel loop around the access, as a number that no other loop of any
-/// launch has, and which iteration of it runs.
+/// launch has, and the number of the running iteration.
 std::pair<Value, Value> Instrumentation::getIteration(Operation *access) {
   Operation *loop = getEnclosingParallelLoop(access);
   int64_t number = loops.insert({loop, loops.size() + 1}).first->second;

@@ -31,7 +31,7 @@ LLVM::AliasScopeAttr FieldTable::makeScope(StringRef id) {
 
 FailureOr<const FieldInfo *> FieldTable::lookup(Operation *user,
                                                 FlatSymbolRefAttr name) {
-  // A module inside may have another field of the name.
+  // A nested module may have another field of the same name.
   if (SymbolTable::getNearestSymbolTable(user) != symbols.getOp())
     return user->emitOpError("stands in a nested module, whose fields are not "
                              "lowered with those outside");

@@ -224,7 +224,7 @@ bool Checker::isFree(const PlaceAccesses &place) {
   auto meets = [&](const Access &a, const Access &b) {
     return mayReach(a.indices, b.indices);
   };
-  // Each has elements of its own, where both are.
+  // Each has elements of its own, if it has both accesses.
   auto isOwn = [&](const Access &write, const Access &other) {
     return !meets(write, other) ||
            (areProvablyEqual(write.indices, other.indices) &&

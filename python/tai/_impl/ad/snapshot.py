@@ -46,7 +46,7 @@ class Snapshot(native.WithBlock):
                 trees.add(f.level.root_node.tree)
             elif f.role == "grad" and array.any():
                 self._others.append((f, array))
-        # Both at once: Ctrl-C in between would put back other arrays than those of the fields.
+        # Both at once: after an interrupt in between, the arrays would not be those of the fields.
         self._fields, self._kept = [f for f, _ in kept], [array for _, array in kept]
         self._activity.limit(trees)
         self.is_limited = True
