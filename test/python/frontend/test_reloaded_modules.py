@@ -196,6 +196,21 @@ def test_factory_of_an_edited_file_is_refused_or_right(modules):
     assert module.make(1)() == 2
 
 
+def test_class_in_a_function_is_no_other_text(modules):
+    """Its qualified name is a constant, and depends on the functions around."""
+    text = """
+        def make():
+            @ti.kernel
+            def answer() -> ti.i32:
+                class Inner:
+                    pass
+                return 1
+            return answer
+    """
+    with pytest.raises(ti.TaiSyntaxError, match="kernels have no class definitions"):
+        modules.load("sim_class", text).make()()
+
+
 def test_two_modules_of_one_name(modules, tmp_path):
     loaded = []
     for number in (1, 22):

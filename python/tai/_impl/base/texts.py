@@ -255,10 +255,16 @@ def _are_same(code: CodeType, other: CodeType) -> bool:
 def _are_same_constants(one: Any, other: Any) -> bool:
     if isinstance(one, CodeType) and isinstance(other, CodeType):
         return _are_same(one, other)
-    # The text tells -0.0 from 0.0, and the order of a set means nothing.
+    # The order of a set means nothing.
     return type(one) is type(other) and (
-        one == other if isinstance(one, frozenset) else repr(one) == repr(other)
+        one == other if isinstance(one, frozenset) else _shown(one) == _shown(other)
     )
+
+
+def _shown(constant: Any) -> str:
+    """A constant as text, which tells -0.0 from 0.0; of the qualified name of a class in the
+    function, the part that does not depend on what is around it."""
+    return repr(constant).rsplit("<locals>.", 1)[-1]
 
 
 def _has_all_of(code: CodeType, other: CodeType) -> bool:
@@ -274,4 +280,4 @@ def _parts(code: CodeType) -> Iterator[tuple]:
         if isinstance(constant, CodeType):
             yield from _parts(constant)
         else:
-            yield ("constant", repr(constant))
+            yield ("constant", _shown(constant))
