@@ -8,13 +8,15 @@
 // Looks for two points i != j of the box of a parallel loop with lhs(i) ==
 // rhs(j). Indices are linear forms in which at most one loop index occurs, so
 // that each dimension of the box can be solved for itself; anything else is not
-// proven.
+// proven. Conditions around an access narrow its box, where they compare an
+// index with a constant; under any other one, nothing is proven.
 //
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/Races.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
+#include "tai/Analysis/SharedElements.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -88,34 +90,49 @@ static bool addEquation(LoopBox &box, const LinearIndex &lhs,
          Unknown::set(unknowns[bDim].j, constant / bFactor);
 }
 
-/// True if one dimension has a solution in [lower, upper); sets `differ` if
-/// there is one with i != j.
-static bool solve(Unknown unknown, int64_t lower, int64_t upper, bool &differ) {
-  auto isInside = [&](std::optional<int64_t> value) {
-    return !value || (*value >= lower && *value < upper);
-  };
+namespace {
+/// The numbers from `lower` on, below `upper`.
+struct Interval {
+  int64_t lower, upper;
+
+  bool contains(int64_t value) const { return value >= lower && value < upper; }
+};
+} // namespace
+
+/// True if one dimension has a solution with i and j in their ranges; sets
+/// `differ` if there is one with i != j.
+static bool solve(Unknown unknown, Interval is, Interval js, bool &differ) {
+  if (is.lower >= is.upper || js.lower >= js.upper)
+    return false;
   if (unknown.difference) {
     int64_t difference = *unknown.difference;
     if (unknown.i && !Unknown::set(unknown.j, *unknown.i + difference))
       return false;
     if (unknown.j && !Unknown::set(unknown.i, *unknown.j - difference))
       return false;
-    if (std::abs(difference) >= upper - lower)
-      return false;
     differ |= difference != 0;
-  } else if (unknown.i && unknown.j) {
-    differ |= *unknown.i != *unknown.j;
-  } else {
-    differ |= upper - lower >= 2;
+    if (unknown.i)
+      return is.contains(*unknown.i) && js.contains(*unknown.j);
+    return std::max(is.lower, js.lower - difference) <
+           std::min(is.upper, js.upper - difference);
   }
-  return upper > lower && isInside(unknown.i) && isInside(unknown.j);
+  if (unknown.i && !is.contains(*unknown.i))
+    return false;
+  if (unknown.j && !js.contains(*unknown.j))
+    return false;
+  if (unknown.i)
+    is = {*unknown.i, *unknown.i + 1};
+  if (unknown.j)
+    js = {*unknown.j, *unknown.j + 1};
+  differ |= is.upper - is.lower >= 2 || js.upper - js.lower >= 2 ||
+            is.lower != js.lower;
+  return true;
 }
 
 Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
                                DifferentiableAccessInterface rhs) {
-  // Under a condition, or in a loop, an access may not run at all.
-  auto loop = dyn_cast_if_present<ParallelForOp>(lhs->getParentOp());
-  if (!loop || loop.getSerialize() || rhs->getParentOp() != loop)
+  auto loop = dyn_cast_if_present<ParallelForOp>(getEnclosingParallelLoop(lhs));
+  if (!loop || loop.getSerialize() || getEnclosingParallelLoop(rhs) != loop)
     return nullptr;
   ValueRange lhsParts = lhs.getAccessComponents();
   ValueRange rhsParts = rhs.getAccessComponents();
@@ -138,10 +155,14 @@ Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
   std::optional<LoopBox> box = getConstantBox(loop);
   if (!box || box->lower.size() != unknowns.size())
     return nullptr;
+  // Under a condition, or in a loop, an access may not run at all.
+  LoopBox other = *box;
+  if (!narrowToAccess(lhs, *box) || !narrowToAccess(rhs, other))
+    return nullptr;
   bool differ = false;
-  for (auto [unknown, lower, upper] :
-       llvm::zip(unknowns, box->lower, box->upper))
-    if (!solve(unknown, lower, upper, differ))
+  for (size_t dim = 0; dim != unknowns.size(); ++dim)
+    if (!solve(unknowns[dim], {box->lower[dim], box->upper[dim]},
+               {other.lower[dim], other.upper[dim]}, differ))
       return nullptr;
   return differ ? loop.getOperation() : nullptr;
 }

@@ -113,6 +113,32 @@ static LogicalResult widenArithmetic(ModuleOp module, KernelOp kernel,
   return failures.fail(std::move(failure));
 }
 
+/// Updates of elements that iterations share become atomic, or are refused, in
+/// the kernel as it was written. A program that asks for one thread has its
+/// iterations in order.
+static LogicalResult recognizeReductions(ModuleOp module, KernelOp kernel,
+                                         bool oneThread, FailureLog &failures) {
+  bool isParallel = kernel
+                        .walk([](ParallelForOp loop) {
+                          return loop.getSerialize() ? WalkResult::advance()
+                                                     : WalkResult::interrupt();
+                        })
+                        .wasInterrupted();
+  if (!isParallel)
+    return success();
+  auto populate = [&](OpPassManager &manager) {
+    manager.addPass(createInlinerPass({}, [](OpPassManager &) {}));
+    RecognizeReductionsOptions reductions;
+    reductions.oneThread = oneThread;
+    manager.addPass(createRecognizeReductions(reductions));
+  };
+  Failure failure;
+  if (succeeded(runPasses(module, populate, "recognising reductions",
+                          FailureKind::Type, failure)))
+    return success();
+  return failures.fail(std::move(failure));
+}
+
 static LogicalResult verifyModule(ModuleOp module, FailureLog &failures) {
   DiagnosticCollector collector(module.getContext());
   if (succeeded(verify(module)))
@@ -145,9 +171,16 @@ FailureOr<MadeKernel> mlir::tai::makeKernel(const KernelServices &services,
       failed(checkAdjoints(*module, modes, failures)))
     return failure();
   FailureOr<CompileOptions> options = getOwnOptions(op, given, failures);
-  if (failed(options) || failed(clampIndices(*module, *options, failures)) ||
+  if (failed(options) ||
+      failed(recognizeReductions(
+          *module, op, !given.device && services.rt.options().threads == 1,
+          failures)) ||
+      failed(clampIndices(*module, *options, failures)) ||
       failed(widenArithmetic(*module, op, failures)))
     return failure();
+
+  if (options->debug)
+    op->setAttr(kCheckUpdatesAttrName, UnitAttr::get(op.getContext()));
 
   Failure problem;
   FailureOr<runtime::CallerAdjoints> adjoints = getCallerAdjoints(op, problem);

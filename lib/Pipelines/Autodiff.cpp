@@ -18,6 +18,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
                                 const AutodiffOptions &options) {
   // Helpers go into the kernels that call them: a call hides their reads.
   addInliner(pm);
+  pm.addPass(createRecognizeReductions());
   addPerFunction(pm, [](OpPassManager &function) {
     // Values instead of variables, so that the later passes see dependences.
     function.addPass(createEliminateLocals());
@@ -68,6 +69,7 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
 
 void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {
   addInliner(pm);
+  pm.addPass(createRecognizeReductions());
   addPerFunction(pm, [](OpPassManager &function) {
     function.addPass(createEliminateLocals());
     addCanonicalization(function);

@@ -33,6 +33,9 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
 
   // Helpers go into the kernels that call them.
   addInliner(pm);
+  RecognizeReductionsOptions reductions;
+  reductions.checks = true;
+  pm.addPass(createRecognizeReductions(reductions));
 
   // No pass that folds may run before.
   pm.addPass(createFoldAngles());

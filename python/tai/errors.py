@@ -194,6 +194,7 @@ _IN_PYTHON = {
         "ti.loop_config(serialize=True)"
     ),
     "accumulate with 'tai.atomic add'": "accumulate by +=",
+    "or update it by one operation": "or update it by one operation, or by ti.atomic_…,",
     "a field with 'tai.atomic add'": "a field by +=",
     "on one thread ('serialize')": "on one thread: ti.loop_config(serialize=True)",
 }

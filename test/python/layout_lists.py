@@ -23,7 +23,6 @@ TANGENTS = "tangents of cells that the sweep brings back are refused"
 ONE_TREE = "the text names one dense tree"
 
 DENSE_ALONE = {
-    "test_atomic_gradients": {"test_a_product_that_is_no_atomic_is_refused": REFUSED},
     "test_bounds": {"test_what_is_known_costs_nothing": CELLS, "test_wrong_guard": CELLS},
     "test_custom_gradients": {"test_the_gradient_of_a_kernel_inside_of_the_gradient": REFUSED},
     "test_devices": {"test_out_of_memory_names_the_trees": ONE_TREE},

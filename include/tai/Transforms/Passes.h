@@ -16,6 +16,10 @@
 
 namespace mlir::tai {
 
+/// On a kernel: updates of elements that its iterations may share are checked
+/// when it runs.
+constexpr llvm::StringLiteral kCheckUpdatesAttrName = "tai.check_updates";
+
 #define GEN_PASS_DECL
 #define GEN_PASS_REGISTRATION
 #include "tai/Transforms/Passes.h.inc"

@@ -518,6 +518,58 @@ def VectorizeBlocks : Pass<"tai-vectorize-blocks"> {
                            "::mlir::tai::TaiRTDialect"];
 }
 
+def RecognizeReductions : Pass<"tai-recognize-reductions", "::mlir::ModuleOp"> {
+  let summary = "make updates of elements that iterations share atomic";
+  let description = [{
+    Where an iteration of a parallel loop loads an element, combines it with a
+    value and stores it, and other iterations may do so with the same element,
+    the load and the store become a `tai.atomic` (`memref.atomic_rmw` in an
+    array), if the combination is one of those that atomics have: sums and
+    differences, products, minima, maxima, `and`, `or`, `xor`. It may be written
+    in several steps, under a condition, by a select, by a branch that yields
+    the new value, and, for minima and maxima, by a comparison of the value with
+    the element and a branch around the store. Elements that no other iteration
+    reaches keep their loads and stores.
+
+    ```mlir
+    tai.parallel_for (%i) in @x {
+      %0 = tai.load @x[%i] : f32
+      %1 = tai.load @most[] : f32
+      %2 = arith.cmpf ogt, %0, %1 : f32
+      scf.if %2 {
+        tai.store %0, @most[] : f32
+      }
+    }
+    // becomes
+    tai.parallel_for (%i) in @x {
+      %0 = tai.load @x[%i] : f32
+      %1 = tai.atomic max %0, @most[] : f32
+    }
+    ```
+
+    The pass fails at a store that remains although all iterations of a loop, or
+    all that satisfy a condition other than an equality, update the same
+    element: the result would depend on their order. With `one-thread`, the loop
+    runs in order instead (`serialize`). Stores to elements of which that is not
+    certain, because their indices depend on data, remain as they are. With
+    `checks`, those of kernels with the attribute `tai.check_updates` get a
+    `tai.assert` that no two iterations come to one element, and an array of the
+    kernel with the number of an iteration for each element.
+
+    Calls hide accesses: run `inline` first. Kernels that are adjoints or
+    tangents of others are left alone.
+  }];
+  let options = [
+    Option<"oneThread", "one-thread", "bool", /*default=*/"false",
+           "Run loops whose updates depend on the order of iterations in order">,
+    Option<"checks", "checks", "bool", /*default=*/"false",
+           "Check at run time what is not certain, in kernels that ask for it">,
+  ];
+  let dependentDialects = ["::mlir::arith::ArithDialect",
+                           "::mlir::memref::MemRefDialect",
+                           "::mlir::scf::SCFDialect"];
+}
+
 def RelaxAtomics : Pass<"tai-relax-atomics"> {
   let summary = "choose a strategy for each accumulation of a parallel loop";
   let description = [{

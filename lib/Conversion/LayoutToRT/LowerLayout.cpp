@@ -297,6 +297,11 @@ static Value emitArrayPointer(OpBuilder &builder, Location loc, Value array,
   return emitPointer(builder, loc, getStorageType(scalar), base, offset);
 }
 
+static bool isProduct(arith::AtomicRMWKind kind) {
+  return kind == arith::AtomicRMWKind::mulf ||
+         kind == arith::AtomicRMWKind::muli;
+}
+
 /// The atomic instruction for a kind; LLVM has none for products.
 static std::optional<LLVM::AtomicBinOp>
 toAtomicBinOp(arith::AtomicRMWKind kind) {
@@ -343,6 +348,9 @@ static Value emitAccess(OpBuilder &builder, memref::StoreOp op, Value pointer,
 
 static Value emitAccess(OpBuilder &builder, memref::AtomicRMWOp op,
                         Value pointer, AliasScopes scopes) {
+  if (isProduct(op.getKind()))
+    return emitAtomicUpdate(builder, op.getLoc(), AtomicKind::Mul,
+                            op.getValue(), pointer, scopes);
   auto update = LLVM::AtomicRMWOp::create(
       builder, op.getLoc(), *toAtomicBinOp(op.getKind()), pointer,
       op.getValue(), LLVM::AtomicOrdering::monotonic);
@@ -419,7 +427,7 @@ static LogicalResult lowerAccesses(FunctionOpInterface function,
     } else if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op)) {
       if (!isRowMajor(atomic.getMemref()))
         return WalkResult::advance();
-      if (!toAtomicBinOp(atomic.getKind())) {
+      if (!toAtomicBinOp(atomic.getKind()) && !isProduct(atomic.getKind())) {
         op->emitOpError("of kind '")
             << arith::stringifyAtomicRMWKind(atomic.getKind())
             << "' cannot be lowered";

@@ -82,6 +82,36 @@ tai.kernel @sum_of_neighbour() {
   tai.return
 }
 
+// The same behind a comparison of the index; where it leaves one iteration, the
+// other one reads what it writes.
+tai.kernel @behind_a_condition() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c7 = arith.constant 7 : index
+  // expected-note @+1 {{run this loop on one thread}}
+  tai.parallel_for (%i, %j) in @x {
+    %0 = arith.cmpi sge, %j, %c1 : index
+    scf.if %0 {
+      %k = arith.subi %j, %c1 : index
+      // expected-error @+1 {{an element of field '@x' is read here by one iteration}}
+      %1 = tai.load @x[%i, %k] : f32
+      // expected-note @+1 {{written here}}
+      tai.store %1, @x[%i, %j] : f32
+    }
+  }
+  // expected-note @+1 {{run this loop on one thread}}
+  tai.parallel_for (%i, %j) in @x {
+    // expected-error @+1 {{an element of field '@y' is read here by one iteration}}
+    %1 = tai.load @y[%i, %c7] : f32
+    %0 = arith.cmpi eq, %j, %c0 : index
+    scf.if %0 {
+      // expected-note @+1 {{written here}}
+      tai.store %1, @y[%i, %c7] : f32
+    }
+  }
+  tai.return
+}
+
 // -----
 
 !t = !tai.root<dense<[i: 8, j: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32, n: i32}>, dense<[i: 8], {v: vector<2xf32>, v_grad: vector<2xf32>}>>
@@ -144,6 +174,20 @@ tai.kernel @unproven(%s: index, %t: index, %c: i1) {
     tai.store %1, @y[%t, %next] : f32
     %2 = tai.load @v[%i] component [%c0] : f32
     tai.store %2, @v[%next] component [%c1] : f32
+  }
+  // Behind conditions that keep the iterations apart.
+  tai.parallel_for (%i) = (%c0) to (%c7) {
+    %next = arith.addi %i, %c1 : index
+    %low = arith.cmpi slt, %i, %c2 : index
+    scf.if %low {
+      %0 = tai.load @x[%c1, %i] : f32
+      tai.store %0, @y[%c1, %i] : f32
+    }
+    %high = arith.cmpi sgt, %i, %c2 : index
+    scf.if %high {
+      %0 = tai.load @y[%c1, %next] : f32
+      tai.store %0, @x[%c1, %next] : f32
+    }
   }
   tai.parallel_for (%i) = (%c0) to (%c7) {
     %next = arith.addi %i, %c1 : index

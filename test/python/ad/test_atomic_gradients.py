@@ -397,19 +397,21 @@ def test_the_old_value_of_a_sum_of_iterations_is_refused():
             run()
 
 
-def test_a_product_that_is_no_atomic_is_refused():
-    # `*=` loads, multiplies and stores: of one element by all iterations, that is a race.
-    x, y, loss = real("f64", N), real("f64"), real("f64")
+def test_a_product_of_all_iterations_is_an_atomic():
+    # `*=` loads, multiplies and stores: of one element by all iterations, that is a reduction.
+    x, loss = real("f64", N), real("f64")
+    factors = np.linspace(0.5, 1.5, N)
+    x.from_numpy(factors)
 
     @ti.kernel
     def run():
         for i in x:
-            y[None] *= x[i]
+            loss[None] *= x[i]
 
-    with pytest.raises(ti.TaiAutodiffError, match="one iteration|every iteration"):
-        with ti.ad.Tape(loss):
-            run()
-            run.grad()
+    with ti.ad.Tape(loss):
+        loss[None] = 2.0
+        run()
+    close(x.grad.to_numpy(), 2 * factors.prod() / factors, "f64")
 
 
 @pytest.mark.parametrize("kind", ["max", "min", "mul"])

@@ -35,6 +35,7 @@ struct KnownAttr {
 static constexpr KnownAttr kKnown[] = {
     // Written by people, or on functions of other dialects.
     {"tai.adjoint", Kind::Symbol, true},
+    {"tai.check_updates", Kind::Unit, true},
     {"tai.conventions", Kind::Any, true},
     {"tai.differentiate", Kind::Unit, true},
     {"tai.gradients", Kind::Any, true},

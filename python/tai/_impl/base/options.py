@@ -104,6 +104,9 @@ _OWN = (
     Keyword("adjoints", str, "default", "what gradients of fields are kept and summed in: 'f64'; "
             "by default the type of the field, and f32 for one of 16 bits"),
     Keyword("check_out_of_bound", bool, False, "the same as bounds='check'"),
+    Keyword("validation", bool, False, "each launch checks that no two iterations of a parallel "
+            "loop read and write one element where the result depends on their order, which data "
+            "decide; `debug` implies it. See docs/parallel-updates.md"),
     Keyword("ad_ties", str, "second", "what `max` and `min` of equal numbers do in gradients: "
             "'second': the second one gets all; 'split': half each"),
     Keyword("ad_arcs", str, "exact", "the derivatives of asin and acos at ±1: 'exact': infinite; "

@@ -204,6 +204,7 @@ class Compiler:
         builder.kernel(
             kernel.symbol, parameters.types, result, region, parameters.gradients,
             conventions(context.options), attribute_of(kernel.modes) if kernel.modes else "",
+            context.options.validation,
         )  # fmt: skip
 
     @property

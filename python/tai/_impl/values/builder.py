@@ -366,7 +366,7 @@ class Builder:
     def kernel(
         self, symbol: str, arguments: Sequence[str], result: str | None, body: Region,
         gradients: Sequence[int] = (), conventions: dict[str, str] | None = None,
-        modes: str = "",
+        modes: str = "", checks_updates: bool = False,
     ) -> None:  # fmt: skip
         """The kernel with a body that was built.
 
@@ -377,6 +377,7 @@ class Builder:
                 of the result, if it is, comes after the last argument.
             conventions: the choices of gradients at kinks that differ from the default.
             modes: how it rounds, sums and approximates, where that is not the usual.
+            checks_updates: whether it checks that iterations do not update one element in turn.
         """
         results = "()" if result is None else result
         attributes = {
@@ -391,4 +392,6 @@ class Builder:
             attributes["conventions"] = self._attribute("{" + chosen + "}")
         if modes:
             attributes["modes"] = self._attribute(modes)
+        if checks_updates:
+            attributes["tai.check_updates"] = self._attribute("unit")
         self._op("tai.kernel", [], [], attributes, [body])

@@ -1,0 +1,62 @@
+//===- SharedElements.h - Elements that iterations share --------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Whether several iterations of a parallel loop reach the element of an access,
+// and whether two expressions of one iteration are the same value.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_SHAREDELEMENTS_H
+#define TAI_ANALYSIS_SHAREDELEMENTS_H
+
+#include "tai/Interfaces/Differentiable.h"
+#include "llvm/ADT/DenseSet.h"
+
+namespace mlir::tai {
+class ParallelForOp;
+struct LoopBox;
+
+enum class Sharing {
+  /// No other iteration reaches the element by this access.
+  Own,
+  /// Not known: the indices depend on data, or a condition holds for one
+  /// iteration, it may be.
+  Possible,
+  /// Every iteration reaches the element, or every iteration for which a
+  /// condition other than an equality holds.
+  Certain
+};
+
+/// How the iterations of `loop`, which is around the access, share its element.
+Sharing getSharing(DifferentiableAccessInterface access, ParallelForOp loop);
+
+/// Takes away the iterations of a box in which the access does not run, as far
+/// as comparisons of one index with a constant say so. False if it is under
+/// another condition, or in another loop.
+bool narrowToAccess(Operation *access, LoopBox &box);
+
+/// Compares values and accesses of one iteration of a loop. Equal expressions
+/// are equal values; so are two loads of an element that the loop does not
+/// write.
+class SameIteration {
+public:
+  explicit SameIteration(ParallelForOp loop);
+
+  bool areEqual(Value lhs, Value rhs, unsigned depth = 16) const;
+  bool areEqual(ValueRange lhs, ValueRange rhs) const;
+  /// True if both accesses certainly reach the same element or component.
+  bool reachSame(DifferentiableAccessInterface lhs,
+                 DifferentiableAccessInterface rhs) const;
+
+private:
+  /// The storages that the loop writes.
+  llvm::DenseSet<const void *> written;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_SHAREDELEMENTS_H

@@ -1,0 +1,311 @@
+//===- SharedElements.cpp - Elements that iterations share ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/SharedElements.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/LoopBox.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// Conditions
+//===----------------------------------------------------------------------===//
+
+/// True for what is left by a division, or by a mask: many numbers leave the
+/// same.
+static bool isRemainder(Value value, unsigned depth = 4) {
+  Operation *op = value.getDefiningOp();
+  if (!op || depth == 0)
+    return false;
+  if (isa<arith::RemSIOp, arith::RemUIOp, arith::AndIOp>(op))
+    return true;
+  // Python's remainder has the sign of the divisor.
+  return isa<arith::SelectOp, arith::AddIOp, arith::SubIOp, arith::IndexCastOp,
+             arith::ExtSIOp, arith::ExtUIOp, arith::TruncIOp>(op) &&
+         llvm::any_of(op->getOperands(), [&](Value operand) {
+           return isRemainder(operand, depth - 1);
+         });
+}
+
+namespace {
+/// The comparisons that hold where an access runs.
+class Conditions {
+public:
+  Conditions(Operation *access, ParallelForOp loop) : loop(loop) {
+    for (Operation *op = access; op->getParentOp() != loop;
+         op = op->getParentOp())
+      if (auto branch = dyn_cast<scf::IfOp>(op->getParentOp()))
+        add(branch.getCondition(),
+            branch.getThenRegion().isAncestor(op->getParentRegion()));
+  }
+
+  /// The differences that are zero.
+  ArrayRef<LinearIndex> getZeros() const { return zeros; }
+  /// True if one of them compares for equality, which few iterations satisfy.
+  bool haveEquality() const { return isEquality; }
+
+  /// Takes away the iterations of which comparisons with constants say that
+  /// they do not hold.
+  void narrow(LoopBox &box) const {
+    for (const LinearIndex &zero : zeros)
+      narrow(box, zero, /*most=*/0, /*least=*/true);
+    for (const auto &bound : bounds)
+      narrow(box, bound.second, bound.first == Less ? -1 : 0, /*least=*/false);
+  }
+
+  /// True if nothing else is asked than what narrow() understands.
+  bool areUnderstood(LoopBox &box) const {
+    return !isUnknown && llvm::all_of(zeros, [&](auto &zero) {
+      return isOfOneIndex(box, zero);
+    }) && llvm::all_of(bounds, [&](auto &bound) {
+      return isOfOneIndex(box, bound.second);
+    });
+  }
+
+private:
+  enum Bound { Less, LessOrEqual };
+
+  static bool isOfOneIndex(LoopBox &box, const LinearIndex &form) {
+    return form.terms.size() == 1 && !form.mayWrap &&
+           std::abs(form.terms.front().second) == 1 &&
+           box.find(form.terms.front().first);
+  }
+
+  /// The form is `most` at most, and with `least` no less either.
+  static void narrow(LoopBox &box, const LinearIndex &form, int64_t most,
+                     bool least) {
+    if (!isOfOneIndex(box, form))
+      return;
+    auto [value, factor] = form.terms.front();
+    unsigned dim = *box.find(value);
+    int64_t bound = most - form.constant; // of factor * iv
+    if (factor > 0 || least)
+      box.upper[dim] = std::min(box.upper[dim], factor * bound + 1);
+    if (factor < 0 || least)
+      box.lower[dim] = std::max(box.lower[dim], factor * bound);
+  }
+
+  void add(Value condition, bool holds) {
+    if (auto both = condition.getDefiningOp<arith::AndIOp>(); both && holds) {
+      add(both.getLhs(), true);
+      add(both.getRhs(), true);
+    } else if (auto either = condition.getDefiningOp<arith::OrIOp>();
+               either && !holds) {
+      add(either.getLhs(), false);
+      add(either.getRhs(), false);
+    } else if (auto flip = condition.getDefiningOp<arith::XOrIOp>();
+               flip && matchPattern(flip.getRhs(), m_One())) {
+      add(flip.getLhs(), !holds);
+    } else if (auto compare = condition.getDefiningOp<arith::CmpIOp>()) {
+      addComparison(compare, holds);
+    } else if (auto compare = condition.getDefiningOp<arith::CmpFOp>()) {
+      arith::CmpFPredicate predicate = compare.getPredicate();
+      isEquality |= holds ? predicate == arith::CmpFPredicate::OEQ ||
+                                predicate == arith::CmpFPredicate::UEQ
+                          : predicate == arith::CmpFPredicate::UNE ||
+                                predicate == arith::CmpFPredicate::ONE;
+      isUnknown = true;
+    } else {
+      // A truth value that somebody computed: a mask, it may be of one.
+      isEquality |= !matchPattern(condition, m_Constant());
+      isUnknown = true;
+    }
+  }
+
+  void addComparison(arith::CmpIOp compare, bool holds) {
+    using Predicate = arith::CmpIPredicate;
+    Predicate predicate = compare.getPredicate();
+    if (!holds)
+      predicate = arith::invertPredicate(predicate);
+    auto difference = [&](Value lhs, Value rhs) {
+      LinearIndex a = getLinearIndex(lhs), b = getLinearIndex(rhs);
+      LinearIndex sum = a;
+      sum.constant -= b.constant;
+      sum.mayWrap |= b.mayWrap;
+      for (const auto &subtracted : b.terms) {
+        auto *known = llvm::find_if(sum.terms, [&](auto &term) {
+          return term.first == subtracted.first;
+        });
+        if (known == sum.terms.end())
+          sum.terms.emplace_back(subtracted.first, -subtracted.second);
+        else
+          known->second -= subtracted.second;
+      }
+      llvm::erase_if(sum.terms, [](auto &term) { return term.second == 0; });
+      return sum;
+    };
+    Value lhs = compare.getLhs(), rhs = compare.getRhs();
+    switch (predicate) {
+    case Predicate::eq:
+      isEquality |= !isRemainder(lhs) && !isRemainder(rhs);
+      zeros.push_back(difference(lhs, rhs));
+      break;
+    case Predicate::slt:
+      bounds.emplace_back(Less, difference(lhs, rhs));
+      break;
+    case Predicate::sle:
+      bounds.emplace_back(LessOrEqual, difference(lhs, rhs));
+      break;
+    case Predicate::sgt:
+      bounds.emplace_back(Less, difference(rhs, lhs));
+      break;
+    case Predicate::sge:
+      bounds.emplace_back(LessOrEqual, difference(rhs, lhs));
+      break;
+    default:
+      isUnknown = true;
+      break;
+    }
+  }
+
+  ParallelForOp loop;
+  SmallVector<LinearIndex> zeros;
+  SmallVector<std::pair<Bound, LinearIndex>> bounds;
+  bool isEquality = false;
+  bool isUnknown = false;
+};
+} // namespace
+
+//===----------------------------------------------------------------------===//
+// Sharing
+//===----------------------------------------------------------------------===//
+
+/// True if the value is the same in all iterations of `loop`, or counts a loop
+/// in it that is the same in all of them.
+static bool isAlike(Value value, ParallelForOp loop) {
+  Operation *owner = value.getParentBlock()->getParentOp();
+  if (!loop->isAncestor(owner))
+    return true;
+  auto inner = dyn_cast<scf::ForOp>(owner);
+  return inner && value == inner.getInductionVar() &&
+         llvm::all_of(ValueRange{inner.getLowerBound(), inner.getUpperBound(),
+                                 inner.getStep()},
+                      [&](Value bound) {
+                        return matchPattern(bound, m_Constant()) ||
+                               !loop->isAncestor(
+                                   bound.getParentBlock()->getParentOp());
+                      });
+}
+
+bool mlir::tai::narrowToAccess(Operation *access, LoopBox &box) {
+  for (Operation *op = access->getParentOp(); op != box.loop;
+       op = op->getParentOp())
+    if (!isa<scf::IfOp>(op))
+      return false;
+  Conditions conditions(access, box.loop);
+  if (!conditions.areUnderstood(box))
+    return false;
+  conditions.narrow(box);
+  return true;
+}
+
+Sharing mlir::tai::getSharing(DifferentiableAccessInterface access,
+                              ParallelForOp loop) {
+  if (loop.getSerialize())
+    return Sharing::Own;
+  Value memref = access.getAccessedStorage().memref;
+  if (memref && loop->isAncestor(memref.getParentBlock()->getParentOp()))
+    return Sharing::Own;
+  Conditions conditions(access, loop);
+  SmallVector<LinearIndex> indices =
+      getLinearIndices(access.getAccessIndices());
+  SmallVector<LinearIndex> determined = indices;
+  llvm::append_range(determined, conditions.getZeros());
+
+  // Dimensions of one step tell nothing apart.
+  std::optional<LoopBox> box = getIndexBox(loop);
+  if (box)
+    conditions.narrow(*box);
+  SmallVector<Value> moving;
+  for (auto [dim, iv] : llvm::enumerate(loop.getInductionVars())) {
+    std::optional<int64_t> extent;
+    APInt lower, upper;
+    if (box)
+      extent = box->upper[dim] - box->lower[dim];
+    else if (!loop.isStructFor() &&
+             matchPattern(loop.getLowerBounds()[dim], m_ConstantInt(&lower)) &&
+             matchPattern(loop.getUpperBounds()[dim], m_ConstantInt(&upper)))
+      extent = upper.getSExtValue() - lower.getSExtValue();
+    if (!extent || *extent > 1)
+      moving.push_back(iv);
+  }
+  if (moving.empty() || isInjectiveOver(determined, moving))
+    return Sharing::Own;
+  if (conditions.haveEquality())
+    return Sharing::Possible;
+  llvm::append_range(indices, getLinearIndices(access.getAccessComponents()));
+  for (const LinearIndex &index : indices)
+    for (auto [value, factor] : index.terms)
+      if (!llvm::is_contained(loop.getInductionVars(), value) &&
+          !isAlike(value, loop))
+        return Sharing::Possible;
+  bool isFree = llvm::any_of(moving, [&](Value iv) {
+    return llvm::all_of(indices, [&](const LinearIndex &index) {
+      return index.getCoefficient(iv) == 0;
+    });
+  });
+  return isFree ? Sharing::Certain : Sharing::Possible;
+}
+
+//===----------------------------------------------------------------------===//
+// Equal values
+//===----------------------------------------------------------------------===//
+
+SameIteration::SameIteration(ParallelForOp loop) {
+  loop.walk([&](Operation *op) {
+    auto access = dyn_cast<DifferentiableAccessInterface>(op);
+    if (access && access.getAccessKind() != AccessKind::Read)
+      written.insert(getStorageKey(access));
+  });
+}
+
+bool SameIteration::areEqual(Value lhs, Value rhs, unsigned depth) const {
+  if (lhs == rhs)
+    return true;
+  auto a = dyn_cast<OpResult>(lhs), b = dyn_cast<OpResult>(rhs);
+  if (!a || !b || depth == 0 || a.getResultNumber() != b.getResultNumber())
+    return false;
+  Operation *x = a.getOwner(), *y = b.getOwner();
+  if (x->getName() != y->getName() || x->getNumRegions() != 0 ||
+      x->getNumOperands() != y->getNumOperands() ||
+      x->getRawDictionaryAttrs() != y->getRawDictionaryAttrs() ||
+      x->getPropertiesAsAttribute() != y->getPropertiesAsAttribute() ||
+      x->getResultTypes() != y->getResultTypes())
+    return false;
+  if (!isMemoryEffectFree(x)) {
+    auto access = dyn_cast<DifferentiableAccessInterface>(x);
+    if (!access || access.getAccessKind() != AccessKind::Read ||
+        written.contains(getStorageKey(access)))
+      return false;
+  }
+  return llvm::all_of(llvm::zip(x->getOperands(), y->getOperands()),
+                      [&](auto pair) {
+                        auto [p, q] = pair;
+                        return areEqual(p, q, depth - 1);
+                      });
+}
+
+bool SameIteration::areEqual(ValueRange lhs, ValueRange rhs) const {
+  return lhs.size() == rhs.size() &&
+         llvm::all_of(llvm::zip(lhs, rhs), [&](auto pair) {
+           auto [a, b] = pair;
+           return areEqual(a, b) || getLinearIndex(a) == getLinearIndex(b);
+         });
+}
+
+bool SameIteration::reachSame(DifferentiableAccessInterface lhs,
+                              DifferentiableAccessInterface rhs) const {
+  return getStorageKey(lhs) == getStorageKey(rhs) &&
+         areEqual(lhs.getAccessIndices(), rhs.getAccessIndices()) &&
+         areEqual(lhs.getAccessComponents(), rhs.getAccessComponents());
+}

@@ -1,0 +1,681 @@
+//===- SharedUpdate.cpp - An update of a shared element -------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "SharedUpdate.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/IR/Dominance.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/AccessOrder.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Races.h"
+#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Transforms/Utils/Accumulation.h"
+#include "llvm/ADT/TypeSwitch.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+static Type getScalar(Value value) {
+  return getElementTypeOrSelf(value.getType());
+}
+
+static unsigned getWidth(Type type) {
+  return type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
+}
+
+/// The truth value that `value` is the opposite of, or null.
+static Value getNegated(Value value) {
+  auto flip = value.getDefiningOp<arith::XOrIOp>();
+  return flip && matchPattern(flip.getRhs(), m_One()) ? flip.getLhs() : Value();
+}
+
+/// The operation of the op, if it is one that atomics have.
+static std::optional<AtomicKind> getKind(Operation *op) {
+  using Kind = std::optional<AtomicKind>;
+  return llvm::TypeSwitch<Operation *, Kind>(op)
+      .Case<arith::AddFOp, arith::AddIOp>([](auto) { return AtomicKind::Add; })
+      .Case<arith::SubFOp, arith::SubIOp>([](auto) { return AtomicKind::Sub; })
+      .Case<arith::MulFOp, arith::MulIOp>([](auto) { return AtomicKind::Mul; })
+      .Case<arith::MinNumFOp, arith::MinimumFOp, arith::MinSIOp>(
+          [](auto) { return AtomicKind::Min; })
+      .Case<arith::MaxNumFOp, arith::MaximumFOp, arith::MaxSIOp>(
+          [](auto) { return AtomicKind::Max; })
+      .Case([](arith::MinUIOp) { return AtomicKind::MinU; })
+      .Case([](arith::MaxUIOp) { return AtomicKind::MaxU; })
+      .Case([](arith::AndIOp) { return AtomicKind::And; })
+      .Case([](arith::OrIOp) { return AtomicKind::Or; })
+      .Case([](arith::XOrIOp) { return AtomicKind::Xor; })
+      .Default([](Operation *) { return std::nullopt; });
+}
+
+//===----------------------------------------------------------------------===//
+// What a store depends on
+//===----------------------------------------------------------------------===//
+
+bool SharedUpdate::isOld(Value value) const {
+  auto load =
+      dyn_cast_or_null<DifferentiableAccessInterface>(value.getDefiningOp());
+  return load && load.getAccessKind() == AccessKind::Read &&
+         loop->isAncestor(load) && same.reachSame(load, store);
+}
+
+/// Follows the uses of the loads of the element.
+void SharedUpdate::findDependents() {
+  SmallVector<Value> worklist;
+  auto add = [&](ValueRange values) {
+    for (Value value : values)
+      if (dependents.insert(value).second)
+        worklist.push_back(value);
+  };
+  for (DifferentiableAccessInterface load : reads) {
+    if (!same.areEqual(load.getAccessIndices(), store.getAccessIndices()))
+      continue;
+    ValueRange parts = load.getAccessComponents();
+    if (parts.empty() || store.getAccessComponents().empty() ||
+        same.areEqual(parts, store.getAccessComponents()))
+      add(load->getResults());
+  }
+  while (!worklist.empty()) {
+    Value value = worklist.pop_back_val();
+    for (OpOperand &use : value.getUses()) {
+      Operation *user = use.getOwner(), *parent = user->getParentOp();
+      if (isa<scf::YieldOp>(user) && isa<scf::IfOp, scf::ForOp>(parent)) {
+        add(parent->getResult(use.getOperandNumber()));
+        if (auto serial = dyn_cast<scf::ForOp>(parent))
+          add(serial.getRegionIterArg(use.getOperandNumber()));
+        continue;
+      }
+      auto serial = dyn_cast<scf::ForOp>(user);
+      if (serial && use.getOperandNumber() >= serial.getNumControlOperands()) {
+        unsigned number =
+            use.getOperandNumber() - serial.getNumControlOperands();
+        add(serial.getResult(number));
+        add(serial.getRegionIterArg(number));
+        continue;
+      }
+      // What a branch gives, and each iteration of a loop, depends on the
+      // condition.
+      Operation *op = user->hasTrait<OpTrait::IsTerminator>() && parent != loop
+                          ? parent
+                          : user;
+      add(op->getResults());
+      if (isa<LoopLikeOpInterface>(op) && op != loop)
+        for (Region &region : op->getRegions())
+          for (Block &block : region)
+            add(block.getArguments());
+    }
+  }
+}
+
+bool SharedUpdate::readsElement() {
+  if (dependsOnOld(store.getAccessedValue()))
+    return true;
+  for (Operation *op = store; op->getParentOp() != loop; op = op->getParentOp())
+    if (auto branch = dyn_cast<scf::IfOp>(op->getParentOp()))
+      if (dependsOnOld(branch.getCondition()))
+        return true;
+  return false;
+}
+
+bool SharedUpdate::storesTheSame() {
+  Value value = store.getAccessedValue();
+  return matchPattern(value, m_Constant()) ||
+         !loop->isAncestor(value.getParentBlock()->getParentOp());
+}
+
+bool SharedUpdate::readsOtherIteration() {
+  llvm::SetVector<Value> sources;
+  sources.insert(store.getAccessedValue());
+  // Longer expressions are left to the checks at run time.
+  for (size_t i = 0; i != std::min<size_t>(sources.size(), 512); ++i) {
+    Operation *op = sources[i].getDefiningOp();
+    if (!op || !loop->isAncestor(op))
+      continue;
+    auto load = dyn_cast<DifferentiableAccessInterface>(op);
+    if (load && llvm::is_contained(reads, load) &&
+        !same.reachSame(load, store) && findRace(store, load))
+      return true;
+    sources.insert_range(op->getOperands());
+  }
+  return false;
+}
+
+//===----------------------------------------------------------------------===//
+// Matching
+//===----------------------------------------------------------------------===//
+
+bool SharedUpdate::addStep(Step step) {
+  if (!family)
+    family = getCombiningKind(step.kind);
+  if (*family != getCombiningKind(step.kind))
+    return false;
+  // Narrower numbers than those of the element have lost what it held; extrema
+  // of wider integers are not those of what is left of them.
+  Type scalar = getScalar(store.getAccessedValue());
+  Type combined = getElementTypeOrSelf(step.type);
+  if (isa<FloatType>(scalar) != isa<FloatType>(combined) ||
+      getWidth(combined) < getWidth(scalar))
+    return false;
+  bool isExtremum = *family == AtomicKind::Min || *family == AtomicKind::Max ||
+                    *family == AtomicKind::MinU || *family == AtomicKind::MaxU;
+  if (isExtremum && !isa<FloatType>(scalar) && combined != scalar) {
+    Operation *extension = step.value.getDefiningOp();
+    if (!isa_and_nonnull<arith::ExtSIOp, arith::ExtUIOp>(extension) ||
+        getScalar(extension->getOperand(0)) != scalar)
+      return false;
+    step.value = extension->getOperand(0);
+  }
+  steps.push_back(std::move(step));
+  return true;
+}
+
+bool SharedUpdate::matchValue(Value value, const Context &context) {
+  if (isOld(value)) {
+    loads.push_back(cast<DifferentiableAccessInterface>(value.getDefiningOp()));
+    return true;
+  }
+  Operation *op = value.getDefiningOp();
+  if (!op || !dependsOnOld(value))
+    return false;
+  path.insert(op);
+  if (std::optional<AtomicKind> kind = getKind(op))
+    return matchCombination(op, *kind, context);
+  if (auto select = dyn_cast<arith::SelectOp>(op))
+    return matchSelect(select, context);
+  if (isa<scf::IfOp>(op))
+    return matchBranch(cast<OpResult>(value), context);
+  if (isa<arith::ExtFOp, arith::TruncFOp, arith::ExtSIOp, arith::ExtUIOp,
+          arith::TruncIOp>(op)) {
+    Type scalar = getScalar(store.getAccessedValue());
+    return getWidth(getScalar(value)) >= getWidth(scalar) &&
+           matchValue(op->getOperand(0), context);
+  }
+  return false;
+}
+
+/// An op of one kind, of which one operand is the update before it.
+bool SharedUpdate::matchCombination(Operation *op, AtomicKind kind,
+                                    const Context &context) {
+  Value lhs = op->getOperand(0), rhs = op->getOperand(1);
+  bool isLeft = dependsOnOld(lhs);
+  if (isLeft == dependsOnOld(rhs) || (kind == AtomicKind::Sub && !isLeft))
+    return false;
+  Value other = isLeft ? rhs : lhs;
+  return matchValue(isLeft ? lhs : rhs, context) &&
+         addStep({context.select ? context.select : op, kind, other,
+                  other.getType(), context.conditions});
+}
+
+/// The minimum or maximum that `condition ? whenTrue : whenFalse` is: the
+/// condition compares the two, or what is equal to them.
+std::optional<Extremum>
+SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
+  while (Value turned = getNegated(condition)) {
+    path.insert(condition.getDefiningOp());
+    condition = turned;
+    std::swap(whenTrue, whenFalse);
+  }
+  Operation *compare = condition.getDefiningOp();
+  // Of a number and NaN the number is taken.
+  if (auto either = dyn_cast_or_null<arith::OrIOp>(compare)) {
+    auto isNaN = either.getRhs().getDefiningOp<arith::CmpFOp>();
+    if (!isNaN || isNaN.getPredicate() != arith::CmpFPredicate::UNO)
+      return std::nullopt;
+    path.insert(compare);
+    path.insert(isNaN);
+    compare = either.getLhs().getDefiningOp();
+  }
+  std::optional<int> direction; // of lhs against rhs
+  bool isUnsigned = false;
+  if (auto floats = dyn_cast_or_null<arith::CmpFOp>(compare)) {
+    using Predicate = arith::CmpFPredicate;
+    switch (floats.getPredicate()) {
+    case Predicate::OLT:
+    case Predicate::OLE:
+    case Predicate::ULT:
+    case Predicate::ULE:
+      direction = -1;
+      break;
+    case Predicate::OGT:
+    case Predicate::OGE:
+    case Predicate::UGT:
+    case Predicate::UGE:
+      direction = 1;
+      break;
+    default:
+      break;
+    }
+  } else if (auto integers = dyn_cast_or_null<arith::CmpIOp>(compare)) {
+    using Predicate = arith::CmpIPredicate;
+    Predicate predicate = integers.getPredicate();
+    isUnsigned = predicate >= Predicate::ult;
+    switch (predicate) {
+    case Predicate::slt:
+    case Predicate::sle:
+    case Predicate::ult:
+    case Predicate::ule:
+      direction = -1;
+      break;
+    case Predicate::sgt:
+    case Predicate::sge:
+    case Predicate::ugt:
+    case Predicate::uge:
+      direction = 1;
+      break;
+    default:
+      break;
+    }
+  }
+  if (!direction)
+    return std::nullopt;
+  path.insert(compare);
+  Value lhs = compare->getOperand(0), rhs = compare->getOperand(1);
+  auto isSame = [&](Value a, Value b) {
+    return same.areEqual(a, b) || (isOld(a) && isOld(b));
+  };
+  // Taken if it is less: a minimum.
+  bool isMin = *direction < 0;
+  if (isSame(lhs, whenFalse) && isSame(rhs, whenTrue))
+    isMin = !isMin;
+  else if (!isSame(lhs, whenTrue) || !isSame(rhs, whenFalse))
+    return std::nullopt;
+  bool isTrueOld = dependsOnOld(whenTrue);
+  if (isTrueOld == dependsOnOld(whenFalse))
+    return std::nullopt;
+  for (Value side : {lhs, rhs})
+    if (isOld(side))
+      loads.push_back(
+          cast<DifferentiableAccessInterface>(side.getDefiningOp()));
+  AtomicKind kind = isMin ? isUnsigned ? AtomicKind::MinU : AtomicKind::Min
+                    : isUnsigned ? AtomicKind::MaxU
+                                 : AtomicKind::Max;
+  // What is compared is known before the choice.
+  return Extremum{kind, dependsOnOld(lhs) ? rhs : lhs,
+                  isTrueOld ? whenTrue : whenFalse};
+}
+
+bool SharedUpdate::matchSelect(arith::SelectOp select, const Context &context) {
+  Value condition = select.getCondition();
+  Value yes = select.getTrueValue(), no = select.getFalseValue();
+  if (dependsOnOld(condition)) {
+    std::optional<Extremum> extremum = getExtremum(condition, yes, no);
+    return extremum && matchValue(extremum->old, context) &&
+           addStep({context.select ? context.select : select.getOperation(),
+                    extremum->kind, extremum->value, extremum->value.getType(),
+                    context.conditions});
+  }
+  if (!condition.getType().isInteger(1))
+    return false;
+  Context inside = context;
+  if (!inside.select)
+    inside.select = select;
+  inside.conditions.emplace_back(condition, true);
+  if (!matchValue(yes, inside))
+    return false;
+  inside.conditions.back().second = false;
+  return matchValue(no, inside);
+}
+
+/// True if the branch has no effect besides that of `but`: it may read.
+static bool doesNothing(scf::IfOp branch, Operation *but = nullptr) {
+  for (Region *region : branch.getRegions())
+    for (Block &block : *region)
+      for (Operation &op : block) {
+        auto access = dyn_cast<DifferentiableAccessInterface>(&op);
+        bool isRead = access && access.getAccessKind() == AccessKind::Read;
+        if (&op != but && !isRead && !op.hasTrait<OpTrait::IsTerminator>() &&
+            !isMemoryEffectFree(&op))
+          return false;
+      }
+  return true;
+}
+
+/// A branch that yields an update on both sides.
+bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
+  auto branch = cast<scf::IfOp>(result.getOwner());
+  branches.push_back(result);
+  if (dependsOnOld(branch.getCondition())) {
+    // What else the branch does is to depend on nothing but its condition.
+    if (branch->getNumResults() != 1 || !doesNothing(branch))
+      return false;
+    std::optional<Extremum> extremum =
+        getExtremum(branch.getCondition(), branch.thenYield().getOperand(0),
+                    branch.elseYield().getOperand(0));
+    if (!extremum || !isOld(extremum->old))
+      return false;
+    loads.push_back(
+        cast<DifferentiableAccessInterface>(extremum->old.getDefiningOp()));
+    return addStep({context.select ? context.select : branch.getOperation(),
+                    extremum->kind, extremum->value, extremum->value.getType(),
+                    context.conditions});
+  }
+  for (Region *region : branch.getRegions())
+    if (!matchValue(region->front().getTerminator()->getOperand(
+                        result.getResultNumber()),
+                    context))
+      return false;
+  return true;
+}
+
+/// A branch around the store whose condition compares the value with the
+/// element, and that does nothing else.
+bool SharedUpdate::matchGuard(scf::IfOp branch, bool inThen) {
+  Operation *op = store;
+  Value value = store.getAccessedValue();
+  if (op->getParentOp() != branch || branch->getNumResults() != 0 ||
+      dependsOnOld(value) || !doesNothing(branch, op))
+    return false;
+  // What else is to hold.
+  SmallVector<std::pair<Value, bool>, 1> others;
+  SmallVector<Value> parts;
+  std::function<void(Value)> split = [&](Value condition) {
+    auto both = condition.getDefiningOp<arith::AndIOp>();
+    if (!both || !inThen || !dependsOnOld(condition)) {
+      parts.push_back(condition);
+      return;
+    }
+    path.insert(both);
+    split(both.getLhs());
+    split(both.getRhs());
+  };
+  split(branch.getCondition());
+  std::optional<Extremum> extremum;
+  for (Value part : parts) {
+    if (!dependsOnOld(part)) {
+      others.emplace_back(part, inThen);
+      continue;
+    }
+    bool holds = inThen;
+    while (Value turned = getNegated(part)) {
+      path.insert(part.getDefiningOp());
+      part = turned;
+      holds = !holds;
+    }
+    Operation *compare = part.getDefiningOp();
+    if (extremum || !isa_and_nonnull<arith::CmpFOp, arith::CmpIOp>(compare))
+      return false;
+    Value lhs = compare->getOperand(0), rhs = compare->getOperand(1);
+    if (isOld(lhs) == isOld(rhs))
+      return false;
+    Value old = isOld(lhs) ? lhs : rhs, given = isOld(lhs) ? rhs : lhs;
+    if (!same.areEqual(given, value))
+      return false;
+    extremum =
+        holds ? getExtremum(part, given, old) : getExtremum(part, old, given);
+    if (!extremum)
+      return false;
+  }
+  if (!extremum)
+    return false;
+  guard = branch;
+  path.insert(branch);
+  return addStep(
+      {branch, extremum->kind, extremum->value, value.getType(), others});
+}
+
+/// True if nothing but the store needs what was there before.
+bool SharedUpdate::isOnlyUsedHere() {
+  auto isOurs = [&](Operation *user) {
+    if (user == store || path.contains(user))
+      return true;
+    if (isa<scf::YieldOp>(user) && path.contains(user->getParentOp()))
+      return true;
+    return false;
+  };
+  auto isOnlyOurs = [&](Operation *op) {
+    if (auto branch = dyn_cast<scf::IfOp>(op); branch && branch != guard)
+      return llvm::all_of(branches, [&](OpResult result) {
+        return result.getOwner() != branch ||
+               llvm::all_of(result.getUsers(), isOurs);
+      });
+    return llvm::all_of(op->getUsers(), isOurs);
+  };
+  // A branch on the path may hand on other things, too.
+  auto isYieldedElsewhere = [&](Operation *op) {
+    return llvm::any_of(op->getUses(), [&](OpOperand &use) {
+      auto branch = dyn_cast<scf::IfOp>(use.getOwner()->getParentOp());
+      return isa<scf::YieldOp>(use.getOwner()) &&
+             !(branch &&
+               llvm::is_contained(branches, OpResult(branch->getResult(
+                                                use.getOperandNumber()))));
+    });
+  };
+  auto isFine = [&](Operation *op) {
+    return isOnlyOurs(op) && !isYieldedElsewhere(op);
+  };
+  return llvm::all_of(path, isFine) && llvm::all_of(loads, isFine);
+}
+
+/// True if nothing writes to the storage between the loads and the store, and
+/// the indices are known at each step.
+bool SharedUpdate::isUndisturbed() {
+  const void *key = getStorageKey(store);
+  for (DifferentiableAccessInterface load : loads) {
+    Operation *from = load, *to = store;
+    Block *common = findCommonBlock(from, to);
+    if (!common || from == to || !from->isBeforeInBlock(to))
+      return false;
+    // Within a serial loop around one of them, another iteration comes between.
+    for (auto [inner, outer] :
+         {std::pair<Operation *, Operation *>(load, from), {store, to}})
+      for (Operation *op = inner; op != outer; op = op->getParentOp())
+        if (!isa<scf::IfOp>(op->getParentOp()))
+          return false;
+    for (Operation *op = from; op; op = op->getNextNode()) {
+      WalkResult result = op->walk([&](Operation *nested) {
+        auto access = dyn_cast<DifferentiableAccessInterface>(nested);
+        return access && access != store &&
+                       access.getAccessKind() != AccessKind::Read &&
+                       getStorageKey(access) == key
+                   ? WalkResult::interrupt()
+                   : WalkResult::advance();
+      });
+      if (result.wasInterrupted())
+        return false;
+      if (op == to)
+        break;
+    }
+  }
+  DominanceInfo dominance(loop);
+  SmallVector<DifferentiableAccessInterface> accesses(loads);
+  accesses.push_back(store);
+  return llvm::all_of(steps, [&](Step &step) {
+    auto isKnown = [&](Value value) {
+      return dominance.properlyDominates(value, step.at);
+    };
+    auto *place = llvm::find_if(accesses, [&](auto access) {
+      return llvm::all_of(access.getAccessIndices(), isKnown) &&
+             llvm::all_of(access.getAccessComponents(), isKnown);
+    });
+    if (place == accesses.end())
+      return false;
+    step.place = *place;
+    return isKnown(step.value) &&
+           llvm::all_of(step.conditions,
+                        [&](auto &entry) { return isKnown(entry.first); });
+  });
+}
+
+bool SharedUpdate::match() {
+  scf::IfOp around;
+  bool inThen = false;
+  for (Operation *op = store; op->getParentOp() != loop; op = op->getParentOp())
+    if (auto branch = dyn_cast<scf::IfOp>(op->getParentOp());
+        branch && dependsOnOld(branch.getCondition())) {
+      if (around)
+        return false;
+      around = branch;
+      inThen = branch.getThenRegion().isAncestor(op->getParentRegion());
+    }
+  bool isMatch = around ? matchGuard(around, inThen)
+                        : matchValue(store.getAccessedValue(), {});
+  return isMatch && !steps.empty() && isOnlyUsedHere() && isUndisturbed();
+}
+
+//===----------------------------------------------------------------------===//
+// Rewriting
+//===----------------------------------------------------------------------===//
+
+/// The value in the type of the element.
+Value SharedUpdate::convert(OpBuilder &b, Location loc, Value value) {
+  Type type = store.getAccessedValue().getType();
+  if (value.getType() == type)
+    return value;
+  unsigned from = getWidth(getScalar(value)),
+           to = getWidth(getElementTypeOrSelf(type));
+  if (isa<FloatType>(getScalar(value)))
+    return from > to ? arith::TruncFOp::create(b, loc, type, value).getResult()
+                     : arith::ExtFOp::create(b, loc, type, value).getResult();
+  return arith::TruncIOp::create(b, loc, type, value);
+}
+
+void SharedUpdate::emit(OpBuilder &b, Location loc, const Step &step) {
+  Value value = convert(b, loc, step.value);
+  AtomicKind kind = step.kind;
+  DifferentiableAccessInterface place = step.place;
+  if (FlatSymbolRefAttr field = store.getAccessedStorage().field) {
+    AtomicOp::create(b, loc, kind, value, field, place.getAccessIndices(),
+                     place.getAccessComponents());
+    return;
+  }
+  using Kind = arith::AtomicRMWKind;
+  bool isFloat = isa<FloatType>(value.getType());
+  Kind combine = Kind::addf;
+  switch (kind) {
+  case AtomicKind::Sub:
+    value =
+        isFloat
+            ? arith::NegFOp::create(b, loc, value).getResult()
+            : arith::SubIOp::create(b, loc,
+                                    arith::ConstantOp::create(
+                                        b, loc, b.getZeroAttr(value.getType())),
+                                    value)
+                  .getResult();
+    [[fallthrough]];
+  case AtomicKind::Add:
+    combine = isFloat ? Kind::addf : Kind::addi;
+    break;
+  case AtomicKind::Mul:
+    combine = isFloat ? Kind::mulf : Kind::muli;
+    break;
+  case AtomicKind::Min:
+    combine = isFloat ? Kind::minnumf : Kind::mins;
+    break;
+  case AtomicKind::Max:
+    combine = isFloat ? Kind::maxnumf : Kind::maxs;
+    break;
+  case AtomicKind::MinU:
+    combine = Kind::minu;
+    break;
+  case AtomicKind::MaxU:
+    combine = Kind::maxu;
+    break;
+  case AtomicKind::And:
+    combine = Kind::andi;
+    break;
+  case AtomicKind::Or:
+    combine = Kind::ori;
+    break;
+  case AtomicKind::Xor:
+    combine = Kind::xori;
+    break;
+  }
+  memref::AtomicRMWOp::create(b, loc, combine, value,
+                              store.getAccessedStorage().memref,
+                              place.getAccessIndices());
+}
+
+/// Joins steps that follow each other in one expression: `v + a + b` is one
+/// addition of a + b.
+static void joinSteps(SmallVectorImpl<Step> &steps) {
+  SmallVector<Step> joined;
+  for (Step &step : steps) {
+    Step *before = joined.empty() ? nullptr : &joined.back();
+    AtomicKind kind = getCombiningKind(step.kind);
+    bool canJoin =
+        before && before->at->getBlock() == step.at->getBlock() &&
+        before->conditions == step.conditions && before->type == step.type &&
+        before->value.getType() == step.value.getType() &&
+        !isa<arith::SelectOp>(step.at) && !isa<arith::SelectOp>(before->at) &&
+        kind != AtomicKind::Min && kind != AtomicKind::Max &&
+        kind != AtomicKind::MinU && kind != AtomicKind::MaxU;
+    if (!canJoin) {
+      joined.push_back(std::move(step));
+      continue;
+    }
+    OpBuilder b(step.at);
+    Location loc = step.at->getLoc();
+    // a - b, b - a, and -(a + b).
+    bool isSum = kind == AtomicKind::Add;
+    if (isSum && before->kind != step.kind) {
+      Value plus = before->kind == AtomicKind::Add ? before->value : step.value;
+      Value minus =
+          before->kind == AtomicKind::Add ? step.value : before->value;
+      before->value = emitCombination(b, loc, AtomicKind::Sub, plus, minus);
+      before->kind = AtomicKind::Add;
+    } else {
+      before->value = emitCombination(b, loc, kind, before->value, step.value);
+    }
+    before->at = step.at;
+    before->place = step.place;
+  }
+  steps = std::move(joined);
+}
+
+void SharedUpdate::rewrite() {
+  joinSteps(steps);
+  for (Step &step : steps) {
+    OpBuilder b(step.at);
+    Location loc = step.at == guard ? store->getLoc() : step.at->getLoc();
+    for (auto [condition, holds] : step.conditions) {
+      Value test = condition;
+      if (!holds)
+        test = arith::XOrIOp::create(
+            b, loc, test, arith::ConstantIntOp::create(b, loc, 1, 1));
+      auto branch = scf::IfOp::create(b, loc, test, /*withElseRegion=*/false);
+      b.setInsertionPointToStart(branch.thenBlock());
+    }
+    emit(b, loc, step);
+  }
+  store->erase();
+  if (guard) {
+    path.remove(guard);
+    guard.erase();
+  }
+  // Nobody takes these results any more: that lets go of what was there before.
+  for (OpResult result : branches) {
+    auto branch = cast<scf::IfOp>(result.getOwner());
+    for (Region *region : branch.getRegions()) {
+      Operation *yield = region->front().getTerminator();
+      OpBuilder b(yield);
+      Value none = arith::ConstantOp::create(b, yield->getLoc(),
+                                             b.getZeroAttr(result.getType()));
+      yield->setOperand(result.getResultNumber(), none);
+    }
+    path.remove(branch);
+    if (!dependsOnOld(branch.getCondition()))
+      continue;
+    OpBuilder b(branch);
+    branch.getConditionMutable().assign(
+        arith::ConstantIntOp::create(b, branch.getLoc(), 0, 1));
+  }
+  SmallVector<Operation *> dead(path.begin(), path.end());
+  for (DifferentiableAccessInterface load : loads)
+    if (!llvm::is_contained(dead, load.getOperation()))
+      dead.push_back(load);
+  bool changed = true;
+  while (changed) {
+    changed = false;
+    llvm::erase_if(dead, [&](Operation *op) {
+      if (!op->use_empty())
+        return false;
+      op->erase();
+      return changed = true;
+    });
+  }
+}

@@ -1,0 +1,118 @@
+//===- SharedUpdate.h - An update of a shared element -----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A store whose value comes from the element itself, followed backwards; see
+// RecognizeReductions.cpp.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_TRANSFORMS_ACCUMULATIONS_SHAREDUPDATE_H
+#define TAI_LIB_TRANSFORMS_ACCUMULATIONS_SHAREDUPDATE_H
+
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/SharedElements.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "llvm/ADT/SetVector.h"
+
+namespace mlir::tai {
+
+/// The conditions under which a part of an expression is taken.
+struct Context {
+  /// The outermost select around the part, where the conditions are known.
+  Operation *select = nullptr;
+  /// Values that are true, or false.
+  SmallVector<std::pair<Value, bool>, 1> conditions;
+};
+
+/// One atomic that an update becomes.
+struct Step {
+  /// It takes its place before this op.
+  Operation *at;
+  AtomicKind kind;
+  Value value;
+  /// The type that the program combines in, where that is not the element's.
+  Type type;
+  /// It happens where all of these hold, or do not hold.
+  SmallVector<std::pair<Value, bool>, 1> conditions;
+  /// An access whose indices are known there.
+  DifferentiableAccessInterface place = {};
+};
+
+/// A select whose comparison says that it is a minimum or a maximum.
+struct Extremum {
+  AtomicKind kind;
+  /// The side that does not come from the element, and the other one.
+  Value value, old;
+};
+
+/// The update that a store turns out to be.
+class SharedUpdate {
+public:
+  /// `reads` are those of the loop that read the storage of the store.
+  SharedUpdate(DifferentiableAccessInterface store, ParallelForOp loop,
+               ArrayRef<DifferentiableAccessInterface> reads,
+               const SameIteration &same)
+      : store(store), loop(loop), reads(reads), same(same) {
+    findDependents();
+  }
+
+  /// True if the stored value, or whether it is stored, depends on the element.
+  bool readsElement();
+  /// True if all iterations that store at all store the same.
+  bool storesTheSame();
+  /// Finds the steps. False if it is no update of the kinds known.
+  bool match();
+  /// The operation of all steps.
+  AtomicKind getFamily() const { return *family; }
+  void rewrite();
+
+  ArrayRef<DifferentiableAccessInterface> getLoads() const { return loads; }
+  /// True if the stored value comes from what another iteration writes by this
+  /// store.
+  bool readsOtherIteration();
+  DifferentiableAccessInterface getStore() const { return store; }
+
+private:
+  bool isOld(Value value) const;
+  void findDependents();
+  bool dependsOnOld(Value value) const { return dependents.contains(value); }
+  bool matchValue(Value value, const Context &context);
+  bool matchCombination(Operation *op, AtomicKind kind, const Context &context);
+  bool matchSelect(arith::SelectOp select, const Context &context);
+  bool matchBranch(OpResult result, const Context &context);
+  bool matchGuard(scf::IfOp branch, bool inThen);
+  std::optional<Extremum> getExtremum(Value condition, Value whenTrue,
+                                      Value whenFalse);
+  bool addStep(Step step);
+  bool isOnlyUsedHere();
+  bool isUndisturbed();
+  Value convert(OpBuilder &b, Location loc, Value value);
+  void emit(OpBuilder &b, Location loc, const Step &step);
+
+  DifferentiableAccessInterface store;
+  ParallelForOp loop;
+  ArrayRef<DifferentiableAccessInterface> reads;
+  const SameIteration &same;
+  SmallVector<DifferentiableAccessInterface> loads;
+  std::optional<AtomicKind> family;
+  SmallVector<Step> steps;
+  /// Ops between the loads and the store, which are to have no other use.
+  llvm::SetVector<Operation *> path;
+  /// Results of branches on the path.
+  SmallVector<OpResult> branches;
+  /// The branch around the store that compares with the element, if there is
+  /// one: it goes with the store.
+  scf::IfOp guard;
+  /// Values that are computed, in the same iteration, from the element or from
+  /// a component of it.
+  llvm::DenseSet<Value> dependents;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_TRANSFORMS_ACCUMULATIONS_SHAREDUPDATE_H
