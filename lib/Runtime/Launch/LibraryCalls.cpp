@@ -91,7 +91,8 @@ static UnsignedWide unsignedWideFromDouble(double value) {
 }
 }
 
-void mlir::tai::runtime::appendLibraryCalls(std::vector<RuntimeSymbol> &symbols) {
+void mlir::tai::runtime::appendLibraryCalls(
+    std::vector<RuntimeSymbol> &symbols) {
   auto add = [&](const char *name, auto *function) {
     symbols.push_back({name, reinterpret_cast<void *>(function)});
   };

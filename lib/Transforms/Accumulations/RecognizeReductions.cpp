@@ -108,8 +108,8 @@ bool LoopUpdates::isAlone(SharedUpdate &update) {
     });
     if (isOfUpdate)
       continue;
-    // Reads of what is not certainly the same element are left to the program,
-    // as beside an atomic.
+    // Reads of an element that is not certainly the same are left to the
+    // program, as beside an atomic.
     if (other.getAccessKind() == AccessKind::Read &&
         !same.reachSame(store, other))
       continue;
@@ -266,7 +266,7 @@ struct RecognizeReductions
   using Base::Base;
 
   void runOnOperation() override {
-    // What differentiation makes has its updates in order.
+    // Kernels made by differentiation have their updates in order.
     llvm::StringSet<> derived;
     getOperation().walk([&](KernelOp kernel) {
       for (FlatSymbolRefAttr name :

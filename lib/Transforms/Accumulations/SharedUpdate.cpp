@@ -54,7 +54,7 @@ static std::optional<AtomicKind> getKind(Operation *op) {
 }
 
 //===----------------------------------------------------------------------===//
-// What a store depends on
+// Operands of a store
 //===----------------------------------------------------------------------===//
 
 bool SharedUpdate::isOld(Value value) const {
@@ -98,7 +98,7 @@ void SharedUpdate::findDependents() {
         add(serial.getRegionIterArg(number));
         continue;
       }
-      // What a branch gives, and each iteration of a loop, depends on the
+      // The results of a branch, and of each iteration of a loop, depend on the
       // condition.
       Operation *op = user->hasTrait<OpTrait::IsTerminator>() && parent != loop
                           ? parent
@@ -154,8 +154,8 @@ bool SharedUpdate::addStep(Step step) {
     family = getCombiningKind(step.kind);
   if (*family != getCombiningKind(step.kind))
     return false;
-  // Narrower numbers than those of the element have lost what it held; extrema
-  // of wider integers are not those of what is left of them.
+  // Numbers narrower than the element have lost digits of it; extrema of wider
+  // integers are not those of the truncated ones.
   Type scalar = getScalar(store.getAccessedValue());
   Type combined = getElementTypeOrSelf(step.type);
   if (isa<FloatType>(scalar) != isa<FloatType>(combined) ||
@@ -211,8 +211,8 @@ bool SharedUpdate::matchCombination(Operation *op, AtomicKind kind,
                   other.getType(), context.conditions});
 }
 
-/// The minimum or maximum that `condition ? whenTrue : whenFalse` is: the
-/// condition compares the two, or what is equal to them.
+/// Recognises `condition ? whenTrue : whenFalse` as a minimum or maximum: the
+/// condition compares the two, or values equal to them.
 std::optional<Extremum>
 SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   while (Value turned = getNegated(condition)) {
@@ -221,7 +221,7 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
     std::swap(whenTrue, whenFalse);
   }
   Operation *compare = condition.getDefiningOp();
-  // Of a number and NaN the number is taken.
+  // If one of them is NaN, the other one is taken.
   if (auto either = dyn_cast_or_null<arith::OrIOp>(compare)) {
     auto isNaN = either.getRhs().getDefiningOp<arith::CmpFOp>();
     if (!isNaN || isNaN.getPredicate() != arith::CmpFPredicate::UNO)
@@ -294,7 +294,7 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   AtomicKind kind = isMin ? isUnsigned ? AtomicKind::MinU : AtomicKind::Min
                     : isUnsigned ? AtomicKind::MaxU
                                  : AtomicKind::Max;
-  // What is compared is known before the choice.
+  // The compared values are known before the choice.
   return Extremum{kind, dependsOnOld(lhs) ? rhs : lhs,
                   isTrueOld ? whenTrue : whenFalse};
 }
@@ -340,7 +340,7 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   auto branch = cast<scf::IfOp>(result.getOwner());
   branches.push_back(result);
   if (dependsOnOld(branch.getCondition())) {
-    // What else the branch does is to depend on nothing but its condition.
+    // The branch must have no other result and no effect.
     if (branch->getNumResults() != 1 || !doesNothing(branch))
       return false;
     std::optional<Extremum> extremum =
@@ -370,7 +370,7 @@ bool SharedUpdate::matchGuard(scf::IfOp branch, bool inThen) {
   if (op->getParentOp() != branch || branch->getNumResults() != 0 ||
       dependsOnOld(value) || !doesNothing(branch, op))
     return false;
-  // What else is to hold.
+  // The other conditions, which must hold as well.
   SmallVector<std::pair<Value, bool>, 1> others;
   SmallVector<Value> parts;
   std::function<void(Value)> split = [&](Value condition) {
@@ -418,7 +418,7 @@ bool SharedUpdate::matchGuard(scf::IfOp branch, bool inThen) {
       {branch, extremum->kind, extremum->value, value.getType(), others});
 }
 
-/// True if nothing but the store needs what was there before.
+/// True if only the store uses the former value.
 bool SharedUpdate::isOnlyUsedHere() {
   auto isOurs = [&](Operation *user) {
     if (user == store || path.contains(user))
@@ -647,7 +647,8 @@ void SharedUpdate::rewrite() {
     path.remove(guard);
     guard.erase();
   }
-  // Nobody takes these results any more: that lets go of what was there before.
+  // The results have no users any more: without them, the former value has no
+  // user either.
   for (OpResult result : branches) {
     auto branch = cast<scf::IfOp>(result.getOwner());
     for (Region *region : branch.getRegions()) {

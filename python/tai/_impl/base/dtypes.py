@@ -82,7 +82,7 @@ _by_numpy = {t.numpy: t for t in all_types if t is not bf16}
 
 
 def _named(name: str) -> DataType:
-    """The type of that name; what a type is pickled as, and copied."""
+    """The type of that name; the form in which a type is pickled, and copied."""
     return _by_name[name]
 
 

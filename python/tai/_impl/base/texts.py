@@ -262,8 +262,8 @@ def _are_same_constants(one: Any, other: Any) -> bool:
 
 
 def _shown(constant: Any) -> str:
-    """A constant as text, which tells -0.0 from 0.0; of the qualified name of a class in the
-    function, the part that does not depend on what is around it."""
+    """A constant as text, which tells -0.0 from 0.0; the qualified name of a class in the function
+    is cut to the part that does not depend on the code around it."""
     return repr(constant).rsplit("<locals>.", 1)[-1]
 
 
