@@ -19,6 +19,7 @@
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include <numeric>
@@ -88,6 +89,8 @@ struct Later {
   SmallVector<Value, 2> same;
   /// Iterations between the first and the last, if known.
   std::optional<int64_t> most;
+  /// Whether indices wrap around only where they are known to.
+  bool inRange = false;
 
   bool moves(Value value) const {
     return llvm::any_of(moving,
@@ -169,6 +172,22 @@ static LinearIndex getForm(Value value) {
   return form;
 }
 
+/// True if a product in the form is known to leave 32 bits.
+static bool isKnownToWrap(const LinearIndex &form) {
+  __int128 low = form.constant, high = form.constant;
+  for (auto [value, factor] : form.terms) {
+    Interval range = getInterval(value);
+    if (!range.low || !range.high)
+      return false;
+    low +=
+        static_cast<__int128>(factor) * (factor > 0 ? *range.low : *range.high);
+    high +=
+        static_cast<__int128>(factor) * (factor > 0 ? *range.high : *range.low);
+  }
+  return low < std::numeric_limits<int32_t>::min() ||
+         high > std::numeric_limits<int32_t>::max();
+}
+
 /// True if the indices differ whenever `second` is so much later.
 static bool areApart(const LinearIndex &first, const LinearIndex &second,
                      Block *common, const Later &later) {
@@ -212,7 +231,10 @@ static bool areApart(const LinearIndex &first, const LinearIndex &second,
   };
   addTerms(first, 1);
   addTerms(second, -1);
-  return difference.cannotBeZero(first.mayWrap || second.mayWrap);
+  auto wraps = [&](const LinearIndex &form) {
+    return form.mayWrap && (!later.inRange || isKnownToWrap(form));
+  };
+  return difference.cannotBeZero(wraps(first) || wraps(second));
 }
 
 /// The same of lists of values of equal length.
@@ -262,6 +284,22 @@ static SmallVector<Later> getWays(Operation *loop) {
   }
   ways.push_back(later);
   return ways;
+}
+
+bool mlir::tai::mayMeet(ParallelForOp loop, ElementPlace first,
+                        ElementPlace second) {
+  Block *body = &loop.getBody().front();
+  auto areApartIn = [&](ValueRange a, ValueRange b, const Later &later) {
+    return a.size() == b.size() && areApart(a, b, body, later);
+  };
+  return llvm::any_of(getWays(loop), [&](Later &later) {
+    later.inRange = true;
+    auto mayAlias = [&](const ElementPlace &a, const ElementPlace &b) {
+      return !areApartIn(a.indices, b.indices, later) &&
+             !areApartIn(a.components, b.components, later);
+    };
+    return mayAlias(first, second) || mayAlias(second, first);
+  });
 }
 
 bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,

@@ -105,6 +105,7 @@ Session::Session()
   context->loadAllAvailableDialects();
   RemarkScope::prepare(context.get());
   rt = std::make_unique<runtime::Runtime>();
+  compileOptions.oneThread = rt->threads() == 1;
   compiler = std::make_unique<Compiler>(context.get(), getPipelines(),
                                         runtime::runtimeSymbols());
   compiler->loadDialects();

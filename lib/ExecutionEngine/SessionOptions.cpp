@@ -106,6 +106,12 @@ static ContextModes with(ContextModes modes, bool ContextModes::*mode,
   return modes;
 }
 
+LogicalResult Session::setThreads(int threads) {
+  rt->setThreads(threads);
+  compileOptions.oneThread = rt->threads() == 1;
+  return success();
+}
+
 LogicalResult Session::setDeterministic(bool on) {
   return setModes(with(modes, &ContextModes::deterministic, on));
 }

@@ -22,6 +22,8 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   addSourcePasses(pm, options);
 
   addPerFunction(pm, [&](OpPassManager &function) {
+    if (options.oneThread)
+      function.addPass(createKeepOrder());
     if (fast) {
       function.addPass(createMarkExclusive());
       function.addPass(createScatterToGather());

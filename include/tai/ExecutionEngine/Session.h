@@ -159,6 +159,7 @@ private:
 
   // Setters of options that concern more than one part, or a part other than
   // CompileOptions and the runtime; see Options.def.
+  LogicalResult setThreads(int threads);
   LogicalResult setDeterministic(bool on);
   LogicalResult setDebug(bool on);
   LogicalResult setFastMath(bool on);

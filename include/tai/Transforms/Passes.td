@@ -281,6 +281,33 @@ def ScatterToGather : Pass<"tai-scatter-to-gather"> {
   ];
 }
 
+def KeepOrder : Pass<"tai-keep-order"> {
+  let summary = "keep the order of iterations where it matters";
+  let description = [{
+    For one thread, on which a loop runs as if its iterations followed one
+    another: marks each parallel loop whose iterations may meet in memory as
+    `in_order`. Later passes reorder the reads and writes of different
+    iterations, or tell LLVM that it may, only in loops without the mark.
+
+    Iterations meet if one of them stores to an element that another one reads
+    or stores to, unless the indices prove that it does not. Atomic updates of
+    one kind do not count where nothing reads what they update, nor do stores of
+    one value.
+
+    ```mlir
+    tai.parallel_for (%i) = (%c1) to (%c9) {
+      %j = arith.subi %i, %c1 : index
+      %0 = tai.load @x[%j] : f32
+      tai.store %0, @x[%i] : f32
+    }
+    // becomes
+    tai.parallel_for (%i) = (%c1) to (%c9) {
+      // the same
+    } {in_order}
+    ```
+  }];
+}
+
 def VersionInterior : Pass<"tai-version-interior"> {
   let summary = "give a loop a second body for its interior";
   let description = [{

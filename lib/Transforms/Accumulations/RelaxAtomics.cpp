@@ -539,7 +539,7 @@ LogicalResult LoopRelaxation::run() {
     loop.walk([&](AtomicOp atomic) { inMemory |= !atomic.getExclusive(); });
     serialize();
   }
-  if (!inMemory)
+  if (!inMemory && !loop.getInOrder())
     loop->setAttr(kIndependentAttrName, UnitAttr::get(loop.getContext()));
   return success();
 }

@@ -773,7 +773,8 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
     getOperation()->walk([&](ParallelForOp loop) { loops.push_back(loop); });
     for (ParallelForOp loop : loops) {
       std::optional<LoopBox> box = getIndexBox(loop);
-      if (!box || loop.getInductionVars().empty() || checksIndices(loop))
+      if (!box || loop.getInductionVars().empty() || loop.getInOrder() ||
+          checksIndices(loop))
         continue;
       GatherOptions options{maxOps, Modes::of(loop).isCompensated(), pairSums};
       if (failed(getSparseLoopField(loop)))

@@ -136,8 +136,8 @@ struct VersionInterior : tai::impl::VersionInteriorBase<VersionInterior> {
 
   void runOnOperation() override {
     getOperation()->walk([&](ParallelForOp loop) {
-      if (loop.getSerialize() || loop.getInductionVars().empty() ||
-          checksIndices(loop))
+      if (loop.getSerialize() || loop.getInOrder() ||
+          loop.getInductionVars().empty() || checksIndices(loop))
         return;
       int64_t ops = 0;
       loop.getBody().walk([&](Operation *) { ++ops; });

@@ -370,7 +370,8 @@ std::optional<BlockLoop> BlockLoop::analyze(ParallelForOp loop,
   BlockLoop result;
   result.loop = loop;
   if (!loop.isStructFor() || loop.getLevel() || loop.getSerialize() ||
-      loop->getParentOfType<ParallelForOp>() || !result.findBlock(fields))
+      loop.getInOrder() || loop->getParentOfType<ParallelForOp>() ||
+      !result.findBlock(fields))
     return std::nullopt;
   result.findAnswers(fields);
   if (!result.analyzeBody(loop.getBody().front(), fields) ||

@@ -329,6 +329,7 @@ void ParallelForOp::copyNotesFrom(ParallelForOp other) {
   setOuterDimsAttr(other.getOuterDimsAttr());
   setFixedCostAttr(other.getFixedCostAttr());
   setInWarp(other.getInWarp());
+  setInOrder(other.getInOrder());
 }
 
 SmallVector<Region *> ParallelForOp::getLoopRegions() { return {&getRegion()}; }

@@ -196,6 +196,11 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     sums independently of the lowering; `in_warp`, one warp of a GPU runs the
     loop, with its additions in a fixed order.
 
+    `in_order`, which `tai-keep-order` sets, promises less: one thread runs the
+    loop, and its iterations read and write memory as if they ran one after
+    another, in ascending order. Atomic updates of one kind whose old values are
+    not used may still be reassociated.
+
     Example:
 
     ```mlir
@@ -217,7 +222,8 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     OptionalAttr<I64Attr>:$reach,
     OptionalAttr<I64Attr>:$outer_dims,
     OptionalAttr<F64Attr>:$fixed_cost,
-    UnitAttr:$in_warp
+    UnitAttr:$in_warp,
+    UnitAttr:$in_order
   );
   let regions = (region SizedRegion<1>:$body);
   let hasCustomAssemblyFormat = 1;

@@ -1,0 +1,40 @@
+//===- IterationOrder.h - Do iterations depend on order ---------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Whether the iterations of a loop meet in memory. Iterations of a parallel
+// loop have no order, so that most passes need not ask. Where a loop runs on
+// one thread they have one, which only loops whose iterations do not meet may
+// give up. See docs/decisions/0051-one-thread-in-order.md.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_ITERATIONORDER_H
+#define TAI_ANALYSIS_ITERATIONORDER_H
+
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+
+/// The position of an access in its storage: the indices of the element, then
+/// those of the component, if it reaches only one.
+struct ElementPlace {
+  ValueRange indices, components;
+};
+
+/// False if accesses at the two places reach different elements in any two
+/// different iterations of `loop`. Conservative: true unless proven otherwise.
+/// An index that is out of range is not followed where it wraps around.
+bool mayMeet(ParallelForOp loop, ElementPlace first, ElementPlace second);
+
+/// True unless it is proven that the order of the iterations changes nothing
+/// in memory and nothing that they read, but for the order in which sums and
+/// other updates that commute are combined.
+bool dependsOnOrder(ParallelForOp loop);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_ITERATIONORDER_H
