@@ -115,13 +115,14 @@ class Generator:
         """One update in one of the forms that the operation has."""
         if family in "<>":
             return self.extremum(place, family, value)
-        if family == "*":
+        is_whole = place[0] in "cw"
+        if family == "*" and not is_whole:
             # Products stay of moderate size.
-            value = f"(1 + 1e-4 * {value})" if "n" not in value and value != "3" else value
+            value = f"(1 + 1e-4 * {value})"
         new = [f"{place} {family} {value}", f"{value} {family} {place}"]
         if family == "+":
-            new += [f"{place} - {value}", f"{place} + {value} - x[i]" if "n" not in value
-                    else f"{place} + {value} - n[i]"]  # fmt: skip
+            rest = "n[i]" if is_whole else "x[i]"
+            new += [f"{place} - {value}", f"{place} + {value} - {rest}"]
         one = self.rng.choice(new)
         form = self.rng.randrange(5)
         if form == 0 and family != "*":
