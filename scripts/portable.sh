@@ -16,12 +16,6 @@ root=dist/$name
 rm -rf "$root" "$root.tar.xz"
 cmake --install build-portable --prefix "$root" --strip >/dev/null
 cp LICENSE "$root/"
-# Vector functions for loops; without them loops call libm.
-for sleef in /usr/lib/"$(uname -m)"-linux-gnu/libsleef.so.3; do
-  [ -e "$sleef" ] || continue
-  cp -L "$sleef" "$root/lib/"
-  cp /usr/share/doc/libsleef3/copyright "$root/LICENSE.sleef"
-done
 cp docs/portable.md "$root/README.md"
 
 # Nothing else may be asked of the machine.
@@ -37,7 +31,11 @@ for file in "$root"/lib/*.so* "$root"/bin/* "$root"/python/tai/_core*.so; do
 done
 "$root/bin/tai-opt" --version >/dev/null
 
-tar -C dist -c "$name" | xz -9 -T1 >"$root.tar.xz"
+# The same bytes again, whoever packs it: times are those of the commit.
+epoch=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || echo 0)}
+tar -C dist --sort=name --format=gnu --owner=0 --group=0 --numeric-owner --mode=u+w,go-w \
+  --mtime="@$epoch" -c "$name" | xz -9 -T1 >"$root.tar.xz"
+(cd dist && sha256sum "$name.tar.xz" >"$name.tar.xz.sha256")
 size=$(stat -c %s "$root.tar.xz")
 printf 'portable: %s, %d.%d MB\n' "$root.tar.xz" $((size / 1000000)) $((size / 100000 % 10))
 if [ "$size" -gt "$limit" ]; then

@@ -39,6 +39,7 @@ ARROWS: dict[str, str] = {
     "ExecutionEngine": "ABI AD Analysis CodeGen Conversion Dialect Interfaces Interpreter "
     "Pipelines Runtime Support Transforms",
     "CAPI": "ExecutionEngine Runtime Support",
+    "Portable": "",
 }
 
 # The same for the rooms of the runtime. Rooms that include one another are listed in KNOWN_CIRCLES

@@ -18,6 +18,28 @@ mark_as_advanced(TAI_ZLIB TAI_ZSTD)
 set(TAI_PORTABLE_LINK
   -Wl,--start-group ${archives} -Wl,--end-group ${TAI_ZLIB} ${TAI_ZSTD} pthread dl m rt)
 
+# Vector functions for loops, without which loops call libm. libtai looks for them
+# next to itself.
+find_library(TAI_SLEEF NAMES libsleef.so.3)
+mark_as_advanced(TAI_SLEEF)
+if(TAI_SLEEF)
+  file(REAL_PATH "${TAI_SLEEF}" sleef)
+  install(FILES "${sleef}" DESTINATION "${CMAKE_INSTALL_LIBDIR}" RENAME libsleef.so.3
+    COMPONENT library)
+endif()
+
+# The licences of what is linked or copied into the bundle, from Debian's packages.
+foreach(name llvm=libmlir-22-dev sleef=libsleef3 zlib=zlib1g-dev zstd=libzstd-dev)
+  string(REGEX MATCH "([a-z]+)=(.*)" _ "${name}")
+  set(license "/usr/share/doc/${CMAKE_MATCH_2}/copyright")
+  if(EXISTS "${license}")
+    install(FILES "${license}" DESTINATION "${TAI_LICENSE_DESTINATION}"
+      RENAME "LICENSE.${CMAKE_MATCH_1}" COMPONENT library)
+  endif()
+endforeach()
+install(FILES "${PROJECT_SOURCE_DIR}/LICENSE" DESTINATION "${TAI_LICENSE_DESTINATION}"
+  COMPONENT library)
+
 # tai_portable_exports(): what libtai exports is the C API and what the tools
 # use of it, nothing else: a process may hold another LLVM too.
 function(tai_portable_exports)

@@ -1,0 +1,16 @@
+# The Python module alone, against a libtai that is built already: TAI_PREBUILT is
+# the folder of a portable bundle. So one libtai serves the wheels of all Pythons.
+add_library(tai SHARED IMPORTED GLOBAL)
+set_target_properties(tai PROPERTIES IMPORTED_LOCATION "${TAI_PREBUILT}/lib/libtai.so"
+  INTERFACE_INCLUDE_DIRECTORIES "${TAI_PREBUILT}/include")
+
+# Nothing is instrumented here.
+function(tai_sanitize target)
+endfunction()
+
+install(DIRECTORY "${TAI_PREBUILT}/lib/" DESTINATION "${CMAKE_INSTALL_LIBDIR}"
+  COMPONENT library USE_SOURCE_PERMISSIONS)
+install(DIRECTORY "${TAI_PREBUILT}/bin/" DESTINATION "${CMAKE_INSTALL_BINDIR}"
+  COMPONENT tools USE_SOURCE_PERMISSIONS)
+install(DIRECTORY "${TAI_PREBUILT}/licenses/" DESTINATION "${TAI_LICENSE_DESTINATION}"
+  COMPONENT library)

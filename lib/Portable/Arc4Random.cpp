@@ -1,0 +1,23 @@
+//===- Arc4Random.cpp - A function of glibc 2.36 --------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// LLVM's packages call `arc4random`, to name temporary files. It is the only
+// symbol of glibc 2.36 that they need; with this definition inside of libtai,
+// the library loads with glibc 2.35, that of Ubuntu 22.04.
+//
+//===----------------------------------------------------------------------===//
+
+#include <cstdint>
+#include <sys/random.h>
+
+extern "C" __attribute__((visibility("hidden"))) uint32_t arc4random() {
+  uint32_t value = 0;
+  // Up to 256 bytes come whole, once the kernel has collected entropy.
+  while (getrandom(&value, sizeof(value), 0) != sizeof(value)) {
+  }
+  return value;
+}
