@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak bench bench-error bench-pairs fmt lint tidy portable docs clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak bench bench-error bench-pairs fmt lint tidy portable wheel docs clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -83,6 +83,10 @@ tidy: build ## clang-tidy over changed sources and headers (ARGS=--all); needs c
 
 portable: setup ## make dist/tai-portable-*.tar.xz, which needs no LLVM to run
 	@scripts/portable.sh $(JOBS)
+
+wheel: setup ## make wheels of all CPythons that are found, an sdist, an SBOM (ARGS=--download)
+	@scripts/portable.sh $(JOBS)
+	@$(PYTHON) scripts/make_wheels.py $(ARGS)
 
 docs: build ## generate the reference of dialect and passes in build/docs
 	@ninja -C $(BUILD) mlir-doc
