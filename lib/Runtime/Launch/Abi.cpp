@@ -262,7 +262,7 @@ static std::vector<RuntimeSymbol> getAbiSymbols() {
 
 std::vector<RuntimeSymbol> mlir::tai::runtime::runtimeSymbols() {
   std::vector<RuntimeSymbol> symbols = getAbiSymbols();
-  appendHalfCalls(symbols);
+  appendLibraryCalls(symbols);
   for (auto [name, function] : vectorMathSymbols())
     symbols.push_back({name, function});
   return symbols;

@@ -30,7 +30,7 @@ double doubleFromHalf(uint16_t bits);
 double doubleFromBfloat(uint16_t bits);
 
 /// Appends the conversion functions of these types that compiled code calls.
-void appendHalfCalls(std::vector<RuntimeSymbol> &symbols);
+void appendLibraryCalls(std::vector<RuntimeSymbol> &symbols);
 
 /// The stride of elements along an index; false if it is not uniform.
 bool findConstantStep(const std::vector<LayoutLevel> &levels, int64_t &step);
