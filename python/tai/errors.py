@@ -13,6 +13,66 @@ from collections.abc import Iterable
 SHOW_TRACEBACK = bool(os.environ.get("TAI_TRACEBACK"))
 
 
+# Advice for errors that calls from Python raise without any: the first whose pattern is found in
+# the message; groups of the pattern fill the hint.
+_HINTS_OF_CALLS = [
+    (r"index \S+ is out of range", "indices count from 0; negative ones have no meaning"),
+    (r"^an element of field '(.*)' has shape \((\d+),\)", "give a list of {1} numbers"),
+    (r"^an element of field '(.*)' has shape", "give a list of rows: [[1.0, 2.0], [3.0, 4.0]]"),
+    (r"^field '(.*)' is filled by", "fill it with one number, or {0}.from_numpy(array)"),
+    (r"^copy_from expects a field", "an array goes in by from_numpy(array)"),
+    (r"members?, but got \d+$", "members are named where the struct type is made"),
+    (r"^order must hold", "name the axes, slowest first: order='ij' or order='ji'"),
+    (r"^the offset has", "give one number for each dimension of the shape"),
+    (r"^a matrix has at least one row", "write ti.Vector.field(3, ti.f32, shape=8) or "
+     "ti.Matrix.field(3, 3, ti.f32, shape=8)"),
+    (r"expects \d+ dimensions, but got", "annotate the number of dimensions that it has: "
+     "ti.types.ndarray(ndim=2)"),
+    (r"expects an array, but got", "pass an array: np.zeros(8, np.float32), or a ti.ndarray"),
+    (r"^default_fp must", "write default_fp=ti.f32 or default_fp=ti.f64"),
+    (r"^default_ip must", "write default_ip=ti.i32 or default_ip=ti.i64"),
+    (r"^option '(\w+)' expects", "docs/options.md lists the values of each option"),
+    (r"is not a type of numbers$|which is none of numbers$", "use a type such as ti.f32, "
+     "or a vector type such as ti.math.vec3"),
+    (r"^a struct type has at least", "write ti.types.struct(mass=ti.f32, pos=ti.math.vec3)"),
+    (r"^an array of shape .* does not exist", "extents are whole numbers from 0 on"),
+    (r"is placed already$", "give each field one place: drop its shape= to place it by hand"),
+    (r"^expects axes such as", "write ti.root.dense(ti.ij, (4, 3))"),
+    (r"axes need \d+ extents", "give one extent for each axis, or one number for all"),
+    (r"^place expects fields", "make the field without a shape first: x = ti.field(ti.f32)"),
+    (r"^the program cannot be reset", "close it first: ti.init belongs before it"),
+    (r"expects numbers, but got", "convert it: array.astype(np.float32)"),
+    (r"expects an array, but got NoneType", "pass an array: np.zeros(n, np.float32)"),
+    (r"^(?:field '(.*)'|an array).* expects an array of shape|^expects an array of shape",
+     "give the array that shape: array.reshape(…), or take a part of it"),
+    (r"an index is a whole number", "write an index from 0 on, such as [2] or [1, 0]"),
+    (r"expects \d+ ind(ex|ices), but got", "give one index for each dimension"),
+    (r"a matrix is made of numbers", "write ti.Vector([1.0, 2.0]) or ti.Matrix([[1.0, 2.0], …])"),
+    (r"the rows of a matrix have one length", "give each row as many numbers as the first has"),
+    (r"an extent must be (?:positive|a whole number)", "extents are whole numbers from 1 on"),
+    (r"holds numbers of type (\w+), not", "store a number; a vector goes into a vector field"),
+    (r"^shapes .* do not go together", "make both of one shape; '@' multiplies matrices"),
+    (r"^shapes .* do not chain", "the columns of the left one are the rows of the right one"),
+    (r"^needs a square matrix", "a matrix has as many rows as columns then"),
+    (r"^@ti\.(kernel|func) takes a function", "write @ti.{0} above a def"),
+    (r"^ti\.(max|min) takes at least two", "ti.{0}(a, b), or v.{0}() over the components of a "
+     "vector"),
+    (r"^ti\.\w+ takes numbers", "pass a number, a vector or a matrix; a field is looped over in a "
+     "kernel"),
+    (r"^the annotation '.*' has no meaning", "import or define the name above the kernel"),
+    (r"^kernel '.*' has no mode|^the mode '.*' of kernel", "help(ti.kernel) says which there are"),
+    (r"has at most \d+ dimensions", "put several of them into one index, or use elements that are "
+     "vectors"),
+]  # fmt: skip
+
+
+def _hint_of_call(message: str) -> str | None:
+    for pattern, hint in _HINTS_OF_CALLS:
+        if found := re.search(pattern, message):
+            return hint.format(*found.groups())
+    return None
+
+
 class TaiError(Exception):
     """Base of all errors of this package.
 
@@ -25,8 +85,12 @@ class TaiError(Exception):
     """
 
     def __init__(self, message: str, hint: str | None = None):
+        # A number of hundreds of digits would hide the rest.
+        message = re.sub(r"\d{50,}", lambda found: found[0][:12] + "…", message)
         super().__init__(message)
-        self.message, self.hint = message, hint
+        # For an error without a hint; in a kernel, the compiler has better ones.
+        self.general_hint = _hint_of_call(message)
+        self.message, self.hint = message, hint or self.general_hint
         self.filename: str | None = None
         self.lineno: int | None = None
         self.column: int | None = None

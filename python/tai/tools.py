@@ -15,13 +15,43 @@ from ._impl.base.shadows import ShadowReport as ShadowReport
 from ._impl.base.shadows import ShadowRow as ShadowRow
 from ._impl.base.shadows import clear_shadow_report as clear_shadow_report
 from ._impl.base.shadows import shadow_report as shadow_report
-from .errors import TaiRuntimeError
+from .errors import TaiRuntimeError, TaiRuntimeTypeError
 from .gui import GUI
+
+
+def _pixels_of(image: Any) -> np.ndarray:
+    """The array of a field, of an array or of a list: (width, height) or with channels.
+
+    Raises:
+        TaiRuntimeTypeError: it is no picture.
+    """
+    try:
+        pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+    except ValueError as error:  # lists of several lengths
+        raise TaiRuntimeTypeError(
+            f"a picture is an array of numbers: {error}", "give all rows one length"
+        ) from None
+    if not isinstance(pixels, np.ndarray) or pixels.dtype.kind not in "buif":
+        what = f"numbers of type {pixels.dtype}" if hasattr(pixels, "dtype") else "a dictionary"
+        raise TaiRuntimeTypeError(
+            f"a picture is made of whole numbers or floats, but got {what}",
+            "pass a field or an array of ti.f32, or of ti.u8",
+        )
+    has_channels = pixels.ndim == 3 and 1 <= pixels.shape[2] <= 4
+    if not (pixels.ndim == 2 or has_channels) or 0 in pixels.shape:
+        raise TaiRuntimeTypeError(
+            f"a picture has shape (width, height), or (width, height, 1 to 4), but got "
+            f"{pixels.shape}",
+            "reshape the array, or take a part of it",
+        )
+    return pixels
 
 
 def cook_image_to_bytes(image: Any) -> np.ndarray:
     """An array of a field or an array as bytes, rows downward: (height, width, channels)."""
-    pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+    pixels = _pixels_of(image)
+    if pixels.dtype == np.bool_:
+        pixels = pixels * np.uint8(255)
     if pixels.dtype != np.uint8:
         if pixels.dtype.kind == "f":
             pixels = np.clip(np.nan_to_num(pixels), 0, 1) * 255
@@ -37,13 +67,23 @@ def imwrite(image: Any, filename: str) -> None:
 
     pixels = cook_image_to_bytes(image)
     picture = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
-    save_picture(picture, filename)
+    try:
+        save_picture(picture, filename)
+    except ValueError as error:
+        raise TaiRuntimeError(
+            f"the picture cannot be written to '{filename}': {error}",
+            "the name ends with the format: .png, .jpg, .bmp",
+        ) from None
 
 
 def imread(filename: str, channels: int = 0) -> np.ndarray:
     """Reads a picture as bytes, first index to the right, second one upward."""
     from PIL import Image
 
+    if isinstance(filename, (str, os.PathLike)) and not os.path.exists(filename):
+        raise TaiRuntimeError(
+            f"there is no picture '{filename}'", "paths count from the folder where Python started"
+        )
     mode = {1: "L", 3: "RGB", 4: "RGBA"}.get(channels)
     with Image.open(filename) as picture:
         pixels = np.asarray(picture.convert(mode) if mode else picture)
@@ -52,8 +92,12 @@ def imread(filename: str, channels: int = 0) -> np.ndarray:
 
 def imresize(image: Any, width: int, height: int | None = None) -> np.ndarray:
     """The picture in another size, by nearest pixels."""
-    pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+    pixels = _pixels_of(image)
     height = width if height is None else height
+    if width < 1 or height < 1:
+        raise TaiRuntimeError(
+            f"a picture has at least one pixel, but got {width} by {height}", "make it larger"
+        )
     columns = np.arange(width) * pixels.shape[0] // width
     rows = np.arange(height) * pixels.shape[1] // height
     return pixels[columns][:, rows]
@@ -61,7 +105,7 @@ def imresize(image: Any, width: int, height: int | None = None) -> np.ndarray:
 
 def imshow(image: Any, title: str = "imshow") -> None:
     """Shows a picture, that is, writes one frame of a `ti.GUI`."""
-    pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+    pixels = _pixels_of(image)
     gui = GUI(title, res=pixels.shape[:2])
     gui.set_image(pixels)
     if not gui.frames_dir:

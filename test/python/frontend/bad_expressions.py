@@ -579,7 +579,7 @@ def array_that_is_printed():
     kernel(np.zeros((3, 2), np.float32))
 
 
-@bad(ti.TaiTypeError, "the type f32 stands where a number is needed", "ti.cast(x, f32)")
+@bad(ti.TaiTypeError, "the type f32 stands where a number is needed", "ti.cast(x, ti.f32)")
 def type_as_a_number():
     x, _, _, _ = fields()
 

@@ -194,9 +194,9 @@ def ndrange_of_floats():
 
 
 @bad(
-    ti.TaiRuntimeTypeError,
-    "a field is iterated in kernels only",
-    "use x.to_numpy() to loop over it in Python",
+    ti.TaiTypeError,
+    "field 'x' is no list: Python looks at it while the kernel is compiled",
+    "loop over its indices: for i in x",
 )
 def enumerate_of_a_field():
     x, _, _, _ = fields()

@@ -222,7 +222,7 @@ def test_wrong_arrays():
         kernel(np.zeros((2, 2)))
     with pytest.raises(ti.TaiRuntimeTypeError, match="expects 2 dimensions, but got 1"):
         kernel(np.zeros(2, np.float32))
-    with pytest.raises(ti.TaiRuntimeTypeError, match="got ScalarField\n.*template"):
+    with pytest.raises(ti.TaiRuntimeTypeError, match="got field 'field'\n.*template"):
         kernel(ti.field(ti.f32, shape=(2, 2)))
     with pytest.raises(ti.TaiRuntimeTypeError, match="expects an array, but got list"):
         kernel([[1.0]])

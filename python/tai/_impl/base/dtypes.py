@@ -177,7 +177,14 @@ def dtype_of(value: Any) -> DataType:
 def misfit(number: Any, dt: DataType) -> TaiTypeError:
     """The error for a whole number that a type cannot hold."""
     if isinstance(number, float):
-        return TaiTypeError(f"{number} is no whole number of type {dt}")
+        return TaiTypeError(
+            f"{number} is no whole number of type {dt}", "give a finite number, or take ti.f32"
+        )
+    if number.bit_length() > 128:
+        return TaiTypeError(
+            f"a whole number of {number.bit_length()} bits does not fit {dt}",
+            "whole numbers have at most 64 bits; floats hold larger ones: ti.f64",
+        )
     default = state.options.default_ip
     if dt is default or not default.min <= number <= default.max:
         wide = "u64" if number > 2**63 - 1 else "i64"
@@ -211,9 +218,15 @@ def fit(number: Any, dt: DataType) -> int:
 
 def rounded(number: Any, dt: DataType) -> float:
     """The number as a float type holds it."""
+    try:
+        near: Any = float(number) if dt.bits == 64 else dt.numpy.type(number)
+    except OverflowError:
+        raise TaiTypeError(
+            f"a whole number of {number.bit_length()} bits is too large for {dt}",
+            "the largest float is near 1.8e308",
+        ) from None
     if dt.bits == 64:
-        return float(number)
-    near = dt.numpy.type(number)
+        return float(near)
     if dt is bf16 and np.isfinite(near):
         bits = int(near.view(np.uint32))
         near = np.uint32((bits + 0x7FFF + (bits >> 16 & 1)) & 0xFFFF0000).view(np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from ...errors import TaiError, TaiIndexError, TaiRuntimeTypeError
 from .dtypes import DataType, all_types, fit
 
+# Whole numbers from here on may be too large for a float.
+_FLOAT_LIMIT = 1 << 1000
 _RANGES = {dt: (dt.min, dt.max) for dt in all_types if dt.is_int}
 
 
@@ -28,6 +31,8 @@ def stored(value: Any, dt: DataType, what: Any) -> Any:
     """
     limits = _RANGES.get(dt)
     if limits is None:
+        if type(value) is int and not -_FLOAT_LIMIT < value < _FLOAT_LIMIT:
+            check_float(value, dt, what)
         return bool(value) if dt.is_bool else value
     if type(value) is int and limits[0] <= value <= limits[1]:
         return value
@@ -44,7 +49,8 @@ def check_float(value: Any, dt: DataType, what: Any) -> None:
         float(value)
     except OverflowError:
         raise TaiRuntimeTypeError(
-            f"{_say(what)}: a whole number of {value.bit_length()} bits is too large for {dt}"
+            f"{_say(what)}: a whole number of {value.bit_length()} bits is too large for {dt}",
+            "the largest float is near 1.8e308",
         ) from None
 
 
@@ -59,8 +65,18 @@ def one_number(value: Any, what: Any) -> Any:
         ) from None
 
 
+def listed(values: Any) -> Any:
+    """Several whole numbers as a tuple or a list: of an array, a tensor, a range, or one number."""
+    if hasattr(values, "tolist"):
+        values = values.tolist()
+    elif isinstance(values, Sequence) and not isinstance(values, (str, bytes)):
+        values = tuple(values)
+    return values if isinstance(values, (tuple, list)) else (values,)
+
+
 def offsets(values: Any, what: Any) -> tuple[int, ...]:
     """The first index along each dimension."""
+    values = listed(values)
     for value in values:
         if not hasattr(value, "__index__") or not -(2**62) < value.__index__() < 2**62:
             raise TaiRuntimeTypeError(

@@ -101,9 +101,18 @@ class Ndarray(Elements):
         try:
             yield
         except IndexError as error:
-            raise TaiIndexError(f"{what} has no element {key!r}: {error}") from None
+            raise TaiIndexError(
+                f"{what} has no element {key!r}: {error}",
+                "indices are whole numbers from 0 on, one for each dimension",
+            ) from None
+        except OverflowError:
+            fitting.check_float(value, self.dtype, what)
+            raise
         except (TypeError, ValueError) as error:
-            raise TaiRuntimeTypeError(f"{what} cannot take {value!r}: {error}") from None
+            raise TaiRuntimeTypeError(
+                f"{what} cannot take {value!r}: {error}",
+                "an element takes a number, or as many numbers as it has components",
+            ) from None
 
     def __getitem__(self, key: Any) -> Any:
         if state.tape is not None:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
-from ..base import dtypes, fitting
+from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError, TaiTypeError
+from ..base import dtypes, fitting, state
 from ..base.elements import Elements
 from . import copies
 from .shareable import Shareable
@@ -217,9 +217,26 @@ class Field(Elements, Shareable):
         place = "not placed" if self.level is None else f"shape {self.shape}"
         return f"<{self.dtype} {kind} '{self.name}', {place}>"
 
-    def __iter__(self) -> Any:
+    def _refuse_arithmetic(self, *others: Any) -> Any:
         raise TaiRuntimeTypeError(
-            "a field is iterated in kernels only", "use x.to_numpy() to loop over it in Python"
+            f"field '{self.name}' is no number in Python",
+            f"compute with {self.name}.to_numpy(), or with its elements in a kernel",
+        )
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _refuse_arithmetic
+    __truediv__ = __rtruediv__ = __floordiv__ = __rfloordiv__ = __mod__ = _refuse_arithmetic
+    __pow__ = __rpow__ = __matmul__ = __rmatmul__ = __neg__ = __abs__ = _refuse_arithmetic
+
+    def __iter__(self) -> Any:
+        name = self.name
+        if state.emitter is not None:
+            raise TaiTypeError(
+                f"field '{name}' is no list: Python looks at it while the kernel is compiled",
+                f"loop over its indices: for i in {name}",
+            )
+        raise TaiRuntimeTypeError(
+            f"field '{name}' is no list of numbers in Python",
+            f"loop over {name}.to_numpy(), or over {name} in a kernel",
         )
 
     def __bool__(self) -> bool:

@@ -52,7 +52,8 @@ class ScalarField(Field):
             raise TaiRuntimeError(f"field '{self.name}' is placed already")
         if offset is not None:
             rank = len(node.shape)
-            values = offset if isinstance(offset, (tuple, list)) else (offset,) * rank
+            values = fitting.listed(offset)
+            values = values if len(values) != 1 else tuple(values) * rank
             if len(values) != rank:
                 raise TaiRuntimeTypeError(
                     f"the offset has {len(values)} numbers, but the field has {rank} dimensions"

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 from ...errors import TaiRuntimeTypeError
+from ..base import fitting
 from .snode import AXIS_NAMES, Axes
 
 
 def to_shape(shape: Any) -> tuple[int, ...]:
-    """The extents that a shape means: a number is one extent."""
-    if not isinstance(shape, (tuple, list)):
-        shape = (shape,)
+    """The extents that a shape means: a number is one extent.
+
+    Raises:
+        TaiRuntimeTypeError: something else than whole numbers, or too many of them.
+    """
     result = []
-    for extent in shape:
-        if not hasattr(extent, "__index__"):
-            raise TaiRuntimeTypeError(f"a shape is made of whole numbers, but got {extent!r}")
-        result.append(extent.__index__())
+    for extent in fitting.listed(shape):
+        try:
+            result.append(operator.index(extent))
+        except TypeError:
+            raise TaiRuntimeTypeError(
+                f"a shape is made of whole numbers, but got {extent!r}",
+                "write shape=4, shape=(4, 3), or shape=array.shape",
+            ) from None
     if len(result) > len(AXIS_NAMES):
         raise TaiRuntimeTypeError(f"a field has at most {len(AXIS_NAMES)} dimensions")
     return tuple(result)

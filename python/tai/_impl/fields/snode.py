@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ...errors import TaiError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
-from ..base import state
+from ..base import fitting, state
 from ..base.program import Program, get_program
 from ..values.types import refuse_quant
 from . import offsets
@@ -105,8 +105,7 @@ class SNode:
             raise TaiRuntimeTypeError(f"expects axes such as ti.ij, but got {axes!r}")
         if len(set(axes)) != len(axes):
             raise TaiRuntimeTypeError("an axis stands twice in one level")
-        if not isinstance(dimensions, (tuple, list)):
-            dimensions = (dimensions,)
+        dimensions = fitting.listed(dimensions)
         if len(dimensions) == 1:
             dimensions = tuple(dimensions) * len(axes)
         if len(dimensions) != len(axes):

@@ -19,6 +19,7 @@ from ..values import ops
 from ..values.matrix import Matrix
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
+from . import foreign
 from .atomics import ATOMICS
 from .checks import Checks, holds_value
 from .compile_time import CompileTime
@@ -213,10 +214,7 @@ class Calls(Part):
                     return getattr(receiver, function.__name__)(*args[1:], **kwargs)
                 function = _TRANSLATED.get(function, function)
         if isinstance(function, np.ufunc) and dynamic:
-            raise TaiTypeError(
-                f"np.{function.__name__} cannot take values of a kernel",
-                f"use ti.{function.__name__}",
-            )
+            raise foreign.error_of(function, node)
         receiver = getattr(function, "__self__", None)
         if isinstance(receiver, Field) and function.__name__ == "fill":
             return self._fill(receiver, node, *args, **kwargs)
@@ -226,10 +224,26 @@ class Calls(Part):
                 raise TaiTypeError(describe_misuse(argument), misuse_hint(argument))
         self.checks.check_python_call(function)
         self.context.reads.note_all(getattr(function, "__self__", None), *args, *kwargs.values())
-        made = function(*args, **kwargs)
+        made = self._call_python(function, args, kwargs, node, dynamic)
         if function is Struct:
             return as_struct_value(self.emitter, made)
         return self.checks.remember(made) if isinstance(function, type) else made
+
+    def _call_python(
+        self, function: Any, args: list, kwargs: dict, node: ast.Call, dynamic: bool
+    ) -> Any:
+        """Calls a function of Python while the kernel is compiled."""
+        if not foreign.is_foreign(function):
+            return function(*args, **kwargs)
+        for argument in args:
+            if isinstance(argument, Field):
+                raise TaiTypeError(describe_misuse(argument), misuse_hint(argument))
+        if not dynamic:
+            return function(*args, **kwargs)
+        try:
+            return function(*args, **kwargs)
+        except Exception:
+            raise foreign.error_of(function, node) from None
 
     def call_from_python(self, function: Any, args: tuple, kwargs: dict) -> Any:
         """Inlines a `ti.func` that a plain Python function calls while it is traced."""

@@ -166,7 +166,9 @@ class Compiler:
                 self._build()
         except TaiError as error:
             error.trail = error.trail or diagnostics.trail()
-            error.hint = error.hint or hint_for(error, error is diagnostics.from_python)
+            if error.hint is None or error.hint is error.general_hint:
+                found = hint_for(error, error is diagnostics.from_python)
+                error.hint = found or error.general_hint
             raise
         finally:
             state.of_thread.emitter = outer

@@ -17,10 +17,15 @@ from ...errors import (
 )
 from ..base import texts
 from ..base.handlers import is_of_a_handler
-from ..values.misuse import KINDS
+from ..values.misuse import KINDS, with_article
 from .scope import Frame, StaticBreak, StaticContinue
 
 Result = TypeVar("Result")
+
+_OWN_CLASSES = (
+    rf"(?<!')\b(?:{'|'.join(k for k in KINDS if k not in ('Value', 'Place'))})\b(?!')"
+    + (r"|(?<=not )(?:Value|Place)$")
+)
 
 
 class Diagnostics:
@@ -59,6 +64,8 @@ class Diagnostics:
         kind = next((k for e, k in kinds.items() if isinstance(error, e)), TaiCompilationError)
         text = str(error) or type(error).__name__
         text = re.sub(r"'(\w+)'", lambda found: f"'{KINDS.get(found[1], found[1])}'", text)
+        # "not StructValue": a name of one word could be one of the program.
+        text = re.sub(_OWN_CLASSES, lambda found: with_article(KINDS[found[0]]), text)
         # "MatrixValue.dot() missing …": the program has no class of that name.
         text = re.sub(r"^(\w+)\.(?=\w+\(\))", lambda f: "" if f[1] in KINDS else f[0], text)
         if isinstance(error, KeyError):

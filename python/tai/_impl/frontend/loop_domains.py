@@ -12,6 +12,7 @@ from ..fields.field import Field
 from ..fields.snode import Place, SNode
 from ..fields.structs import StructField, first_of
 from ..values import ops
+from ..values.misuse import misuse_hint, said_as
 from ..values.value import MatrixValue, Value
 from .context import Context, Part
 from .expressions import Expressions
@@ -127,9 +128,18 @@ class LoopDomains(Part):
             isinstance(part, int) or hasattr(part, "__index__")
         )  # fmt: skip
         if not whole:
-            what = part.kind_name if isinstance(part, Value) else repr(part)
+            hint = misuse_hint(part)
+            if isinstance(part, Field):
+                hint = f"to loop over it: for i in {part.name}"
             raise TaiTypeError(
-                f"the bounds of a loop are whole numbers, but got {what}", "convert it: int(…)"
+                f"the bounds of a loop are whole numbers, but got {said_as(part)}",
+                hint or "convert it: int(…)",
+            )
+        if isinstance(part, int) and not -(2**63) <= part < 2**63:
+            raise TaiTypeError(
+                "the bounds of a loop are whole numbers of 64 bits, but one has "
+                f"{part.bit_length()} bits",
+                "nest two loops",
             )
 
     def _ndrange_bounds(self, arguments: Any) -> Bounds:

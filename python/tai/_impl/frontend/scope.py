@@ -13,6 +13,12 @@ from ..base import texts
 from .refs import Variable
 from .source import closure_of
 
+# Functions of Python that mean something in kernels.
+_BUILTINS = (
+    "abs", "all", "any", "bool", "enumerate", "float", "int", "isinstance", "len", "list", "max",
+    "min", "pow", "print", "range", "reversed", "round", "sum", "tuple", "zip",
+)  # fmt: skip
+
 
 class Bound:
     """A name that stands for a Python object: a field, a function, a list, a constant."""
@@ -116,7 +122,7 @@ class Frame:
                 "assign it before the block",
             )
         known = [*(n for scope in self.scopes for n in scope), *self.closure, *self.globals]
-        hint = did_you_mean(name, known) or did_you_mean(name, dir(builtins))
+        hint = did_you_mean(name, known) or did_you_mean(name, _BUILTINS)
         raise TaiNameError(f"name '{name}' is not defined", hint)
 
     def define(self, name: str, meaning: Variable | Bound) -> None:

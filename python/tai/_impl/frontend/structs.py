@@ -59,7 +59,7 @@ class StructValue(_Members):
         self.type, self.members = type_, members
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name == "emit_operand":
+        if name.startswith("__") or name in ("emit_operand", "is_matrix"):
             raise AttributeError(name)
         return self.member(name)
 

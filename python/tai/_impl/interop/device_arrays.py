@@ -122,6 +122,59 @@ def as_device_array(value: Any) -> DeviceArray | None:
     )  # fmt: skip
 
 
+# Forms of tensors of torch that have no elements side by side: what shows them, and a hint.
+_FORMS = [
+    (lambda t: getattr(t, "is_meta", False), "has no memory (device 'meta')",
+     "make it on a device: torch.empty_like(x, device='cpu')"),
+    (lambda t: getattr(t, "is_quantized", False), "is quantized", "pass x.dequantize()"),
+    (lambda t: getattr(t, "is_nested", False), "is nested", "pass x.to_padded_tensor(0.0)"),
+    (lambda t: "strided" not in str(getattr(t, "layout", "strided")), "is sparse",
+     "pass x.to_dense()"),
+    (lambda t: getattr(t, "is_conj", bool)(), "is a conjugate that is computed later",
+     "pass x.resolve_conj(), as two numbers: torch.view_as_real(…)"),
+    (lambda t: getattr(t, "is_neg", bool)(), "is a negative that is computed later",
+     "pass x.resolve_neg()"),
+]  # fmt: skip
+
+
+def _not_shared(value: Any, error: Exception | None) -> TaiRuntimeTypeError:
+    """The error for an array whose library does not share its memory."""
+    for is_form, what, hint in _FORMS:
+        if is_form(value):
+            return TaiRuntimeTypeError(f"the tensor {what}: kernels take dense memory", hint)
+    name = type(value).__name__
+    reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return TaiRuntimeTypeError(
+        f"the memory of a {name} cannot be shared: {reason}", "pass a dense copy on the CPU"
+    )
+
+
+def host_view(tensor: Any) -> np.ndarray:
+    """The NumPy array that shares the memory of a tensor of torch.
+
+    Raises:
+        TaiRuntimeTypeError: it is of a form that has no dense memory.
+    """
+    if any(is_form(tensor) for is_form, _, _ in _FORMS):
+        raise _not_shared(tensor, None)
+    try:
+        return tensor.detach().numpy()
+    except (RuntimeError, TypeError, ValueError, NotImplementedError) as error:
+        raise _not_shared(tensor, error) from None
+
+
+def from_exporter(value: Any) -> np.ndarray:
+    """The NumPy array that shares the memory of an array on the CPU, by DLPack.
+
+    Raises:
+        TaiRuntimeTypeError: its library does not share it.
+    """
+    try:
+        return np.from_dlpack(value)
+    except (BufferError, RuntimeError, TypeError, ValueError, AttributeError) as error:
+        raise _not_shared(value, error) from None
+
+
 def from_dlpack(value: Any) -> Any:
     """An array of another library, without a copy, for kernels to use.
 
@@ -135,11 +188,22 @@ def from_dlpack(value: Any) -> Any:
     Raises:
         TaiRuntimeTypeError: memory of another kind, or a type that kernels do not know.
     """
-    kind, number = value.__dlpack_device__()
+    if not hasattr(value, "__dlpack_device__"):
+        raise TaiRuntimeTypeError(
+            f"from_dlpack takes an array of another library, but got {value!r}",
+            "it has __dlpack__, as arrays of NumPy, torch, jax and cupy have",
+        )
+    try:
+        kind, number = value.__dlpack_device__()
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        raise _not_shared(value, error) from None
     if kind == CPU:
-        return np.from_dlpack(value)
+        return from_exporter(value)
     if kind != CUDA:
-        raise TaiRuntimeTypeError(f"the array is on a device of kind {kind}, not on an NVIDIA GPU")
+        raise TaiRuntimeTypeError(
+            f"the array is on a device of kind {kind}, not on an NVIDIA GPU",
+            "copy it to the CPU, or to a GPU by CUDA",
+        )
     # Its stream waits; ours is told to wait for that.
     found = native.take_dlpack(value.__dlpack__(stream=1))
     dt = dtype_of(*found["type"])

@@ -7,6 +7,20 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiRuntimeTypeError
+from ..base import fitting
+from ..base.elements import Elements
+
+
+def _hint(parameter: str, dt: Any, value: Any) -> str:
+    if isinstance(value, float):
+        return f"convert it: int(…), or annotate {parameter}: ti.f32"
+    if isinstance(value, Elements):
+        return f"annotate {parameter}: ti.template() to pass a field, or pass an element of it"
+    if getattr(value, "ndim", 0):
+        return f"annotate {parameter}: ti.types.ndarray() to pass an array"
+    if isinstance(value, (list, tuple)):
+        return f"annotate {parameter}: ti.types.vector({len(value)}, ti.{dt}) to pass a vector"
+    return "pass a number of Python or NumPy, as float(…) and int(…) make it"
 
 
 def number_slot(kernel: str, parameter: str, dt: Any, value: Any) -> int:
@@ -20,11 +34,13 @@ def number_slot(kernel: str, parameter: str, dt: Any, value: Any) -> int:
     if not good or (not dt.is_float and not whole):
         kind = "a number" if dt.is_float else "a whole number"
         raise TaiRuntimeTypeError(
-            f"argument '{parameter}' of kernel '{kernel}' expects {kind} ({dt}), but got {value!r}"
+            f"argument '{parameter}' of kernel '{kernel}' expects {kind} ({dt}), but got {value!r}",
+            _hint(parameter, dt, value),
         )
-    if dt.is_int and not dt.min <= int(value) <= dt.max:
-        raise TaiRuntimeTypeError(
-            f"argument '{parameter}' of kernel '{kernel}': {value} does not fit {dt}"
-        )
+    what = f"argument '{parameter}' of kernel '{kernel}'"
+    if isinstance(value, int):
+        fitting.stored(value, dt, what)
+    elif dt.is_int and not dt.min <= int(value) <= dt.max:
+        raise TaiRuntimeTypeError(f"{what}: {value} does not fit {dt}", "take a wider type: ti.i64")
     data = np.asarray(value).astype(dt.numpy).tobytes()
     return int.from_bytes(data, "little")

@@ -164,7 +164,9 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> 
             if isinstance(value, Field)
             else ("np.array(…) makes one of a list" if isinstance(value, (list, tuple)) else None)
         )
-        raise TaiRuntimeTypeError(f"{what} expects an array, but got {type(value).__name__}", hint)
+        found = f"field '{value.name}'" if isinstance(value, Field) else type(value).__name__
+        found = "None" if value is None else found
+        raise TaiRuntimeTypeError(f"{what} expects an array, but got {found}", hint)
     dt = dtypes.to_dtype(array.dtype)
     if dt is None:
         raise TaiRuntimeTypeError(f"{what} expects numbers, but got {array.dtype}")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiTypeError
+from ..base import dtypes
 
 PYTHON = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
@@ -26,6 +27,12 @@ def divided_by_zero() -> TaiTypeError:
     )
 
 
+_FLOATS = {
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.true_divide, "//": np.floor_divide,
+    "%": np.mod, "**": np.power,
+}  # fmt: skip
+
+
 def compute(op: str, a: Any, b: Any) -> Any:
     """`a op b` of values known at compile time: out of range, they wrap as when the kernel runs."""
     try:
@@ -34,7 +41,8 @@ def compute(op: str, a: Any, b: Any) -> Any:
         whole = not isinstance(a, (float, np.floating)) and not isinstance(b, (float, np.floating))
         if whole and op in ("//", "%"):
             raise divided_by_zero() from None
-        function = {"/": np.true_divide, "//": np.floor_divide, "%": np.mod, "**": np.power}[op]
+        function = _FLOATS[op]
+        a, b = (dtypes.rounded(x, dtypes.f64) for x in (a, b))
         with np.errstate(all="ignore"):
-            result = float(function(float(a), float(b)))
+            result = float(function(a, b))
     return math.nan if isinstance(result, complex) else result

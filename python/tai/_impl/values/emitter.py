@@ -343,7 +343,9 @@ class Emitter:
                         "convert it: int(…)",
                     )
             elif not isinstance(k, (int, np.integer)) or isinstance(k, bool):
-                raise TaiTypeError(f"an index must be a whole number, but got {name_of(k)}")
+                raise TaiTypeError(
+                    f"an index must be a whole number, but got {name_of(k)}", misuse_hint(k)
+                )
             if not isinstance(k, Value) and not 0 <= k < extent:
                 raise TaiIndexError(
                     f"index {k} is out of range: a {matrix.kind_name} has {extent} "

@@ -15,6 +15,8 @@ KINDS = {
     "FunctionType": "function",
     "MatrixValue": "vector or matrix",
     "Place": "element of a field",
+    "StructPlace": "struct",
+    "VariablePlace": "variable",
     "ScalarField": "field",
     "StructValue": "struct",
     "Value": "number of a kernel",
@@ -32,6 +34,16 @@ def name_of(thing: Any) -> str:
         return f"'{thing}'"
     name = type(thing).__name__
     return with_article(KINDS[name]) if name in KINDS else name
+
+
+def said_as(thing: Any) -> str:
+    """An object of a program in an error that expects something else."""
+    if isinstance(thing, Value):
+        return thing.kind_name
+    if isinstance(thing, Elements):
+        return thing._described()
+    shown = repr(thing)
+    return name_of(thing) if type(thing).__name__ in KINDS or len(shown) > 80 else shown
 
 
 def describe_misuse(thing: Any) -> str:
@@ -53,7 +65,9 @@ def misuse_hint(thing: Any) -> str | None:
         example = thing._example()
         return None if example is None else f"read an element: {example}"
     if isinstance(thing, DataType):
-        return f"convert a number to it: ti.cast(x, {thing.name})"
+        return f"convert a number to it: ti.cast(x, ti.{thing.name})"
+    if members := getattr(thing, "members", None):
+        return f"use one of its members: {', '.join(members)}"
     if callable(thing):
         return "call it: add parentheses"
     return None

@@ -1,0 +1,130 @@
+"""Functions of NumPy and `math` in kernels: an expression of the package in place of each."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiTypeError
+
+# Expressions with {0}, {1}, … for the arguments; one for each name that NumPy or `math` has.
+_OF_NUMBERS = {
+    "absolute": "ti.abs({0})", "fabs": "ti.abs({0})", "square": "{0} ** 2",
+    "cbrt": "ti.math.sign({0}) * ti.pow(ti.abs({0}), 1 / 3)", "exp2": "ti.math.exp2({0})",
+    "expm1": "ti.exp({0}) - 1", "log2": "ti.math.log2({0})",
+    "log10": "ti.log({0}) / ti.log(10.0)", "log1p": "ti.log(1 + {0})", "arcsin": "ti.asin({0})",
+    "arccos": "ti.acos({0})", "arctan": "ti.atan2({0}, 1.0)", "arctan2": "ti.atan2({0}, {1})",
+    "atan": "ti.atan2({0}, 1.0)", "sinh": "(ti.exp({0}) - ti.exp(-{0})) / 2",
+    "cosh": "(ti.exp({0}) + ti.exp(-{0})) / 2",
+    "arcsinh": "ti.log({0} + ti.sqrt({0} ** 2 + 1))",
+    "asinh": "ti.log({0} + ti.sqrt({0} ** 2 + 1))",
+    "arccosh": "ti.log({0} + ti.sqrt({0} ** 2 - 1))",
+    "acosh": "ti.log({0} + ti.sqrt({0} ** 2 - 1))",
+    "arctanh": "ti.log((1 + {0}) / (1 - {0})) / 2", "atanh": "ti.log((1 + {0}) / (1 - {0})) / 2",
+    "rint": "ti.round({0})", "trunc": "ti.math.sign({0}) * ti.floor(ti.abs({0}))",
+    "sign": "ti.math.sign({0})", "negative": "-{0}", "positive": "{0}", "reciprocal": "1 / {0}",
+    "isnan": "ti.math.isnan({0})", "isinf": "ti.math.isinf({0})",
+    "isfinite": "not (ti.math.isnan({0}) or ti.math.isinf({0}))",
+    "deg2rad": "ti.math.radians({0})", "rad2deg": "ti.math.degrees({0})",
+    "degrees": "ti.math.degrees({0})", "radians": "ti.math.radians({0})",
+    "signbit": "{0} < 0", "conjugate": "{0}", "invert": "~{0}", "logical_not": "{0} == 0",
+    "maximum": "ti.max({0}, {1})", "minimum": "ti.min({0}, {1})", "fmax": "ti.max({0}, {1})",
+    "fmin": "ti.min({0}, {1})", "power": "{0} ** {1}", "float_power": "{0} ** {1}",
+    "pow": "{0} ** {1}", "hypot": "ti.sqrt({0} ** 2 + {1} ** 2)", "mod": "{0} % {1}",
+    "remainder": "{0} % {1}",
+    "fmod": "ti.math.sign({0}) * (ti.abs({0}) % ti.abs({1}))", "divide": "{0} / {1}",
+    "floor_divide": "{0} // {1}", "add": "{0} + {1}", "subtract": "{0} - {1}",
+    "multiply": "{0} * {1}", "logical_and": "{0} != 0 and {1} != 0",
+    "logical_or": "{0} != 0 or {1} != 0",
+    "logical_xor": "bool({0}) != bool({1})", "equal": "{0} == {1}", "not_equal": "{0} != {1}",
+    "less": "{0} < {1}", "less_equal": "{0} <= {1}", "greater": "{0} > {1}",
+    "greater_equal": "{0} >= {1}",
+    "copysign": "ti.select({1} < 0, -ti.abs({0}), ti.abs({0}))", "bitwise_and": "{0} & {1}",
+    "bitwise_or": "{0} | {1}", "bitwise_xor": "{0} ^ {1}", "left_shift": "{0} << {1}",
+    "right_shift": "{0} >> {1}",
+    "heaviside": "ti.select({0} < 0, 0.0, ti.select({0} > 0, 1.0, {1}))",
+    "logaddexp": "ti.max({0}, {1}) + ti.log(1 + ti.exp(-ti.abs({0} - {1})))",
+    "ldexp": "{0} * 2.0 ** {1}", "matmul": "{0} @ {1}", "clip": "ti.math.clamp({0}, {1}, {2})",
+    "where": "ti.select({0}, {1}, {2})", "round": "ti.round({0})", "around": "ti.round({0})",
+    "isclose": "ti.abs({0} - {1}) < 1e-6", "float32": "ti.cast({0}, ti.f32)",
+    "float64": "ti.cast({0}, ti.f64)", "int32": "ti.cast({0}, ti.i32)",
+    "int64": "ti.cast({0}, ti.i64)",
+}  # fmt: skip
+
+_OF_VECTORS = {
+    "sum": "{0}.sum()", "max": "{0}.max()", "amax": "{0}.max()", "min": "{0}.min()",
+    "amin": "{0}.min()", "any": "{0}.any()", "all": "{0}.all()", "norm": "{0}.norm()",
+    "inv": "{0}.inverse()", "det": "{0}.determinant()", "solve": "{0}.inverse() @ {1}",
+    "dot": "{0}.dot({1})", "cross": "{0}.cross({1})", "trace": "{0}.trace()",
+}  # fmt: skip
+
+_SAME = (
+    "sqrt",
+    "exp",
+    "log",
+    "sin",
+    "cos",
+    "tan",
+    "tanh",
+    "floor",
+    "ceil",
+    "atan2",
+    "acos",
+    "asin",
+)
+
+_NO_ANSWER = (
+    "write it with operators and functions of ti, or compute it in Python before the launch and "
+    "pass the result"
+)
+
+
+def _find_all() -> dict[Any, str]:
+    found: dict[Any, str] = {}
+    texts = {**_OF_NUMBERS, **_OF_VECTORS, **{name: f"ti.{name}({{0}})" for name in _SAME}}
+    texts["atan2"] = "ti.atan2({0}, {1})"
+    for library in (np, np.linalg, math):
+        for name, text in texts.items():
+            if library is math and name in _OF_VECTORS:
+                continue
+            function = getattr(library, name, None)
+            if callable(function):
+                found[function] = text
+    return found
+
+
+_ANSWERS = _find_all()
+
+
+def is_foreign(function: Any) -> bool:
+    """Whether a function is one of NumPy or `math`, which knows no values of kernels."""
+    if isinstance(function, np.ufunc):
+        return True
+    module = getattr(function, "__module__", None) or ""
+    return callable(function) and module.split(".")[0] in ("numpy", "math")
+
+
+def _text(node: ast.expr) -> str:
+    text = ast.unparse(node)
+    is_closed = isinstance(node, (ast.Name, ast.Call, ast.Attribute, ast.Subscript)) or (
+        isinstance(node, ast.Constant)
+    )
+    return text if is_closed else f"({text})"
+
+
+def error_of(function: Callable[..., Any], node: ast.Call) -> TaiTypeError:
+    """The error for a call with values of a kernel; its hint has the same in kernels."""
+    name = ast.unparse(node.func)
+    texts = [_text(argument) for argument in node.args]
+    hint = _NO_ANSWER
+    answer = _ANSWERS.get(function)
+    if answer is not None:
+        try:
+            hint = f"write {answer.format(*texts)}"
+        except IndexError:  # keywords, or fewer arguments
+            hint = f"write {answer.format(*'abc')}"
+    return TaiTypeError(f"{name} cannot take values of a kernel", hint)
