@@ -41,8 +41,9 @@ ALLOWED: dict[str, set[str]] = {
                  "_impl.launch"},
     "_impl.solvers": {"_impl.base", "_impl.values", "_impl.history", "_impl.fields",
                       "_impl.tracking", "_impl.launch", "_impl.ad"},
+    "_impl.frameworks": {"_impl.base", "_impl.values", "_impl.launch", "_impl.ad"},
     "public": {"_impl", "_impl.base", "_impl.values", "_impl.interop", "_impl.fields",
-               "_impl.tracking", "_impl.launch", "_impl.ad", "_impl.solvers"},
+               "_impl.tracking", "_impl.launch", "_impl.ad", "_impl.solvers", "_impl.frameworks"},
     "_impl": set(),
 }  # fmt: skip
 

@@ -28,7 +28,7 @@ from .expressions import Expressions
 from .inlining import Inlining
 from .loop_config import LoopConfig
 from .printing import Printing, formatted, formatted_by
-from .refs import Place, refuse_truth_arithmetic
+from .refs import ArrayElement, Place, refuse_truth_arithmetic
 from .scope import Bound
 from .sparse import Levels
 from .structs import as_struct_value
@@ -310,6 +310,8 @@ class Calls(Part):
         refuse_truth_arithmetic(op, place.dt)
         if place.dt.is_bool:
             op = {"min": "&", "max": "|"}.get(op, op)
+        if isinstance(place, ArrayElement):
+            place.array.spec.is_loaded = True  # the old value is a result
         return place.atomic(op, place.convert(value))
 
 

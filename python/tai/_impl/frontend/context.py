@@ -33,6 +33,7 @@ class ArgumentForm(Protocol):
     alias: int | None
     is_read: bool
     is_written: bool
+    is_loaded: bool
     uses_gradient: bool
 
     @property

@@ -354,7 +354,7 @@ class ArrayElement(Place):
         self.shape = array.element_shape[len(indices) - array.ndim :]
 
     def load(self) -> Value:
-        self.array.spec.is_read = True
+        self.array.spec.is_read = self.array.spec.is_loaded = True
         if self.shape:
             parts = [self.component(c).load() for c in range(_count(self.shape))]
             return self.emitter.matrix(parts, parts[0].dt, self.shape)
@@ -374,6 +374,8 @@ class ArrayElement(Place):
 
     def atomic(self, op: str, value: Any) -> Value:
         self.array.spec.is_written = self.array.spec.is_read = True
+        # The gradient of a sum needs no element of it.
+        self.array.spec.is_loaded |= op not in ("+", "-")
         if self.shape:
             old = [self.component(c).atomic(op, v) for c, v in enumerate(value.scalars())]
             return self.emitter.matrix(old, old[0].dt, self.shape)

@@ -37,6 +37,7 @@ class ArgumentSpec:
         is_checked: whether Python must look at each array that is given.
         is_read, is_written: whether the kernel reads and writes the array; known once it is
             compiled.
+        is_loaded: whether the kernel may use the value of an element, besides adding to it.
         uses_gradient: whether it names the gradient of the array; known then, too.
     """
 
@@ -50,7 +51,7 @@ class ArgumentSpec:
         self.taken: Any = None
         self.alias: int | None = None
         self.is_element_fixed = self.is_checked = False
-        self.is_read = self.is_written = self.uses_gradient = False
+        self.is_read = self.is_written = self.is_loaded = self.uses_gradient = False
 
     @property
     def has_slot(self) -> bool:

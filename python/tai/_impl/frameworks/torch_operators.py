@@ -1,0 +1,472 @@
+"""Differentiable operators of torch that launch kernels; `tai.torch` is the interface."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+
+from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ..ad.tape import Tape, clear_all_gradients
+from ..base import state
+from ..launch.kernels import Kernel
+from ..values.types import NdarrayType, ScalarType
+
+_numbers = itertools.count()
+# Types of plain numbers in schemas of torch.
+_SCHEMA = {"f": "float", "i": "SymInt", "u": "SymInt", "b": "bool"}
+
+
+def _kinds_of(function: Any) -> dict[str, str]:
+    """The parameters of a kernel or function: `Tensor`, or the type of a number.
+
+    Raises:
+        TaiRuntimeTypeError: a parameter is neither.
+    """
+    if isinstance(function, Kernel):
+        kinds = {}
+        for parameter in function._get_signature().given:
+            if isinstance(parameter.type, NdarrayType):
+                kinds[parameter.name] = "Tensor"
+            elif isinstance(parameter.type, ScalarType):
+                dt = parameter.type.dtype
+                kinds[parameter.name] = "bool" if dt.is_bool else _SCHEMA[dt.kind]
+            else:
+                raise TaiRuntimeTypeError(
+                    f"parameter '{parameter.name}' of kernel '{function.__name__}' is neither an "
+                    "array nor a number, and operators of torch take nothing else",
+                    "wrap a function with tensors and numbers that launches the kernel",
+                )
+        return kinds
+    numbers = {float: "float", int: "SymInt", bool: "bool", "float": "float", "int": "SymInt",
+               "bool": "bool"}  # fmt: skip
+    kinds = {}
+    for given in inspect.signature(function).parameters.values():
+        if given.kind not in (given.POSITIONAL_ONLY, given.POSITIONAL_OR_KEYWORD):
+            raise TaiRuntimeTypeError(
+                f"parameter '{given.name}' of '{function.__name__}' takes any number of "
+                "arguments, or is given by name alone",
+                "name each parameter",
+            )
+        kinds[given.name] = numbers.get(given.annotation, "Tensor")
+    return kinds
+
+
+class Operator:
+    """A kernel, or a function that launches kernels, as an operator of torch.
+
+    Attributes:
+        name: by which torch knows the operator.
+        inputs: the names of the parameters that a call gives, in order.
+        outputs: the names of those that are its results.
+    """
+
+    def __init__(self, function: Any, outputs: dict[str, Any], name: str | None):
+        if not (isinstance(function, Kernel) or inspect.isfunction(function)):
+            raise TaiRuntimeTypeError(
+                f"tai.torch.wrap takes a kernel or a function, but got {function!r}",
+                "wrap a function that calls the method of the object",
+            )
+        self._function: Any = function
+        self.__name__ = self.__qualname__ = function.__name__
+        self.__doc__ = function.__doc__
+        kinds = _kinds_of(function)
+        self._order = list(kinds)
+        self._check_outputs(outputs, kinds)
+        self._shapes = outputs
+        self.inputs = [n for n in kinds if n not in outputs]
+        self.outputs = [n for n in kinds if n in outputs]
+        self._is_tensor = [kinds[n] == "Tensor" for n in self.inputs]
+        self._known: set[tuple] = set()
+        # Whether a gradient needs values of outputs that later stores overwrite.
+        self._needs_tape = not isinstance(function, Kernel)
+        plain = re.sub(r"\W", "_", self.__name__)
+        self.name = name or f"{plain}_{next(_numbers)}"
+        parameters = ", ".join(f"{kinds[n]} {n}" for n in self.inputs)
+        self._define(parameters)
+
+    def __repr__(self) -> str:
+        return f"<tai.torch operator '{self.name}'>"
+
+    def _check_outputs(self, outputs: Any, kinds: dict[str, str]) -> None:
+        what = f"outputs of '{self.__name__}'"
+        if not isinstance(outputs, dict) or not outputs:
+            raise TaiRuntimeTypeError(
+                f"{what} must be a dict from parameters to shapes, but got {outputs!r}",
+                'outputs={"y": "x"}: y has the shape and type of x',
+            )
+        for name, shape in outputs.items():
+            if kinds.get(name) != "Tensor":
+                known = ", ".join(n for n, kind in kinds.items() if kind == "Tensor")
+                raise TaiRuntimeTypeError(
+                    f"{what} name '{name}', which is no array among its parameters",
+                    f"its arrays: {known or 'none'}",
+                )
+            is_input = isinstance(shape, str) and kinds.get(shape) == "Tensor"
+            if not callable(shape) and not (is_input and shape not in outputs):
+                raise TaiRuntimeTypeError(
+                    f"{what} say {shape!r} of '{name}', which is no array that it is given",
+                    "the name of an array with its shape and type, or a function of the inputs "
+                    "that returns a shape, or torch.empty(…)",
+                )
+
+    # What torch calls
+
+    def _define(self, parameters: str) -> None:
+        """Registers the operator and its gradient."""
+        results = ", ".join(["Tensor"] * len(self.outputs))
+        results = results if len(self.outputs) == 1 else f"({results})"
+        self._op = torch.library.custom_op(
+            f"tai::{self.name}", self._forward, mutates_args=(),
+            schema=f"({parameters}) -> {results}",
+        )  # fmt: skip
+        bars = "".join(f", Tensor grad_of_{name}" for name in self.outputs)
+        self._gradient_op = torch.library.custom_op(
+            f"tai::{self.name}_gradient", self._gradient, mutates_args=(),
+            schema=f"({parameters}{bars}, bool[] wanted) -> Tensor[]",
+        )  # fmt: skip
+        self._op.register_fake(self._fake)
+        self._gradient_op.register_fake(self._fake_gradient)
+        self._op.register_autograd(self._backward, setup_context=self._set_up)
+        self._gradient_op.register_autograd(self._refuse, setup_context=lambda ctx, **given: None)
+        self._op.register_vmap(self._batch)
+        self._gradient_op.register_vmap(self._batch_gradient)
+
+    def _fake(self, *inputs: Any) -> Any:
+        made = self._allocate(inputs, torch.empty)
+        return made[0] if len(made) == 1 else tuple(made)
+
+    def _fake_gradient(self, *args: Any) -> list[torch.Tensor]:
+        tensors = [a for a, t in zip(args, self._is_tensor, strict=False) if t]
+        return [self._zeros_like(t) for t, w in zip(tensors, args[-1], strict=True) if w]
+
+    @staticmethod
+    def _zeros_like(tensor: torch.Tensor) -> torch.Tensor:
+        # Without the strides of the tensor, which may be expanded.
+        return tensor.new_zeros(tensor.shape)
+
+    def _set_up(self, ctx: Any, inputs: tuple, output: Any) -> None:
+        ctx.save_for_backward(*(i for i, t in zip(inputs, self._is_tensor, strict=True) if t))
+        ctx.numbers = [i for i, t in zip(inputs, self._is_tensor, strict=True) if not t]
+        results = output if isinstance(output, tuple) else (output,)
+        ctx.mark_non_differentiable(*(r for r in results if not r.is_floating_point()))
+
+    def _given(self, ctx: Any) -> tuple[list[Any], list[bool]]:
+        """The inputs of a call, and which of its tensors have a gradient that is wanted."""
+        tensors, numbers = iter(ctx.saved_tensors), iter(ctx.numbers)
+        inputs = [next(tensors if t else numbers) for t in self._is_tensor]
+        needs = ctx.needs_input_grad[-len(inputs) :]
+        return inputs, [bool(n) for n, t in zip(needs, self._is_tensor, strict=True) if t]
+
+    def _spread(self, gradients: list, wanted: Sequence[bool]) -> list:
+        """One gradient, or None, for each input."""
+        found, flags = iter(gradients), iter(wanted)
+        return [next(found) if t and next(flags) else None for t in self._is_tensor]
+
+    def _backward(self, ctx: Any, *bars: Any) -> Any:
+        inputs, wanted = self._given(ctx)
+        gradients = self._gradient_op(*inputs, *bars, wanted)
+        return tuple(self._spread(gradients, wanted))
+
+    def _refuse(self, ctx: Any, *bars: Any) -> Any:
+        raise TaiAutodiffError(
+            f"the gradient of operator '{self.__name__}' has no gradient: kernels with arrays are "
+            "differentiated once",
+            "call the gradient without create_graph; ti.ad.hvp differentiates kernels of fields "
+            "twice",
+        )
+
+    def _batch(self, info: Any, in_dims: tuple, *args: Any) -> Any:
+        return _stacked([self._op(*one) for one in _slices(info.batch_size, in_dims, args)])
+
+    def _batch_gradient(self, info: Any, in_dims: tuple, *args: Any) -> Any:
+        found = [self._gradient_op(*one) for one in _slices(info.batch_size, in_dims, args)]
+        stacked = [torch.stack(parts) for parts in zip(*found, strict=True)]
+        return stacked, [0] * len(stacked)
+
+    # Launches
+
+    def _allocate(self, inputs: Sequence[Any], make: Callable[..., Any]) -> list[torch.Tensor]:
+        """Tensors for the results."""
+        given, made = dict(zip(self.inputs, inputs, strict=True)), []
+        for name in self.outputs:
+            shape = self._shapes[name]
+            like = given[shape] if isinstance(shape, str) else None
+            if like is None:
+                answer = shape(*inputs)
+                if isinstance(answer, torch.Tensor):
+                    like, answer = answer, answer.shape
+                else:
+                    like = next((i for i in inputs if isinstance(i, torch.Tensor)), None)
+                if isinstance(answer, (int, torch.SymInt)):
+                    answer = (answer,)
+            else:
+                answer = like.shape
+            options = {} if like is None else {"dtype": like.dtype, "device": like.device}
+            made.append(make(tuple(answer), **options))
+        return made
+
+    def _launch(self, inputs: dict[str, Any], outputs: Sequence[Any], call: Any = None) -> Any:
+        results = iter(outputs)
+        call = self._function if call is None else call
+        return call(*[inputs[n] if n in inputs else next(results) for n in self._order])
+
+    def _forward(self, *inputs: Any) -> Any:
+        if state.tape is not None:
+            raise TaiRuntimeError(
+                f"operator '{self.__name__}' of torch is called while a tape records",
+                "call the kernel itself in the tape, or leave the tape first",
+            )
+        outputs = self._allocate(inputs, torch.zeros)
+        # Torch records nothing of detached tensors.
+        plain = [
+            (i.detach() if i.is_contiguous() else i.detach().contiguous()) if t else i
+            for i, t in zip(inputs, self._is_tensor, strict=True)
+        ]
+        named = dict(zip(self.inputs, plain, strict=True))
+        kind = tuple([i.dtype for i, t in zip(plain, self._is_tensor, strict=True) if t])
+        if kind in self._known:
+            self._launch(named, outputs)
+        else:
+            self._launch_first(named, outputs)
+            self._known.add(kind)
+        return outputs[0] if len(outputs) == 1 else tuple(outputs)
+
+    def _launch_first(self, inputs: dict[str, Any], outputs: Sequence[Any]) -> None:
+        """Launches with new types of tensors, and checks that no input is written.
+
+        Raises:
+            TaiRuntimeTypeError: an input is written, or a result comes back in another way.
+        """
+        tensors = {n: t for n, t in inputs.items() if isinstance(t, torch.Tensor)}
+        before = {n: t.clone() for n, t in tensors.items()}
+        answer = self._launch(inputs, outputs)
+        for name, tensor in tensors.items():
+            same = torch.equal(_bytes_of(tensor), _bytes_of(before[name]))
+            if not same or self._writes(name):
+                tensor.copy_(before[name])
+                raise TaiRuntimeTypeError(
+                    f"operator '{self.__name__}' writes to its input '{name}'",
+                    f"name it in outputs, or let a kernel copy {name} to an output first",
+                )
+        if answer is not None:
+            raise TaiRuntimeTypeError(
+                f"'{self.__name__}' returns a value, which as an operator of torch it cannot",
+                "store it to an array of shape (1,), and name that in outputs",
+            )
+        self._needs_tape |= any(spec.is_loaded for spec in self._specs(self.outputs))
+
+    def _specs(self, names: Sequence[str]) -> list[Any]:
+        """The arrays of a kernel, as it was compiled last."""
+        if not isinstance(self._function, Kernel):
+            return []
+        last = self._function._specializations.last
+        pairs = zip(self._order, last.specs if last is not None else (), strict=False)
+        return [spec for name, spec in pairs if name in names]
+
+    def _writes(self, name: str) -> bool:
+        return any(spec.is_written for spec in self._specs([name]))
+
+    def _gradient(self, *args: Any) -> list[torch.Tensor]:
+        count = len(self.inputs)
+        inputs, bars, wanted = args[:count], args[count:-1], iter(args[-1])
+        named, leaves = {}, []
+        for name, value, is_tensor in zip(self.inputs, inputs, self._is_tensor, strict=True):
+            if is_tensor:
+                value = value.detach()
+                if not value.is_contiguous():
+                    value = value.contiguous()
+                if next(wanted):
+                    # On the same memory, with a gradient of its own.
+                    value.requires_grad_()
+                    value.grad = self._zeros_like(value)
+                    leaves.append(value)
+            named[name] = value
+        outputs = self._allocate(inputs, torch.zeros if self._needs_tape else torch.empty)
+        for output, bar in zip(outputs, bars, strict=True):
+            if output.is_floating_point():
+                output.requires_grad_()
+                # The sweep uses it up.
+                output.grad = bar.clone(memory_format=torch.contiguous_format)
+        if not leaves:
+            return []
+        if self._needs_tape:
+            clear_all_gradients()
+            with Tape() as tape:
+                self._launch(named, outputs)
+            tape.grad()
+        else:
+            self._launch(named, outputs, self._function.grad)
+        return [leaf.grad for leaf in leaves]
+
+    # Calls
+
+    def __call__(self, *inputs: Any) -> Any:
+        """Computes the outputs of tensors and numbers, as torch's own functions do.
+
+        Args:
+            inputs: one for each parameter that is no output, in order.
+
+        Returns:
+            The output, or a tuple of them in the order of the parameters.
+
+        Raises:
+            TaiRuntimeTypeError: the number of arguments is wrong, or a kernel cannot take one.
+        """
+        if len(inputs) != len(self.inputs):
+            raise TaiRuntimeTypeError(
+                f"operator '{self.__name__}' takes {len(self.inputs)} inputs, but got "
+                f"{len(inputs)}",
+                f"its inputs: {', '.join(self.inputs)}",
+            )
+        if torch.compiler.is_compiling():
+            return self._op(*_without_autocast(inputs))
+        if torch._C._are_functorch_transforms_active():
+            return _Functional.apply(self, *_without_autocast(inputs))
+        if _is_plain(inputs):
+            return _Eager.apply(self, *inputs)
+        return self._op(*_without_autocast(inputs))
+
+
+class _Eager(torch.autograd.Function):
+    """The operator for plain calls, with less between torch and the kernel."""
+
+    @staticmethod
+    def forward(ctx: Any, operator: Operator, *inputs: Any) -> Any:
+        ctx.operator = operator
+        output = operator._forward(*inputs)
+        operator._set_up(ctx, inputs, output)
+        return output
+
+    @staticmethod
+    def backward(ctx: Any, *bars: Any) -> Any:
+        operator = ctx.operator
+        if torch.is_grad_enabled():  # of a gradient that is to be differentiated
+            return None, *operator._backward(ctx, *bars)
+        inputs, wanted = operator._given(ctx)
+        gradients = operator._gradient(*inputs, *bars, wanted)
+        return None, *operator._spread(gradients, wanted)
+
+
+class _Functional(torch.autograd.Function):
+    """The operator for the transforms of `torch.func`, which refuse gradients of custom
+    operators."""
+
+    @staticmethod
+    def forward(operator: Operator, *inputs: Any) -> Any:
+        return operator._forward(*inputs)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Any) -> None:
+        ctx.operator = inputs[0]
+        ctx.operator._set_up(ctx, inputs[1:], output)
+
+    @staticmethod
+    def backward(ctx: Any, *bars: Any) -> Any:
+        inputs, wanted = ctx.operator._given(ctx)
+        gradients = _FunctionalGradient.apply(ctx.operator, tuple(wanted), *inputs, *bars)
+        return None, *ctx.operator._spread(gradients, wanted)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, operator: Operator, *inputs: Any) -> Any:
+        slices = _slices(info.batch_size, in_dims[1:], inputs)
+        return _stacked([_Functional.apply(operator, *one) for one in slices])
+
+
+class _FunctionalGradient(torch.autograd.Function):
+    """The gradient of `_Functional`, which has none itself."""
+
+    @staticmethod
+    def forward(operator: Operator, wanted: tuple, *args: Any) -> Any:
+        return tuple(operator._gradient(*args, wanted))
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Any) -> None:
+        ctx.operator = inputs[0]
+
+    @staticmethod
+    def backward(ctx: Any, *bars: Any) -> Any:
+        return ctx.operator._refuse(ctx, *bars)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, operator: Operator, wanted: tuple, *args: Any) -> Any:
+        slices = _slices(info.batch_size, in_dims[2:], args)
+        return _stacked([_FunctionalGradient.apply(operator, wanted, *one) for one in slices])
+
+
+def _stacked(found: list) -> Any:
+    """The results of a batch, and along which dimension it lies."""
+    if isinstance(found[0], torch.Tensor):
+        return torch.stack(found), 0
+    return tuple(map(torch.stack, zip(*found, strict=True))), (0,) * len(found[0])
+
+
+def _is_plain(inputs: tuple) -> bool:
+    """Whether nothing but autograd stands between the call and the memory of the tensors."""
+    return not (
+        torch._C._len_torch_dispatch_stack()
+        or torch.is_autocast_enabled("cpu")
+        or torch.is_autocast_enabled("cuda")
+        or any(
+            type(i) not in (torch.Tensor, torch.nn.Parameter)
+            for i in inputs
+            if isinstance(i, torch.Tensor)
+        )
+    )
+
+
+def _without_autocast(inputs: tuple) -> tuple:
+    """Under autocast: 16-bit tensors as f32, which the other tensors of a network are."""
+    if not (torch.is_autocast_enabled("cpu") or torch.is_autocast_enabled("cuda")):
+        return inputs
+    halves = (torch.float16, torch.bfloat16)
+    return tuple(
+        i.float() if isinstance(i, torch.Tensor) and i.dtype in halves else i for i in inputs
+    )
+
+
+def _bytes_of(tensor: torch.Tensor) -> torch.Tensor:
+    """The bits of a tensor, of which NaN are equal, too."""
+    return tensor.reshape(-1).view(torch.uint8)
+
+
+def _slices(count: int, in_dims: tuple, args: tuple) -> Any:
+    """The arguments of each launch of a batch."""
+    moved = [a if d is None else a.movedim(d, 0) for a, d in zip(args, in_dims, strict=True)]
+    for number in range(count):
+        yield [a if d is None else a[number] for a, d in zip(moved, in_dims, strict=True)]
+
+
+class Module(torch.nn.Module):
+    """A layer whose forward is an operator, some of whose inputs it owns."""
+
+    def __init__(self, operator: Operator, owned: dict[str, Any]):
+        super().__init__()
+        for name, value in owned.items():
+            if name not in operator.inputs or not isinstance(value, torch.Tensor):
+                raise TaiRuntimeTypeError(
+                    f"'{name}' is no tensor among the inputs of operator '{operator.__name__}'",
+                    f"its inputs: {', '.join(operator.inputs)}",
+                )
+            if isinstance(value, torch.nn.Parameter):
+                self.register_parameter(name, value)
+            else:
+                self.register_buffer(name, value)
+        self._operator, self._owned = operator, tuple(owned)
+
+    def forward(self, *inputs: Any) -> Any:
+        given = iter(inputs)
+        missing = len(self._operator.inputs) - len(self._owned)
+        if len(inputs) != missing:
+            raise TaiRuntimeTypeError(
+                f"the layer of '{self._operator.__name__}' takes {missing} inputs, but got "
+                f"{len(inputs)}"
+            )
+        names = self._operator.inputs
+        return self._operator(
+            *[getattr(self, n) if n in self._owned else next(given) for n in names]
+        )

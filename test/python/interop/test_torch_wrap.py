@@ -1,0 +1,325 @@
+"""Kernels as operators of torch: gradients, torch.compile, vmap, layers, and errors."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tai as ti
+
+torch = pytest.importorskip("torch", reason="torch is not installed")
+wrap = ti.torch.wrap
+
+
+@ti.kernel
+def square(x: ti.types.ndarray(), y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[i] = x[i] * x[i]
+
+
+@ti.kernel
+def blend(x: ti.types.ndarray(), w: ti.types.ndarray(), a: ti.f64, y: ti.types.ndarray(),
+          total: ti.types.ndarray()):  # fmt: skip
+    for i in range(x.shape[0]):
+        y[i] = a * x[i] * w[i] + ti.sin(x[i])
+        total[0] += x[i] * w[i]
+
+
+@ti.kernel
+def double(x: ti.types.ndarray(), y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[i] = 2 * x[i]
+
+
+@ti.kernel
+def cube_by_steps(x: ti.types.ndarray(), y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[i] = x[i] * x[i]
+        y[i] = y[i] * x[i]
+
+
+@ti.kernel
+def spoil(x: ti.types.ndarray(), y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[i] = x[i]
+        x[i] = 7.0
+
+
+@pytest.fixture(autouse=True)
+def start():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+
+
+# Operators stay in torch's table for as long as the process.
+SQUARE = wrap(square, outputs={"y": "x"})
+BLEND = wrap(blend, outputs={"y": "x", "total": lambda x, w, a: 1}, name="blend_of_tests")
+
+
+def chain(x, w, y):
+    """Two kernels and a tensor between them."""
+    middle = x.new_zeros(x.shape)
+    if x.requires_grad:
+        middle.requires_grad_()
+    square(x, middle)
+    product(middle, w, y)
+
+
+@ti.kernel
+def product(x: ti.types.ndarray(), w: ti.types.ndarray(), y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[i] = x[i] * w[i]
+
+
+CHAIN = wrap(chain, outputs={"y": "x"})
+
+
+def leaf(n=3, seed=0, dtype=torch.float64):
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randn(n, dtype=dtype, generator=generator).requires_grad_()
+
+
+@pytest.mark.parametrize("n", [0, 1, 3, 65_537])
+def test_the_case_of_the_graph_that_was_cut(n):
+    w = torch.arange(1, n + 1, dtype=torch.float64).requires_grad_()
+    y = SQUARE(w)
+    assert torch.equal(y, w.detach() ** 2)
+    (y * w).sum().backward()
+    torch.testing.assert_close(w.grad, 3 * w.detach() ** 2)
+
+
+def test_arguments_that_torch_computed():
+    w = leaf(6)
+    for given in (2 * w, w[:2], w[::2], w.reshape(2, 3)[1], w.expand(1, 6)[0]):
+        w.grad = None
+        SQUARE(given).sum().backward(retain_graph=True)
+        ours, w.grad = w.grad, None
+        (given**2).sum().backward()
+        torch.testing.assert_close(ours, w.grad)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_types(dtype):
+    w = leaf(4, dtype=dtype)
+    y = SQUARE(w)
+    assert y.dtype == dtype
+    y.sum().backward()
+    torch.testing.assert_close(w.grad, 2 * w.detach())
+
+
+def test_several_inputs_and_outputs():
+    x, w = leaf(seed=1), leaf(seed=2)
+    y, total = BLEND(x, w, 1.5)
+    assert y.shape == (3,) and total.shape == (1,)
+    (y.sum() + total.sum() ** 2).backward()
+    a, b = x.detach().clone().requires_grad_(), w.detach().clone().requires_grad_()
+    ((1.5 * a * b + a.sin()).sum() + (a * b).sum() ** 2).backward()
+    torch.testing.assert_close(x.grad, a.grad)
+    torch.testing.assert_close(w.grad, b.grad)
+    # Only one is wanted, and only one output is used.
+    c = leaf(seed=3)
+    BLEND(x.detach(), c, 1.5)[0].sum().backward()
+    torch.testing.assert_close(c.grad, 1.5 * x.detach())
+
+
+GRADIENTS = {
+    "square": (SQUARE, 1, ()),
+    "blend": (BLEND, 2, (0.7,)),
+    "chain": (CHAIN, 2, ()),
+    "steps": (wrap(cube_by_steps, outputs={"y": "x"}), 1, ()),
+}
+
+
+@pytest.mark.parametrize("name", GRADIENTS)
+def test_gradcheck(name):
+    operator, count, numbers = GRADIENTS[name]
+    leaves = [leaf(5, seed=n + 4) for n in range(count)]
+    assert torch.autograd.gradcheck(lambda *x: operator(*x, *numbers), leaves)
+
+
+@pytest.mark.parametrize("name", GRADIENTS)
+def test_what_torch_checks_of_an_operator(name):
+    operator, count, numbers = GRADIENTS[name]
+    leaves = [leaf(5, seed=n + 4) + 3 for n in range(count)]
+    torch.library.opcheck(operator._op, (*(x.detach().requires_grad_() for x in leaves), *numbers))
+
+
+def test_second_derivatives_are_refused():
+    x = leaf()
+    with pytest.raises(ti.TaiAutodiffError, match="gradient of operator 'square' has no gradient"):
+        torch.autograd.gradgradcheck(SQUARE, (x,))
+    (first,) = torch.autograd.grad(SQUARE(x * x).sum(), x, create_graph=True)
+    with pytest.raises(ti.TaiAutodiffError, match="differentiated once"):
+        first.sum().backward()
+
+
+@pytest.mark.parametrize("operator", [SQUARE, CHAIN], ids=["kernel", "function"])
+def test_two_uses_and_two_sweeps(operator):
+    x, w = leaf(), torch.ones(3, dtype=torch.float64)
+    rest = () if operator is SQUARE else (w,)
+    loss = operator(operator(x, *rest), *rest).sum()
+    for times in (1, 2):
+        loss.backward(retain_graph=True)
+        torch.testing.assert_close(x.grad, times * 4 * x.detach() ** 3)
+
+
+def test_without_a_graph():
+    x = leaf()
+    with torch.no_grad():
+        y = SQUARE(x)
+    assert not y.requires_grad
+    assert not SQUARE(x.detach()).requires_grad
+    with torch.inference_mode():
+        assert torch.equal(SQUARE(x), x.detach() ** 2)
+
+
+def test_checkpoints():
+    from torch.utils.checkpoint import checkpoint
+
+    x = leaf()
+    checkpoint(lambda x: SQUARE(SQUARE(x)).sum(), x, use_reentrant=False).backward()
+    torch.testing.assert_close(x.grad, 4 * x.detach() ** 3)
+
+
+def test_autocast():
+    x = leaf(4, dtype=torch.float32)
+    weight = torch.eye(4)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        hidden = torch.nn.functional.linear(x, weight)
+        assert hidden.dtype == torch.bfloat16
+        y = SQUARE(hidden)
+    assert y.dtype == torch.float32
+    y.sum().backward()
+    torch.testing.assert_close(x.grad, 2 * x.detach(), rtol=1e-2, atol=1e-2)
+
+
+@pytest.mark.parametrize("dynamic", [False, True])
+def test_compile(dynamic):
+    @torch.compile(fullgraph=True, backend="aot_eager", dynamic=dynamic)
+    def loss(x, w):
+        y, total = BLEND(torch.sin(x), w, 0.5)
+        return (y**2).sum() + total.sum()
+
+    for n in (3, 7):
+        x, w = leaf(n, seed=1), leaf(n, seed=2)
+        value = loss(x, w)
+        value.backward()
+        a, b = x.detach().clone().requires_grad_(), w.detach().clone().requires_grad_()
+        y, total = BLEND(torch.sin(a), b, 0.5)
+        expected = (y**2).sum() + total.sum()
+        expected.backward()
+        torch.testing.assert_close(value, expected)
+        torch.testing.assert_close(x.grad, a.grad)
+        torch.testing.assert_close(w.grad, b.grad)
+
+
+@pytest.mark.parametrize("operator", [SQUARE, wrap(lambda x, y: square(x, y), {"y": "x"})],
+                         ids=["kernel", "function"])  # fmt: skip
+def test_vmap(operator):
+    x = torch.randn(4, 3, dtype=torch.float64)
+    assert torch.equal(torch.vmap(operator)(x), x**2)
+    assert torch.equal(torch.vmap(operator, in_dims=1, out_dims=1)(x), x**2)
+    torch.testing.assert_close(torch.vmap(torch.vmap(operator))(x.reshape(2, 2, 3)),
+                               x.reshape(2, 2, 3) ** 2)  # fmt: skip
+    each = torch.vmap(torch.func.grad(lambda x: operator(x).sum()))(x)
+    torch.testing.assert_close(each, 2 * x)
+    x.requires_grad_()
+    torch.vmap(operator)(x).sum().backward()
+    torch.testing.assert_close(x.grad, 2 * x.detach())
+
+
+def test_functions_of_torch():
+    x, w = leaf(seed=1).detach(), leaf(seed=2).detach()
+    jacobian = torch.func.jacrev(SQUARE)(x)
+    torch.testing.assert_close(jacobian, torch.diag(2 * x))
+    in_dims = (None, 0, None)
+    y, total = torch.vmap(BLEND, in_dims=in_dims)(x, torch.stack([w, 2 * w]), 0.5)
+    torch.testing.assert_close(total[:, 0], torch.stack([(x * w).sum(), 2 * (x * w).sum()]))
+
+
+def test_layers():
+    layer = ti.torch.module(blend, {"y": "x", "total": lambda x, w, a: 1},
+                            w=torch.nn.Parameter(torch.ones(3, dtype=torch.float64)))  # fmt: skip
+    assert [name for name, _ in layer.named_parameters()] == ["w"]
+    optimiser = torch.optim.SGD(layer.parameters(), lr=0.1)
+    x = leaf().detach()
+    losses = []
+    for _ in range(20):
+        optimiser.zero_grad()
+        loss = (layer(x, 1.0)[0] ** 2).sum()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < losses[0]
+    buffered = ti.torch.module(SQUARE, x=torch.ones(2))
+    assert "x" in buffered.state_dict() and not list(buffered.parameters())
+    assert buffered().tolist() == [1, 1]
+    with pytest.raises(ti.TaiRuntimeTypeError, match="'v' is no tensor among the inputs"):
+        ti.torch.module(SQUARE, v=torch.ones(2))
+    with pytest.raises(ti.TaiRuntimeTypeError, match="takes 2 inputs, but got 1"):
+        layer(x)
+
+
+# What is refused
+
+
+def test_an_input_that_is_written():
+    x = leaf()
+    operator = wrap(spoil, outputs={"y": "x"})
+    before = x.detach().clone()
+    for _ in range(2):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="'spoil' writes to its input 'x'"):
+            operator(x)
+    assert torch.equal(x.detach(), before)
+
+
+def test_a_call_in_a_tape():
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    with pytest.raises(ti.TaiRuntimeError, match="while a tape records"), ti.ad.Tape(loss):
+        SQUARE(leaf())
+
+
+def test_wrong_outputs():
+    for outputs, said in [
+        ({}, "must be a dict"), ({"z": "x"}, "name 'z', which is no array"),
+        ({"y": "z"}, "say 'z' of 'y'"), ({"y": "y"}, "say 'y' of 'y'"), ({"y": 3}, "say 3 of 'y'"),
+    ]:  # fmt: skip
+        with pytest.raises(ti.TaiRuntimeTypeError, match=said):
+            wrap(square, outputs=outputs)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="takes a kernel or a function, but got 3"):
+        wrap(3, outputs={"y": "x"})
+
+    @ti.kernel
+    def of_a_field(x: ti.types.ndarray(), f: ti.template()):
+        x[0] = f[None]
+
+    with pytest.raises(ti.TaiRuntimeTypeError, match="parameter 'f' of kernel 'of_a_field'"):
+        wrap(of_a_field, outputs={"x": "x"})
+
+    @ti.kernel
+    def returns(x: ti.types.ndarray(), y: ti.types.ndarray()) -> ti.f64:
+        y[0] = x[0]
+        return x[0]
+
+    with pytest.raises(ti.TaiRuntimeTypeError, match="'returns' returns a value"):
+        wrap(returns, outputs={"y": "x"})(leaf())
+    with pytest.raises(ti.TaiRuntimeTypeError, match="takes 1 inputs, but got 2"):
+        SQUARE(leaf(), leaf())
+
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "torch.md"
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(2))
+def test_programs_of_the_page(number, tmp_path):
+    assert len(PROGRAMS) == 2
+    file = tmp_path / "program.py"
+    file.write_text(PROGRAMS[number])
+    subprocess.run([sys.executable, "-W", "error::UserWarning", str(file)], check=True)
+
+
+def test_tai_does_not_import_torch():
+    code = "import sys, tai; assert 'torch' not in sys.modules; tai.ad; tai.testing; " \
+           "assert 'torch' not in sys.modules"  # fmt: skip
+    subprocess.run([sys.executable, "-c", code], check=True)
