@@ -17,10 +17,10 @@ using namespace mlir::tai;
 // The magic, the symbol, the code, the demands of the adjoint, the places, the
 // counts, the loop levels, the warnings (the lines and columns of all, then the
 // texts of each), the image of the device (its kind and the number of its
-// functions, or nothing; its bytes, the functions' names and accesses, their
-// block sizes and their places), and the trees up to the end; each string as
-// its length in eight bytes and its bytes.
-static constexpr StringLiteral magic = "TAIOBJ10\n";
+// functions, or nothing; its bytes, its machine code, its bitcode, the
+// functions' names and accesses, their block sizes and their places), and the
+// trees up to the end; each string as its length in eight bytes and its bytes.
+static constexpr StringLiteral magic = "TAIOBJ11\n";
 
 static void append(std::string &bytes, StringRef string) {
   char length[8];
@@ -68,6 +68,7 @@ static void append(std::string &bytes,
                       static_cast<int64_t>(image->functions.size())};
   append(bytes, ArrayRef<int64_t>(header));
   append(bytes, StringRef(image->bytes));
+  append(bytes, StringRef(image->machineCode));
   append(bytes, image->bitcode ? StringRef(*image->bitcode) : StringRef());
   for (auto [i, function] : enumerate(image->functions)) {
     append(bytes, StringRef(function));
@@ -96,6 +97,10 @@ static bool consumeImage(StringRef &bytes,
   if (!code)
     return false;
   image->bytes = code->str();
+  std::optional<StringRef> machineCode = consume(bytes);
+  if (!machineCode)
+    return false;
+  image->machineCode = machineCode->str();
   std::optional<StringRef> bitcode = consume(bytes);
   if (!bitcode)
     return false;

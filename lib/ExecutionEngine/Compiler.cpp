@@ -347,6 +347,12 @@ std::string Compiler::getPlaces(CompileRequest request) {
   return digest(text);
 }
 
+std::string Compiler::getProgramKey(StringRef text,
+                                    const CompileOptions &options) {
+  return digest("program\n" + getBuildId(context) + "\n" + options.str() +
+                "\n" + getLibdeviceKey(options) + text.str());
+}
+
 std::string Compiler::getKey(CompileRequest request,
                              const CompileOptions &options) {
   // Locations are in the code only where checks or a profiler report them.

@@ -140,17 +140,31 @@ getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
   return compiler.get();
 }
 
+<<<<<<< HEAD
 /// A module refused before LLVM's passes run is not a failure of theirs, and
+=======
+/// The LLVM IR of a program before LLVM's passes; empty for a plan that is
+/// refused before them.
+static std::string printProgram(const runtime::ProgramPlan &plan,
+                                const CompileOptions &options) {
+  std::string text;
+  std::unique_ptr<DeviceCompiler> compiler;
+  if (auto made = getDeviceCompiler(compiler, options); !made) {
+    llvm::consumeError(made.takeError());
+    return text;
+  }
+  compiler->printInsteadOfFinishing(&text);
+  llvm::consumeError(tai::makeProgram(*compiler, plan).takeError());
+  return text;
+}
+
+/// A plan that is refused before LLVM's passes run is no failure of theirs, and
+>>>>>>> af04d64a ([Runtime] Compile programs in the background, within a budget)
 /// leaves no file.
 static void addProgramReproducer(const runtime::ProgramPlan &plan,
                                  const CompileOptions &options,
                                  Failure &failure) {
-  std::unique_ptr<DeviceCompiler> compiler;
-  if (auto made = getDeviceCompiler(compiler, options); !made)
-    return llvm::consumeError(made.takeError());
-  std::string text;
-  compiler->printInsteadOfFinishing(&text);
-  llvm::consumeError(tai::makeProgram(*compiler, plan).takeError());
+  std::string text = printProgram(plan, options);
   if (text.empty())
     return;
   std::string level =
@@ -163,6 +177,17 @@ static void addProgramReproducer(const runtime::ProgramPlan &plan,
 std::optional<runtime::DeviceImage>
 Compiler::makeProgram(const runtime::ProgramPlan &plan,
                       const CompileOptions &options, Failure &failure) {
+  std::string key;
+  if (cache) {
+    std::string text = printProgram(plan, options);
+    if (!text.empty())
+      key = getProgramKey(text, options);
+    if (!key.empty())
+      if (std::optional<std::string> bytes = cache.load(key))
+        if (auto object = CompiledObject::deserialize(*bytes);
+            object && object->image)
+          return std::move(*object->image);
+  }
   WorkerLease lease(*this, options);
   auto compiler = getDeviceCompiler((*lease).deviceCode, options);
   if (!compiler) {
@@ -176,6 +201,14 @@ Compiler::makeProgram(const runtime::ProgramPlan &plan,
     (void)failInLLVM(image.takeError(), failure);
     addProgramReproducer(plan, options, failure);
     return std::nullopt;
+  }
+  if (assembler)
+    assembler(*image);
+  if (!key.empty()) {
+    CompiledObject object;
+    object.image = std::move(*image);
+    cache.store(key, object.serialize());
+    return std::move(object.image);
   }
   return std::move(*image);
 }
@@ -287,6 +320,10 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   if (options.device && failed(compileDeviceCode(worker, options, prepared,
                                                  object.image, failure)))
     return std::nullopt;
+  if (object.image && assembler) {
+    PhaseTimer timer(times, Phase::Emit);
+    assembler(*object.image);
+  }
   LLVMJob job(worker.objects);
   if (failed(job.translate(*prepared.module, object.symbol, times, failure)) ||
       failed(job.optimize(getHostCodegen(options), times, failure)))

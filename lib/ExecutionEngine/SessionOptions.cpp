@@ -14,7 +14,7 @@
 #include "OptionKinds.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
-#include "tai/Runtime/Queue/DeviceQueue.h"
+
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/Process.h"
 #include <dlfcn.h>
@@ -23,7 +23,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 void Session::useCache(StringRef folder) {
-  rt->keepBlockSizes({});
+  keepChoices({});
   if (folder.empty()) {
     cache.reset();
     compiler->setCache({});
@@ -42,14 +42,71 @@ void Session::useCache(StringRef folder) {
          constexpr double mostSeconds = 60;
          return store->claim(std::string_view(key), mostSeconds, goesOn);
        }});
-  rt->keepBlockSizes(
-      {[store](const std::string &key) { return store->get(key); },
-       [this, store](std::string key, std::string bytes) {
-         background.doLater(
-             [store, key = std::move(key), bytes = std::move(bytes)] {
-               store->put(key, bytes);
-             });
-       }});
+  keepChoices({[store](const std::string &key) { return store->get(key); },
+               [this, store](std::string key, std::string bytes) {
+                 background.doLater(
+                     [store, key = std::move(key), bytes = std::move(bytes)] {
+                       store->put(key, bytes);
+                     });
+               }});
+}
+
+void Session::keepChoices(runtime::KeptChoices kept) {
+  keptChoices = std::move(kept);
+  rt->keepBlockSizes(keptChoices);
+  if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
+    queue->keepChoices(keptChoices);
+}
+
+/// On a GPU the driver takes seconds to assemble a program. For tests and
+/// measurements, TAI_BACKGROUND_PROGRAMS=1 or 0 decides for every device.
+static bool compilesProgramsInBackground(runtime::DeviceKind kind) {
+  const char *given = std::getenv("TAI_BACKGROUND_PROGRAMS");
+  if (given && *given)
+    return *given != '0';
+  return kind == runtime::DeviceKind::Cuda;
+}
+
+namespace {
+/// A program that a thread of the session compiles.
+class BackgroundProgram final : public runtime::ProgramJob {
+public:
+  /// Shared with the thread, which may outlive the sequence.
+  struct State {
+    std::atomic<bool> isDone{false}, isAbandoned{false};
+    runtime::DeviceImage image;
+    runtime::Status status;
+  };
+  explicit BackgroundProgram(std::shared_ptr<State> state)
+      : state(std::move(state)) {}
+  ~BackgroundProgram() override { state->isAbandoned = true; }
+  bool isDone() const override { return state->isDone; }
+  runtime::Status take(runtime::DeviceImage &image) override {
+    image = std::move(state->image);
+    return std::move(state->status);
+  }
+
+private:
+  std::shared_ptr<State> state;
+};
+} // namespace
+
+std::unique_ptr<runtime::ProgramJob>
+Session::startProgram(runtime::ProgramPlan plan) {
+  auto state = std::make_shared<BackgroundProgram::State>();
+  background.start(
+      [this, state, plan = std::move(plan), options = compileOptions] {
+        if (state->isAbandoned)
+          return;
+        Failure problem;
+        if (auto made = compiler->makeProgram(plan, options, problem))
+          state->image = std::move(*made);
+        else
+          state->status = runtime::Status::failure(runtime::StatusCode::Compile,
+                                                   problem.message);
+        state->isDone = true;
+      });
+  return std::make_unique<BackgroundProgram>(std::move(state));
 }
 
 static std::string listOptions() {
@@ -276,7 +333,9 @@ LogicalResult Session::setArch(StringRef name) {
     compileOptions.deviceTarget = used->target();
     compileOptions.places = rt->wantsPlaces();
   }
-  if (runtime::DeviceQueue *queue = rt->getDeviceQueue())
+  compiler->setAssembler(rt->getDevice() ? rt->getDevice()->assembler()
+                                         : nullptr);
+  if (runtime::DeviceQueue *queue = rt->getDeviceQueue()) {
     queue->setProgramMaker(
         [this](const runtime::ProgramPlan &plan, runtime::DeviceImage &image) {
           Failure problem;
@@ -286,6 +345,12 @@ LogicalResult Session::setArch(StringRef name) {
           image = std::move(*made);
           return runtime::Status::success();
         });
+    if (compilesProgramsInBackground(queue->kind()))
+      queue->setProgramStarter([this](runtime::ProgramPlan plan) {
+        return startProgram(std::move(plan));
+      });
+    queue->keepChoices(keptChoices);
+  }
   return setFuseLaunches(fuseLaunches);
 }
 

@@ -103,9 +103,8 @@ static LogicalResult translate(Operation *op, raw_ostream &output,
   if (overlapped) {
     runtime::ProgramPlan plan;
     plan.scope = TAI_SCOPE_LAUNCHES;
-    std::shared_ptr<const std::string> bitcode = image->bitcode;
     for (auto [i, function] : llvm::enumerate(image->functions))
-      plan.parts.push_back({bitcode.get(), function, /*isInTable=*/false,
+      plan.parts.push_back({image->bitcode, function, /*isInTable=*/false,
                             /*isTile=*/false, image->blockSize(i)});
     image = makeProgram(**compiler, plan);
     if (!image)

@@ -136,6 +136,10 @@ public:
   void loadDialects();
 
   void setCache(ObjectCache cache) { this->cache = std::move(cache); }
+  /// The assembler of the device, which compiling threads call; may be null.
+  void setAssembler(runtime::DeviceAssembler assembler) {
+    this->assembler = std::move(assembler);
+  }
 
   struct Function {
     /// Null for an adjoint without effects.
@@ -189,7 +193,8 @@ public:
                                  const CompileOptions &options,
                                  Failure &failure);
 
-  /// Fuses a sequence of kernels into one; see runtime::ProgramMaker.
+  /// Fuses a sequence of kernels into one, or loads the result from the cache;
+  /// see runtime::ProgramMaker.
   std::optional<runtime::DeviceImage>
   makeProgram(const runtime::ProgramPlan &plan, const CompileOptions &options,
               Failure &failure);
@@ -279,6 +284,8 @@ private:
   /// A digest of the module with its source locations.
   static std::string getPlaces(CompileRequest request);
   std::string getKey(CompileRequest request, const CompileOptions &options);
+  /// The key of a program, from its LLVM IR.
+  std::string getProgramKey(StringRef text, const CompileOptions &options);
   Linker *getLinker(Failure &failure);
   /// Adds a reproducer to the failure of a step, if it is an internal error.
   void addReproducer(CompileRequest request, const CompileOptions &options,
@@ -288,6 +295,7 @@ private:
   Pipelines pipelines;
   std::vector<runtime::RuntimeSymbol> runtime;
   ObjectCache cache;
+  runtime::DeviceAssembler assembler;
   std::mutex mutex;
   std::unique_ptr<Linker> linker;
   std::vector<std::unique_ptr<Worker>> idle;

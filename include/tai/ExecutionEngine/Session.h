@@ -18,6 +18,7 @@
 #include "tai/ExecutionEngine/ContextModes.h"
 #include "tai/ExecutionEngine/KernelCode.h"
 #include "tai/Runtime/Cache/CacheStore.h"
+#include "tai/Runtime/Queue/DeviceQueue.h"
 #include "llvm/Support/ThreadPool.h"
 #include <list>
 
@@ -156,6 +157,9 @@ private:
   /// Compiles the kernel and its adjoint before their first launch.
   LogicalResult compileEagerly(runtime::Kernel &kernel);
   void useCache(StringRef folder);
+  void keepChoices(runtime::KeptChoices kept);
+  /// Compiles a program on a thread of `background`.
+  std::unique_ptr<runtime::ProgramJob> startProgram(runtime::ProgramPlan plan);
 
   // Setters of options that concern more than one part, or a part other than
   // CompileOptions and the runtime; see Options.def.
@@ -197,6 +201,8 @@ private:
   std::unique_ptr<Compiler> compiler;
   Background background;
   std::shared_ptr<runtime::CacheStore> cache;
+  /// Results of trials, in the cache.
+  runtime::KeptChoices keptChoices;
   CompileOptions compileOptions;
   ContextModes modes;
   /// For the device that is opened next.

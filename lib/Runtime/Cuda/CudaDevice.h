@@ -69,6 +69,7 @@ public:
   Status fillAll(const std::vector<DeviceFill> &fills) override;
   bool isDeviceMemory(const void *address) const override;
 
+  DeviceAssembler assembler() const override;
   Status load(const DeviceImage &image,
               std::unique_ptr<DeviceModule> &module) override;
   Status find(DeviceModule &module, const std::string &name,

@@ -18,6 +18,66 @@ using namespace mlir::tai::runtime::cuda;
 // Code
 //===----------------------------------------------------------------------===//
 
+namespace {
+/// Keeps the primary context of a device alive, and makes it current for the
+/// calling thread within a scope.
+class ContextShare {
+public:
+  ContextShare(const Driver &cu, int number) : cu(cu), number(number) {
+    if (cu.primaryCtxRetain(&context, number) != kSuccess)
+      context = nullptr;
+  }
+  ~ContextShare() {
+    if (context)
+      (void)cu.primaryCtxRelease(number);
+  }
+  ContextShare(const ContextShare &) = delete;
+  ContextShare &operator=(const ContextShare &) = delete;
+
+  /// Runs `work`; returns false if the context cannot be used.
+  template <typename Work> bool within(const Work &work) const {
+    Context before = nullptr;
+    if (!context || cu.ctxGetCurrent(&before) != kSuccess ||
+        cu.ctxSetCurrent(context) != kSuccess)
+      return false;
+    work();
+    (void)cu.ctxSetCurrent(before);
+    return true;
+  }
+
+  const Driver &cu;
+
+private:
+  int number;
+  Context context = nullptr;
+};
+} // namespace
+
+/// Assembles PTX with the driver's linker. In contrast to a module load, it
+/// does not block the launches of other threads.
+static void assemble(const Driver &cu, DeviceImage &image) {
+  LinkState state = nullptr;
+  if (cu.linkCreate(0, nullptr, nullptr, &state) != kSuccess)
+    return;
+  void *code = nullptr;
+  size_t bytes = 0;
+  // The driver reads a text up to its terminating zero.
+  if (cu.linkAddData(state, kJitInputPtx, image.bytes.data(),
+                     image.bytes.size() + 1, "tai", 0, nullptr,
+                     nullptr) == kSuccess &&
+      cu.linkComplete(state, &code, &bytes) == kSuccess)
+    image.machineCode.assign(static_cast<const char *>(code), bytes);
+  (void)cu.linkDestroy(state);
+}
+
+DeviceAssembler CudaDevice::assembler() const {
+  auto share = std::make_shared<ContextShare>(cu, number);
+  return [share](DeviceImage &image) {
+    if (image.kind == DeviceKind::Cuda && image.machineCode.empty())
+      (void)share->within([&] { assemble(share->cu, image); });
+  };
+}
+
 Status CudaDevice::load(const DeviceImage &image,
                         std::unique_ptr<DeviceModule> &module) {
   if (image.kind != DeviceKind::Cuda)
@@ -26,6 +86,17 @@ Status CudaDevice::load(const DeviceImage &image,
   Status status = enter();
   if (!status)
     return status;
+  if (!image.machineCode.empty()) {
+    auto loaded = std::make_unique<CudaModule>(*this);
+    if (cu.moduleLoadDataEx(&loaded->handle, image.machineCode.data(), 0,
+                            nullptr, nullptr) == kSuccess) {
+      module = std::move(loaded);
+      return status;
+    }
+    // Machine code from the cache may belong to another driver; the text below
+    // runs on all of them.
+    loaded->handle = nullptr;
+  }
   constexpr unsigned logBytes = 16 << 10;
   std::vector<char> info(logBytes), errors(logBytes);
   int options[] = {kJitInfoBuffer, kJitInfoBytes, kJitErrorBuffer,

@@ -33,6 +33,7 @@ using Event = struct EventStruct *;
 using Graph = struct GraphStruct *;
 using ExecutableGraph = struct ExecutableGraphStruct *;
 using Node = struct NodeStruct *;
+using LinkState = struct LinkStateStruct *;
 
 // Results.
 constexpr Result kSuccess = 0;
@@ -99,6 +100,7 @@ constexpr int kJitInfoBuffer = 3;
 constexpr int kJitInfoBytes = 4;
 constexpr int kJitErrorBuffer = 5;
 constexpr int kJitErrorBytes = 6;
+constexpr int kJitInputPtx = 1;
 
 struct PoolProperties {
   int allocationType = 1; // pinned, which is to say: on a device
@@ -204,6 +206,11 @@ static_assert(sizeof(KernelNodeParameters) == 56, "the layout is the driver's");
   DO(moduleLoadDataEx, "cuModuleLoadDataEx",                                   \
      (Module *, const void *, unsigned, int *, void **))                       \
   DO(moduleUnload, "cuModuleUnload", (Module))                                 \
+  DO(linkCreate, "cuLinkCreate_v2", (unsigned, int *, void **, LinkState *))   \
+  DO(linkAddData, "cuLinkAddData_v2",                                          \
+     (LinkState, int, void *, size_t, const char *, unsigned, int *, void **)) \
+  DO(linkComplete, "cuLinkComplete", (LinkState, void **, size_t *))           \
+  DO(linkDestroy, "cuLinkDestroy", (LinkState))                                \
   DO(moduleGetFunction, "cuModuleGetFunction",                                 \
      (Function *, Module, const char *))                                       \
   DO(funcGetAttribute, "cuFuncGetAttribute", (int *, int, Function))           \

@@ -21,7 +21,7 @@
 #define TAI_LIB_RUNTIME_DEVICE_BLOCKTRIAL_H
 
 #include "tai/Runtime/Device/Device.h"
-#include "tai/Runtime/Device/KeptBlockSizes.h"
+#include "tai/Runtime/Device/KeptChoices.h"
 #include <functional>
 #include <map>
 #include <mutex>
@@ -80,7 +80,7 @@ class BlockTrials {
 public:
   /// `key` identifies the function and the device in `kept`; empty if results
   /// are not stored.
-  BlockTrials(std::vector<BlockTrial::Size> sizes, KeptBlockSizes kept = {},
+  BlockTrials(std::vector<BlockTrial::Size> sizes, KeptChoices kept = {},
               std::string key = "")
       : sizes(std::move(sizes)), kept(std::move(kept)), key(std::move(key)) {}
 
@@ -93,7 +93,7 @@ private:
   std::optional<size_t> parse(const std::string &bytes) const;
 
   std::vector<BlockTrial::Size> sizes;
-  KeptBlockSizes kept;
+  KeptChoices kept;
   std::string key;
   std::mutex mutex;
   std::map<unsigned, std::unique_ptr<BlockTrial>> trials;

@@ -39,7 +39,7 @@ static unsigned mostBlockThreads(const Device &device,
 /// there is no other.
 static std::shared_ptr<BlockTrials>
 makeTrials(const Device &device, const DeviceCode::Function &function,
-           unsigned mostThreads, const KeptBlockSizes &kept, std::string key) {
+           unsigned mostThreads, const KeptChoices &kept, std::string key) {
   std::vector<BlockTrial::Size> sizes{{function.threads, function.mostBlocks}};
   for (unsigned threads : {64u, 128u, 512u, 1024u})
     if (threads != function.threads && threads <= mostThreads)

@@ -90,6 +90,7 @@ public:
   Status fillRows(const DeviceRows &to, const void *pattern,
                   int patternBytes) override;
   Status fillAll(const std::vector<DeviceFill> &fills) override;
+  DeviceAssembler assembler() const override { return device->assembler(); }
   Status load(const DeviceImage &image,
               std::unique_ptr<DeviceModule> &module) override;
   Status find(DeviceModule &module, const std::string &name,

@@ -8,8 +8,9 @@
 #include "DeviceProgram.h"
 #include "GraphOrder.h"
 #include <algorithm>
-#include <chrono>
 #include <cstdio>
+#include <cstdlib>
+#include <cstring>
 
 using namespace mlir::tai::runtime;
 
@@ -43,9 +44,9 @@ static bool isGraph(ProgramMode mode) {
          mode == ProgramMode::Aside;
 }
 
-/// Milliseconds, by the cost of a launch or a barrier, and by how often the
-/// threads go around. Constants as measured on an H200; they only decide which
-/// ways are worth trying.
+/// Milliseconds, by what one launch or barrier costs, and by how often the
+/// threads go around. Constants as measured on an H200; what they decide is
+/// only what is worth trying.
 double DeviceQueue::Program::predict(ProgramMode mode,
                                      const LaunchShape &shape) const {
   constexpr double overlappedUs = 1.05, roundUs = 0.6, stageUs = 0.15,
@@ -80,7 +81,7 @@ void DeviceQueue::Program::addWay(ProgramMode mode, const LaunchShape &shape) {
   double predicted = predict(mode, shape);
   if (isGraph(mode))
     ways.push_back(std::make_unique<GraphWay>(
-        device, sequence, mode, predicted, maker,
+        device, sequence, mode, predicted,
         mode == ProgramMode::Graph ? nullptr : &overlapping));
   else
     ways.push_back(std::make_unique<KernelWay>(
@@ -100,8 +101,8 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
     shape.cluster = mode == ProgramMode::Cluster ? blocks : 0;
     addWay(mode, shape);
   };
-  // Every part must be there to be put together again.
-  bool canMake = maker && sequence.areAllPartsKnown();
+  // A program is linked from the bitcode of every part.
+  bool canMake = (maker || starter) && sequence.areAllPartsKnown();
   schedules.make(
       /*wantsTiles=*/canMake &&
       (limits.hasGridBarriers || device.kind() == DeviceKind::Emulated));
@@ -145,18 +146,10 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
   std::sort(ways.begin(), ways.end(), [](const auto &a, const auto &b) {
     return a->predicted < b->predicted;
   });
-  // A way that is far behind by the model is not tried. A graph always is: it
-  // asks for no compilation and is the fallback.
-  if (wanted == ProgramMode::Automatic && !ways.empty()) {
-    double best = ways.front()->predicted;
-    ways.erase(std::remove_if(ways.begin(), ways.end(),
-                              [&](const auto &way) {
-                                return !way->isGraph() &&
-                                       way->predicted > 3 * best;
-                              }),
-               ways.end());
-  }
-  // Worth its compilation only where a graph is among the best.
+  if (wanted == ProgramMode::Automatic)
+    dropHopelessWays();
+  // Kernels that overlap are worth their compilation only where a graph is
+  // among the best, so they come last.
   for (ProgramMode last : {ProgramMode::Overlapped, ProgramMode::Aside}) {
     auto found = std::find_if(ways.begin(), ways.end(), [&](const auto &way) {
       return way->mode == last;
@@ -166,38 +159,49 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
   }
 }
 
+/// Drops the ways that the model predicts to be far behind. A plain graph stays
+/// in any case: it needs no compilation, and is the fallback. In the
+/// background, it comes first, and a program must be predicted to beat it.
+void DeviceQueue::Program::dropHopelessWays() {
+  if (ways.empty())
+    return;
+  double limit = 3 * ways.front()->predicted;
+  auto graph = std::find_if(ways.begin(), ways.end(), [](const auto &way) {
+    return way->mode == ProgramMode::Graph;
+  });
+  if (starter && graph != ways.end()) {
+    limit = std::min(limit, (*graph)->predicted);
+    std::rotate(ways.begin(), graph, graph + 1);
+  }
+  ways.erase(std::remove_if(ways.begin(), ways.end(),
+                            [&](const auto &way) {
+                              return !way->isGraph() && way->predicted > limit;
+                            }),
+             ways.end());
+}
+
 //===----------------------------------------------------------------------===//
 // Choosing
 //===----------------------------------------------------------------------===//
 
-/// Whether a graph is among the best of the tried ways: else its launches need
-/// not be made to overlap.
+/// Whether a graph is among the best of what has been tried: else its launches
+/// need not be made to overlap.
 bool DeviceQueue::Program::mayOverlapPay() const {
   constexpr double gain = 0.75;
-  double graph = 0, best = 0;
-  for (const std::unique_ptr<Way> &way : ways) {
-    if (way->measured < 0)
-      continue;
-    if (way->mode == ProgramMode::Graph)
-      graph = way->measured;
-    best = best > 0 ? std::min(best, way->measured) : way->measured;
-  }
-  return graph * gain <= best;
+  const Way *graph = findGraph();
+  return !graph || graph->measured < 0 || !used ||
+         graph->measured * gain <= used->measured;
 }
 
-Status DeviceQueue::Program::prepare(Way &way) {
-  way.isReady = true;
-  if (way.overlaps() && !mayOverlapPay())
-    return Status::failure(StatusCode::Internal,
-                           "launches by themselves take too long");
-  return way.prepare();
+const DeviceQueue::Way *DeviceQueue::Program::findGraph() const {
+  for (const std::unique_ptr<Way> &way : ways)
+    if (way->mode == ProgramMode::Graph)
+      return way.get();
+  return nullptr;
 }
 
 Status DeviceQueue::Program::runTimed(Way &way) {
-  using Clock = std::chrono::steady_clock;
-  Status status = way.makeCurrent();
-  if (status)
-    status = device.synchronize();
+  Status status = device.synchronize();
   auto start = Clock::now();
   if (status)
     status = way.launch();
@@ -219,73 +223,236 @@ void DeviceQueue::Program::noteRun(bool same) {
   prefixed.noteChange();
 }
 
-Status DeviceQueue::Program::run(const Sequence &prefix, bool same,
-                                 ProgramMode mode,
-                                 const ProgramMaker &programMaker) {
-  bool isChosen = chosen && current < ways.size();
-  if (prefix.empty() || !isChosen) {
-    Status status = StepRunner::runAlone(device, prefix);
-    return status ? run(same, mode, programMaker) : std::move(status);
+/// Lists the ways. A sequence that occurs once is not worth it.
+void DeviceQueue::Program::begin(ProgramMode mode, const Tools &tools) {
+  begun = Clock::now();
+  choices = tools.choices;
+  // A form that is asked for is there at once.
+  if (mode == ProgramMode::Automatic && tools.starter)
+    starter = tools.starter;
+  else
+    maker = tools.maker;
+  listWays(mode);
+  if (mode != ProgramMode::Automatic || !choices.load)
+    return;
+  std::string key = choiceKey();
+  std::optional<std::string> kept;
+  if (!key.empty())
+    kept = choices.load(key);
+  if (!kept)
+    return;
+  for (const std::unique_ptr<Way> &way : ways)
+    if (*kept == nameOf(way->mode))
+      keptChoice = way->mode;
+}
+
+bool DeviceQueue::Program::hasTrials() const {
+  return std::any_of(ways.begin(), ways.end(),
+                     [](const auto &way) { return !way->isTried; });
+}
+
+void DeviceQueue::Program::refuse(Way &way, std::string why) {
+  way.refused = std::move(why);
+  endTrial(way);
+}
+
+void DeviceQueue::Program::use(Way *way) {
+  if (way == used)
+    return;
+  used = way;
+  // Their graphs contain the way that was used before.
+  prefixed.noteChange();
+}
+
+/// Uses the fastest way so far; after the last trial, remembers it.
+void DeviceQueue::Program::endTrial(Way &way) {
+  way.isTried = true;
+  way.job.reset();
+  Way *best = nullptr;
+  for (const std::unique_ptr<Way> &other : ways)
+    if (other->refused.empty() && other->measured >= 0 &&
+        (!best || other->measured < best->measured))
+      best = other.get();
+  use(best);
+  if (hasTrials() || !best)
+    return;
+  if (!best->hasTiles())
+    schedules.dropTiles();
+  if (choices.store && starter && ways.size() > 1)
+    if (std::string key = choiceKey(); !key.empty())
+      choices.store(std::move(key), nameOf(best->mode));
+}
+
+/// A compilation may begin once the sequence has run for a share of the time
+/// that the compilation takes, which the bitcode of its kernels predicts: short
+/// programs never start it.
+bool DeviceQueue::Program::isWorthCompiling(Way &way) const {
+  constexpr double share = 0.5, fixed = 0.3, perByte = 20e-6;
+  if (way.compileSeconds < 0) {
+    size_t bytes = 0;
+    for (const Function *part : sequence.listParts())
+      bytes += part->bitcode->size();
+    way.compileSeconds = fixed + perByte * double(bytes);
   }
-  noteRun(same);
-  return prefixed.run(prefix, *ways[current]);
+  std::chrono::duration<double> elapsed = Clock::now() - begun;
+  return elapsed.count() >= share * way.compileSeconds;
+}
+
+/// Trials take at most a twentieth of the time since the sequence was repeated.
+bool DeviceQueue::Program::mayTry() const {
+  constexpr int share = 20, numRuns = 3;
+  double ms = used ? used->measured : 0;
+  auto next = std::chrono::duration_cast<Clock::duration>(
+      std::chrono::duration<double, std::milli>(numRuns * ms));
+  return share * (spent + next) <= Clock::now() - begun;
+}
+
+bool DeviceQueue::Program::makeCode(Way &way) {
+  DeviceImage image;
+  Status status;
+  if (way.job) {
+    if (!way.job->isDone() || !mayTry())
+      return false;
+    status = way.job->take(image);
+    way.job.reset();
+  } else {
+    if (starter && !keptChoice && !isWorthCompiling(way))
+      return false;
+    ProgramPlan plan;
+    status = way.plan(plan);
+    if (status && starter) {
+      way.job = starter(std::move(plan));
+      if (way.job)
+        return false;
+      status =
+          Status::failure(StatusCode::Internal, "no thread can compile it");
+    } else if (status) {
+      status = maker(plan, image);
+    }
+  }
+  auto start = Clock::now();
+  if (status)
+    status = way.adopt(image);
+  spent += Clock::now() - start;
+  if (!status)
+    refuse(way, status.message());
+  return status.ok();
+}
+
+/// The way to try in this run; null to run the sequence in the best known way.
+DeviceQueue::Way *DeviceQueue::Program::nextTrial() {
+  for (const std::unique_ptr<Way> &way : ways) {
+    if (way->isTried)
+      continue;
+    if (starter && keptChoice && way->mode != *keptChoice &&
+        way->mode != ProgramMode::Graph)
+      refuse(*way, "an earlier process has found a faster way");
+    else if (way->overlaps() && !mayOverlapPay())
+      refuse(*way, "launches by themselves take too long");
+    else if (way->needsCode() && !makeCode(*way)) {
+      // One compilation at a time.
+      if (!way->isTried)
+        return nullptr;
+    } else {
+      // The fallback is tried at once.
+      bool waits =
+          starter && way->tries == 0 && way.get() != ways.front().get();
+      return waits && !mayTry() ? nullptr : way.get();
+    }
+  }
+  return nullptr;
+}
+
+Status DeviceQueue::Program::tryWay(Way &way) {
+  // The first of three runs brings code and table to where they are used.
+  constexpr int wanted = 3;
+  auto start = Clock::now();
+  Status status = way.makeCurrent();
+  if (!status) {
+    // If only its code is outdated, other code is made in the background.
+    if (way.needsCode() && starter)
+      way.tries = 0;
+    else
+      refuse(way, status.message());
+    return runUsed();
+  }
+  status = way.tries == 0 ? way.launch() : runTimed(way);
+  // A failure on the device is one of the program, whatever the way.
+  if (!status)
+    return status;
+  if (&way != ways.front().get())
+    spent += Clock::now() - start;
+  // A kept choice needs no measurement to be used.
+  if (starter && keptChoice == way.mode && way.measured < 0 && way.tries > 0)
+    use(&way);
+  if (++way.tries == wanted)
+    endTrial(way);
+  return status;
+}
+
+/// Runs the best known way.
+Status DeviceQueue::Program::runUsed() {
+  if (!used)
+    return runSteps();
+  Status status = used->makeCurrent();
+  if (status)
+    return used->launch();
+  if (!used->needsCode())
+    return status;
+  // Other code is made in the background; meanwhile another way is used.
+  Way &lost = *used;
+  lost.isTried = false;
+  lost.tries = 0;
+  lost.measured = -1;
+  use(nullptr);
+  for (const std::unique_ptr<Way> &way : ways)
+    if (way->isTried && way->refused.empty() && way->measured >= 0 &&
+        (!used || way->measured < used->measured))
+      use(way.get());
+  return used ? used->launch() : runSteps();
 }
 
 Status DeviceQueue::Program::run(bool same, ProgramMode mode,
-                                 const ProgramMaker &programMaker) {
-  noteRun(same);
-  auto runSteps = [&] { return StepRunner::runAlone(device, sequence); };
-  // A sequence that comes once need not be made ready for a second time.
-  if (runs == 1)
-    return runSteps();
-  if (runs == 2) {
-    maker = programMaker;
-    listWays(mode);
-  }
-  if (chosen || ways.empty())
-    return current < ways.size() ? ways[current]->launch() : runSteps();
+                                 const Tools &tools) {
+  return run(Sequence(), same, mode, tools);
+}
 
-  while (current < ways.size()) {
-    Way &way = *ways[current];
-    Status status;
-    if (!way.isReady)
-      status = prepare(way);
-    // The first of three runs brings code and table to where they are used.
-    constexpr int wanted = 3;
-    if (status) {
-      status = tries == 0 ? way.launch() : runTimed(way);
-      // A failure on the device is one of the program, whatever the way.
-      if (!status)
-        return status;
-      if (++tries == wanted) {
-        tries = 0;
-        ++current;
-      }
-      if (current < ways.size())
-        return status;
-    } else {
-      way.refused = status.message();
-      ++current;
-      tries = 0;
-      if (current < ways.size())
-        continue;
-    }
-    // All have been tried.
-    size_t best = ways.size();
-    for (size_t i = 0; i < ways.size(); ++i)
-      if (ways[i]->refused.empty() &&
-          (best == ways.size() || ways[i]->measured < ways[best]->measured))
-        best = i;
-    chosen = true;
-    bool hasRun = bool(status);
-    current = best;
-    if (best == ways.size())
-      return hasRun ? std::move(status) : runSteps();
-    if (!ways[best]->hasTiles())
-      schedules.dropTiles();
-    return hasRun ? std::move(status) : ways[best]->launch();
+Status DeviceQueue::Program::run(const Sequence &prefix, bool same,
+                                 ProgramMode mode, const Tools &tools) {
+  noteRun(same);
+  // A sequence that occurs once is not prepared.
+  if (runs == 2)
+    begin(mode, tools);
+  Way *trial = runs > 1 ? nextTrial() : nullptr;
+  if (!prefix.empty() && used && !trial && used->makeCurrent())
+    return prefixed.run(prefix, *used);
+  Status status = StepRunner::runAlone(device, prefix);
+  if (!status)
+    return status;
+  return trial ? tryWay(*trial) : runUsed();
+}
+
+/// A description of device, kernels and steps that is the same in other
+/// processes; empty if it cannot be given.
+std::string DeviceQueue::Program::choiceKey() const {
+  std::string key = "program " + device.name() + "\n" + device.target() + "\n" +
+                    std::to_string(device.limits().multiprocessors) + "\n";
+  std::vector<const Function *> parts = sequence.listParts();
+  for (const Function *part : parts) {
+    if (part->imageKey.empty())
+      return "";
+    key += part->imageKey + " " + part->name + "\n";
   }
-  return runSteps();
+  uint64_t hash = 14695981039346656037ull;
+  auto mix = [&](uint64_t value) { hash = (hash ^ value) * 1099511628211ull; };
+  for (const Step &step : sequence.steps) {
+    mix(static_cast<uint64_t>(step.kind));
+    mix(static_cast<uint64_t>(
+        std::find(parts.begin(), parts.end(), step.function) - parts.begin()));
+    mix(uint64_t(step.shape.blocks) << 32 | step.shape.threads);
+  }
+  return key + std::to_string(sequence.steps.size()) + " " +
+         std::to_string(hash);
 }
 
 std::string DeviceQueue::Program::explain() const {
@@ -306,8 +473,12 @@ std::string DeviceQueue::Program::explain() const {
       std::snprintf(line, sizeof(line), ", %.4f ms measured", way.measured);
       text += line;
     }
-    if (chosen && i == current)
-      text += " (chosen)";
+    if (&way == used)
+      text += hasTrials() ? " (used)" : " (chosen)";
+    else if (way.job)
+      text += ", is being compiled";
+    else if (!way.isTried && way.needsCode())
+      text += ", not compiled yet";
     text += way.explainClocks();
   }
   return text + prefixed.explain();
@@ -318,10 +489,9 @@ bool DeviceQueue::Program::uses(const Module &module) const {
 }
 
 void DeviceQueue::Program::tellTimes(double &chosenMs, double &graphMs) const {
-  if (!chosen || current >= ways.size())
+  if (!used || hasTrials())
     return;
-  chosenMs = ways[current]->measured;
-  for (const std::unique_ptr<Way> &way : ways)
-    if (way->mode == ProgramMode::Graph)
-      graphMs = way->measured;
+  chosenMs = used->measured;
+  if (const Way *graph = findGraph())
+    graphMs = graph->measured;
 }

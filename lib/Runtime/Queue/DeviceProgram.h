@@ -6,7 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Chooses among the ways to run a sequence: those that a cost model predicts to
-// be good are timed in turn.
+// be good are timed in turn. If programs are compiled in the background, the
+// sequence runs as a graph meanwhile, and trials take a bounded share of the
+// time.
 //
 //===----------------------------------------------------------------------===//
 
@@ -16,52 +18,84 @@
 #include "GraphWay.h"
 #include "KernelWay.h"
 #include "PrefixedGraphs.h"
+#include <chrono>
+#include <optional>
 
 namespace mlir::tai::runtime {
 
 /// A repeated sequence, and the ways to run it.
 class DeviceQueue::Program {
 public:
+  /// The tools of the queue: `maker` compiles at once, `starter` in the
+  /// background; each may be null.
+  struct Tools {
+    const ProgramMaker &maker;
+    const ProgramStarter &starter;
+    const KeptChoices &choices;
+  };
+
   Program(Device &device, Sequence sequence)
       : sequence(std::move(sequence)), device(device),
         schedules(device, this->sequence), prefixed(device) {}
 
   /// `same`: the slots are those of the last run.
-  Status run(bool same, ProgramMode mode, const ProgramMaker &maker);
+  Status run(bool same, ProgramMode mode, const Tools &tools);
   /// The same after the launches of `prefix`.
   Status run(const Sequence &prefix, bool same, ProgramMode mode,
-             const ProgramMaker &maker);
-  /// Whether ways to run it have been set up.
-  bool isPrepared() const {
-    return !ways.empty() && !(chosen && current == ways.size());
-  }
+             const Tools &tools);
+  /// Whether there is a way to run it, or one that is still to be tried.
+  bool isPrepared() const { return used || hasTrials(); }
   std::string explain() const;
   bool uses(const Module &module) const;
-  /// Its times in milliseconds, for RecordedLaunches::Outcome.
+  /// Its times in milliseconds, for RecordedLaunches::Outcome; unchanged while
+  /// trials go on.
   void tellTimes(double &chosenMs, double &graphMs) const;
 
   Sequence sequence;
 
 private:
+  using Clock = std::chrono::steady_clock;
+
   void listWays(ProgramMode wanted);
+  void dropHopelessWays();
   void addWay(ProgramMode mode, const LaunchShape &shape);
   double predict(ProgramMode mode, const LaunchShape &shape) const;
+  const Way *findGraph() const;
   bool mayOverlapPay() const;
-  Status prepare(Way &way);
+  void begin(ProgramMode mode, const Tools &tools);
+  bool hasTrials() const;
+  Way *nextTrial();
+  /// Whether the code of the way is loaded. It may be made now, or later in the
+  /// background; a way whose code cannot be made is refused.
+  bool makeCode(Way &way);
+  bool isWorthCompiling(Way &way) const;
+  bool mayTry() const;
+  Status tryWay(Way &way);
   Status runTimed(Way &way);
+  Status runUsed();
+  Status runSteps() { return StepRunner::runAlone(device, sequence); }
+  void refuse(Way &way, std::string why);
+  void endTrial(Way &way);
+  void use(Way *way);
   void noteRun(bool same);
+  std::string choiceKey() const;
 
   Device &device;
   StepSchedules schedules;
+  /// Null where programs are compiled in the background.
   ProgramMaker maker;
+  ProgramStarter starter;
+  KeptChoices choices;
+  /// The form that an earlier process has chosen.
+  std::optional<ProgramMode> keptChoice;
   OverlappingKernels overlapping;
   int runs = 0, changes = 0;
+  /// The second run, and the time that trials have taken since.
+  Clock::time_point begun;
+  Clock::duration spent{};
   std::vector<std::unique_ptr<Way>> ways;
-  /// The way that is being timed, or that has been chosen.
-  size_t current = 0;
-  bool chosen = false;
-  /// The number of timed runs of the current way.
-  int tries = 0;
+  /// The fastest way so far; null for single launches.
+  Way *used = nullptr;
   PrefixedGraphs prefixed;
 };
 

@@ -39,6 +39,7 @@ Status DeviceQueue::load(const DeviceImage &image,
   auto made = std::make_unique<Module>();
   made->queue = this;
   made->bitcode = image.bitcode;
+  made->key = image.key;
   for (size_t i = 0; i < image.accesses.size(); ++i)
     if (auto accesses = FunctionAccesses::decode(image.accesses[i])) {
       made->footprints.emplace(image.functions[i],
@@ -69,6 +70,7 @@ Status DeviceQueue::find(DeviceModule &module, const std::string &name,
   auto made = std::make_unique<Function>();
   made->name = name;
   made->bitcode = owner.bitcode;
+  made->imageKey = owner.key;
   if (auto found = owner.footprints.find(name); found != owner.footprints.end())
     made->footprint = found->second;
   if (auto found = owner.tileable.find(name); found != owner.tileable.end())
@@ -286,7 +288,8 @@ Status DeviceQueue::runCollected(bool isWhole) {
     bool same = false;
     Program *program = findProgram(std::move(sequence), same);
     int64_t start = recorded->hasRun() ? RecordedLaunches::now() : 0;
-    status = program->run(before, same, mode, makeProgram);
+    status =
+        program->run(before, same, mode, {makeProgram, startProgram, choices});
     hasProgram = program->isPrepared();
     if (recorded->hasRun()) {
       outcome.isPrepared = hasProgram;

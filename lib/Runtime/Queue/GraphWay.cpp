@@ -12,15 +12,12 @@
 
 using namespace mlir::tai::runtime;
 
-Status DeviceQueue::OverlappingKernels::make(Device &device,
-                                             const Sequence &sequence,
-                                             const ProgramMaker &maker) {
+ProgramPlan DeviceQueue::OverlappingKernels::plan(const Sequence &sequence) {
   std::vector<const Function *> parts = sequence.listParts();
   ProgramPlan plan;
   plan.scope = TAI_SCOPE_LAUNCHES;
   for (const Function *part : parts)
-    plan.parts.push_back(
-        {part->bitcode.get(), part->name, /*isInTable=*/false});
+    plan.parts.push_back({part->bitcode, part->name, /*isInTable=*/false});
   // Each thread of so many has as many registers as it likes.
   constexpr unsigned unlimited = 256;
   for (const Step &step : sequence.steps)
@@ -28,12 +25,16 @@ Status DeviceQueue::OverlappingKernels::make(Device &device,
       if (step.function == parts[i] && step.shape.threads > unlimited)
         plan.parts[i].threads =
             std::max(plan.parts[i].threads, step.shape.threads);
-  DeviceImage image;
+  return plan;
+}
+
+Status DeviceQueue::OverlappingKernels::adopt(Device &device,
+                                              const Sequence &sequence,
+                                              const DeviceImage &image) {
+  std::vector<const Function *> parts = sequence.listParts();
   std::unique_ptr<DeviceModule> loaded;
   std::unordered_map<const Function *, DeviceFunction *> found;
-  Status status = maker(plan, image);
-  if (status)
-    status = device.load(image, loaded);
+  Status status = device.load(image, loaded);
   for (size_t i = 0; status && i < parts.size(); ++i)
     status = device.find(*loaded, image.functions[i], found[parts[i]]);
   if (!status)
@@ -41,13 +42,6 @@ Status DeviceQueue::OverlappingKernels::make(Device &device,
   module = std::move(loaded);
   functions = std::move(found);
   return status;
-}
-
-Status DeviceQueue::GraphWay::prepare() {
-  Status status;
-  if (overlapping && !overlapping->areMade())
-    status = overlapping->make(device, sequence, maker);
-  return status ? makeCurrent() : std::move(status);
 }
 
 /// Makes or changes the graph.

@@ -17,8 +17,10 @@ namespace mlir::tai::runtime {
 class DeviceQueue::OverlappingKernels {
 public:
   bool areMade() const { return !functions.empty(); }
-  Status make(Device &device, const Sequence &sequence,
-              const ProgramMaker &maker);
+  /// The plan of the kernels, and their creation from the compiled code.
+  static ProgramPlan plan(const Sequence &sequence);
+  Status adopt(Device &device, const Sequence &sequence,
+               const DeviceImage &image);
   DeviceFunction &find(const Function *function) const {
     return *functions.at(function);
   }
@@ -32,14 +34,22 @@ class DeviceQueue::GraphWay final : public Way {
 public:
   /// `overlapping`: null for a graph whose launches do not overlap.
   GraphWay(Device &device, const Sequence &sequence, ProgramMode mode,
-           double predicted, const ProgramMaker &maker,
-           OverlappingKernels *overlapping)
-      : Way(device, mode, predicted), sequence(sequence), maker(maker),
+           double predicted, OverlappingKernels *overlapping)
+      : Way(device, mode, predicted), sequence(sequence),
         overlapping(overlapping) {}
 
   bool isGraph() const override { return true; }
   bool overlaps() const override { return overlapping != nullptr; }
-  Status prepare() override;
+  bool needsCode() const override {
+    return overlapping && !overlapping->areMade();
+  }
+  Status plan(ProgramPlan &plan) override {
+    plan = OverlappingKernels::plan(sequence);
+    return Status::success();
+  }
+  Status adopt(const DeviceImage &image) override {
+    return overlapping->adopt(device, sequence, image);
+  }
   Status launch() override;
   Status prepareSteps() override { return Status::success(); }
   Status runSteps(StepRunner &runner) override;
@@ -49,7 +59,6 @@ private:
   Status update() override;
 
   const Sequence &sequence;
-  const ProgramMaker &maker;
   OverlappingKernels *overlapping;
   std::unique_ptr<DeviceGraph> graph;
   /// The number of sequential nodes.

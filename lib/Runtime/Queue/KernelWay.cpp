@@ -35,25 +35,19 @@ static bool areStepsTimed() {
   return given && *given && *given != '0';
 }
 
-Status DeviceQueue::KernelWay::prepare() {
-  return makeKernel(
-      ProgramLoops(schedules.listSteps(usesTiles), /*useLoops=*/true));
-}
-
-/// Makes the kernel for these loops. All stays as it is where that fails.
-Status DeviceQueue::KernelWay::makeKernel(ProgramLoops wanted) {
-  ProgramPlan plan;
-  if (!wanted.isComplete())
+Status DeviceQueue::KernelWay::plan(ProgramPlan &plan) {
+  plan = ProgramPlan();
+  std::vector<LoopStep> steps = schedules.listSteps(usesTiles);
+  planned = ProgramLoops(steps, usesLoops);
+  if (!planned.isComplete())
     return Status::failure(StatusCode::Internal, "there are too many chains");
-  plan.segments = wanted.getSegments();
-  plan.words = wanted.numWords();
+  plan.segments = planned.getSegments();
+  plan.words = planned.numWords();
   plan.scope = scopeOf(mode, device.kind());
   plan.threads = shape.threads;
   plan.isTimed = areStepsTimed();
-  std::vector<LoopStep> steps = schedules.listSteps(usesTiles);
   for (const Function *part : sequence.listParts())
-    plan.parts.push_back(
-        {part->bitcode.get(), part->name, /*isInTable=*/false});
+    plan.parts.push_back({part->bitcode, part->name, /*isInTable=*/false});
   if (usesTiles)
     schedules.addTiles(plan);
   for (const ProgramSegment &segment : plan.segments)
@@ -62,12 +56,14 @@ Status DeviceQueue::KernelWay::makeKernel(ProgramLoops wanted) {
       if (part >= TAI_FIRST_PART)
         plan.parts[part - TAI_FIRST_PART].isInTable = true;
     }
-  DeviceImage image;
+  return Status::success();
+}
+
+/// On failure, the present code stays.
+Status DeviceQueue::KernelWay::adopt(const DeviceImage &image) {
   std::unique_ptr<DeviceModule> loaded;
   DeviceFunction *found = nullptr;
-  Status status = maker(plan, image);
-  if (status)
-    status = device.load(image, loaded);
+  Status status = device.load(image, loaded);
   if (status)
     status = device.find(*loaded, image.functions.front(), found);
   // Queued work may still run the former module.
@@ -77,7 +73,8 @@ Status DeviceQueue::KernelWay::makeKernel(ProgramLoops wanted) {
     return status;
   module = std::move(loaded);
   function = found;
-  loops = std::move(wanted);
+  loops = std::move(planned);
+  isOutdated = false;
   unsigned most = device.mostThreads(*function);
   if (usesTiles && shape.threads > most)
     return Status::failure(StatusCode::Internal,
@@ -108,12 +105,21 @@ Status DeviceQueue::KernelWay::update() {
     // Parameters do not change as they did: without loops any will do.
     if (usesTiles)
       schedules.dropTiles();
-    usesTiles = false;
-    steps = schedules.listSteps(usesTiles);
-    if (Status made = makeKernel(ProgramLoops(steps, /*useLoops=*/false));
-        !made)
+    usesTiles = usesLoops = false;
+    isOutdated = true;
+    if (!maker)
+      return Status::failure(StatusCode::Internal,
+                             "its parameters vary in a new way");
+    ProgramPlan again;
+    DeviceImage image;
+    Status made = plan(again);
+    if (made)
+      made = maker(again, image);
+    if (made)
+      made = adopt(image);
+    if (!made)
       return made;
-    loops.pack(steps, words, rows);
+    loops.pack(schedules.listSteps(usesTiles), words, rows);
   }
   return updateTable(rows);
 }

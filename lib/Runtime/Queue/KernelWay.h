@@ -8,7 +8,8 @@
 // A table of steps, and a persistent kernel that executes it: all its threads
 // run a step together, with a barrier before the next one. A barrier costs a
 // fraction of a launch, less for fewer threads. When parameters change, the
-// table is written again, but the kernel is not recompiled.
+// table is written again, and the kernel is recompiled only if they vary from
+// step to step in a new way.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,6 +23,8 @@ namespace mlir::tai::runtime {
 
 class DeviceQueue::KernelWay final : public Way {
 public:
+  /// `maker`: compiles at once where parameters vary in a new way; null if the
+  /// way then needs other code and is unusable until it is there.
   KernelWay(Device &device, const Sequence &sequence, ProgramMode mode,
             double predicted, const ProgramMaker &maker,
             StepSchedules &schedules, const LaunchShape &shape)
@@ -32,7 +35,9 @@ public:
 
   bool isGraph() const override { return false; }
   bool hasTiles() const override { return usesTiles; }
-  Status prepare() override;
+  bool needsCode() const override { return !function || isOutdated; }
+  Status plan(ProgramPlan &plan) override;
+  Status adopt(const DeviceImage &image) override;
   Status launch() override;
   Status prepareSteps() override { return makeCurrent(); }
   Status runSteps(StepRunner &runner) override;
@@ -41,7 +46,6 @@ public:
 
 private:
   Status update() override;
-  Status makeKernel(ProgramLoops wanted);
   Status updateTable(const std::vector<uint64_t> &rows);
 
   const Sequence &sequence;
@@ -57,6 +61,11 @@ private:
   DevicePtr clocks = 0;
   /// The loops and tables, and the loop parameters.
   ProgramLoops loops;
+  /// The loops of the planned code.
+  ProgramLoops planned;
+  /// Whether code may have loops, and whether the loops of the present code do
+  /// not fit the parameters any more.
+  bool usesLoops = true, isOutdated = false;
   std::vector<uint64_t> words;
 };
 

@@ -26,7 +26,13 @@ public:
   double predicted, measured = -1;
   /// Why it cannot be used; empty if it can.
   std::string refused;
-  bool isReady = false;
+  /// The compilation of its code on another thread; null if there is none.
+  std::unique_ptr<ProgramJob> job;
+  /// The predicted time of that compilation; negative if not known.
+  double compileSeconds = -1;
+  /// The number of its trial runs so far, and whether the trial is over.
+  int tries = 0;
+  bool isTried = false;
 
   virtual bool isGraph() const = 0;
   /// Whether it uses programmatic dependent launch.
@@ -34,8 +40,17 @@ public:
   /// Whether it runs chains in tiles.
   virtual bool hasTiles() const { return false; }
 
-  /// Creates it.
-  virtual Status prepare() = 0;
+  /// Whether it needs code that does not exist yet: then plan() describes the
+  /// code, and adopt() loads it.
+  virtual bool needsCode() const { return false; }
+  virtual Status plan(ProgramPlan &plan) {
+    (void)plan;
+    return Status::success();
+  }
+  virtual Status adopt(const DeviceImage &image) {
+    (void)image;
+    return Status::success();
+  }
   /// Notes that the slots of the sequence have changed.
   void noteChange() { isCurrent = false; }
   /// Updates it to the current slots.

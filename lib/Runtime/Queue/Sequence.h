@@ -21,6 +21,8 @@ struct DeviceQueue::Function : DeviceFunction {
   /// Shared by all functions of a module, which may be destroyed before
   /// programs that use it.
   std::shared_ptr<const std::string> bitcode;
+  /// DeviceImage::key of the module.
+  std::string imageKey;
   /// Null if its accesses are not known.
   std::shared_ptr<const Footprint> footprint;
   /// Null if it cannot run in tiles.
@@ -41,6 +43,7 @@ struct DeviceQueue::Module : DeviceModule {
   DeviceQueue *queue = nullptr;
   std::unique_ptr<DeviceModule> module;
   std::shared_ptr<const std::string> bitcode;
+  std::string key;
   std::vector<std::unique_ptr<Function>> functions;
   std::unordered_map<std::string, std::shared_ptr<const Footprint>> footprints;
   std::unordered_map<std::string, std::shared_ptr<const FunctionAccesses>>

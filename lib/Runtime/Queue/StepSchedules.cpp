@@ -175,7 +175,7 @@ void DeviceQueue::StepSchedules::addTiles(ProgramPlan &plan) const {
   for (const Function *part : parts) {
     ProgramPart tile{nullptr, "", /*isInTable=*/false, /*isTile=*/true};
     if (used.count(TAI_FIRST_PART + plan.parts.size()) != 0) {
-      tile.bitcode = part->bitcode.get();
+      tile.bitcode = part->bitcode;
       tile.function = part->name + tileSuffix;
     }
     plan.parts.push_back(std::move(tile));

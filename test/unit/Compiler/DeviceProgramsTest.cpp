@@ -46,10 +46,10 @@ std::string makeProgramOf(int kernels, int size) {
   auto compiler = DeviceCompiler::create({runtime::DeviceKind::Cuda, "sm_90"},
                                          CodegenOptions());
   EXPECT_TRUE(static_cast<bool>(compiler));
-  std::string kernel = getKernel(size);
+  auto kernel = std::make_shared<const std::string>(getKernel(size));
   runtime::ProgramPlan plan;
   for (int k = 0; k < kernels; ++k)
-    plan.parts.push_back({&kernel, "f"});
+    plan.parts.push_back({kernel, "f"});
   plan.scope = TAI_SCOPE_BLOCK;
   plan.threads = 32;
   auto image = makeProgram(**compiler, plan);

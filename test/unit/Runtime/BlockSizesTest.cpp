@@ -83,7 +83,7 @@ protected:
     unsetenv("TAI_FAKE_CUDA");
   }
   /// In the place of a folder.
-  KeptBlockSizes keep() {
+  KeptChoices keep() {
     return {[this](const std::string &key) -> std::optional<std::string> {
               auto found = kept.find(key);
               return found == kept.end() ? std::nullopt

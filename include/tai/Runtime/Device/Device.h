@@ -118,6 +118,8 @@ struct DeviceImage {
   std::vector<int64_t> blockSizes = {};
   /// The cache key of the code; empty without a cache.
   std::string key = {};
+  /// The same code as machine code of one device, if it has been assembled.
+  std::string machineCode = {};
   /// For code from the cache that the device rejects: compiles it again, and
   /// replaces the entry.
   std::function<Status(DeviceImage &fresh)> makeAgain = nullptr;
@@ -128,6 +130,11 @@ struct DeviceImage {
                : 0;
   }
 };
+
+/// Adds the machine code to an image; leaves the image as it is if the device
+/// does not take the code. Any thread may call it, also after the device is
+/// destroyed.
+using DeviceAssembler = std::function<void(DeviceImage &image)>;
 
 /// `rows` pieces of `rowBytes` bytes, each starting `step` bytes after the one
 /// before.
@@ -205,6 +212,9 @@ public:
   // Code
   //===--------------------------------------------------------------------===//
 
+  /// The assembler for images of this device; null if loading takes no time
+  /// that could be saved.
+  virtual DeviceAssembler assembler() const { return nullptr; }
   virtual Status load(const DeviceImage &image,
                       std::unique_ptr<DeviceModule> &module) = 0;
   virtual Status find(DeviceModule &module, const std::string &name,

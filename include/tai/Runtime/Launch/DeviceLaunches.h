@@ -14,7 +14,7 @@
 #ifndef TAI_RUNTIME_LAUNCH_DEVICELAUNCHES_H
 #define TAI_RUNTIME_LAUNCH_DEVICELAUNCHES_H
 
-#include "tai/Runtime/Device/KeptBlockSizes.h"
+#include "tai/Runtime/Device/KeptChoices.h"
 #include "tai/Runtime/Launch/Kernel.h"
 #include "tai/Runtime/Launch/Options.h"
 #include "tai/Runtime/Mirror/DeviceHost.h"
@@ -29,7 +29,7 @@ public:
       : devices(devices), options(options) {}
 
   /// Sets the storage for block sizes, for kernels loaded afterwards.
-  void keepBlockSizes(KeptBlockSizes kept) { blockSizes = std::move(kept); }
+  void keepBlockSizes(KeptChoices kept) { blockSizes = std::move(kept); }
 
   /// Call before and after the code of a kernel.
   Status enter(Launch &launch, Kernel &kernel);
@@ -40,7 +40,7 @@ private:
 
   DeviceHost &devices;
   const Options &options;
-  KeptBlockSizes blockSizes;
+  KeptChoices blockSizes;
 };
 
 } // namespace mlir::tai::runtime

@@ -111,7 +111,7 @@ public:
   /// For kernels loaded afterwards.
   void setBlockThreads(int threads) { opts.blockThreads = threads; }
   void setMostBlockThreads(int threads) { opts.mostBlockThreads = threads; }
-  void keepBlockSizes(KeptBlockSizes kept) {
+  void keepBlockSizes(KeptChoices kept) {
     launches.onDevice().keepBlockSizes(std::move(kept));
   }
   void setFuseLaunches(bool on) { launches.setFuse(on); }

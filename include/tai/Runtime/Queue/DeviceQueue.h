@@ -16,6 +16,7 @@
 #define TAI_RUNTIME_QUEUE_DEVICEQUEUE_H
 
 #include "tai/Runtime/Device/Device.h"
+#include "tai/Runtime/Device/KeptChoices.h"
 #include "tai/Runtime/Queue/ProgramTiles.h"
 #include <atomic>
 #include <functional>
@@ -28,8 +29,9 @@ class RecordedLaunches;
 
 /// A device function that becomes part of a program.
 struct ProgramPart {
-  /// DeviceImage::bitcode; null for an unused number.
-  const std::string *bitcode;
+  /// DeviceImage::bitcode; null for an unused number. Shared, because a program
+  /// may be compiled after the module of the function is gone.
+  std::shared_ptr<const std::string> bitcode;
   std::string function;
   /// Whether rows of the table refer to it, and not only loops.
   bool isInTable = true;
@@ -97,6 +99,20 @@ struct ProgramPlan {
 using ProgramMaker =
     std::function<Status(const ProgramPlan &plan, DeviceImage &image)>;
 
+/// A program that another thread compiles.
+class ProgramJob {
+public:
+  /// Abandons the program if it is not done.
+  virtual ~ProgramJob() = default;
+  virtual bool isDone() const = 0;
+  /// The outcome, to be called once, after the job is done.
+  virtual Status take(DeviceImage &image) = 0;
+};
+
+/// Starts to compile a plan and returns at once; null if no thread can do it.
+using ProgramStarter =
+    std::function<std::unique_ptr<ProgramJob>(ProgramPlan plan)>;
+
 /// The form in which sequences are run; set for tests and measurements.
 enum class ProgramMode {
   Automatic,
@@ -124,6 +140,13 @@ public:
 
   /// Without a maker, sequences become graphs at best.
   void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
+  /// With a starter, programs are compiled in the background, and `Automatic`
+  /// tries them within a share of the time that their sequence has run.
+  void setProgramStarter(ProgramStarter starter) {
+    startProgram = std::move(starter);
+  }
+  /// Storage for the chosen forms of sequences, across processes.
+  void keepChoices(KeptChoices kept) { choices = std::move(kept); }
   void setMode(ProgramMode wanted) {
     (void)settle();
     records = false;
@@ -230,6 +253,7 @@ public:
   bool isDeviceMemory(const void *address) const override {
     return device->isDeviceMemory(address);
   }
+  DeviceAssembler assembler() const override { return device->assembler(); }
   Status load(const DeviceImage &image,
               std::unique_ptr<DeviceModule> &module) override;
   Status find(DeviceModule &module, const std::string &name,
@@ -303,6 +327,8 @@ private:
   bool oneByOne = false;
   ProgramMode mode = ProgramMode::Automatic;
   ProgramMaker makeProgram;
+  ProgramStarter startProgram;
+  KeptChoices choices;
   std::atomic<int> numShared{0};
   std::unique_ptr<Sequence> collected;
   /// Deferred launches and fills before `collected`.

@@ -1,12 +1,12 @@
-//===- KeptBlockSizes.h - Persistent block sizes ----------------*- C++ -*-===//
+//===- KeptChoices.h - Results of trials, persistent ------------*- C++ -*-===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_RUNTIME_DEVICE_KEPTBLOCKSIZES_H
-#define TAI_RUNTIME_DEVICE_KEPTBLOCKSIZES_H
+#ifndef TAI_RUNTIME_DEVICE_KEPTCHOICES_H
+#define TAI_RUNTIME_DEVICE_KEPTCHOICES_H
 
 #include <functional>
 #include <optional>
@@ -14,9 +14,9 @@
 
 namespace mlir::tai::runtime {
 
-/// Storage for results of block size trials, by key, across processes. Both
+/// Storage for results of trials, by key, across processes. Both
 /// functions may be null.
-struct KeptBlockSizes {
+struct KeptChoices {
   /// Returns none for an unknown key. The bytes are untrusted.
   std::function<std::optional<std::string>(const std::string &key)> load;
   /// Must not block.
@@ -25,4 +25,4 @@ struct KeptBlockSizes {
 
 } // namespace mlir::tai::runtime
 
-#endif // TAI_RUNTIME_DEVICE_KEPTBLOCKSIZES_H
+#endif // TAI_RUNTIME_DEVICE_KEPTCHOICES_H
