@@ -1,8 +1,8 @@
 """Extended position-based dynamics of a cloth that hangs at two corners.
 
-The unknowns are the initial velocities of all vertices (m/s). The loss is the mean squared distance of the
-last positions to a target height (m²). Positions and velocities are updated in place; each step launches a
-prediction, the constraints in four colours, and a velocity update.
+The unknowns are the initial velocities of all vertices (m/s). The loss is the mean squared
+distance of the last positions to a target height (m²). Positions and velocities are updated in
+place; each step launches a prediction, the constraints in four colours, and a velocity update.
 """
 
 import numpy as np

@@ -2,8 +2,9 @@
 
     first_iterations.py [--arch cuda] [--only cloth smoke] [--systems tai taichi] [--out FILE]
 
-Prints one row per program, cache state and variant: seconds from the start of the process to the end of
-the 1st, 10th and 100th iteration, the median of an iteration and the longest one after the third (ms).
+Prints one row per program, cache state and variant: seconds from the start of the process to the
+end of the 1st, 10th and 100th iteration, the median of an iteration and the longest one after the
+third (ms).
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Weakly compressible smoothed particles in 3-D, with a neighbour grid.
 
-The unknowns are the initial velocities of all particles (m/s). The loss is the mean squared distance of the
-particles from a point (m²) after the last step. Every step counts the particles of each grid cell, writes
-their numbers into it, and sums pressure and viscosity over the 27 cells around a particle.
+The unknowns are the initial velocities of all particles (m/s). The loss is the mean squared
+distance of the particles from a point (m²) after the last step. Every step counts the particles
+of each grid cell, writes their numbers into it, and sums pressure and viscosity over the 27 cells
+around a particle.
 """
 
 import numpy as np

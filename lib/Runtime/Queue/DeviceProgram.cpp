@@ -44,9 +44,9 @@ static bool isGraph(ProgramMode mode) {
          mode == ProgramMode::Aside;
 }
 
-/// Milliseconds, by what one launch or barrier costs, and by how often the
-/// threads go around. Constants as measured on an H200; what they decide is
-/// only what is worth trying.
+/// Predicts milliseconds from the cost of a launch or barrier, and from the
+/// number of rounds that the threads make. The constants were measured on an
+/// H200; they only select the ways that are tried.
 double DeviceQueue::Program::predict(ProgramMode mode,
                                      const LaunchShape &shape) const {
   constexpr double overlappedUs = 1.05, roundUs = 0.6, stageUs = 0.15,
@@ -184,8 +184,8 @@ void DeviceQueue::Program::dropHopelessWays() {
 // Choosing
 //===----------------------------------------------------------------------===//
 
-/// Whether a graph is among the best of what has been tried: else its launches
-/// need not be made to overlap.
+/// Whether a graph is among the best tried ways: else its launches need not be
+/// made to overlap.
 bool DeviceQueue::Program::mayOverlapPay() const {
   constexpr double gain = 0.75;
   const Way *graph = findGraph();
