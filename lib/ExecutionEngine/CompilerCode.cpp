@@ -140,9 +140,6 @@ getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
   return compiler.get();
 }
 
-<<<<<<< HEAD
-/// A module refused before LLVM's passes run is not a failure of theirs, and
-=======
 /// The LLVM IR of a program before LLVM's passes; empty for a plan that is
 /// refused before them.
 static std::string printProgram(const runtime::ProgramPlan &plan,
@@ -159,7 +156,6 @@ static std::string printProgram(const runtime::ProgramPlan &plan,
 }
 
 /// A plan that is refused before LLVM's passes run is no failure of theirs, and
->>>>>>> af04d64a ([Runtime] Compile programs in the background, within a budget)
 /// leaves no file.
 static void addProgramReproducer(const runtime::ProgramPlan &plan,
                                  const CompileOptions &options,
