@@ -8,7 +8,6 @@
 #include "tai/ExecutionEngine/Declarations.h"
 #include "mlir/AsmParser/AsmParser.h"
 #include "mlir/IR/Verifier.h"
-#include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/StringSet.h"
@@ -19,8 +18,8 @@ using namespace mlir::tai;
 Declarations::Declarations(MLIRContext *context, runtime::Runtime &runtime,
                            FailureLog &failures)
     : context(context), rt(runtime), failures(failures),
-      declared(ModuleOp::create(UnknownLoc::get(context))), symbols(*declared) {
-}
+      declared(ModuleOp::create(UnknownLoc::get(context))), symbols(*declared),
+      dataLayout(*declared) {}
 
 int64_t Declarations::size() const {
   return llvm::range_size(declared.get().getBody()->getOperations());
@@ -56,35 +55,48 @@ LogicalResult Declarations::addTree(StringRef name, StringRef layout) {
   return addTree(*tree);
 }
 
-/// "the 'pointer' level above @x, @v", for messages.
-static std::string describeNode(RootType root, const SparseNode &node) {
-  std::string label;
-  llvm::raw_string_ostream os(label);
-  os << "the '" << node.type.getKind() << "' level above ";
-  unsigned count = 0;
+/// "the 'pointer' level above @x, @v", for messages: of each sparse level.
+static std::vector<std::string> describeNodes(RootType root,
+                                              ArrayRef<SparseNode> nodes) {
+  struct Places {
+    unsigned count = 0;
+    std::string names;
+  };
+  llvm::DenseMap<ArrayRef<unsigned>, Places> placesBelow;
+  for (const SparseNode &node : nodes)
+    placesBelow.try_emplace(node.position);
   walkPlaces(root, [&](const PlacePath &path) {
-    ArrayRef<unsigned> position = node.position;
-    if (path.levels.size() < position.size() ||
-        !llvm::all_of(llvm::zip(position, path.levels), [](auto pair) {
-          return std::get<0>(pair) == std::get<1>(pair).child;
-        }))
-      return;
-    if (++count <= 3)
-      os << (count > 1 ? ", " : "") << '@'
-         << path.places.getNames()[path.place].getValue();
+    SmallVector<unsigned> position;
+    for (const PathLevel &level : path.levels) {
+      position.push_back(level.child);
+      auto found = placesBelow.find(ArrayRef(position));
+      if (found == placesBelow.end() || ++found->second.count > 3)
+        continue;
+      std::string &names = found->second.names;
+      names += names.empty() ? "@" : ", @";
+      names += path.places.getNames()[path.place].getValue();
+    }
   });
-  if (count > 3)
-    os << " and " << count - 3 << " more";
-  return label;
+  std::vector<std::string> labels;
+  for (const SparseNode &node : nodes) {
+    const Places &places = placesBelow.find(node.position)->second;
+    std::string &label = labels.emplace_back();
+    llvm::raw_string_ostream os(label);
+    os << "the '" << node.type.getKind() << "' level above " << places.names;
+    if (places.count > 3)
+      os << " and " << places.count - 3 << " more";
+  }
+  return labels;
 }
 
 /// The description of the sparse levels of a tree for the runtime.
-static std::vector<runtime::SparseInfo>
-describeSparse(RootType root, const DataLayout &dataLayout) {
+static std::vector<runtime::SparseInfo> describeSparse(RootType root,
+                                                       TreeLayout &layout) {
   std::vector<runtime::SparseInfo> infos;
-  for (const SparseNode &node : getSparseNodes(root, dataLayout)) {
+  ArrayRef<SparseNode> nodes = layout.getSparseNodes();
+  for (auto [node, label] : llvm::zip(nodes, describeNodes(root, nodes))) {
     runtime::SparseInfo info;
-    info.label = describeNode(root, node);
+    info.label = label;
     info.isList = node.type.isList();
     info.parent = node.parent ? int(*node.parent) : -1;
     for (const SparseNode::Step &step : node.steps)
@@ -106,13 +118,13 @@ LogicalResult Declarations::addTree(TreeOp tree) {
     return failures.fail(
         collector.take(FailureKind::Type, "'" + name + "' is invalid"));
   RootType root = tree.getLayout();
-  DataLayout dataLayout(*declared);
+  auto layout = std::make_unique<TreeLayout>(root, dataLayout);
   runtime::TreePtr made;
-  if (failed(failures.check(
-          rt.addTree(name.str(), getTreeSize(root, dataLayout).total, made,
-                     describeSparse(root, dataLayout)))))
+  if (failed(failures.check(rt.addTree(name.str(), layout->getTreeSize().total,
+                                       made, describeSparse(root, *layout)))))
     return failure();
   symbols.insert(tree.clone());
+  layouts[name] = std::move(layout);
   return success();
 }
 
@@ -134,6 +146,7 @@ LogicalResult Declarations::destroyTree(StringRef name) {
   }
   if (Operation *tree = symbols.lookup(name))
     symbols.erase(tree);
+  layouts.erase(name);
   return success();
 }
 
@@ -157,16 +170,20 @@ FailureOr<runtime::FieldPtr> Declarations::addField(StringRef declaration) {
   return addField(cast<FieldOp>(body->front()));
 }
 
-/// Verifies a field by itself, with its tree but without its adjoint, which may
-/// come later.
-static LogicalResult verifyAlone(FieldOp field, TreeOp tree) {
-  OwningOpRef<ModuleOp> scratch = ModuleOp::create(field.getLoc());
+/// Verifies a field by itself, with its verified tree but without its adjoint,
+/// which may come later. Its layout refers to the copies in `scratch`.
+static FailureOr<FieldLayout> verifyAlone(FieldOp field, TreeOp tree,
+                                          OwningOpRef<ModuleOp> &scratch) {
+  scratch = ModuleOp::create(field.getLoc());
   scratch->push_back(tree.clone());
   FieldOp copy = field.clone();
   copy.removeAdjointAttr();
   copy.removeDualAttr();
   scratch->push_back(copy);
-  return verify(*scratch);
+  SymbolTableCollection tables;
+  if (failed(verify(copy)) || failed(copy.verifySymbolUses(tables)))
+    return failure();
+  return getFieldLayout(copy);
 }
 
 static std::optional<runtime::ScalarKind> getScalarKind(Type type) {
@@ -203,21 +220,13 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
                          "field '" + name + "' names the tree '" +
                              field.getTree() + "', which is not there");
   DiagnosticCollector collector(context);
-  if (failed(verifyAlone(field, tree)))
+  OwningOpRef<ModuleOp> scratch;
+  FailureOr<FieldLayout> layout = verifyAlone(field, tree, scratch);
+  if (failed(layout))
     return failures.fail(
         collector.take(FailureKind::Type, "field '" + name + "' is invalid"));
-  FieldOp kept = field.clone();
-  symbols.insert(kept);
-  auto undo = [&](LogicalResult result) {
-    symbols.erase(kept);
-    return result;
-  };
-
-  FailureOr<FieldLayout> layout = getFieldLayout(kept);
-  if (failed(layout))
-    return undo(failures.fail(collector.take(
-        FailureKind::Type, "field '" + name + "' has no layout")));
-  FieldStorage storage = getFieldStorage(*layout, DataLayout(*declared));
+  FieldStorage storage =
+      layouts.find(field.getTree())->second->getFieldStorage(*layout);
   runtime::FieldInfo info;
   info.name = name.str();
   info.tree = rt.findTree(field.getTree().str());
@@ -230,7 +239,7 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   std::optional<runtime::ScalarKind> kind = getScalarKind(scalar);
   if (!kind) {
     field.emitError() << "fields of " << scalar << " cannot be run";
-    return undo(failures.fail(collector.take(FailureKind::Type)));
+    return failures.fail(collector.take(FailureKind::Type));
   }
   info.layout.scalar = *kind;
   info.layout.placeOffset = storage.offset;
@@ -257,7 +266,8 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
     info.dual = field.getDual()->str();
   runtime::FieldPtr made;
   if (failed(failures.check(rt.addField(std::move(info), made))))
-    return undo(failure());
+    return failure();
+  symbols.insert(field.clone());
   return made;
 }
 

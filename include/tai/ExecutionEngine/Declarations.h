@@ -15,7 +15,7 @@
 
 #include "mlir/IR/OwningOpRef.h"
 #include "mlir/IR/SymbolTable.h"
-#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/Tai/IR/TreeLayout.h"
 #include "tai/ExecutionEngine/FailureLog.h"
 #include "tai/Runtime/Launch/Runtime.h"
 
@@ -49,6 +49,9 @@ private:
   FailureLog &failures;
   OwningOpRef<ModuleOp> declared;
   SymbolTable symbols;
+  DataLayout dataLayout;
+  /// The layout of each tree, by name.
+  llvm::StringMap<std::unique_ptr<TreeLayout>> layouts;
 };
 
 } // namespace mlir::tai

@@ -132,29 +132,38 @@ Status TreeStore::destroyTree(const std::string &name) {
     return Status::failure(StatusCode::Usage,
                            "there is no tree '" + name + "'");
   Tree *tree = found->second.get();
-  std::unique_lock<std::mutex> changing(fieldsMutex);
-  for (size_t i = 0; i < fieldList.size();) {
-    if (&fieldList[i]->tree() == tree) {
+  {
+    std::lock_guard<std::mutex> changing(fieldsMutex);
+    auto isGone = [&](const FieldPtr &field) {
+      if (&field->tree() != tree)
+        return false;
       // Adjoints elsewhere no longer have a primal that can reach them.
-      if (fieldList[i]->adjointField)
-        fieldList[i]->adjointField->ofPrimal = false;
-      fieldsByName.erase(fieldList[i]->name());
-      fieldList.erase(fieldList.begin() + static_cast<ptrdiff_t>(i));
-    } else {
-      ++i;
-    }
+      if (field->adjointField)
+        field->adjointField->ofPrimal = false;
+      forgetPartnerNames(*field);
+      fieldsByName.erase(field->name());
+      return true;
+    };
+    fieldList.erase(std::remove_if(fieldList.begin(), fieldList.end(), isGone),
+                    fieldList.end());
   }
-  changing.unlock();
   for (const FieldPtr &field : fieldList) {
+    bool losesAdjoint =
+        field->adjointField && &field->adjointField->tree() == tree;
+    bool losesDual = field->dualField && &field->dualField->tree() == tree;
+    if (!losesAdjoint && !losesDual)
+      continue;
     // A field that takes their names later is another one.
-    if (field->adjointField && &field->adjointField->tree() == tree) {
+    forgetPartnerNames(*field);
+    if (losesAdjoint) {
       field->adjointField.reset();
       field->adjointName.clear();
     }
-    if (field->dualField && &field->dualField->tree() == tree) {
+    if (losesDual) {
       field->dualField.reset();
       field->dualName.clear();
     }
+    notePartnerNames(*field);
   }
   freeTree(*tree);
   treesByName.erase(found);
@@ -235,6 +244,7 @@ Status TreeStore::addField(FieldInfo info, FieldPtr &result) {
     std::lock_guard<std::mutex> lock(fieldsMutex);
     fieldList.push_back(field);
   }
+  notePartnerNames(*field);
   linkPartners(field);
   result = field;
   return Status::success();
@@ -267,17 +277,28 @@ Status TreeStore::checkPartners(const Field &added) const {
                                        partner.name() +
                                        "' differ in shape or element type");
   };
-  for (const FieldPtr &other : fieldList) {
-    Status status;
-    if (other->name() == added.adjointName || other->name() == added.dualName)
+  Status status;
+  for (const std::string &name : {added.adjointName, added.dualName})
+    if (FieldPtr other = findField(name); other && status)
       status = check(added, *other);
-    else if (other->adjointName == added.name() ||
-             other->dualName == added.name())
-      status = check(*other, added);
-    if (!status)
-      return status;
+  auto [first, last] = primalsByPartner.equal_range(added.name());
+  for (auto at = first; at != last && status; ++at)
+    status = check(*at->second, added);
+  return status;
+}
+
+void TreeStore::notePartnerNames(Field &field) {
+  for (const std::string &name : {field.adjointName, field.dualName})
+    if (!name.empty())
+      primalsByPartner.emplace(name, &field);
+}
+
+void TreeStore::forgetPartnerNames(const Field &field) {
+  for (const std::string &name : {field.adjointName, field.dualName}) {
+    auto [at, last] = primalsByPartner.equal_range(name);
+    while (at != last)
+      at = at->second == &field ? primalsByPartner.erase(at) : std::next(at);
   }
-  return Status::success();
 }
 
 void TreeStore::linkPartners(const FieldPtr &added) {
@@ -291,10 +312,12 @@ void TreeStore::linkPartners(const FieldPtr &added) {
     if (primal.dualName == partner->name())
       primal.dualField = partner;
   };
-  for (const FieldPtr &other : fieldList) {
-    link(*added, other);
-    link(*other, added);
-  }
+  for (const std::string &name : {added->adjointName, added->dualName})
+    if (FieldPtr other = findField(name))
+      link(*added, other);
+  auto [first, last] = primalsByPartner.equal_range(added->name());
+  for (auto at = first; at != last; ++at)
+    link(*at->second, added);
   if (linked)
     state.storageChanged();
 }
@@ -306,7 +329,9 @@ Status TreeStore::setAdjoint(Field &field, const FieldPtr &adjoint) {
                         "' differ in shape, element type or sparse levels");
   if (field.adjointField)
     field.adjointField->ofPrimal = false;
+  forgetPartnerNames(field);
   field.adjointName = adjoint->name();
+  notePartnerNames(field);
   field.adjointField = adjoint;
   adjoint->ofPrimal = true;
   state.storageChanged();
@@ -319,11 +344,11 @@ FieldPtr TreeStore::findField(const std::string &name) const {
 }
 
 bool TreeStore::isPartner(const Field &field) const {
-  return field.isAdjoint() || std::any_of(fieldList.begin(), fieldList.end(),
-                                          [&](const FieldPtr &other) {
-                                            return other->dual() == &field ||
-                                                   other->adjoint() == &field;
-                                          });
+  auto [first, last] = primalsByPartner.equal_range(field.name());
+  return field.isAdjoint() || std::any_of(first, last, [&](const auto &entry) {
+           const Field &other = *entry.second;
+           return other.dual() == &field || other.adjoint() == &field;
+         });
 }
 
 std::string TreeStore::describe(const Field &field) const {

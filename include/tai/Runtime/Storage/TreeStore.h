@@ -84,6 +84,9 @@ private:
   void freeTree(Tree &tree);
   Status checkPartners(const Field &added) const;
   void linkPartners(const FieldPtr &added);
+  /// Enters a field under the names of its adjoint and tangent, or removes it.
+  void notePartnerNames(Field &field);
+  void forgetPartnerNames(const Field &field);
 
   MemoryAccount &memory;
   LaunchState &state;
@@ -92,6 +95,9 @@ private:
   uint64_t treesMade = 0;
   std::unordered_map<std::string, TreePtr> treesByName;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
+  /// The fields that name another one as their adjoint or tangent, by that
+  /// name: it may be added after them.
+  std::unordered_multimap<std::string, Field *> primalsByPartner;
   std::vector<FieldPtr> fieldList;
   /// Guards changes of the list, and reads that may be concurrent with them.
   mutable std::mutex fieldsMutex;

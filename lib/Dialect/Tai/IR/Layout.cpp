@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/TreeLayout.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;
@@ -103,22 +103,15 @@ uint64_t tai::getPlaceOffset(PlacesType places, unsigned index,
   return offset;
 }
 
+/// Blocks at the root start on cache lines, so that arrays do not share one.
+static constexpr uint64_t kCacheLine = 64;
+
 /// Size of the cells of a tree.
 static uint64_t getCellsSize(RootType root, const DataLayout &layout) {
-  // Blocks at the root start on cache lines, so that arrays do not share one.
   uint64_t size = 0;
   for (Type child : root.getChildren())
-    size = llvm::alignTo(size, 64) + getChildSize(child, layout);
+    size = llvm::alignTo(size, kCacheLine) + getChildSize(child, layout);
   return size;
-}
-
-/// Offset of child `index` of the root; see getCellsSize.
-static uint64_t getRootChildOffset(RootType root, unsigned index,
-                                   const DataLayout &layout) {
-  uint64_t size = 0;
-  for (Type child : root.getChildren().take_front(index))
-    size = llvm::alignTo(size, 64) + getChildSize(child, layout);
-  return llvm::alignTo(size, 64);
 }
 
 //===----------------------------------------------------------------------===//
@@ -130,6 +123,21 @@ SNodeTypeInterface PlacePath::getFirstSparse() const {
     if (level.type.isSparse())
       return level.type;
   return {};
+}
+
+/// Goes one level down: `level` is child `child` of the innermost cell.
+static void enter(PlacePath &path, SNodeTypeInterface level, unsigned child) {
+  path.levels.push_back({level, child});
+  for (auto [axis, extent] : llvm::zip(level.getAxes(), level.getShape())) {
+    auto *at = llvm::lower_bound(path.axes, axis);
+    size_t index = at - path.axes.begin();
+    if (at != path.axes.end() && *at == axis) {
+      path.shape[index] *= extent;
+    } else {
+      path.axes.insert(at, axis);
+      path.shape.insert(path.shape.begin() + index, extent);
+    }
+  }
 }
 
 static void walkChildren(ArrayRef<Type> children, PlacePath &path,
@@ -147,17 +155,7 @@ static void walkChildren(ArrayRef<Type> children, PlacePath &path,
     }
     auto level = cast<SNodeTypeInterface>(child);
     PlacePath below = path;
-    below.levels.push_back({level, static_cast<unsigned>(position)});
-    for (auto [axis, extent] : llvm::zip(level.getAxes(), level.getShape())) {
-      auto *at = llvm::lower_bound(below.axes, axis);
-      size_t index = at - below.axes.begin();
-      if (at != below.axes.end() && *at == axis) {
-        below.shape[index] *= extent;
-      } else {
-        below.axes.insert(at, axis);
-        below.shape.insert(below.shape.begin() + index, extent);
-      }
-    }
+    enter(below, level, position);
     walkChildren(level.getChildren(), below, callback);
   }
 }
@@ -168,13 +166,47 @@ void tai::walkPlaces(RootType root,
   walkChildren(root.getChildren(), path, callback);
 }
 
-std::optional<PlacePath> tai::findPlace(RootType root, StringRef name) {
-  std::optional<PlacePath> found;
+const PlaceIndex::Places &PlaceIndex::placesOf(RootType root) const {
+  std::lock_guard<std::mutex> lock(mutex);
+  std::unique_ptr<Places> &places = known[root];
+  if (places)
+    return *places;
+  places = std::make_unique<Places>();
   walkPlaces(root, [&](const PlacePath &path) {
-    if (!found && path.places.getNames()[path.place].getValue() == name)
-      found = path;
+    Position position;
+    for (const PathLevel &level : path.levels)
+      position.push_back(level.child);
+    position.push_back(path.placesChild);
+    position.push_back(path.place);
+    // Of two with one name, which the verifier refuses, the first.
+    places->try_emplace(path.places.getNames()[path.place].getValue(),
+                        std::move(position));
   });
-  return found;
+  return *places;
+}
+
+std::optional<PlacePath> PlaceIndex::find(RootType root, StringRef name) const {
+  const Places &places = placesOf(root);
+  auto found = places.find(name);
+  if (found == places.end())
+    return std::nullopt;
+  ArrayRef<unsigned> position = found->second;
+  PlacePath path;
+  ArrayRef<Type> children = root.getChildren();
+  for (unsigned child : position.drop_back(2)) {
+    auto level = cast<SNodeTypeInterface>(children[child]);
+    enter(path, level, child);
+    children = level.getChildren();
+  }
+  path.placesChild = position[position.size() - 2];
+  path.place = position.back();
+  path.places = cast<PlacesType>(children[path.placesChild]);
+  return path;
+}
+
+std::optional<PlacePath> tai::findPlace(RootType root, StringRef name) {
+  return root.getDialect().getRegisteredInterface<PlaceIndex>()->find(root,
+                                                                      name);
 }
 
 //===----------------------------------------------------------------------===//
@@ -263,105 +295,136 @@ static uint64_t getActivitySize(const SparseNode &node) {
   return llvm::alignTo(cells, 512) / 8;
 }
 
-namespace {
-struct SparseWalk {
-  const DataLayout &dataLayout;
-  SmallVector<SparseNode> nodes;
-
-  /// Axes whose cells lie one after another make one step.
-  void addSteps(SNodeTypeInterface level, SparseNode &node) {
-    size_t own = node.steps.size();
-    for (auto [extent, stride] :
-         llvm::zip(level.getShape(), level.getCellStrides(dataLayout))) {
-      if (node.steps.size() > own &&
-          node.steps.back().stride == stride * extent)
-        node.steps.back() = {node.steps.back().cells * extent, stride};
-      else
-        node.steps.push_back({extent, stride});
-    }
-    // The last stride is the size of a cell, by which it is zeroed.
-    uint64_t size = level.getCellSize(dataLayout);
-    if (node.steps.back().stride != size)
-      node.steps.push_back({1, size});
+/// Axes whose cells lie one after another make one step.
+void TreeLayout::addSteps(SNodeTypeInterface level, SparseNode &node) {
+  size_t own = node.steps.size();
+  for (auto [extent, stride] :
+       llvm::zip(level.getShape(), level.getCellStrides(dataLayout))) {
+    if (node.steps.size() > own && node.steps.back().stride == stride * extent)
+      node.steps.back() = {node.steps.back().cells * extent, stride};
+    else
+      node.steps.push_back({extent, stride});
   }
+  // The last stride is the size of a cell, by which it is zeroed.
+  uint64_t size = level.getCellSize(dataLayout);
+  if (node.steps.back().stride != size)
+    node.steps.push_back({1, size});
+}
 
-  void visit(ArrayRef<Type> children, const SparseNode &above,
-             function_ref<uint64_t(unsigned)> getOffset) {
-    for (auto [number, child] : llvm::enumerate(children)) {
-      auto level = dyn_cast<SNodeTypeInterface>(child);
-      if (!level)
-        continue;
-      SparseNode node = above;
-      node.type = level;
-      node.position.push_back(number);
-      node.offset += getOffset(number);
-      addSteps(level, node);
-      SparseNode below = node;
-      if (level.isSparse()) {
-        below.parent = nodes.size();
-        nodes.push_back(std::move(node));
-      }
-      ArrayRef<Type> inner = level.getChildren();
-      visit(inner, below, [&](unsigned index) {
-        return getChildOffset(inner, index, dataLayout);
-      });
+void TreeLayout::findNodes(ArrayRef<Type> children, const SparseNode &above,
+                           function_ref<uint64_t(unsigned)> offsetOf) {
+  for (auto [number, child] : llvm::enumerate(children)) {
+    auto level = dyn_cast<SNodeTypeInterface>(child);
+    if (!level)
+      continue;
+    SparseNode node = above;
+    node.type = level;
+    node.position.push_back(number);
+    node.offset += offsetOf(number);
+    addSteps(level, node);
+    SparseNode below = node;
+    if (level.isSparse()) {
+      below.parent = nodes->size();
+      nodes->push_back(std::move(node));
     }
+    ArrayRef<Type> inner = level.getChildren();
+    findNodes(inner, below,
+              [&](unsigned index) { return getOffset(inner, index); });
   }
-};
-} // namespace
+}
 
-SmallVector<SparseNode> tai::getSparseNodes(RootType root,
-                                            const DataLayout &dataLayout) {
-  SparseWalk walk{dataLayout, {}};
-  walk.visit(root.getChildren(), SparseNode(), [&](unsigned index) {
-    return getRootChildOffset(root, index, dataLayout);
-  });
+ArrayRef<SparseNode> TreeLayout::getSparseNodes() {
+  if (nodes)
+    return *nodes;
+  nodes.emplace();
+  findNodes(root.getChildren(), SparseNode(),
+            [&](unsigned index) { return getRootOffset(index); });
   uint64_t offset = llvm::alignTo(getCellsSize(root, dataLayout), kPage);
-  for (SparseNode &node : walk.nodes) {
+  for (auto [number, node] : llvm::enumerate(*nodes)) {
     node.activityOffset = offset;
     offset += getActivitySize(node);
+    numberOfNode.try_emplace(node.position, number);
   }
-  return walk.nodes;
+  return *nodes;
 }
 
-TreeSize tai::getTreeSize(RootType root, const DataLayout &dataLayout) {
+TreeSize TreeLayout::getTreeSize() {
   uint64_t cells = getCellsSize(root, dataLayout);
-  SmallVector<SparseNode> nodes = getSparseNodes(root, dataLayout);
-  if (nodes.empty())
+  if (getSparseNodes().empty())
     return {cells, cells};
-  return {cells, nodes.back().activityOffset + getActivitySize(nodes.back())};
+  const SparseNode &last = nodes->back();
+  return {cells, last.activityOffset + getActivitySize(last)};
 }
 
-FieldStorage tai::getFieldStorage(const FieldLayout &layout,
-                                  const DataLayout &dataLayout) {
+uint64_t TreeLayout::getRootOffset(unsigned index) {
+  if (rootOffsets.empty()) {
+    uint64_t size = 0;
+    for (Type child : root.getChildren()) {
+      size = llvm::alignTo(size, kCacheLine);
+      rootOffsets.push_back(size);
+      size += getChildSize(child, dataLayout);
+    }
+  }
+  return rootOffsets[index];
+}
+
+uint64_t TreeLayout::getOffset(ArrayRef<Type> children, unsigned index) {
+  SmallVector<uint64_t> &known = offsets[children.data()];
+  if (known.empty()) {
+    uint64_t offset = 0;
+    for (Type child : children) {
+      offset = llvm::alignTo(offset, computeCellAlignment(child, dataLayout));
+      known.push_back(offset);
+      offset += getChildSize(child, dataLayout);
+    }
+  }
+  return known[index];
+}
+
+uint64_t TreeLayout::getOffsetOfPlace(PlacesType places, unsigned index) {
+  SmallVector<uint64_t> &known = placeOffsets[places];
+  if (known.empty()) {
+    uint64_t offset = 0;
+    for (Type type : places.getTypes()) {
+      offset = llvm::alignTo(offset, getValueAlignment(type, dataLayout));
+      known.push_back(offset);
+      offset += getValueSize(type, dataLayout);
+    }
+  }
+  return known[index];
+}
+
+ArrayRef<uint64_t> TreeLayout::getCellStrides(SNodeTypeInterface level) {
+  auto [at, isNew] = cellStrides.try_emplace(level);
+  if (isNew)
+    at->second = level.getCellStrides(dataLayout);
+  return at->second;
+}
+
+FieldStorage TreeLayout::getFieldStorage(const FieldLayout &layout) {
   const PlacePath &path = layout.path;
   FieldStorage storage;
-  auto root =
-      cast<RootType>(layout.tree->getAttrOfType<TypeAttr>("layout").getValue());
   ArrayRef<Type> children = root.getChildren();
-  SmallVector<SparseNode> nodes;
-  if (path.getFirstSparse())
-    nodes = getSparseNodes(root, dataLayout);
+  bool isSparse = static_cast<bool>(path.getFirstSparse());
+  if (isSparse)
+    (void)getSparseNodes();
 
-  // The extent of each axis below the current level.
+  // Per axis: the cells below the level at hand, and in all levels.
   SmallVector<int64_t> below(kMaxAxes, 1), whole(kMaxAxes, 1);
   for (auto [axis, extent] : llvm::zip(path.axes, path.shape))
     below[axis] = whole[axis] = extent;
 
+  auto offsetOf = [&](size_t depth, unsigned child) {
+    return depth == 0 ? getRootOffset(child) : getOffset(children, child);
+  };
   SmallVector<unsigned> position;
   for (auto [number, level] : llvm::enumerate(path.levels)) {
     position.push_back(level.child);
-    if (level.type.isSparse()) {
-      auto *node = llvm::find_if(nodes, [&](const SparseNode &candidate) {
-        return candidate.position == position;
-      });
+    if (level.type.isSparse())
       storage.sparse.push_back({static_cast<unsigned>(number),
-                                static_cast<unsigned>(node - nodes.begin())});
-    }
-    storage.offset += number == 0
-                          ? getRootChildOffset(root, level.child, dataLayout)
-                          : getChildOffset(children, level.child, dataLayout);
-    SmallVector<uint64_t> strides = level.type.getCellStrides(dataLayout);
+                                numberOfNode.lookup(ArrayRef(position))});
+    storage.offset += offsetOf(number, level.child);
+    ArrayRef<uint64_t> strides = getCellStrides(level.type);
     int64_t weight = 1;
     SmallVector<IndexDigit> digits;
     for (size_t i = level.type.getAxes().size(); i-- > 0;) {
@@ -377,10 +440,23 @@ FieldStorage tai::getFieldStorage(const FieldLayout &layout,
     storage.digits.append(digits.rbegin(), digits.rend());
     children = level.type.getChildren();
   }
-  storage.offset +=
-      path.levels.empty()
-          ? getRootChildOffset(root, path.placesChild, dataLayout)
-          : getChildOffset(children, path.placesChild, dataLayout);
-  storage.offset += getPlaceOffset(path.places, path.place, dataLayout);
+  storage.offset += offsetOf(path.levels.size(), path.placesChild);
+  storage.offset += getOffsetOfPlace(path.places, path.place);
   return storage;
+}
+
+SmallVector<SparseNode> tai::getSparseNodes(RootType root,
+                                            const DataLayout &dataLayout) {
+  return SmallVector<SparseNode>(TreeLayout(root, dataLayout).getSparseNodes());
+}
+
+TreeSize tai::getTreeSize(RootType root, const DataLayout &dataLayout) {
+  return TreeLayout(root, dataLayout).getTreeSize();
+}
+
+FieldStorage tai::getFieldStorage(const FieldLayout &layout,
+                                  const DataLayout &dataLayout) {
+  TreeOp tree = layout.tree;
+  auto root = cast<RootType>(tree.getLayout());
+  return TreeLayout(root, dataLayout).getFieldStorage(layout);
 }

@@ -17,6 +17,7 @@
 #include "mlir/IR/DialectImplementation.h"
 #include "mlir/Transforms/InliningUtils.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Dialect/Tai/IR/TreeLayout.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;
@@ -65,7 +66,7 @@ void TaiDialect::initialize() {
   registerTypes();
   registerAttributes();
   registerOps();
-  addInterfaces<TaiInlinerInterface>();
+  addInterfaces<TaiInlinerInterface, PlaceIndex>();
 }
 
 LogicalResult TaiDialect::verifyOperationAttribute(Operation *op,
