@@ -88,6 +88,16 @@ Constant Constant::identity(py::handle value) {
   return made;
 }
 
+Constant Constant::weakly(py::handle value) {
+  Constant made;
+  made.kind = Kind::Weak;
+  made.object =
+      py::reinterpret_steal<py::object>(PyWeakref_NewRef(value.ptr(), nullptr));
+  if (!made.object)
+    throw py::error_already_set();
+  return made;
+}
+
 Constant::Constant(py::handle given)
     : object(py::reinterpret_borrow<py::object>(given)) {
   PyObject *value = given.ptr();
@@ -194,7 +204,8 @@ bool Constant::matchesContents(PyObject *given) const {
     return false;
   switch (kind) {
   case Kind::Identity:
-    return given == object.ptr();
+  case Kind::Weak:
+    return matches(given);
   case Kind::Integer:
     return given == object.ptr() || isEqual(PyLong_Type, object.ptr(), given);
   case Kind::Float:
@@ -265,6 +276,7 @@ bool Constant::matchesContents(PyObject *given) const {
 bool Constant::canChange() const {
   switch (kind) {
   case Kind::Identity:
+  case Kind::Weak:
   case Kind::Integer:
   case Kind::Float:
   case Kind::Plain:
@@ -299,7 +311,11 @@ void Constant::clear() {
 }
 
 bool Read::holds() const {
-  PyObject *found = PyObject_GetAttr(owner.ptr(), name.ptr());
+  // The attribute may be Python code, which may let go of its owner.
+  auto held = py::reinterpret_borrow<py::object>(getOwner());
+  if (!held)
+    return false;
+  PyObject *found = PyObject_GetAttr(held.ptr(), name.ptr());
   if (!found) {
     forgetError();
     return false;
@@ -335,6 +351,9 @@ static uint64_t stateOf([[maybe_unused]] const PyDictObject *dict) {
 }
 
 bool Reads::Stored::isAsSeen() const {
+  // Another object may have the address of one that is gone.
+  if (reads.front().getOwner() != owner)
+    return false;
   const PyDictObject *dict = numberedDict(owner);
   return dict && stateOf(dict) == state;
 }
@@ -343,6 +362,8 @@ bool Reads::Stored::look() {
   for (const Read &read : reads)
     if (!read.holds())
       return false;
+  if (reads.front().getOwner() != owner)
+    return false;
   if (const PyDictObject *dict = numberedDict(owner))
     state = stateOf(dict);
   return true;
@@ -350,8 +371,9 @@ bool Reads::Stored::look() {
 
 void Reads::add(const py::tuple &described) {
   Read read(described);
-  PyObject *owner = read.owner.ptr();
-  PyDictObject *dict = PyType_Check(owner) ? nullptr : numberedDict(owner);
+  PyObject *owner = read.getOwner();
+  PyDictObject *dict =
+      !owner || PyType_Check(owner) ? nullptr : numberedDict(owner);
   if (!dict || read.value->canChange() ||
       PyDict_Contains(reinterpret_cast<PyObject *>(dict), read.name.ptr()) !=
           1) {
@@ -360,7 +382,7 @@ void Reads::add(const py::tuple &described) {
     return;
   }
   for (Stored &one : stored)
-    if (one.owner == owner) {
+    if (one.owner == owner && one.reads.front().getOwner() == owner) {
       one.reads.push_back(std::move(read));
       return;
     }
@@ -398,6 +420,7 @@ void taipy::bindConstants(py::module_ &module) {
   py::class_<Constant>(module, "Constant", py::custom_type_setup(setUp))
       .def(py::init<py::handle>())
       .def_static("identity", &Constant::identity)
+      .def_static("weakly", &Constant::weakly)
       .def("matches", [](const Constant &constant, py::handle value) {
         return constant.matches(value.ptr());
       });

@@ -22,11 +22,17 @@
 
 namespace taipy {
 
+/// The object behind a weak reference, or null. Not owned.
+inline PyObject *referent(PyObject *weak) {
+  PyObject *object = PyWeakref_GET_OBJECT(weak);
+  return object == Py_None ? nullptr : object;
+}
+
 /// A snapshot of a Python value.
 ///
 /// Numbers, texts, containers, arrays, matrices and structs are the same if
 /// their types and contents are, bit by bit and in order; anything else if it
-/// is the same object, which a constant keeps alive.
+/// is the same object, which a constant keeps alive unless it is made `weakly`.
 class Constant {
 public:
   /// A snapshot of a value and its contents.
@@ -36,9 +42,13 @@ public:
 
   /// The object itself, compared by identity.
   static Constant identity(py::handle value);
+  /// The same without keeping the object alive. When it is gone, nothing
+  /// matches.
+  static Constant weakly(py::handle value);
 
   bool matches(PyObject *given) const {
     return kind == Kind::Identity ? given == object.ptr()
+           : kind == Kind::Weak   ? given == referent(object.ptr())
                                   : matchesContents(given);
   }
 
@@ -51,6 +61,7 @@ public:
 private:
   enum class Kind {
     Identity,
+    Weak,
     Integer,
     Float,
     Plain,    // a complex number, text or bytes: equal and of one type
@@ -72,7 +83,8 @@ private:
   Kind kind = Kind::Identity;
   /// The type of the value; unused for identities.
   py::object type;
-  /// The object, number or text; the name of the attribute of `Wrapped`.
+  /// The object or the weak reference to it, the number or the text; the name
+  /// of the attribute of `Wrapped`.
   py::object object;
   std::vector<Constant> items;
   /// If it is a buffer: its elements, its format and its extents.
@@ -82,14 +94,18 @@ private:
 
 /// An attribute of an object that a kernel read while it was compiled.
 struct Read {
-  /// From a tuple of the owner, the name, and the `Constant` of the attribute's
-  /// value.
+  /// From a tuple of the owner or a weak reference to it, the name, and the
+  /// `Constant` of the attribute's value.
   explicit Read(const py::tuple &described)
       : owner(described[0]), name(described[1]), constant(described[2]),
         value(&constant.cast<const Constant &>()) {}
 
   /// Whether the attribute is unchanged.
   bool holds() const;
+  /// Null if it is gone.
+  PyObject *getOwner() const {
+    return PyWeakref_Check(owner.ptr()) ? referent(owner.ptr()) : owner.ptr();
+  }
 
   int traverse(visitproc visit, void *arg) const;
 

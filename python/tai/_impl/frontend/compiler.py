@@ -16,11 +16,14 @@ from ..base.options import Options
 from ..base.program import Program
 from ..fields.scalar import ScalarField
 from ..fields.structs import StructType
+from ..values.builder import Builder
+from ..values.emitter import Emitter
 from .assignments import Assignments
 from .calls import Calls
 from .checks import Checks
 from .compile_time import CompileTime
 from .context import ArgumentForm, Context, Kernel, Part, ResultForm
+from .diagnostics import Diagnostics
 from .expressions import Expressions
 from .hints import hint_for
 from .inlining import Inlining
@@ -45,6 +48,10 @@ from .while_loops import WhileLoops
 
 # Calls of Python that the compiler may need: some thirty for each statement inside of another.
 _RECURSION = 20000
+
+
+# Objects of one compilation.
+_OWN = (Part, Context, Diagnostics, Emitter, Builder, Frame)
 
 
 class _DeepRecursion(native.WithBlock):
@@ -173,6 +180,18 @@ class Compiler:
         finally:
             state.of_thread.emitter = outer
         return context.builder.finish(context.kernel.symbol)
+
+    def close(self) -> None:
+        """Takes the compiler apart, once its results are taken.
+
+        Its parts know each other in circles, which would keep the program, with its memory and
+        threads, until the cyclic collector of Python runs.
+        """
+        pending: list[Any] = [self]
+        while pending:
+            held = vars(pending.pop())
+            pending += [part for part in held.values() if isinstance(part, _OWN)]
+            held.clear()
 
     def _build(self) -> None:
         context, parameters = self.context, self._parameters

@@ -12,6 +12,7 @@ import enum
 import inspect
 import sys
 import warnings
+import weakref
 from collections import deque
 from types import (
     BuiltinFunctionType,
@@ -47,7 +48,12 @@ def hint(value: Any) -> Any:
 
 
 def take(value: Any, parameter: str, kernel: str) -> Any:
-    """The constant that a template argument is now."""
+    """The constant that a template argument is now.
+
+    Code does not keep the objects alive that it was compiled for; see `is_weak`.
+    """
+    if is_weak(value):
+        return native.Constant.weakly(value)
     try:
         return native.Constant(value)
     except RecursionError:
@@ -55,6 +61,17 @@ def take(value: Any, parameter: str, kernel: str) -> Any:
             f"template argument '{parameter}' of kernel '{kernel}' contains itself, or is nested "
             "too deeply"
         ) from None
+
+
+def is_weak(value: Any) -> bool:
+    """Whether kernels let go of a template argument: an object of a `data_oriented` class."""
+    kind = type(value)
+    return getattr(kind, "_tai_data_oriented", False) and kind.__weakrefoffset__ != 0
+
+
+def owner_of(held: Any) -> Any:
+    """The owner of a read, which may be held weakly; None if it is gone."""
+    return held() if isinstance(held, weakref.ref) else held
 
 
 def _is_own(kind: type) -> bool:
@@ -78,14 +95,19 @@ class Reads:
     def __init__(self, templates: list[Any]):
         self._followed: dict[int, Any] = {}
         self._noted: dict[tuple[int, str], tuple[Any, str, Any]] = {}
+        # Arguments that the code does not keep alive.
+        self._weak = {id(thing): weakref.ref(thing) for thing in templates if is_weak(thing)}
         for thing in templates:
             if isinstance(thing, ModuleType):
                 self._followed[id(thing)] = thing
             self._follow(thing)
 
     def all(self) -> list[tuple[Any, str, Any]]:
-        """Owner, name and `Constant` of each."""
-        return list(self._noted.values())
+        """Owner or a weak reference to it, name and `Constant` of each."""
+        return [
+            (self._weak.get(id(owner), owner), name, constant)
+            for owner, name, constant in self._noted.values()
+        ]
 
     def note(self, owner: Any, name: str, value: Any, form_only: bool = False) -> None:
         """Says that `owner.name` was read and is `value`.
@@ -102,7 +124,9 @@ class Reads:
                 for part in ARRAY_FORM:
                     self._add(value, part, native.Constant(getattr(value, part)))
                 return
-            self._add(owner, name, native.Constant(value))
+            of_argument = id(value) in self._weak
+            make = native.Constant.weakly if of_argument else native.Constant
+            self._add(owner, name, make(value))
         elif isinstance(value, _LEAVES):
             self._add(owner, name, native.Constant(value))
         elif not isinstance(value, _FUNCTIONS) and not _is_own(type(value)):
@@ -148,7 +172,9 @@ class Reads:
 def still_hold(reads: list[tuple[Any, str, Any]]) -> bool:
     """Whether all attributes still have their recorded values."""
     missing = object()
-    return all(constant.matches(getattr(owner, name, missing)) for owner, name, constant in reads)
+    return all(
+        constant.matches(getattr(owner_of(owner), name, missing)) for owner, name, constant in reads
+    )
 
 
 def warn_of_many(name: str, variants: list[Any]) -> None:
@@ -156,8 +182,10 @@ def warn_of_many(name: str, variants: list[Any]) -> None:
     if len(variants) != _MANY:
         return
     changed = []
-    for owner, attribute, constant in variants[-1].reads:
-        previous = {(id(o), n): c for o, n, c in variants[-2].reads}.get((id(owner), attribute))
+    before = {(id(owner_of(o)), n): c for o, n, c in variants[-2].reads}
+    for held, attribute, constant in variants[-1].reads:
+        owner = owner_of(held)
+        previous = before.get((id(owner), attribute))
         current = getattr(owner, attribute, None)
         if not constant.matches(current) or (previous and not previous.matches(current)):
             changed.append(f"'{attribute}'")

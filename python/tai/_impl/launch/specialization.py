@@ -142,6 +142,9 @@ class Specializations:
             if found.reads:
                 same = [one for one in variants if one.is_for(specs)]
                 templates.warn_of_many(signature.kernel, same)
+            for spec in specs:
+                if spec.alive is not None:
+                    spec.constant = None
         self.last = found
         if state.rounding is not None:
             state.rounding.note(found)
@@ -151,14 +154,16 @@ class Specializations:
         """Lets the trees that it uses drop a specialization when they are freed."""
         store, one = weakref.ref(self), weakref.ref(found)
 
-        def drop() -> None:
+        def drop(_: Any = None) -> None:
             owner, gone = store(), one()
             if owner is not None and gone is not None:
                 owner._drop(gone, key)
 
         found.drop = drop
-        for function in found.functions:
-            function.users.add(found)
+        for spec in found.specs:
+            if spec.kind == "template" and templates.is_weak(spec.constant):
+                # The code goes with the object for which it was compiled.
+                spec.alive = weakref.ref(spec.constant, drop)
         for tree in found.core.trees:
             program.trees[tree].users.add(found)
 
@@ -231,12 +236,21 @@ class Specializations:
         compiler.context.emitter.stopped = {id(place) for place in constants}
         outer, state.of_thread.fp = state.fp, float_of(modes)
         try:
-            core = compiler.compile()
-        except BaseException:
-            program.symbols.give_back(symbol)
-            raise
+            try:
+                core = compiler.compile()
+            except BaseException:
+                program.symbols.give_back(symbol)
+                raise
+            finally:
+                state.of_thread.fp = outer
+            return self._finish(program, compiler, core, specs, result, symbol, followed, pool)
         finally:
-            state.of_thread.fp = outer
+            compiler.close()
+
+    def _finish(
+        self, program: Any, compiler: Compiler, core: Any, specs: list[ArgumentSpec],
+        result: ResultSpec | None, symbol: str, followed: list[tuple[int, Any]], pool: Any,
+    ) -> Specialization:  # fmt: skip
         found = Specialization(core, specs, result, compiler.reads.all())
         weakref.finalize(found, program.symbols.give_back, symbol).atexit = False
         found.followed, found.result_pool = [number for number, _ in followed], pool

@@ -30,6 +30,7 @@ class ArgumentSpec:
         ndim, element_shape: of an array.
         constant: the value of a template parameter.
         taken: the same as it was when the kernel was compiled, as a `_core.Constant`.
+        alive: a weak reference to a template argument that the code does not keep alive.
         has_gradient: whether the kernel is differentiated by it. An array then comes with
             the array of its gradient.
         alias: the number of the parameter that is the same array, or None.
@@ -49,6 +50,7 @@ class ArgumentSpec:
         self.ndim, self.element_shape, self.constant = ndim, element_shape, constant
         self.has_gradient = has_gradient
         self.taken: Any = None
+        self.alive: Any = None
         self.alias: int | None = None
         self.is_element_fixed = self.is_checked = False
         self.is_read = self.is_written = self.is_loaded = self.uses_gradient = False
