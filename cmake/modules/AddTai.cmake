@@ -29,9 +29,15 @@ function(tai_link_upstream target visibility)
   endif()
 endfunction()
 
-# Flags for every target that sees LLVM's headers.
+# tai_compile_options(<target> [EXCEPTIONS])
+#   Flags for every target that sees LLVM's headers. EXCEPTIONS: the target is
+#   unwound when memory runs out.
 function(tai_compile_options target)
-  target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions>)
+  set(flag -fno-exceptions)
+  if("EXCEPTIONS" IN_LIST ARGN)
+    set(flag -fexceptions)
+  endif()
+  target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:${flag}>)
 endfunction()
 
 # tai_tablegen(<target> <file.td> OUTPUTS <out.inc> <generator args> [AND ...])
@@ -97,36 +103,47 @@ if(TAI_PCH)
     <llvm/ADT/TypeSwitch.h>)
   file(CONFIGURE OUTPUT "${PROJECT_BINARY_DIR}/pch/pch.cpp"
     CONTENT "// Carries the precompiled header.\n")
-  # With TAI_SANITIZE there are two of them.
-  add_library(TaiPCH OBJECT "${PROJECT_BINARY_DIR}/pch/pch.cpp")
-  tai_compile_options(TaiPCH)
-  target_precompile_headers(TaiPCH PRIVATE ${headers})
-  if(TAI_SANITIZE)
-    add_library(TaiSanitizedPCH OBJECT "${PROJECT_BINARY_DIR}/pch/pch.cpp")
-    tai_compile_options(TaiSanitizedPCH)
-    tai_sanitize(TaiSanitizedPCH)
-    target_precompile_headers(TaiSanitizedPCH PRIVATE ${headers})
-    set_target_properties(TaiSanitizedPCH PROPERTIES CXX_COMPILER_LAUNCHER "")
-  endif()
   # A precompiled header holds absolute paths. So it is never taken from ccache,
   # and ccache identifies it by a checksum of what it means, not by its bytes:
   # objects are then shared between checkouts.
-  set_target_properties(TaiPCH PROPERTIES CXX_COMPILER_LAUNCHER "")
   string(SHA256 checksum "${headers} ${LLVM_PACKAGE_VERSION} ${CMAKE_CXX_COMPILER_VERSION}")
-  foreach(name TaiPCH TaiSanitizedPCH)
+  # tai_add_precompiled(<Name> [EXCEPTIONS] [SANITIZED]): one for each set of
+  # flags.
+  function(tai_add_precompiled name)
+    add_library(${name} OBJECT "${PROJECT_BINARY_DIR}/pch/pch.cpp")
+    tai_compile_options(${name} ${ARGN})
+    if("SANITIZED" IN_LIST ARGN)
+      tai_sanitize(${name})
+    endif()
+    target_precompile_headers(${name} PRIVATE ${headers})
+    set_target_properties(${name} PROPERTIES CXX_COMPILER_LAUNCHER "")
+    list(JOIN ARGN " " kinds)
+    string(STRIP "${checksum} ${kinds}" sum)
     file(CONFIGURE OUTPUT "${PROJECT_BINARY_DIR}/CMakeFiles/${name}.dir/cmake_pch.hxx.pch.sum"
-      CONTENT "${checksum}\n")
-  endforeach()
+      CONTENT "${sum}\n")
+  endfunction()
+  tai_add_precompiled(TaiPCH)
+  set(sanitized)
+  if(TAI_SANITIZE)
+    set(sanitized SANITIZED)
+    tai_add_precompiled(TaiSanitizedPCH SANITIZED)
+  endif()
+  # For the libraries with EXCEPTIONS, all of which are of several threads.
+  tai_add_precompiled(TaiExceptionsPCH EXCEPTIONS ${sanitized})
 endif()
 
-# tai_precompile(<target> [THREADS])
+# tai_precompile(<target> [THREADS] [EXCEPTIONS])
 #   Not by REUSE_FROM, which names the header by an absolute path that ccache
-#   does not see through. THREADS: for a target of tai_sanitize.
+#   does not see through. THREADS: for a target of tai_sanitize. EXCEPTIONS: as
+#   with tai_compile_options.
 function(tai_precompile target)
   if(TAI_PCH)
     set(header TaiPCH)
     if(TAI_SANITIZE AND "THREADS" IN_LIST ARGN)
       set(header TaiSanitizedPCH)
+    endif()
+    if("EXCEPTIONS" IN_LIST ARGN)
+      set(header TaiExceptionsPCH)
     endif()
     set(pch CMakeFiles/${header}.dir/cmake_pch.hxx.pch)
     target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:SHELL:-include-pch ${pch}>)
@@ -137,7 +154,7 @@ function(tai_precompile target)
   endif()
 endfunction()
 
-# add_tai_library(<Name> [sources] [PLUGIN] [NO_MLIR] [THREADS]
+# add_tai_library(<Name> [sources] [PLUGIN] [NO_MLIR] [THREADS] [EXCEPTIONS]
 #                 [LINK_LIBS libs] [DEPENDS targets])
 #   An OBJECT library that becomes part of libtai. Without sources it takes the
 #   *.cpp below the current folder, so that adding a file needs no edit here; a
@@ -145,9 +162,10 @@ endfunction()
 #   PLUGIN   part of TaiPlugin.so too: may use nothing but LLVM and MLIR
 #   NO_MLIR  sees neither the generated headers nor the precompiled header
 #   THREADS  what several threads use at a time: what TAI_SANITIZE is about
+#   EXCEPTIONS  unwound when memory runs out (decision 0054); needs THREADS
 #   LINK_LIBS  libraries other than LLVM and MLIR; libtai links them
 function(add_tai_library name)
-  cmake_parse_arguments(ARG "PLUGIN;NO_MLIR;THREADS" "" "LINK_LIBS;DEPENDS" ${ARGN})
+  cmake_parse_arguments(ARG "PLUGIN;NO_MLIR;THREADS;EXCEPTIONS" "" "LINK_LIBS;DEPENDS" ${ARGN})
   set(sources ${ARG_UNPARSED_ARGUMENTS})
   if(NOT sources)
     file(GLOB_RECURSE sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/*.cpp")
@@ -156,14 +174,17 @@ function(add_tai_library name)
     return()
   endif()
   add_library(${name} OBJECT ${sources})
-  tai_compile_options(${name})
-  set(threads)
+  set(kinds)
+  if(ARG_EXCEPTIONS)
+    set(kinds EXCEPTIONS)
+  endif()
+  tai_compile_options(${name} ${kinds})
   if(ARG_THREADS)
-    set(threads THREADS)
+    list(APPEND kinds THREADS)
     tai_sanitize(${name})
   endif()
   if(NOT ARG_NO_MLIR)
-    tai_precompile(${name} ${threads})
+    tai_precompile(${name} ${kinds})
     add_dependencies(${name} tai-headers)
   endif()
   if(ARG_DEPENDS)

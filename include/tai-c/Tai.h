@@ -13,10 +13,12 @@
 // `taiContextLastError` holds the diagnostic of the calling thread. Nothing
 // aborts the process, given handles that exist and pointers to memory: they may
 // be null only where that is said, also where a handle is destroyed. Text that
-// is null is empty. The handles of a context are destroyed with it, at the
-// latest. Calls of several threads on one context follow one
-// another, but for launches and reads of single elements on the CPU, which run
-// side by side; contexts are independent.
+// is null is empty. Where memory runs out, a call fails with TAI_ERROR_MEMORY,
+// or returns null if its result is a pointer; the next call finds the context
+// as it was. The handles of a context are destroyed with it, at the latest.
+// Calls of several threads on one context follow one another, but for launches
+// and reads of single elements on the CPU, which run side by side; contexts are
+// independent.
 //
 //===----------------------------------------------------------------------===//
 

@@ -7,7 +7,9 @@
 
 #include "Impl.h"
 #include "mlir/CAPI/IR.h"
-#include "llvm/Config/llvm-config.h"
+#include "llvm/Support/ErrorHandling.h"
+#include <mutex>
+#include <new>
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -20,9 +22,22 @@ static StringRef toRef(const char *text) { return text ? text : ""; }
 
 const char *taiVersion(void) { return TAI_VERSION; }
 
-const char *taiLLVMVersion(void) { return LLVM_VERSION_STRING; }
+/// LLVM's containers take memory by malloc, and would end the process where
+/// there is none.
+static void throwBadAlloc(void *, const char *, bool) {
+  throw std::bad_alloc();
+}
 
-TaiContext taiContextCreate(void) { return new TaiContextImpl(); }
+TaiContext taiContextCreate(void) {
+  static std::once_flag once;
+  try {
+    std::call_once(
+        once, [] { llvm::install_bad_alloc_error_handler(throwBadAlloc); });
+    return new TaiContextImpl();
+  } catch (...) {
+    return nullptr;
+  }
+}
 
 void taiContextDestroy(TaiContext context) { delete context; }
 
@@ -43,8 +58,10 @@ int64_t taiListOptions(const TaiOptionRow **rows) {
 
 TaiStatus taiContextSetOption(TaiContext context, const char *name,
                               const char *value) {
-  ContextLock lock(*context);
-  return context->status(context->session.setOption(toRef(name), toRef(value)));
+  return call(*context, [&]() -> TaiStatus {
+    return context->status(
+        context->session.setOption(toRef(name), toRef(value)));
+  });
 }
 
 MlirContext taiContextGetMlirContext(TaiContext context) {
@@ -62,9 +79,10 @@ TaiError taiContextLastError(TaiContext context) {
 }
 
 TaiStatus taiContextSynchronize(TaiContext context) {
-  ContextLock lock(*context);
-  // Launches on the CPU have ended when they return.
-  return context->status(context->session.getRuntime().synchronize());
+  return call(*context, [&]() -> TaiStatus {
+    // Launches on the CPU have ended when they return.
+    return context->status(context->session.getRuntime().synchronize());
+  });
 }
 
 void taiSetSafepointHandler(TaiSafepointHandler handler) {
@@ -81,27 +99,29 @@ void taiContextClearInterrupt(TaiContext context) {
 
 void taiContextSetPrintHandler(TaiContext context, TaiPrintHandler handler,
                                void *user) {
-  ContextLock lock(*context);
-  runtime::Printer::Sink sink;
-  if (handler)
-    sink = [handler, user](std::string_view line) {
-      handler(line.data(), line.size(), user);
-    };
-  context->session.getRuntime().setPrintSink(std::move(sink));
+  callQuietly(*context, [&] {
+    runtime::Printer::Sink sink;
+    if (handler)
+      sink = [handler, user](std::string_view line) {
+        handler(line.data(), line.size(), user);
+      };
+    context->session.getRuntime().setPrintSink(std::move(sink));
+  });
 }
 
 void taiContextSetWarningHandler(TaiContext context, TaiWarningHandler handler,
                                  void *user) {
-  ContextLock lock(*context);
-  WarningLog::Handler sink;
-  if (handler)
-    sink = [handler, user](const Warning &warning, bool isOfGradient) {
-      TaiWarning told = {
-          warning.message.c_str(), warning.file.c_str(), warning.line,
-          warning.column,          warning.text.c_str(), isOfGradient};
-      handler(&told, user);
-    };
-  context->session.getWarnings().setHandler(std::move(sink));
+  callQuietly(*context, [&] {
+    WarningLog::Handler sink;
+    if (handler)
+      sink = [handler, user](const Warning &warning, bool isOfGradient) {
+        TaiWarning told = {
+            warning.message.c_str(), warning.file.c_str(), warning.line,
+            warning.column,          warning.text.c_str(), isOfGradient};
+        handler(&told, user);
+      };
+    context->session.getWarnings().setHandler(std::move(sink));
+  });
 }
 
 //===----------------------------------------------------------------------===//
@@ -110,13 +130,16 @@ void taiContextSetWarningHandler(TaiContext context, TaiWarningHandler handler,
 
 TaiStatus taiContextAddTree(TaiContext context, const char *name,
                             const char *layout) {
-  ContextLock lock(*context);
-  return context->status(context->session.addTree(toRef(name), toRef(layout)));
+  return call(*context, [&]() -> TaiStatus {
+    return context->status(
+        context->session.addTree(toRef(name), toRef(layout)));
+  });
 }
 
 TaiStatus taiContextDestroyTree(TaiContext context, const char *name) {
-  ContextLock lock(*context);
-  return context->status(context->session.destroyTree(toRef(name)));
+  return call(*context, [&]() -> TaiStatus {
+    return context->status(context->session.destroyTree(toRef(name)));
+  });
 }
 
 /// The sparse level of that number, or null after an error.
@@ -138,73 +161,78 @@ static runtime::SparseNode *findLevel(TaiContext context, const char *name,
 
 TaiStatus taiContextGetSparseLevel(TaiContext context, const char *tree,
                                    int64_t level, TaiSparseLevel *result) {
-  ContextLock lock(*context);
-  TaiStatus status;
-  if (const runtime::SparseNode *node = findLevel(context, tree, level, status))
-    *result = {node->numCells(),  node->cellBytes(),   node->numActive(),
-               node->listsMade(), node->listsReused(), node->peakActive()};
-  return status;
+  return call(*context, [&]() -> TaiStatus {
+    TaiStatus status;
+    if (const runtime::SparseNode *node =
+            findLevel(context, tree, level, status))
+      *result = {node->numCells(),  node->cellBytes(),   node->numActive(),
+                 node->listsMade(), node->listsReused(), node->peakActive()};
+    return status;
+  });
 }
 
 TaiStatus taiContextGetActiveCells(TaiContext context, const char *tree,
                                    int64_t level, int64_t *cells,
                                    int64_t count) {
-  ContextLock lock(*context);
-  TaiStatus status;
-  if (runtime::SparseNode *node = findLevel(context, tree, level, status)) {
-    runtime::ActiveListPtr list = node->list();
-    if (count != int64_t(list->cells.size()))
-      return context->status(context->session.fail(
-          FailureKind::Usage, "there are " + Twine(list->cells.size()) +
-                                  " active cells, but room for " +
-                                  Twine(count)));
-    llvm::copy(list->cells, cells);
-  }
-  return status;
+  return call(*context, [&]() -> TaiStatus {
+    TaiStatus status;
+    if (runtime::SparseNode *node = findLevel(context, tree, level, status)) {
+      runtime::ActiveListPtr list = node->list();
+      if (count != int64_t(list->cells.size()))
+        return context->status(context->session.fail(
+            FailureKind::Usage, "there are " + Twine(list->cells.size()) +
+                                    " active cells, but room for " +
+                                    Twine(count)));
+      llvm::copy(list->cells, cells);
+    }
+    return status;
+  });
 }
 
 TaiStatus taiContextSetActive(TaiContext context, const char *tree,
                               int64_t level, int64_t cell, int active) {
-  ContextLock lock(*context);
-  TaiStatus status;
-  runtime::TreePtr found;
-  runtime::SparseNode *node = findLevel(context, tree, level, status, &found);
-  if (!node)
-    return status;
-  if (cell < 0 || cell >= node->numCells())
-    return context->status(context->session.fail(
-        FailureKind::Usage, "there is no cell " + Twine(cell) + " in " +
-                                node->info().label + ", which has " +
-                                Twine(node->numCells())));
-  return context->status(
-      context->session.setActive(found, level, cell, active != 0));
+  return call(*context, [&]() -> TaiStatus {
+    TaiStatus status;
+    runtime::TreePtr found;
+    runtime::SparseNode *node = findLevel(context, tree, level, status, &found);
+    if (!node)
+      return status;
+    if (cell < 0 || cell >= node->numCells())
+      return context->status(context->session.fail(
+          FailureKind::Usage, "there is no cell " + Twine(cell) + " in " +
+                                  node->info().label + ", which has " +
+                                  Twine(node->numCells())));
+    return context->status(
+        context->session.setActive(found, level, cell, active != 0));
+  });
 }
 
 TaiStatus taiContextDeactivateAll(TaiContext context, const char *tree,
                                   int64_t level) {
-  ContextLock lock(*context);
-  TaiStatus status;
-  runtime::TreePtr found;
-  if (!findLevel(context, tree, level, status, &found))
-    return status;
-  return context->status(context->session.setActive(found, level, -1, false));
+  return call(*context, [&]() -> TaiStatus {
+    TaiStatus status;
+    runtime::TreePtr found;
+    if (!findLevel(context, tree, level, status, &found))
+      return status;
+    return context->status(context->session.setActive(found, level, -1, false));
+  });
 }
 
 TaiStatus taiContextAddField(TaiContext context, const char *declaration,
                              TaiField *field) {
-  ContextLock lock(*context);
-  FailureOr<runtime::FieldPtr> made =
-      context->session.addField(toRef(declaration));
-  if (failed(made))
-    return context->status(failure());
-  *field = context->fields.add(std::unique_ptr<TaiFieldImpl>(
-      new TaiFieldImpl{*context, std::move(*made)}));
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    FailureOr<runtime::FieldPtr> made =
+        context->session.addField(toRef(declaration));
+    if (failed(made))
+      return context->status(failure());
+    *field = context->fields.add(std::unique_ptr<TaiFieldImpl>(
+        new TaiFieldImpl{*context, std::move(*made)}));
+    return TAI_OK;
+  });
 }
 
 void taiFieldRelease(TaiField field) {
-  ContextLock lock(field->context);
-  field->context.fields.drop(field);
+  callQuietly(field->context, [&] { field->context.fields.drop(field); });
 }
 
 bool taiContextHasKernel(TaiContext context, const char *name) {
@@ -213,19 +241,20 @@ bool taiContextHasKernel(TaiContext context, const char *name) {
 
 TaiStatus taiContextCountObjects(TaiContext context,
                                  TaiContextObjects *objects) {
-  ContextLock lock(*context);
-  const SessionObjects held = context->session.countObjects();
-  objects->trees = held.trees;
-  objects->fields = held.fields;
-  objects->declarations = held.declarations;
-  objects->field_handles = context->fields.size();
-  objects->kernel_handles = context->kernels.size();
-  objects->tape_handles = context->tapes.size();
-  objects->kernels = held.kernels;
-  objects->kernel_codes = held.codes;
-  objects->linked = held.linked;
-  objects->failures = held.failures;
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    const SessionObjects held = context->session.countObjects();
+    objects->trees = held.trees;
+    objects->fields = held.fields;
+    objects->declarations = held.declarations;
+    objects->field_handles = context->fields.size();
+    objects->kernel_handles = context->kernels.size();
+    objects->tape_handles = context->tapes.size();
+    objects->kernels = held.kernels;
+    objects->kernel_codes = held.codes;
+    objects->linked = held.linked;
+    objects->failures = held.failures;
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiFieldGetInfo(TaiField handle, TaiFieldInfo *info) {
@@ -242,101 +271,117 @@ TaiStatus taiFieldGetInfo(TaiField handle, TaiFieldInfo *info) {
 
 TaiStatus taiFieldReadF64(TaiField handle, const int64_t *indices,
                           int64_t component, double *value) {
-  DeviceLock lock(handle->context, handle->context.session.getRuntime());
-  return handle->context.status(
-      handle->field->readF64(indices, component, *value));
+  return callInParallel(handle->context, handle->context.session.getRuntime(),
+                        [&]() -> TaiStatus {
+                          return handle->context.status(handle->field->readF64(
+                              indices, component, *value));
+                        });
 }
 
 TaiStatus taiFieldWriteF64(TaiField handle, const int64_t *indices,
                            int64_t component, double value) {
-  ContextLock lock(handle->context);
-  TaiContextImpl &context = handle->context;
-  return context.status(context.session.getRuntime().writeF64(
-      *handle->field, indices, component, value));
+  return call(handle->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = handle->context;
+    return context.status(context.session.getRuntime().writeF64(
+        *handle->field, indices, component, value));
+  });
 }
 
 TaiStatus taiFieldReadI64(TaiField handle, const int64_t *indices,
                           int64_t component, int64_t *value) {
-  DeviceLock lock(handle->context, handle->context.session.getRuntime());
-  return handle->context.status(
-      handle->field->readI64(indices, component, *value));
+  return callInParallel(handle->context, handle->context.session.getRuntime(),
+                        [&]() -> TaiStatus {
+                          return handle->context.status(handle->field->readI64(
+                              indices, component, *value));
+                        });
 }
 
 TaiStatus taiFieldWriteI64(TaiField handle, const int64_t *indices,
                            int64_t component, int64_t value) {
-  ContextLock lock(handle->context);
-  TaiContextImpl &context = handle->context;
-  return context.status(context.session.getRuntime().writeI64(
-      *handle->field, indices, component, value));
+  return call(handle->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = handle->context;
+    return context.status(context.session.getRuntime().writeI64(
+        *handle->field, indices, component, value));
+  });
 }
 
 TaiStatus taiFieldReadElements(TaiField handle, const int64_t *indices,
                                int64_t count, void *values) {
-  ContextLock lock(handle->context);
-  return handle->context.status(
-      handle->field->readElements(indices, count, values));
+  return call(handle->context, [&]() -> TaiStatus {
+    return handle->context.status(
+        handle->field->readElements(indices, count, values));
+  });
 }
 
 TaiStatus taiFieldWriteElements(TaiField handle, const int64_t *indices,
                                 int64_t count, const void *values) {
-  ContextLock lock(handle->context);
-  TaiContextImpl &context = handle->context;
-  return context.status(context.session.getRuntime().writeElements(
-      *handle->field, indices, count, values));
+  return call(handle->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = handle->context;
+    return context.status(context.session.getRuntime().writeElements(
+        *handle->field, indices, count, values));
+  });
 }
 
 TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
                              void **address) {
-  ContextLock lock(handle->context);
-  TaiContextImpl &context = handle->context;
-  const runtime::Tree &tree = handle->field->tree();
-  int64_t offset = 0;
-  runtime::Status status = handle->field->locate(indices, 0, offset);
-  // For kernels, so where they find it.
-  if (status && tree.mirror())
-    status = context.session.getRuntime().deviceAddress(tree, offset, *address);
-  else if (status)
-    *address = tree.base() + offset;
-  handle->field->settleZeros();
-  return context.status(status);
+  return call(handle->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = handle->context;
+    const runtime::Tree &tree = handle->field->tree();
+    int64_t offset = 0;
+    runtime::Status status = handle->field->locate(indices, 0, offset);
+    // For kernels, so where they find it.
+    if (status && tree.mirror())
+      status =
+          context.session.getRuntime().deviceAddress(tree, offset, *address);
+    else if (status)
+      *address = tree.base() + offset;
+    handle->field->settleZeros();
+    return context.status(status);
+  });
 }
 
 TaiStatus taiFieldCopyToHost(TaiField handle, void *array) {
-  ContextLock lock(handle->context);
-  TaiContextImpl &context = handle->context;
-  return context.status(
-      context.session.getRuntime().copyToHost(*handle->field, array));
+  return call(handle->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = handle->context;
+    return context.status(
+        context.session.getRuntime().copyToHost(*handle->field, array));
+  });
 }
 
 TaiStatus taiFieldCopyFromHost(TaiField handle, const void *array) {
-  ContextLock lock(handle->context);
-  TaiContextImpl &context = handle->context;
-  return context.status(
-      context.session.getRuntime().copyFromHost(*handle->field, array));
+  return call(handle->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = handle->context;
+    return context.status(
+        context.session.getRuntime().copyFromHost(*handle->field, array));
+  });
 }
 
 TaiStatus taiFieldFillF64(TaiField handle, double value) {
-  ContextLock lock(handle->context);
-  TaiContextImpl &context = handle->context;
-  return context.status(
-      context.session.getRuntime().fillF64(*handle->field, value));
+  return call(handle->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = handle->context;
+    return context.status(
+        context.session.getRuntime().fillF64(*handle->field, value));
+  });
 }
 
 TaiStatus taiFieldFillI64(TaiField handle, int64_t value) {
-  ContextLock lock(handle->context);
-  TaiContextImpl &context = handle->context;
-  return context.status(
-      context.session.getRuntime().fillI64(*handle->field, value));
+  return call(handle->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = handle->context;
+    return context.status(
+        context.session.getRuntime().fillI64(*handle->field, value));
+  });
 }
 
 TaiStatus taiContextClearTangents(TaiContext context) {
-  ContextLock lock(*context);
-  context->session.getRuntime().clearTangents();
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    context->session.getRuntime().clearTangents();
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiContextClearGradients(TaiContext context) {
-  ContextLock lock(*context);
-  context->session.getRuntime().clearGradients();
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    context->session.getRuntime().clearGradients();
+    return TAI_OK;
+  });
 }

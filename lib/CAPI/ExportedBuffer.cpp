@@ -15,17 +15,18 @@ struct TaiExportedBufferImpl {
 
 TaiStatus taiFieldExport(TaiField field, TaiFieldMemory *memory,
                          TaiExportedBuffer *buffer) {
-  ContextLock lock(field->context);
-  TaiContextImpl &context = field->context;
-  auto made = std::make_unique<TaiExportedBufferImpl>();
-  TaiStatus status = context.status(
-      context.session.getRuntime().exportField(*field->field, made->exported));
-  if (status != TAI_OK)
-    return status;
-  *memory = {made->exported.address, made->exported.onDevice,
-             made->exported.strides.data()};
-  *buffer = made.release();
-  return TAI_OK;
+  return call(field->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = field->context;
+    auto made = std::make_unique<TaiExportedBufferImpl>();
+    TaiStatus status = context.status(context.session.getRuntime().exportField(
+        *field->field, made->exported));
+    if (status != TAI_OK)
+      return status;
+    *memory = {made->exported.address, made->exported.onDevice,
+               made->exported.strides.data()};
+    *buffer = made.release();
+    return TAI_OK;
+  });
 }
 
 void taiExportedBufferRelease(TaiExportedBuffer buffer) { delete buffer; }
@@ -37,39 +38,44 @@ TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory, TaiLoan *loan) {
 void taiLoanEnd(TaiLoan loan) { taiExportedBufferRelease(loan); }
 
 TaiStatus taiFieldNoteWrite(TaiField field) {
-  ContextLock lock(field->context);
-  TaiContextImpl &context = field->context;
-  return context.status(
-      context.session.getRuntime().noteOutsideWrite(*field->field));
+  return call(field->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = field->context;
+    return context.status(
+        context.session.getRuntime().noteOutsideWrite(*field->field));
+  });
 }
 
 TaiStatus taiContextWaitForStream(TaiContext context, uint64_t stream) {
-  ContextLock lock(*context);
-  return context->status(context->session.getRuntime().waitForStream(stream));
+  return call(*context, [&]() -> TaiStatus {
+    return context->status(context->session.getRuntime().waitForStream(stream));
+  });
 }
 
 TaiStatus taiContextLetStreamWait(TaiContext context, uint64_t stream) {
-  ContextLock lock(*context);
-  return context->status(context->session.getRuntime().letStreamWait(stream));
+  return call(*context, [&]() -> TaiStatus {
+    return context->status(context->session.getRuntime().letStreamWait(stream));
+  });
 }
 
 TaiStatus taiContextAllocateOnDevice(TaiContext context, int64_t bytes,
                                      void **address) {
-  ContextLock lock(*context);
-  return context->status(
-      context->session.getRuntime().allocateOnDevice(bytes, *address));
+  return call(*context, [&]() -> TaiStatus {
+    return context->status(
+        context->session.getRuntime().allocateOnDevice(bytes, *address));
+  });
 }
 
 void taiContextFreeOnDevice(TaiContext context, void *address) {
-  ContextLock lock(*context);
-  context->session.getRuntime().freeOnDevice(address);
+  callQuietly(*context,
+              [&] { context->session.getRuntime().freeOnDevice(address); });
 }
 
 TaiStatus taiContextCopyOnDevice(TaiContext context, void *to, const void *from,
                                  int64_t bytes) {
-  ContextLock lock(*context);
-  return context->status(
-      context->session.getRuntime().copyOnDevice(to, from, bytes));
+  return call(*context, [&]() -> TaiStatus {
+    return context->status(
+        context->session.getRuntime().copyOnDevice(to, from, bytes));
+  });
 }
 
 int taiContextIsOnDevice(TaiContext context, const void *address) {

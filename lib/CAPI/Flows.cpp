@@ -28,14 +28,15 @@ static runtime::ArrayRange toRange(TaiArrayRange array) {
 
 void taiTapeNoteArrayCopy(TaiTape tape, const void *address,
                           TaiArrayRange array) {
-  ContextLock lock(tape->context);
-  tape->tape->noteArrayCopy(reinterpret_cast<uint64_t>(address),
-                            toRange(array));
+  callQuietly(tape->context, [&] {
+    tape->tape->noteArrayCopy(reinterpret_cast<uint64_t>(address),
+                              toRange(array));
+  });
 }
 
 void taiTapeNoteArrayWrite(TaiTape tape, TaiArrayRange array) {
-  ContextLock lock(tape->context);
-  tape->tape->noteArrayWrite(toRange(array));
+  callQuietly(tape->context,
+              [&] { tape->tape->noteArrayWrite(toRange(array)); });
 }
 
 static std::vector<runtime::FieldPtr> getFields(const TaiField *fields,
@@ -49,15 +50,19 @@ static std::vector<runtime::FieldPtr> getFields(const TaiField *fields,
 
 void taiContextFollowTangents(TaiContext context, const TaiField *inputs,
                               int64_t count) {
-  ContextLock lock(*context);
-  context->session.getRuntime().followTangents(getFields(inputs, count));
+  callQuietly(*context, [&] {
+    context->session.getRuntime().followTangents(getFields(inputs, count));
+  });
 }
 
 const char *taiContextLostTangents(TaiContext context, const TaiField *outputs,
                                    int64_t count) {
-  ContextLock lock(*context);
-  context->lostTangents = llvm::join(
-      context->session.getRuntime().lostTangents(getFields(outputs, count)),
-      "\n");
-  return context->lostTangents.c_str();
+  return callOr(*context, static_cast<const char *>(nullptr),
+                [&]() -> const char * {
+                  context->lostTangents =
+                      llvm::join(context->session.getRuntime().lostTangents(
+                                     getFields(outputs, count)),
+                                 "\n");
+                  return context->lostTangents.c_str();
+                });
 }

@@ -12,10 +12,11 @@
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include "tai/Runtime/Threads/Safepoint.h"
-#include "llvm/ADT/DenseMap.h"
 #include <mutex>
+#include <unordered_map>
 
-/// Owned handles by address, for removal in constant time.
+/// Owned handles by address, for removal in constant time. Not a DenseMap,
+/// which is damaged when memory runs out as it grows.
 template <typename Impl> class Handles {
 public:
   Impl *add(std::unique_ptr<Impl> handle) {
@@ -24,14 +25,17 @@ public:
     return address;
   }
   void drop(Impl *handle) {
+    auto found = owned.find(handle);
+    if (found == owned.end())
+      return;
     // Remove it from the map first: its destructor may drop others.
-    std::unique_ptr<Impl> gone = std::move(owned[handle]);
-    owned.erase(handle);
+    std::unique_ptr<Impl> gone = std::move(found->second);
+    owned.erase(found);
   }
   size_t size() const { return owned.size(); }
 
 private:
-  llvm::DenseMap<Impl *, std::unique_ptr<Impl>> owned;
+  std::unordered_map<Impl *, std::unique_ptr<Impl>> owned;
 };
 
 /// Owns every handle created in it that has not been destroyed.
@@ -66,6 +70,12 @@ struct TaiContextImpl {
   TaiStatus usage(const llvm::Twine &message) {
     return status(session.fail(mlir::tai::FailureKind::Usage, message));
   }
+  /// The status of a call that an exception has ended. The text is so short
+  /// that it takes no memory.
+  TaiStatus outOfMemory() noexcept {
+    return status(
+        session.fail(mlir::tai::FailureKind::Memory, "out of memory"));
+  }
 };
 
 /// Locks the context. While waiting for another thread's call it passes
@@ -82,9 +92,8 @@ private:
   std::unique_lock<std::recursive_timed_mutex> lock;
 };
 
-/// For calls that threads make side by side on the CPU. A device has
-/// one queue: a thread may wait for work that another one has
-/// queued.
+/// For calls that threads make side by side on the CPU. A device has one queue:
+/// a thread may wait for the work of another one.
 class DeviceLock {
 public:
   DeviceLock(TaiContextImpl &context,
@@ -97,6 +106,48 @@ public:
 private:
   std::unique_lock<std::recursive_timed_mutex> lock;
 };
+
+/// Every C function with a context runs in one of these. Libraries of C++ throw
+/// when memory runs out (LLVM by the handler of taiContextCreate); no exception
+/// leaves the C API, and the locks of the call are released.
+template <typename Result, typename Body>
+Result callOr(TaiContextImpl &context, Result otherwise,
+              const Body &body) noexcept {
+  try {
+    ContextLock lock(context);
+    return body();
+  } catch (...) {
+    (void)context.outOfMemory();
+    return otherwise;
+  }
+}
+
+template <typename Body>
+TaiStatus call(TaiContextImpl &context, const Body &body) noexcept {
+  return callOr(context, TAI_ERROR_MEMORY, body);
+}
+
+/// For functions that cannot fail: what no memory is left for is left out.
+template <typename Body>
+void callQuietly(TaiContextImpl &context, const Body &body) noexcept {
+  callOr(context, 0, [&] {
+    body();
+    return 0;
+  });
+}
+
+/// With a DeviceLock.
+template <typename Body>
+TaiStatus callInParallel(TaiContextImpl &context,
+                         const mlir::tai::runtime::Runtime &runtime,
+                         const Body &body) noexcept {
+  try {
+    DeviceLock lock(context, runtime);
+    return body();
+  } catch (...) {
+    return context.outOfMemory();
+  }
+}
 
 struct TaiFieldImpl {
   TaiContextImpl &context;

@@ -24,27 +24,29 @@ static TaiKernel keep(TaiContextImpl &context, SessionKernel *kernel) {
 
 TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
                           const char *name, TaiKernel *kernel) {
-  ContextLock lock(*context);
-  OwningOpRef<ModuleOp> owned(unwrap(module));
-  if (!name)
-    return context->usage("a kernel needs a name");
-  FailureOr<SessionKernel *> made =
-      context->session.createKernel(std::move(owned), name);
-  if (failed(made))
-    return context->status(failure());
-  *kernel = keep(*context, *made);
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    OwningOpRef<ModuleOp> owned(unwrap(module));
+    if (!name)
+      return context->usage("a kernel needs a name");
+    FailureOr<SessionKernel *> made =
+        context->session.createKernel(std::move(owned), name);
+    if (failed(made))
+      return context->status(failure());
+    *kernel = keep(*context, *made);
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiKernelLoad(TaiContext context, const char *bytes, size_t size,
                         const char *file, const char *name, TaiKernel *kernel) {
-  ContextLock lock(*context);
-  FailureOr<SessionKernel *> made = context->session.parseKernel(
-      StringRef(bytes, size), file ? file : "", name ? name : "");
-  if (failed(made))
-    return context->status(failure());
-  *kernel = keep(*context, *made);
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    FailureOr<SessionKernel *> made = context->session.parseKernel(
+        StringRef(bytes, size), file ? file : "", name ? name : "");
+    if (failed(made))
+      return context->status(failure());
+    *kernel = keep(*context, *made);
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiKernelParse(TaiContext context, const char *text, const char *file,
@@ -55,19 +57,21 @@ TaiStatus taiKernelParse(TaiContext context, const char *text, const char *file,
 
 TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
                          MlirStringCallback callback, void *userData) {
-  ContextLock lock(*context);
-  mlir::detail::CallbackOstream stream(callback, userData);
-  if (failed(writeModule(unwrap(module), stream)))
-    return context->usage("the module cannot be written as bytecode");
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    mlir::detail::CallbackOstream stream(callback, userData);
+    if (failed(writeModule(unwrap(module), stream)))
+      return context->usage("the module cannot be written as bytecode");
+    return TAI_OK;
+  });
 }
 
 void taiKernelDestroy(TaiKernel kernel) {
-  ContextLock lock(kernel->context);
-  TaiContextImpl &context = kernel->context;
-  context.session.getRuntime().running().waitForVisits();
-  context.session.destroyKernel(kernel->kernel);
-  context.kernels.drop(kernel);
+  callQuietly(kernel->context, [&] {
+    TaiContextImpl &context = kernel->context;
+    context.session.getRuntime().running().waitForVisits();
+    context.session.destroyKernel(kernel->kernel);
+    context.kernels.drop(kernel);
+  });
 }
 
 const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
@@ -77,24 +81,35 @@ const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
   return trees[number]->name().c_str();
 }
 
+/// Without a lock.
+static TaiStatus resolve(TaiKernelImpl &kernel) noexcept {
+  try {
+    return kernel.context.status(kernel.launched.resolve());
+  } catch (...) {
+    return kernel.context.outOfMemory();
+  }
+}
+
 TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
                           uint64_t *results) {
   TaiContextImpl &context = kernel->context;
   // Compilation takes long, and others may go on meanwhile.
   if (LLVM_UNLIKELY(kernel->runtime.getDevice() != nullptr) &&
       !kernel->launched.resolved())
-    if (runtime::Status status = kernel->launched.resolve(); !status)
-      return context.status(status);
-  DeviceLock lock(context, kernel->runtime);
-  return context.status(
-      kernel->runtime.launch(kernel->launched, args, slots, results));
+    if (TaiStatus status = resolve(*kernel); status != TAI_OK)
+      return status;
+  return callInParallel(context, kernel->runtime, [&]() -> TaiStatus {
+    return context.status(
+        kernel->runtime.launch(kernel->launched, args, slots, results));
+  });
 }
 
 TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
                               int64_t slots) {
-  ContextLock lock(kernel->context);
-  return kernel->context.status(
-      kernel->runtime.launchAdjoint(kernel->launched, args, slots));
+  return call(kernel->context, [&]() -> TaiStatus {
+    return kernel->context.status(
+        kernel->runtime.launchAdjoint(kernel->launched, args, slots));
+  });
 }
 
 bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot) {
@@ -103,24 +118,26 @@ bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot) {
 
 TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                             int64_t count, bool adjoints) {
-  ContextLock lock(*context);
-  SmallVector<SessionKernel *> list;
-  for (int64_t i = 0; i < count; ++i)
-    list.push_back(kernels[i]->kernel);
-  return context->status(context->session.compile(list, adjoints));
+  return call(*context, [&]() -> TaiStatus {
+    SmallVector<SessionKernel *> list;
+    for (int64_t i = 0; i < count; ++i)
+      list.push_back(kernels[i]->kernel);
+    return context->status(context->session.compile(list, adjoints));
+  });
 }
 
 TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
                          const char **text) {
-  ContextLock lock(kernel->context);
-  TaiContextImpl &context = kernel->context;
-  FailureOr<std::string> printed =
-      context.session.getIR(*kernel->kernel, stage ? stage : "");
-  if (failed(printed))
-    return context.status(failure());
-  kernel->text = std::move(*printed);
-  *text = kernel->text.c_str();
-  return TAI_OK;
+  return call(kernel->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = kernel->context;
+    FailureOr<std::string> printed =
+        context.session.getIR(*kernel->kernel, stage ? stage : "");
+    if (failed(printed))
+      return context.status(failure());
+    kernel->text = std::move(*printed);
+    *text = kernel->text.c_str();
+    return TAI_OK;
+  });
 }
 
 //===----------------------------------------------------------------------===//
@@ -129,50 +146,56 @@ TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
 
 TaiStatus taiTapeBegin(TaiContext context, TaiField loss, bool clearGradients,
                        TaiTape *tape) {
-  ContextLock lock(*context);
-  std::unique_ptr<runtime::Tape> made;
-  TaiStatus status = context->status(context->session.getRuntime().beginTape(
-      loss ? loss->field : nullptr, clearGradients, made));
-  if (status != TAI_OK)
-    return status;
-  *tape = context->tapes.add(std::unique_ptr<TaiTapeImpl>(
-      new TaiTapeImpl{*context, std::move(made), {}, {}, {}}));
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    std::unique_ptr<runtime::Tape> made;
+    TaiStatus status = context->status(context->session.getRuntime().beginTape(
+        loss ? loss->field : nullptr, clearGradients, made));
+    if (status != TAI_OK)
+      return status;
+    *tape = context->tapes.add(std::unique_ptr<TaiTapeImpl>(
+        new TaiTapeImpl{*context, std::move(made), {}, {}, {}}));
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiTapeEnd(TaiTape tape) {
-  ContextLock lock(tape->context);
-  tape->tape->end();
-  tape->tape->releaseFields();
-  return TAI_OK;
+  return call(tape->context, [&]() -> TaiStatus {
+    tape->tape->end();
+    tape->tape->releaseFields();
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiTapeEndToSweep(TaiTape tape) {
-  ContextLock lock(tape->context);
-  tape->tape->end(/*isSwept=*/true);
-  return TAI_OK;
+  return call(tape->context, [&]() -> TaiStatus {
+    tape->tape->end(/*isSwept=*/true);
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiTapeClearGradients(TaiTape tape) {
-  ContextLock lock(tape->context);
-  return tape->context.status(tape->tape->clearGradients());
+  return call(tape->context, [&]() -> TaiStatus {
+    return tape->context.status(tape->tape->clearGradients());
+  });
 }
 
 TaiStatus taiTapeBackward(TaiTape tape) {
-  ContextLock lock(tape->context);
-  TaiContextImpl &context = tape->context;
-  if (failed(context.session.prepareReverse(*tape->tape, /*cleared=*/false)))
-    return context.status(failure());
-  return context.status(tape->tape->backward());
+  return call(tape->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = tape->context;
+    if (failed(context.session.prepareReverse(*tape->tape, /*cleared=*/false)))
+      return context.status(failure());
+    return context.status(tape->tape->backward());
+  });
 }
 
 TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward) {
-  ContextLock lock(tape->context);
-  TaiContextImpl &context = tape->context;
-  if (backward &&
-      failed(context.session.prepareReverse(*tape->tape, /*cleared=*/true)))
-    return context.status(failure());
-  return context.status(tape->tape->replay(forward, backward));
+  return call(tape->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = tape->context;
+    if (backward &&
+        failed(context.session.prepareReverse(*tape->tape, /*cleared=*/true)))
+      return context.status(failure());
+    return context.status(tape->tape->replay(forward, backward));
+  });
 }
 
 /// Calls back into the host's language; a failure there is the context's last
@@ -195,42 +218,45 @@ wrapCallback(TaiContextImpl &context, TaiTapeCallback callback, void *user) {
 
 TaiStatus taiTapeRecordCallback(TaiTape tape, TaiTapeCallback forward,
                                 TaiTapeCallback backward, void *user) {
-  ContextLock lock(tape->context);
-  TaiContextImpl &context = tape->context;
-  if (!tape->tape->recording())
-    return context.usage("the tape does not record");
-  tape->tape->recordCallback({wrapCallback(context, forward, user),
-                              wrapCallback(context, backward, user)});
-  return TAI_OK;
+  return call(tape->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = tape->context;
+    if (!tape->tape->recording())
+      return context.usage("the tape does not record");
+    tape->tape->recordCallback({wrapCallback(context, forward, user),
+                                wrapCallback(context, backward, user)});
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiTapeSuspend(TaiTape tape) {
-  ContextLock lock(tape->context);
-  tape->tape->suspend();
-  return TAI_OK;
+  return call(tape->context, [&]() -> TaiStatus {
+    tape->tape->suspend();
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiTapeResume(TaiTape tape) {
-  ContextLock lock(tape->context);
-  return tape->context.status(tape->tape->resume());
+  return call(tape->context, [&]() -> TaiStatus {
+    return tape->context.status(tape->tape->resume());
+  });
 }
 
 const char *taiTapeExplain(TaiTape tape) {
-  ContextLock lock(tape->context);
-  return tape->tape->explain().c_str();
+  return callOr(
+      tape->context, static_cast<const char *>(nullptr),
+      [&]() -> const char * { return tape->tape->explain().c_str(); });
 }
 
 int64_t taiTapeNumRecords(TaiTape tape) {
-  ContextLock lock(tape->context);
-  return tape->tape->numRecords();
+  return callOr(tape->context, int64_t(0),
+                [&]() -> int64_t { return tape->tape->numRecords(); });
 }
 
 int64_t taiTapeNumSkipped(TaiTape tape) {
-  ContextLock lock(tape->context);
-  return tape->tape->numSkipped();
+  return callOr(tape->context, int64_t(0),
+                [&]() -> int64_t { return tape->tape->numSkipped(); });
 }
 
 void taiTapeDestroy(TaiTape tape) {
-  ContextLock lock(tape->context);
-  tape->context.tapes.drop(tape);
+  callQuietly(tape->context, [&] { tape->context.tapes.drop(tape); });
 }

@@ -15,23 +15,25 @@ static bool isOff(TaiContext context) {
 
 TaiStatus taiShadowRows(TaiContext context, const TaiShadowRow **rows,
                         int64_t *count) {
-  ContextLock lock(*context);
-  if (isOff(context))
-    return context->usage("kernels have no shadows: set the option 'shadow'");
-  context->shadows = context->session.getRuntime().shadowLog().rows();
-  context->shadowRows.clear();
-  for (const runtime::ShadowRow &row : context->shadows)
-    context->shadowRows.push_back({row.operation.c_str(), row.kernel.c_str(),
-                                   row.place.c_str(), row.precision, row.lost,
-                                   row.cancellations, row.flips, row.nonFinite,
-                                   row.errorMade, row.errorIn, row.bitsLost});
-  *rows = context->shadowRows.data();
-  *count = static_cast<int64_t>(context->shadowRows.size());
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    if (isOff(context))
+      return context->usage("kernels have no shadows: set the option 'shadow'");
+    context->shadows = context->session.getRuntime().shadowLog().rows();
+    context->shadowRows.clear();
+    for (const runtime::ShadowRow &row : context->shadows)
+      context->shadowRows.push_back(
+          {row.operation.c_str(), row.kernel.c_str(), row.place.c_str(),
+           row.precision, row.lost, row.cancellations, row.flips, row.nonFinite,
+           row.errorMade, row.errorIn, row.bitsLost});
+    *rows = context->shadowRows.data();
+    *count = static_cast<int64_t>(context->shadowRows.size());
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiShadowClear(TaiContext context) {
-  ContextLock lock(*context);
-  context->session.getRuntime().shadowLog().clear();
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    context->session.getRuntime().shadowLog().clear();
+    return TAI_OK;
+  });
 }

@@ -11,23 +11,25 @@ using namespace mlir::tai;
 
 TaiStatus taiProfilerSkips(TaiContext context, const TaiSkipRow **rows,
                            int64_t *count) {
-  ContextLock lock(*context);
-  const runtime::Runtime &runtime = context->session.getRuntime();
-  SkipAmounts amounts = runtime.skipAmounts();
-  context->skipRows.clear();
-  for (unsigned i = 0; i < kNumSkipCounts; ++i) {
-    Skip skip = kSkipCounts[i].skip;
-    context->skipRows.push_back({getSkipName(skip), kSkipCounts[i].name,
-                                 amounts[i], runtime.skips(skip),
-                                 getFormerSkipName(skip)});
-  }
-  *rows = context->skipRows.data();
-  *count = context->skipRows.size();
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    const runtime::Runtime &runtime = context->session.getRuntime();
+    SkipAmounts amounts = runtime.skipAmounts();
+    context->skipRows.clear();
+    for (unsigned i = 0; i < kNumSkipCounts; ++i) {
+      Skip skip = kSkipCounts[i].skip;
+      context->skipRows.push_back({getSkipName(skip), kSkipCounts[i].name,
+                                   amounts[i], runtime.skips(skip),
+                                   getFormerSkipName(skip)});
+    }
+    *rows = context->skipRows.data();
+    *count = context->skipRows.size();
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiProfilerClearSkips(TaiContext context) {
-  ContextLock lock(*context);
-  context->session.getRuntime().skipCounters().clear();
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    context->session.getRuntime().skipCounters().clear();
+    return TAI_OK;
+  });
 }

@@ -15,56 +15,63 @@ static bool hasRecord(TaiTape tape, int64_t record) {
 }
 
 TaiStatus taiTapeRunRecord(TaiTape tape, int64_t record) {
-  ContextLock lock(tape->context);
-  return tape->context.status(tape->tape->runRecord(record));
+  return call(tape->context, [&]() -> TaiStatus {
+    return tape->context.status(tape->tape->runRecord(record));
+  });
 }
 
 const char *taiTapeRecordKernel(TaiTape tape, int64_t record) {
-  ContextLock lock(tape->context);
-  if (!hasRecord(tape, record))
-    return nullptr;
-  const runtime::Kernel *kernel = tape->tape->kernelOf(record);
-  return kernel ? kernel->name().c_str() : nullptr;
+  return callOr(tape->context, static_cast<const char *>(nullptr),
+                [&]() -> const char * {
+                  if (!hasRecord(tape, record))
+                    return nullptr;
+                  const runtime::Kernel *kernel = tape->tape->kernelOf(record);
+                  return kernel ? kernel->name().c_str() : nullptr;
+                });
 }
 
 TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
                                 const TaiTapeAccess **rows, int64_t *count) {
-  ContextLock lock(tape->context);
-  if (!hasRecord(tape, record))
-    return tape->context.usage("the tape has no record " + llvm::Twine(record));
-  tape->accesses.clear();
-  if (const runtime::Kernel *kernel = tape->tape->kernelOf(record)) {
-    const uint64_t *args = tape->tape->argsOf(record);
-    for (const runtime::Access &access : kernel->summary()) {
-      TaiTapeAccess row{access.field->name().c_str(),
-                        static_cast<int32_t>(access.kind), -1, 0};
-      if (access.fixed) {
-        row.dimension = static_cast<int32_t>(access.fixed->dimension);
-        row.index = access.fixed->evaluate(args) -
-                    access.field->firstIndex(access.fixed->dimension);
+  return call(tape->context, [&]() -> TaiStatus {
+    if (!hasRecord(tape, record))
+      return tape->context.usage("the tape has no record " +
+                                 llvm::Twine(record));
+    tape->accesses.clear();
+    if (const runtime::Kernel *kernel = tape->tape->kernelOf(record)) {
+      const uint64_t *args = tape->tape->argsOf(record);
+      for (const runtime::Access &access : kernel->summary()) {
+        TaiTapeAccess row{access.field->name().c_str(),
+                          static_cast<int32_t>(access.kind), -1, 0};
+        if (access.fixed) {
+          row.dimension = static_cast<int32_t>(access.fixed->dimension);
+          row.index = access.fixed->evaluate(args) -
+                      access.field->firstIndex(access.fixed->dimension);
+        }
+        tape->accesses.push_back(row);
       }
-      tape->accesses.push_back(row);
     }
-  }
-  *rows = tape->accesses.data();
-  *count = static_cast<int64_t>(tape->accesses.size());
-  return TAI_OK;
+    *rows = tape->accesses.data();
+    *count = static_cast<int64_t>(tape->accesses.size());
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiTapeWatchHealth(TaiTape tape, bool on) {
-  ContextLock lock(tape->context);
-  tape->tape->watchHealth(on);
-  return TAI_OK;
+  return call(tape->context, [&]() -> TaiStatus {
+    tape->tape->watchHealth(on);
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
                         int64_t *count) {
-  ContextLock lock(tape->context);
-  tape->health.clear();
-  for (const runtime::RecordHealth &row : tape->tape->health())
-    tape->health.push_back({row.record, row.field->name().c_str(), row.nans,
-                            row.infs, row.maxAbs, std::sqrt(row.sumSquares)});
-  *rows = tape->health.data();
-  *count = static_cast<int64_t>(tape->health.size());
-  return TAI_OK;
+  return call(tape->context, [&]() -> TaiStatus {
+    tape->health.clear();
+    for (const runtime::RecordHealth &row : tape->tape->health())
+      tape->health.push_back({row.record, row.field->name().c_str(), row.nans,
+                              row.infs, row.maxAbs, std::sqrt(row.sumSquares)});
+    *rows = tape->health.data();
+    *count = static_cast<int64_t>(tape->health.size());
+    return TAI_OK;
+  });
 }

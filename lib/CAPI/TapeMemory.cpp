@@ -10,37 +10,43 @@
 using namespace mlir::tai;
 
 TaiStatus taiTapeAddLoss(TaiTape tape, TaiField loss) {
-  ContextLock lock(tape->context);
-  return tape->context.status(tape->tape->addLoss(loss->field));
+  return call(tape->context, [&]() -> TaiStatus {
+    return tape->context.status(tape->tape->addLoss(loss->field));
+  });
 }
 
 TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss, const void *array) {
-  ContextLock lock(tape->context);
-  return tape->context.status(tape->tape->setSeed(*loss->field, array));
+  return call(tape->context, [&]() -> TaiStatus {
+    return tape->context.status(tape->tape->setSeed(*loss->field, array));
+  });
 }
 
 TaiStatus taiTapeSetCheckpoint(TaiTape tape, TaiCheckpoint kind,
                                int64_t snapshots, int64_t budget) {
-  ContextLock lock(tape->context);
-  runtime::CheckpointPolicy policy;
-  policy.kind = static_cast<runtime::CheckpointPolicy::Kind>(kind);
-  policy.snapshots = snapshots;
-  policy.budget = budget;
-  return tape->context.status(tape->tape->setCheckpoints(policy));
+  return call(tape->context, [&]() -> TaiStatus {
+    runtime::CheckpointPolicy policy;
+    policy.kind = static_cast<runtime::CheckpointPolicy::Kind>(kind);
+    policy.snapshots = snapshots;
+    policy.budget = budget;
+    return tape->context.status(tape->tape->setCheckpoints(policy));
+  });
 }
 
 TaiStatus taiTapeGetStats(TaiTape tape, TaiTapeStats *stats) {
-  ContextLock lock(tape->context);
-  runtime::TapeStats found = tape->tape->stats();
-  *stats = {found.savedBytes,    found.peakBytes,  found.snapshots,
-            found.snapshotBytes, found.recomputed, found.optimum};
-  return TAI_OK;
+  return call(tape->context, [&]() -> TaiStatus {
+    runtime::TapeStats found = tape->tape->stats();
+    *stats = {found.savedBytes,    found.peakBytes,  found.snapshots,
+              found.snapshotBytes, found.recomputed, found.optimum};
+    return TAI_OK;
+  });
 }
 
 const char *taiTapeWarning(TaiTape tape, int64_t number) {
-  ContextLock lock(tape->context);
-  const std::vector<std::string> &lines = tape->tape->warnings();
-  if (number < 0 || number >= static_cast<int64_t>(lines.size()))
-    return nullptr;
-  return lines[static_cast<size_t>(number)].c_str();
+  return callOr(
+      tape->context, static_cast<const char *>(nullptr), [&]() -> const char * {
+        const std::vector<std::string> &lines = tape->tape->warnings();
+        if (number < 0 || number >= static_cast<int64_t>(lines.size()))
+          return nullptr;
+        return lines[static_cast<size_t>(number)].c_str();
+      });
 }

@@ -22,6 +22,7 @@
 #include <pybind11/stl.h>
 
 #include <memory>
+#include <new>
 #include <string>
 
 namespace taipy {
@@ -44,6 +45,8 @@ template <typename Result> Result settled(Result result) {
 /// A TaiContext with shared ownership: fields, kernels and tapes keep it alive.
 struct Context {
   Context() : handle(taiContextCreate()) {
+    if (!handle)
+      throw std::bad_alloc();
     taiContextSetWarningHandler(handle, &keepWarning, nullptr);
   }
   ~Context() {

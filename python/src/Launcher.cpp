@@ -19,6 +19,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <new>
 #include <optional>
 #include <structmember.h>
 #include <unordered_set>
@@ -333,7 +334,9 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
     return nullptr;
   for (int i = 0; i < spec.result.count; ++i)
     PyTuple_SET_ITEM(numbers, i, toPython(spec.result, results[i]));
-  PyObject *wrapped = PyObject_CallOneArg(spec.result.wrap.ptr(), numbers);
+  PyObject *wrapped =
+      PyErr_Occurred() ? nullptr
+                       : PyObject_CallOneArg(spec.result.wrap.ptr(), numbers);
   Py_DECREF(numbers);
   return wrapped;
 }
@@ -390,8 +393,8 @@ PyObject *callSlow(Launcher *self, PyObject *const *args, size_t count,
   return answer;
 }
 
-PyObject *call(PyObject *object, PyObject *const *args, size_t flags,
-               PyObject *names) {
+PyObject *callAny(PyObject *object, PyObject *const *args, size_t flags,
+                  PyObject *names) {
   auto *self = reinterpret_cast<Launcher *>(object);
   size_t count = static_cast<size_t>(PyVectorcall_NARGS(flags));
   calledLauncher = object;
@@ -417,6 +420,21 @@ PyObject *call(PyObject *object, PyObject *const *args, size_t flags,
   return callSlow(self, args, count, names);
 }
 
+/// Python calls this one, into which no exception of C++ may go.
+PyObject *call(PyObject *object, PyObject *const *args, size_t flags,
+               PyObject *names) noexcept {
+  try {
+    return callAny(object, args, flags, names);
+  } catch (py::error_already_set &error) {
+    error.restore();
+  } catch (...) {
+    // A call of libtai may have released the lock of Python.
+    if (afterCall())
+      PyErr_NoMemory();
+  }
+  return nullptr;
+}
+
 PyObject *launcherNew(PyTypeObject *type, PyObject *, PyObject *) {
   auto *self = reinterpret_cast<Launcher *>(type->tp_alloc(type, 0));
   if (!self)
@@ -433,7 +451,11 @@ PyObject *launcherNew(PyTypeObject *type, PyObject *, PyObject *) {
     PyType_Modified(type);
   }
   self->vectorcall = call;
-  self->specializations = new Specializations;
+  self->specializations = new (std::nothrow) Specializations;
+  if (!self->specializations) {
+    Py_DECREF(self);
+    return PyErr_NoMemory();
+  }
   return reinterpret_cast<PyObject *>(self);
 }
 
@@ -441,6 +463,8 @@ int launcherTraverse(PyObject *object, visitproc visit, void *arg) {
   auto *self = reinterpret_cast<Launcher *>(object);
   Py_VISIT(Py_TYPE(object));
   Py_VISIT(self->dict);
+  if (!self->specializations)
+    return 0;
   for (auto &spec : *self->specializations) {
     for (Arg &constant : spec->args)
       Py_VISIT(constant.constant.ptr());
@@ -454,7 +478,8 @@ int launcherClear(PyObject *object) {
   auto *self = reinterpret_cast<Launcher *>(object);
   Py_CLEAR(self->dict);
   Specializations all;
-  all.swap(*self->specializations);
+  if (self->specializations)
+    all.swap(*self->specializations);
   return 0;
 }
 

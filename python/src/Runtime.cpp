@@ -29,6 +29,8 @@ void setError(TaiContext context, TaiStatus status) {
                     exception.ptr());
   } catch (py::error_already_set &failure) {
     failure.restore();
+  } catch (...) {
+    PyErr_NoMemory();
   }
 }
 
@@ -370,7 +372,10 @@ void bindTape(py::module_ &module) {
            })
       .def("explain",
            [](Tape &t) {
-             return std::string(settled(taiTapeExplain(t.handle)));
+             const char *text = settled(taiTapeExplain(t.handle));
+             if (!text)
+               throw std::bad_alloc();
+             return std::string(text);
            })
       .def_property_readonly(
           "records",
@@ -694,9 +699,12 @@ void taipy::bindRuntime(py::module_ &module) {
       .def("lost_tangents",
            [](Context &c, const std::vector<Field *> &outputs) {
              std::vector<TaiField> handles = handlesOf(outputs);
-             return std::string(settled(
+             const char *lines = settled(
                  taiContextLostTangents(c.handle, handles.data(),
-                                        static_cast<int64_t>(handles.size()))));
+                                        static_cast<int64_t>(handles.size())));
+             if (!lines)
+               throw std::bad_alloc();
+             return std::string(lines);
            })
       .def(
           "is_on_gpu",

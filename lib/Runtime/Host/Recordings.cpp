@@ -39,9 +39,9 @@ Recorder *Recordings::find() const {
 void Recordings::begin(Recorder &tape) {
   {
     std::lock_guard<std::mutex> lock(mutex);
-    if (!recordings.empty())
-      together = true;
     recordings.push_back({threadNumber(), &tape});
+    if (recordings.size() > 1)
+      together = true;
     version.store(nextVersion(), std::memory_order_release);
     ++numRecording;
   }

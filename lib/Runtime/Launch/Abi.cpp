@@ -89,13 +89,15 @@ extern "C" void tai_rt_parallel_for(TaiFrame *frame, TaiLoopBody body,
     return;
   }
   Loop loop{&launch, body, closure, n, std::min<int64_t>(parts, INT32_MAX)};
-  launch.owner().parallel(loop.parts, runPart, &loop, [](void *context) {
-    (void)static_cast<Loop *>(context)->launch->look();
+  orFail(frame, [&] {
+    launch.owner().parallel(loop.parts, runPart, &loop, [](void *context) {
+      (void)static_cast<Loop *>(context)->launch->look();
+    });
   });
 }
 
 extern "C" int32_t tai_rt_safepoint(TaiFrame *frame) {
-  return !launchOf(frame).look();
+  return orFail(frame, 1, [&] { return int32_t(!launchOf(frame).look()); });
 }
 
 //===----------------------------------------------------------------------===//
@@ -133,8 +135,8 @@ static void zero(Launch &launch, char *address, int64_t bytes) {
       &zeroing);
 }
 
-static void *scratch(TaiFrame *frame, int64_t bytes, const char *purpose) {
-  Launch &launch = launchOf(frame);
+/// Null, and a failed launch, if there is no memory.
+static void *tryScratch(Launch &launch, int64_t bytes, const char *purpose) {
   int64_t limit = std::min(launch.owner().memoryLimit(), largestScratch);
   if (bytes >= 0 && bytes <= limit) {
     int64_t dirty = 0;
@@ -151,7 +153,16 @@ static void *scratch(TaiFrame *frame, int64_t bytes, const char *purpose) {
       bytes < 0 ? std::string("a kernel asked for memory of negative size")
                 : "out of memory: a kernel needs " + formatBytes(bytes) +
                       " of " + purpose + ", of " + formatBytes(limit)));
-  return launch.sink(std::clamp<int64_t>(bytes, 0, largestScratch));
+  return nullptr;
+}
+
+static void *scratch(TaiFrame *frame, int64_t bytes, const char *purpose) {
+  Launch &launch = launchOf(frame);
+  void *none = nullptr;
+  void *memory =
+      orFail(frame, none, [&] { return tryScratch(launch, bytes, purpose); });
+  return memory ? memory
+                : launch.sink(std::clamp<int64_t>(bytes, 0, largestScratch));
 }
 
 extern "C" void *tai_rt_scratch(TaiFrame *frame, int64_t bytes) {
@@ -183,10 +194,12 @@ extern "C" void tai_rt_stack_grow(TaiFrame *frame, TaiStack *stack) {
   if (bytes <= launch.owner().memoryLimit() / 2)
     larger = std::realloc(grown, static_cast<size_t>(2 * bytes));
   if (!larger) {
-    launch.fail(Status::failure(StatusCode::Memory,
-                                "out of memory: a gradient records more than " +
-                                    formatBytes(bytes) +
-                                    " of values in one iteration"));
+    orFail(frame, [&] {
+      launch.fail(Status::failure(
+          StatusCode::Memory, "out of memory: a gradient records more than " +
+                                  formatBytes(bytes) +
+                                  " of values in one iteration"));
+    });
     stack->size = 0;
     return;
   }
@@ -214,8 +227,10 @@ extern "C" uint32_t tai_rt_random_u32(uint64_t seed, uint64_t launch,
 extern "C" void tai_rt_print(TaiFrame *frame, const char *format, int32_t count,
                              const int32_t *kinds, const int32_t *shapes,
                              const uint64_t *slots) {
-  launchOf(frame).owner().print(
-      endPrinted(formatValues(format, count, kinds, shapes, slots)));
+  orFail(frame, [&] {
+    launchOf(frame).owner().print(
+        endPrinted(formatValues(format, count, kinds, shapes, slots)));
+  });
 }
 
 extern "C" void tai_rt_fail(TaiFrame *frame, int32_t failure,
@@ -228,9 +243,11 @@ extern "C" void tai_rt_fail(TaiFrame *frame, int32_t failure,
   StatusCode code = failure >= TAI_FAIL_ASSERT && failure <= TAI_FAIL_CHECK
                         ? static_cast<StatusCode>(failure)
                         : StatusCode::Internal;
-  launch.fail(
-      Status::failure(code, formatValues(message, count, kinds, shapes, slots),
-                      where ? where : ""));
+  orFail(frame, [&] {
+    launch.fail(Status::failure(
+        code, formatValues(message, count, kinds, shapes, slots),
+        where ? where : ""));
+  });
 }
 
 extern "C" int32_t tai_rt_failed(TaiFrame *frame) {

@@ -63,23 +63,27 @@ static bool checkMemory(TaiFrame *frame, const SparseNode &node,
 
 extern "C" int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
                                    int64_t cell, const char *where) {
-  SparseNode &sparse = nodeOf(tree, node);
-  if (!checkCell(frame, sparse, cell, where) ||
-      !checkMemory(frame, sparse, where))
-    return 0;
-  sparse.activate(cell);
-  return 1;
+  return orFail(frame, 0, [&] {
+    SparseNode &sparse = nodeOf(tree, node);
+    if (!checkCell(frame, sparse, cell, where) ||
+        !checkMemory(frame, sparse, where))
+      return 0;
+    sparse.activate(cell);
+    return 1;
+  });
 }
 
 extern "C" void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
                                   int64_t cell, const char *where) {
-  SparseNode &sparse = nodeOf(tree, node);
-  if (checkCell(frame, sparse, cell, where))
-    sparse.deactivate(cell);
+  orFail(frame, [&] {
+    SparseNode &sparse = nodeOf(tree, node);
+    if (checkCell(frame, sparse, cell, where))
+      sparse.deactivate(cell);
+  });
 }
 
-extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
-                                 int64_t list, const char *where) {
+static int64_t append(TaiFrame *frame, void *tree, int32_t node, int64_t list,
+                      const char *where) {
   SparseNode &sparse = nodeOf(tree, node);
   int64_t first;
   if (__builtin_mul_overflow(list, sparse.capacity(), &first))
@@ -94,6 +98,12 @@ extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
                std::to_string(sparse.capacity()) + " cells",
            where);
   return at;
+}
+
+extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
+                                 int64_t list, const char *where) {
+  return orFail(frame, int64_t(-1),
+                [&] { return append(frame, tree, node, list, where); });
 }
 
 /// Hands a list to compiled code.
@@ -149,25 +159,27 @@ static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
 
 extern "C" int64_t tai_rt_active_cells(TaiFrame *frame, void *tree,
                                        int32_t node, const int64_t **cells) {
-  Launch &launch = launchOf(frame);
-  if (Mirror *mirror = mirrorOf(launch, tree))
-    return giveOnDevice(launch, *mirror, node, cells);
-  return give(launch, launch.cellsFor(nodeOf(tree, node)), cells);
+  return orFail(frame, int64_t(0), [&] {
+    Launch &launch = launchOf(frame);
+    if (Mirror *mirror = mirrorOf(launch, tree))
+      return giveOnDevice(launch, *mirror, node, cells);
+    return give(launch, launch.cellsFor(nodeOf(tree, node)), cells);
+  });
 }
 
 extern "C" int64_t tai_rt_gathered_cells(TaiFrame *frame, void *tree,
                                          int32_t node, int64_t reach,
                                          const int64_t **cells) {
-  Launch &launch = launchOf(frame);
-  if (Mirror *mirror = mirrorOf(launch, tree))
-    return giveOnDevice(launch, *mirror, node, cells);
-  return give(launch, launch.gatheredCellsFor(nodeOf(tree, node), reach),
-              cells);
+  return orFail(frame, int64_t(0), [&] {
+    Launch &launch = launchOf(frame);
+    if (Mirror *mirror = mirrorOf(launch, tree))
+      return giveOnDevice(launch, *mirror, node, cells);
+    return give(launch, launch.gatheredCellsFor(nodeOf(tree, node), reach),
+                cells);
+  });
 }
 
-extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
-                                          int32_t node) {
-  Launch &launch = launchOf(frame);
+static bool isListCurrent(Launch &launch, void *tree, int32_t node) {
   SparseNode &sparse = nodeOf(launch, tree, node);
   if (Mirror *mirror = launch.given ? mirrorOf(launch, tree) : nullptr) {
     const LoopLists::Entry *entry = launch.findGiven(sparse);
@@ -178,4 +190,11 @@ extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
       return mirror->sparse()->isShownBy(*entry->onDevice);
   }
   return !launch.given || launch.visitedCells(sparse) == sparse.list()->cells;
+}
+
+extern "C" int32_t tai_rt_list_is_current(TaiFrame *frame, void *tree,
+                                          int32_t node) {
+  return orFail(frame, 0, [&] {
+    return int32_t(isListCurrent(launchOf(frame), tree, node));
+  });
 }

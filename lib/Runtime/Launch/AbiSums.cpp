@@ -308,15 +308,19 @@ extern "C" void tai_rt_combine(TaiFrame *frame, void *target, void *buffers,
     c.add(c.target, c.buffers, boundOf(c.count, cut, c.cuts),
           boundOf(c.count, cut + 1, c.cuts), c.parts, c.stride, c.count);
   };
-  addBuffersOf(
-      launch, kind, count, parts, combining.buffers, stride,
-      [&](int64_t e) { return static_cast<char *>(target) + e * targetBytes; },
-      [&] {
-        if (cuts == 1)
-          run(&combining, 0);
-        else
-          launch.owner().parallel(cuts, run, &combining);
-      });
+  orFail(frame, [&] {
+    addBuffersOf(
+        launch, kind, count, parts, combining.buffers, stride,
+        [&](int64_t e) {
+          return static_cast<char *>(target) + e * targetBytes;
+        },
+        [&] {
+          if (cuts == 1)
+            run(&combining, 0);
+          else
+            launch.owner().parallel(cuts, run, &combining);
+        });
+  });
   left(launch, buffers, stride * parts);
 }
 
@@ -398,18 +402,20 @@ extern "C" void tai_rt_combine_strided(TaiFrame *frame, void *target,
              : kind == kSumsI64   ? addStrided<uint64_t, uint64_t>
                                   : addStrided<float, double>;
   int64_t targetBytes = sizeOfTarget(kind);
-  addBuffersOf(
-      launch, kind, cells * components, parts, combining.buffers,
-      combining.bufferStride,
-      [&](int64_t e) {
-        return combining.target + e / components * stride +
-               e % components * targetBytes;
-      },
-      [&] {
-        if (cuts == 1)
-          run(&combining, 0);
-        else
-          launch.owner().parallel(cuts, run, &combining);
-      });
+  orFail(frame, [&] {
+    addBuffersOf(
+        launch, kind, cells * components, parts, combining.buffers,
+        combining.bufferStride,
+        [&](int64_t e) {
+          return combining.target + e / components * stride +
+                 e % components * targetBytes;
+        },
+        [&] {
+          if (cuts == 1)
+            run(&combining, 0);
+          else
+            launch.owner().parallel(cuts, run, &combining);
+        });
+  });
   left(launch, buffers, combining.bufferStride * parts);
 }

@@ -51,6 +51,7 @@ char *Arena::allocate(int64_t bytes, int64_t &dirtyBytes) {
     if (!blocks.empty())
       size =
           std::max(size, std::min<int64_t>(2 * blocks.back().size, 64 << 20));
+    blocks.reserve(blocks.size() + 1);
     if (!map(size, block))
       return nullptr;
     blocks.push_back(block);
@@ -124,10 +125,33 @@ void Launch::fail(Status status) {
   failed.store(true, std::memory_order_release);
 }
 
+void Launch::failWithoutMemory() noexcept {
+  std::lock_guard<std::mutex> lock(failureMutex);
+  failed.store(true, std::memory_order_release);
+}
+
 Status Launch::takeFailure() {
   std::lock_guard<std::mutex> lock(failureMutex);
   failed.store(false, std::memory_order_relaxed);
+  if (failure.ok())
+    return Status::failure(StatusCode::Memory, "out of memory");
   return std::move(failure);
+}
+
+void Launch::recover() noexcept {
+  failed.store(false, std::memory_order_relaxed);
+  failure = Status();
+  freeSinks();
+  arena.reset();
+  loops.clear();
+  filtered.clear();
+  fetched.clear();
+  given = nullptr;
+  primalName = nullptr;
+  flags = nullptr;
+  host = nullptr;
+  measured = nullptr;
+  end();
 }
 
 /// A failed launch may go on to its end, so it needs memory to write to even
@@ -148,7 +172,7 @@ void *Launch::sink(int64_t bytes) {
       alignas(64) static thread_local char lastResort[4096];
       return lastResort;
     }
-    sinks.emplace_back(memory, size);
+    noteSink(memory, size);
     return memory;
   }
   int file = memfd_create("tai-sink", MFD_CLOEXEC);
@@ -161,8 +185,16 @@ void *Launch::sink(int64_t bytes) {
           break;
     close(file);
   }
-  sinks.emplace_back(memory, size);
+  noteSink(memory, size);
   return memory;
+}
+
+void Launch::noteSink(void *memory, size_t size) {
+  try {
+    sinks.emplace_back(memory, size);
+  } catch (...) {
+    // It is not given back, but the launch can end.
+  }
 }
 
 void Launch::freeSinks() {

@@ -74,6 +74,10 @@ struct Launch : TaiFrame {
   Runtime &owner() const { return *static_cast<Runtime *>(runtime); }
   /// Sets the failure of the launch, unless it has one.
   void fail(Status status);
+  /// The same where no memory is left for a status.
+  void failWithoutMemory() noexcept;
+  /// Leaves no trace of a launch that an exception has ended.
+  void recover() noexcept;
   bool hasFailed() const { return failed.load(std::memory_order_relaxed); }
   /// A safepoint of the launching thread, or of a worker. False if the launch
   /// must stop.
@@ -152,8 +156,28 @@ struct Launch : TaiFrame {
   std::vector<uint64_t> unwanted;
   std::vector<std::pair<void *, size_t>> sinks;
   ~Launch();
+  void noteSink(void *memory, size_t size);
   void freeSinks();
 };
+
+/// Around what compiled code calls and may allocate: no exception can pass
+/// through its frames. Memory that runs out fails the launch.
+template <typename Result, typename Body>
+Result orFail(TaiFrame *frame, Result otherwise, const Body &body) noexcept {
+  try {
+    return body();
+  } catch (...) {
+    static_cast<Launch *>(frame)->failWithoutMemory();
+    return otherwise;
+  }
+}
+template <typename Body>
+void orFail(TaiFrame *frame, const Body &body) noexcept {
+  orFail(frame, 0, [&] {
+    body();
+    return 0;
+  });
+}
 
 inline HoldKind holdKindOf(AccessKind kind) {
   switch (kind) {

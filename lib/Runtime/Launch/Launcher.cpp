@@ -9,6 +9,7 @@
 #include "Launch.h"
 #include "TangentFlows.h"
 #include "tai/Runtime/Host/ExportedBuffer.h"
+#include <exception>
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
@@ -253,6 +254,29 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
   return Status::success();
 }
 
+namespace {
+/// A launch object for one call, which is left as it was found even if memory
+/// runs out in the middle.
+class TakenLaunch {
+public:
+  TakenLaunch(Launcher &launcher, bool isUnrecorded)
+      : launcher(launcher), launch(launcher.acquire(isUnrecorded)) {}
+  ~TakenLaunch() {
+    if (std::uncaught_exceptions() > exceptions)
+      launch->recover();
+    launcher.release(launch);
+  }
+  TakenLaunch(const TakenLaunch &) = delete;
+  TakenLaunch &operator=(const TakenLaunch &) = delete;
+  Launch &operator*() const { return *launch; }
+
+private:
+  Launcher &launcher;
+  Launch *launch;
+  int exceptions = std::uncaught_exceptions();
+};
+} // namespace
+
 static Status wrongSlots(const Kernel &kernel, int64_t wanted, int64_t slots) {
   std::string message = "kernel '" + kernel.name() + "' takes " +
                         std::to_string(wanted) + " argument slots, but got " +
@@ -317,13 +341,15 @@ Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
   if (__builtin_expect(!tape && parts.recordings.areAnyHeld(), false))
     if (Status status = checkHolds(kernel); !status)
       return status;
-  Launch *launch = acquire(/*isUnrecorded=*/!tape);
-  uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
-  kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
-  Status status = __builtin_expect(tape != nullptr, false)
-                      ? tape->launch(*launch, kernel, args, results, number)
-                      : run(*launch, kernel, args, results, number);
-  release(launch);
+  Status status;
+  {
+    TakenLaunch launch(*this, /*isUnrecorded=*/!tape);
+    uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
+    kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
+    status = __builtin_expect(tape != nullptr, false)
+                 ? tape->launch(*launch, kernel, args, results, number)
+                 : run(*launch, kernel, args, results, number);
+  }
   if (status)
     prepare(kernel);
   return status;
@@ -367,12 +393,11 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
     status = kernel.checkActivity(loops, wasLaunched);
   if (!status)
     return status;
-  Launch *launch = acquire(/*isUnrecorded=*/!parts.recordings.sweeping());
+  TakenLaunch launch(*this, /*isUnrecorded=*/!parts.recordings.sweeping());
   uint64_t number = kernel.prepared.lastLaunch.load(std::memory_order_relaxed);
   if (adjoint)
     status = runAdjoint(*launch, kernel, *adjoint, args, number,
                         wasLaunched ? &loops : nullptr);
-  release(launch);
   return status;
 }
 

@@ -55,6 +55,8 @@ inline Launch *Launcher::take() {
       launch->thread.store(self, std::memory_order_relaxed);
       return launch;
     }
+    // Nothing is to fail where one is given back.
+    freeLaunches.reserve(launches.size() + 1);
     launches.push_back(std::make_unique<Launch>(owner));
     Launch *made = launches.back().get();
     made->thread.store(self, std::memory_order_relaxed);
@@ -178,7 +180,14 @@ Status Launcher::launchPrepared(Kernel &kernel, const uint64_t *args,
   }
   if (__builtin_expect(!isReady, false)) {
     launch.end();
-    Status status = run(launch, kernel, args, results, number);
+    Status status;
+    try {
+      status = run(launch, kernel, args, results, number);
+    } catch (...) {
+      launch.recover();
+      release(&launch);
+      throw;
+    }
     release(&launch);
     return status;
   }
@@ -208,7 +217,13 @@ Status Launcher::launchPrepared(Kernel &kernel, const uint64_t *args,
   Status status;
   if (__builtin_expect(code != 0 || launch.hasFailed(), false)) {
     launch.freeSinks();
-    status = failureOf(launch, kernel);
+    try {
+      status = failureOf(launch, kernel);
+    } catch (...) {
+      launch.recover();
+      release(&launch);
+      throw;
+    }
   }
   launch.end();
   release(&launch);

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapeParts.h"
+#include <new>
 
 using namespace mlir::tai::runtime;
 
@@ -25,11 +26,25 @@ bool Tape::uses(const FieldPtr &field) const { return parts->holds.has(field); }
 
 void Tape::releaseFields() { parts->holds.release(); }
 
+namespace {
+/// Lets go of the fields at the end, however it comes.
+class ReleasedAtEnd {
+public:
+  explicit ReleasedAtEnd(Tape &tape) : tape(tape) {}
+  ~ReleasedAtEnd() { tape.releaseFields(); }
+  ReleasedAtEnd(const ReleasedAtEnd &) = delete;
+  ReleasedAtEnd &operator=(const ReleasedAtEnd &) = delete;
+
+private:
+  Tape &tape;
+};
+} // namespace
+
 Status Tape::clearGradients() {
+  ReleasedAtEnd releasing(*this);
   Status status = parts->holds.hold();
   if (status)
     parts->services.owner().clearGradients(this);
-  releaseFields();
   return status;
 }
 
@@ -88,14 +103,16 @@ private:
 } // namespace
 
 Status Tape::backward() {
-  end(/*isSwept=*/true);
-  Status status = parts->holds.hold();
-  if (status) {
-    CollectedWork work(parts->services.owner());
-    status = work.finish(sweep());
-  }
-  releaseFields();
-  return status;
+  ReleasedAtEnd releasing(*this);
+  return unlessSpoilt([&] {
+    end(/*isSwept=*/true);
+    Status status = parts->holds.hold();
+    if (status) {
+      CollectedWork work(parts->services.owner());
+      status = work.finish(sweep());
+    }
+    return status;
+  });
 }
 
 Status Tape::replay(bool forward, bool reverse) {
@@ -104,13 +121,15 @@ Status Tape::replay(bool forward, bool reverse) {
     return Status::failure(StatusCode::Usage,
                            "a tape cannot be replayed while one is being "
                            "recorded");
-  Status status = parts->holds.hold();
-  if (status) {
-    CollectedWork work(runtime, /*isReplay=*/true);
-    status = work.finish(replayAll(forward, reverse));
-  }
-  releaseFields();
-  return status;
+  ReleasedAtEnd releasing(*this);
+  return unlessSpoilt([&] {
+    Status status = parts->holds.hold();
+    if (status) {
+      CollectedWork work(runtime, /*isReplay=*/true);
+      status = work.finish(replayAll(forward, reverse));
+    }
+    return status;
+  });
 }
 
 Status Tape::replayAll(bool forward, bool reverse) {
@@ -175,10 +194,18 @@ Status Tape::sweep() {
   if (LostGradients::mayHave(tape.recording))
     tape.lost.find(tape.services, tape.recording,
                    tape.seeds.liveFields(false, tape.holds), notes);
-  status = runPlan();
+  bool isOutOfMemory = false;
+  try {
+    status = runPlan();
+  } catch (...) {
+    // Fields hold earlier values, which are put right first.
+    isOutOfMemory = true;
+  }
   if (!tape.rematerialiser.isOn())
     tape.memory.endReverse();
   tape.topology.endReverse(notes);
+  if (isOutOfMemory)
+    throw std::bad_alloc();
   for (const auto &[adjoint, zeros] : tape.plan.zerosAfter())
     tape.services.oweZeros(adjoint, zeros);
   // Host functions may have made any changes.

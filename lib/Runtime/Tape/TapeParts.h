@@ -36,6 +36,8 @@ struct Tape::Parts {
   uint64_t stamp;
   TapeServices services;
   bool isOpen = false;
+  /// Memory has run out in the middle.
+  bool isSpoilt = false;
   /// The nesting depth of suspend(), and the number of the next launch at the
   /// first one.
   int suspended = 0;
@@ -64,6 +66,19 @@ struct Tape::Parts {
            memory.savesNothing() && topology.watchesNothing();
   }
 };
+
+template <typename Body> Status Tape::unlessSpoilt(const Body &body) {
+  if (__builtin_expect(parts->isSpoilt, false))
+    return Status::failure(StatusCode::Memory,
+                           "memory has run out while this tape was in use; "
+                           "record it again");
+  try {
+    return body();
+  } catch (...) {
+    parts->isSpoilt = true;
+    throw;
+  }
+}
 
 } // namespace mlir::tai::runtime
 

@@ -26,7 +26,11 @@ Tape::Tape(Runtime &runtime, uint64_t stamp, bool clears)
 }
 
 Tape::~Tape() {
-  end();
+  try {
+    end();
+  } catch (...) {
+    // It has ended for others.
+  }
   releaseFields();
   parts->services.remove(*this);
 }
@@ -63,13 +67,19 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
   // Clearing belongs to it.
   if (device)
     device->beginRecording();
-  if (clears)
-    runtime.clearGradients(made.get());
-  else
-    runtime.settleZeros();
   tape = std::move(made);
-  tape->parts->isOpen = true;
+  try {
+    if (clears)
+      runtime.clearGradients(tape.get());
+    else
+      runtime.settleZeros();
+  } catch (...) {
+    if (device)
+      device->endRecording(/*isSwept=*/false);
+    throw;
+  }
   services.beginRecording(*tape);
+  tape->parts->isOpen = true;
   return Status::success();
 }
 
@@ -174,6 +184,12 @@ Status Tape::findUses(Kernel &kernel, const void *&uses) {
 
 Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
                     uint64_t *results, uint64_t number) {
+  return unlessSpoilt(
+      [&] { return record(launch, kernel, args, results, number); });
+}
+
+Status Tape::record(Launch &launch, Kernel &kernel, const uint64_t *args,
+                    uint64_t *results, uint64_t number) {
   const void *uses = nullptr;
   Status status = findUses(kernel, uses);
   if (!status)
@@ -238,6 +254,10 @@ void Tape::recordCallback(TapeCallback callback) {
 }
 
 Status Tape::write(const HostWrite &write) {
+  return unlessSpoilt([&] { return recordWrite(write); });
+}
+
+Status Tape::recordWrite(const HostWrite &write) {
   FieldPtr field = parts->services.owner().findField(write.field->name());
   if (field.get() != write.field)
     return Status::failure(StatusCode::Internal,
@@ -262,6 +282,11 @@ Status Tape::write(const HostWrite &write) {
 void Tape::watch(const TreePtr &tree) { parts->topology.watch(tree); }
 
 Status Tape::changeActivity(const TreePtr &tree,
+                            std::function<Status()> change) {
+  return unlessSpoilt([&] { return recordActivity(tree, std::move(change)); });
+}
+
+Status Tape::recordActivity(const TreePtr &tree,
                             std::function<Status()> change) {
   watch(tree);
   for (const FieldPtr &field : parts->services.fields()) {

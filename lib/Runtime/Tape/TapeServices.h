@@ -172,7 +172,11 @@ class HeldLaunch {
 public:
   explicit HeldLaunch(const TapeServices &services)
       : services(services), launch(services.acquireLaunch()) {}
-  ~HeldLaunch() { services.releaseLaunch(launch); }
+  ~HeldLaunch() {
+    if (std::uncaught_exceptions() > exceptions)
+      launch->recover();
+    services.releaseLaunch(launch);
+  }
   HeldLaunch(const HeldLaunch &) = delete;
   HeldLaunch &operator=(const HeldLaunch &) = delete;
   Launch &get() const { return *launch; }
@@ -180,6 +184,7 @@ public:
 private:
   TapeServices services;
   Launch *launch;
+  int exceptions = std::uncaught_exceptions();
 };
 
 } // namespace mlir::tai::runtime

@@ -14,6 +14,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
+#include <new>
 #include <sched.h>
 #include <signal.h>
 #include <sys/mman.h>
@@ -115,13 +116,15 @@ struct WorkerStart {
 WorkerPool::WorkerPool(int threads)
     : numThreads(std::max(1, threads)),
       shares(new Share[static_cast<size_t>(std::max(1, threads))]) {
+  workers.reserve(static_cast<size_t>(numThreads - 1));
   // Signals belong to the threads of the program.
   sigset_t all, old;
   sigfillset(&all);
   pthread_sigmask(SIG_SETMASK, &all, &old);
-  workers.reserve(static_cast<size_t>(numThreads - 1));
   for (int i = 1; i < numThreads; ++i) {
-    auto *start = new WorkerStart{this, i};
+    auto *start = new (std::nothrow) WorkerStart{this, i};
+    if (!start)
+      break;
     pthread_t thread;
     if (pthread_create(&thread, nullptr, &WorkerPool::workerMain, start) != 0) {
       // The system gives no more threads; those that there are do the work.

@@ -8,6 +8,7 @@
 #include "tai/Runtime/Threads/Workers.h"
 #include "WorkerPool.h"
 #include "tai/Runtime/Threads/FixedParts.h"
+#include <new>
 
 using namespace mlir::tai::runtime;
 
@@ -56,11 +57,42 @@ WorkerPool &Workers::get() {
   return *pool;
 }
 
+namespace {
+/// A task whose exceptions do not leave the thread on which they are thrown.
+struct SafeTask {
+  void (*task)(void *context, int64_t part);
+  void *context;
+  void (*look)(void *context);
+  std::atomic<bool> isOutOfMemory{false};
+
+  static void run(void *self, int64_t part) noexcept {
+    auto &safe = *static_cast<SafeTask *>(self);
+    try {
+      safe.task(safe.context, part);
+    } catch (...) {
+      safe.isOutOfMemory.store(true, std::memory_order_relaxed);
+    }
+  }
+  static void lookOnce(void *self) noexcept {
+    auto &safe = *static_cast<SafeTask *>(self);
+    try {
+      safe.look(safe.context);
+    } catch (...) {
+      safe.isOutOfMemory.store(true, std::memory_order_relaxed);
+    }
+  }
+};
+} // namespace
+
 void Workers::parallel(int64_t parts, void (*task)(void *context, int64_t part),
                        void *context, void (*look)(void *context)) {
   if (parts > 1 && numThreads > 1) {
-    if (get().tryRun(task, context, parts, look)) {
+    SafeTask safe{task, context, look};
+    if (get().tryRun(&SafeTask::run, &safe, parts,
+                     look ? &SafeTask::lookOnce : nullptr)) {
       forks.fetch_add(1, std::memory_order_relaxed);
+      if (safe.isOutOfMemory.load(std::memory_order_relaxed))
+        throw std::bad_alloc();
       return;
     }
   }

@@ -163,6 +163,13 @@ private:
 
   Status adopt(Kernel &kernel);
   Status findUses(Kernel &kernel, const void *&uses);
+  /// Runs the body. If memory runs out in it, the tape is of no use any more:
+  /// its records may lack some of their values. Later calls say so.
+  template <typename Body> Status unlessSpoilt(const Body &body);
+  Status record(Launch &launch, Kernel &kernel, const uint64_t *args,
+                uint64_t *results, uint64_t number);
+  Status recordWrite(const HostWrite &write);
+  Status recordActivity(const TreePtr &tree, std::function<Status()> change);
   Status launchOne(Launch &launch, Kernel &kernel, const void *known,
                    const uint64_t *args, uint64_t *results, uint64_t number);
   void plan(bool cleared = false);
