@@ -231,7 +231,7 @@ void fromBfloats(const std::vector<uint16_t> &numbers, void *result) {
 
 struct Tape {
   ContextRef context;
-  TaiTape handle;
+  TaiTape handle = nullptr;
   // Python objects that the records point to: callables and arrays.
   std::vector<std::unique_ptr<py::object>> kept;
   // The forward callables of host functions, by record, for reports.
@@ -288,6 +288,7 @@ py::tuple getViolations(Tape &tape) {
 
 void bindTape(py::module_ &module) {
   py::class_<Tape>(module, "Tape")
+      .def(py::init<>())
       .def(
           "end",
           [](Tape &t, bool isSwept) {
@@ -668,12 +669,14 @@ void taipy::bindRuntime(py::module_ &module) {
       .def(
           "tape",
           [](const ContextRef &c, const Field *loss, bool clear) {
-            auto tape = std::make_unique<Tape>();
-            tape->context = c;
-            tape->handle = nullptr;
+            // The object of Python first: where pybind11 has no memory for it,
+            // it frees a C++ object that was given to it twice.
+            py::object made = py::type::of<Tape>()();
+            Tape &tape = made.cast<Tape &>();
+            tape.context = c;
             c->check(taiTapeBegin(c->handle, loss ? loss->handle : nullptr,
-                                  clear, &tape->handle));
-            return tape;
+                                  clear, &tape.handle));
+            return made;
           },
           py::arg("loss").none(true), py::arg("clear"))
       .def("wait_for_stream",
