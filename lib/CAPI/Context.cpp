@@ -7,6 +7,7 @@
 
 #include "Impl.h"
 #include "mlir/CAPI/IR.h"
+#include "llvm/Config/llvm-config.h"
 #include "llvm/Support/ErrorHandling.h"
 #include <mutex>
 #include <new>
@@ -21,6 +22,8 @@ static StringRef toRef(const char *text) { return text ? text : ""; }
 //===----------------------------------------------------------------------===//
 
 const char *taiVersion(void) { return TAI_VERSION; }
+
+const char *taiLLVMVersion(void) { return LLVM_VERSION_STRING; }
 
 /// LLVM's containers take memory by malloc, and would end the process where
 /// there is none.

@@ -160,6 +160,8 @@ class Specializations:
                 owner._drop(gone, key)
 
         found.drop = drop
+        for function in found.functions:
+            function.users.add(found)
         for spec in found.specs:
             if spec.kind == "template" and templates.is_weak(spec.constant):
                 # The code goes with the object for which it was compiled.
