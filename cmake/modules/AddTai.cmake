@@ -162,7 +162,7 @@ endfunction()
 #   PLUGIN   part of TaiPlugin.so too: may use nothing but LLVM and MLIR
 #   NO_MLIR  sees neither the generated headers nor the precompiled header
 #   THREADS  what several threads use at a time: what TAI_SANITIZE is about
-#   EXCEPTIONS  unwound when memory runs out (decision 0054); needs THREADS
+#   EXCEPTIONS  unwound when memory runs out (decision 0055); needs THREADS
 #   LINK_LIBS  libraries other than LLVM and MLIR; libtai links them
 function(add_tai_library name)
   cmake_parse_arguments(ARG "PLUGIN;NO_MLIR;THREADS;EXCEPTIONS" "" "LINK_LIBS;DEPENDS" ${ARGN})

@@ -178,7 +178,7 @@ const PlaceIndex::Places &PlaceIndex::placesOf(RootType root) const {
       position.push_back(level.child);
     position.push_back(path.placesChild);
     position.push_back(path.place);
-    // Of two with one name, which the verifier refuses, the first.
+    // The verifier refuses two places of one name: here the first counts.
     places->try_emplace(path.places.getNames()[path.place].getValue(),
                         std::move(position));
   });
