@@ -7,8 +7,7 @@ import threading
 import numpy as np
 import pytest
 import tai as ti
-from tai._impl.base import parsing
-from tai._impl.frontend import source
+from tai._impl.base import parsing, texts
 
 
 @pytest.fixture(autouse=True)
@@ -240,7 +239,7 @@ def test_syntax_trees_that_another_thread_spoils(monkeypatch):
         return parse(*args, **kwargs)
 
     monkeypatch.setattr(ast, "parse", spoiled)
-    monkeypatch.setattr(source, "_parsed", {})
+    monkeypatch.setattr(texts, "_texts", {})
     x = ti.field(ti.i32, shape=())
 
     @ti.kernel
