@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ._impl.base.dtypes import i32
 from ._impl.fields.make import field
 from ._impl.fields.scalar import ScalarField
 from ._impl.solvers.rows import BLOCK, kernels
@@ -40,6 +41,24 @@ def parallel_sort(keys: Any, values: Any = None) -> None:
         raise TaiRuntimeTypeError(
             f"parallel_sort takes as many values as keys: {count}, but got {values.shape[0]}"
         )
+    fields = [keys] if values is None else [keys, values]
+    if all(part.grad is None for part in fields):
+        _sort(keys, values, count)
+        return
+    # The derivative of a sort is a permutation: it is found without gradients, and then applied.
+    parts = kernels()
+    order, plain = field(i32, shape=count), field(keys.dtype, shape=count)
+    parts.number(order, count)
+    parts.copy_numbers(keys, plain, count)
+    _sort(plain, order, count)
+    for part in fields:
+        before = field(part.dtype, shape=count, needs_grad=part.grad is not None)
+        parts.copy(part, before, count)
+        parts.take(before, order, part, count)
+
+
+def _sort(keys: Any, values: Any, count: int) -> None:
+    """Batcher's network over two fields without gradients."""
     merge, width = kernels().merge, 1
     while width < count:
         gap = width

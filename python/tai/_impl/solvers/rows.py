@@ -7,7 +7,7 @@ from typing import Any
 
 from ..base.dtypes import i32
 from ..launch.kernels import kernel
-from ..values.ops import loop_config, min, static
+from ..values.ops import loop_config, min, static, stop_grad
 from ..values.types import template
 
 BLOCK = 1024  # elements that one iteration adds up
@@ -33,6 +33,31 @@ def kernels() -> Any:
                         if static(has_values):
                             one, other = values[x], values[x + gap]
                             values[x], values[x + gap] = other, one
+
+        @staticmethod
+        @kernel
+        def number(order: template(), count: i32):
+            for i in range(count):
+                order[i] = i
+
+        @staticmethod
+        @kernel
+        def copy_numbers(source: template(), target: template(), count: i32):
+            # The order of numbers has no derivative.
+            for i in range(count):
+                target[i] = stop_grad(source[i])
+
+        @staticmethod
+        @kernel
+        def copy(source: template(), target: template(), count: i32):
+            for i in range(count):
+                target[i] = source[i]
+
+        @staticmethod
+        @kernel
+        def take(source: template(), order: template(), target: template(), count: i32):
+            for i in range(count):
+                target[i] = source[order[i]]
 
         @staticmethod
         @kernel
