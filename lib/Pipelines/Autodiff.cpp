@@ -46,10 +46,6 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
   split.kernels.assign(options.kernels.begin(), options.kernels.end());
   pm.addPass(createSplitKernel(split));
 
-  ChooseWritersOptions writers;
-  writers.kernels.assign(options.kernels.begin(), options.kernels.end());
-  pm.addPass(createChooseWriters(writers));
-
   MakeAdjointOptions adjoint;
   adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());
   adjoint.arrayAdjoints = options.arrayAdjoints;

@@ -18,7 +18,6 @@
 #include "StoredOutputs.h"
 #include "ValueShadows.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
-#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
 #include "tai/AD/NarrowAdjoints.h"
@@ -185,8 +184,6 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   setLoc(loc);
   if (isReexecuted)
     reexecution->end(frame);
-  for (Value buffer : frame.buffers)
-    memref::DeallocOp::create(*this, buffer);
   end(frame);
   frame.sweepBegin->erase();
   reexecution->leave(frame);
