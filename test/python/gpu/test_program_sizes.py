@@ -43,7 +43,7 @@ def images(folder, wide):
     environment = {
         **os.environ, "TI_ARCH": "cuda", "TAI_CUDA_EMULATION": "",
         "TAI_CUDA_DRIVER": str(fake_driver()), "TAI_FAKE_CUDA": "any-function",
-        "TAI_FAKE_CUDA_IMAGES": str(kept),
+        "TAI_FAKE_CUDA_IMAGES": str(kept), "TAI_BACKGROUND_PROGRAMS": "0",
     }  # fmt: skip
     command = [sys.executable, str(program)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)

@@ -33,13 +33,6 @@ def total(a: ti.types.ndarray(), b: ti.types.ndarray()) -> ti.f64:
 
 def test_an_array_that_is_only_read_is_not_written_back():
     """Whatever the kernel calls does to it."""
-    writes = []
-
-    class Spy(np.ndarray):
-        def __setitem__(self, key, value):
-            writes.append(key)
-            super().__setitem__(key, value)
-
     @ti.func
     def third(a, i):
         return a[i] / 3
@@ -49,12 +42,12 @@ def test_an_array_that_is_only_read_is_not_written_back():
         for i in range(a.shape[0]):
             b[i] = third(a, i)
 
-    source, target = np.arange(10.0)[::2].view(Spy), np.zeros(10)[::2].view(Spy)
+    source, target = np.arange(10.0)[::2], np.zeros(10)[::2]
+    # A copy back to it would fail.
+    source.flags.writeable = False
     nested(source, target)
     assert target.tolist() == [0, 2 / 3, 4 / 3, 2, 8 / 3]
-    assert len(writes) == 1
     assert total(source, source) == 120
-    assert len(writes) == 1
 
 
 @pytest.mark.parametrize("n", [1, 5, 65_537])

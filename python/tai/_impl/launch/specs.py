@@ -79,7 +79,7 @@ class ArgumentSpec:
             return f"vector<{'x'.join(map(str, self.shape))}x{self.dt.mlir}>"
         return self.dt.mlir
 
-    def description(self, cuts_graph: bool) -> tuple | None:
+    def description(self, cuts_graph: bool = False) -> tuple | None:
         """The argument for the launcher in C++, or None where Python must pack it.
 
         Args:
@@ -129,7 +129,9 @@ class ResultSpec:
         return Matrix._wrap(np.array(numbers, self.dt.numpy).reshape(self.shape))
 
 
-def spec_of(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> ArgumentSpec:
+def spec_of(
+    kernel: str, parameter: Parameter, value: Any, tracks: bool = False
+) -> ArgumentSpec:
     """The specification of a parameter of a kernel for a value.
 
     Args:
