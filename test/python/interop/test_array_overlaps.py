@@ -33,6 +33,7 @@ def total(a: ti.types.ndarray(), b: ti.types.ndarray()) -> ti.f64:
 
 def test_an_array_that_is_only_read_is_not_written_back():
     """Whatever the kernel calls does to it."""
+
     @ti.func
     def third(a, i):
         return a[i] / 3

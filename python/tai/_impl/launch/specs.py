@@ -129,9 +129,7 @@ class ResultSpec:
         return Matrix._wrap(np.array(numbers, self.dt.numpy).reshape(self.shape))
 
 
-def spec_of(
-    kernel: str, parameter: Parameter, value: Any, tracks: bool = False
-) -> ArgumentSpec:
+def spec_of(kernel: str, parameter: Parameter, value: Any, tracks: bool = False) -> ArgumentSpec:
     """The specification of a parameter of a kernel for a value.
 
     Args:
