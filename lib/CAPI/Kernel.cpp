@@ -39,15 +39,14 @@ TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
 
 TaiStatus taiKernelLoad(TaiContext context, const char *bytes, size_t size,
                         const char *file, const char *name, TaiKernel *kernel) {
-  ContextLock lock(*context);
-  if (!bytes)
-    return context->usage("there is no kernel to load: 'bytes' is null");
-  FailureOr<SessionKernel *> made = context->session.parseKernel(
-      StringRef(bytes, size), file ? file : "", name ? name : "");
-  if (failed(made))
-    return context->status(failure());
-  *kernel = keep(*context, *made);
-  return TAI_OK;
+  return call(*context, [&]() -> TaiStatus {
+    FailureOr<SessionKernel *> made = context->session.parseKernel(
+        StringRef(bytes, size), file ? file : "", name ? name : "");
+    if (failed(made))
+      return context->status(failure());
+    *kernel = keep(*context, *made);
+    return TAI_OK;
+  });
 }
 
 TaiStatus taiKernelParse(TaiContext context, const char *text, const char *file,

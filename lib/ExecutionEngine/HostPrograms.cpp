@@ -9,7 +9,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "tai/Dialect/Check/IR/Check.h"
-#include "tai/Dialect/Tai/IR/Ownership.h"
+#include "tai/Pipelines/Pipelines.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -35,10 +35,7 @@ static void stubKernels(ModuleOp module) {
 /// Drops operations that use nothing of tai and do not belong to the program
 /// `entry`.
 static void keepReachable(ModuleOp module, StringRef entry) {
-  // Lowered even if it holds no op of tai.
-  if (auto program = module.lookupSymbol<func::FuncOp>(entry))
-    markLowered(program);
-  llvm::SetVector<Operation *> needed = collectLowered(module);
+  llvm::SetVector<Operation *> needed = collectOwn(module, entry);
   for (size_t i = 0; i < needed.size(); ++i)
     needed[i]->walk([&](Operation *op) {
       op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {
@@ -55,9 +52,8 @@ OwningOpRef<ModuleOp> mlir::tai::makeHostModule(ModuleOp module,
                                                 StringRef entry) {
   OwningOpRef<ModuleOp> host = module.clone();
   upgradeFormerChecks(*host);
-  // First, so that helpers of kernels go.
-  stubKernels(*host);
   keepReachable(*host, entry);
+  stubKernels(*host);
   return host;
 }
 

@@ -98,9 +98,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   pm.addPass(createConvertToLLVM(llvm));
   if (options.shadow)
     pm.addPass(createShadowExecution());
-  VerifyLLVMOptions verify;
-  verify.all = true;
-  pm.addPass(createVerifyLLVM(verify));
+  pm.addPass(createVerifyLLVM());
 }
 
 void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {

@@ -79,9 +79,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   ConvertToLLVMOptions host;
   host.contract = options.contract;
   pm.addPass(createConvertToLLVM(host));
-  VerifyLLVMOptions verify;
-  verify.all = true;
-  pm.addPass(createVerifyLLVM(verify));
+  pm.addPass(createVerifyLLVM());
 }
 
 void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {

@@ -23,7 +23,6 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/IndexedAccess.h"
 #include "tai/Conversion/Passes.h"
-#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/LowerEach.h"
@@ -481,15 +480,9 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
     else
       groups.forget();
     WalkResult result = getOperation()->walk([&](FunctionOpInterface function) {
-      if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function) ||
-          !isTaiCode(function))
+      if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function))
         return WalkResult::skip();
-      // Its accesses are those of plain memory from here on.
-      if (isa<func::FuncOp>(function))
-        markLowered(function);
-      // A host program has few accesses, and nobody else looks at its indices.
-      bool isChecked = boundsCheck || isa<func::FuncOp>(function);
-      AccessLowering lowering(function, fields, groups, isChecked, onDevice);
+      AccessLowering lowering(function, fields, groups, boundsCheck, onDevice);
       return failed(lowerAccesses(function, fields, lowering, onDevice))
                  ? WalkResult::interrupt()
                  : WalkResult::skip();

@@ -9,7 +9,6 @@
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/IR/PatternMatch.h"
 #include "tai/Conversion/Passes.h"
-#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/LowerEach.h"
 
@@ -87,11 +86,7 @@ struct LowerLaunches : tai::impl::LowerLaunchesBase<LowerLaunches> {
     RuntimeCalls runtime(getOperation());
     RewritePatternSet patterns(&getContext());
     patterns.add<LowerLaunch>(getOperation(), runtime);
-    auto isOwned = [](Operation *op) {
-      auto function = op->getParentOfType<FunctionOpInterface>();
-      return function && isTaiCode(function);
-    };
-    if (failed(lowerAll(getOperation(), std::move(patterns), isOwned)))
+    if (failed(lowerAll(getOperation(), std::move(patterns))))
       signalPassFailure();
   }
 };

@@ -24,7 +24,6 @@
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
-#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/Vectorization.h"
@@ -335,11 +334,9 @@ struct VersionGuards : tai::impl::VersionGuardsBase<VersionGuards> {
     registry.insert<LLVM::LLVMDialect>();
   }
   void runOnOperation() override {
-    walkOwned(getOperation(), [](Operation *owned) {
-      for (Region &region : owned->getRegions())
-        for (Block &block : region)
-          versionGuards(block);
-    });
+    for (Region &region : getOperation()->getRegions())
+      for (Block &block : region)
+        versionGuards(block);
   }
 };
 } // namespace

@@ -16,7 +16,6 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
 #include "tai/ABI/LocalMemory.h"
-#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
@@ -58,10 +57,8 @@ struct HoistAllocations : tai::impl::HoistAllocationsBase<HoistAllocations> {
 
   void runOnOperation() override {
     // Inner loops first: an op that leaves them may leave the next.
-    walkOwned(getOperation(), [](Operation *owned) {
-      owned->walk<WalkOrder::PostOrder>(
-          [](scf::ForOp loop) { hoistFrom(loop); });
-    });
+    getOperation()->walk<WalkOrder::PostOrder>(
+        [](scf::ForOp loop) { hoistFrom(loop); });
   }
 
   static void hoistFrom(scf::ForOp loop) {

@@ -19,7 +19,6 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
@@ -538,11 +537,9 @@ struct UnrollAndJam : tai::impl::UnrollAndJamBase<UnrollAndJam> {
 
   void runOnOperation() override {
     SmallVector<Candidate> candidates;
-    walkOwned(getOperation(), [&](Operation *owned) {
-      owned->walk([&](scf::ForOp loop) {
-        if (std::optional<Candidate> candidate = match(loop, reassociate))
-          candidates.push_back(*candidate);
-      });
+    getOperation()->walk([&](scf::ForOp loop) {
+      if (std::optional<Candidate> candidate = match(loop, reassociate))
+        candidates.push_back(*candidate);
     });
     for (const Candidate &candidate : candidates)
       apply(candidate);

@@ -180,9 +180,7 @@ TEST_F(EngineCompiler, OperationsThatAreLeftLeaveAReproducer) {
   Compiler::Pipelines pipelines;
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
     manager.addPass(std::make_unique<LeftCast>());
-    VerifyLLVMOptions all;
-    all.all = true;
-    manager.addPass(createVerifyLLVM(all));
+    manager.addPass(createVerifyLLVM());
   };
   Compiler compiler(&context, pipelines, {});
   Failure failure;
