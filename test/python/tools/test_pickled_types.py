@@ -123,9 +123,12 @@ def test_pool_of_spawned_processes():
 
 
 PROGRAM = '''
-import pkgutil, importlib, tai as ti
+import importlib, importlib.util, pkgutil, tai as ti
+left_out = ("__main__", "_core")
+if not importlib.util.find_spec("torch"):
+    left_out += ("tai.torch", "torch_operators")
 for module in pkgutil.walk_packages(ti.__path__, "tai."):
-    if not module.name.endswith(("__main__", "_core")):
+    if not module.name.endswith(left_out):
         importlib.import_module(module.name)
 ti.init(arch=ti.cpu)
 @ti.func
