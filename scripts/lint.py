@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import lock_discipline
+import measured_commits
 import prose
 import rooms
 import rooms_python
@@ -115,6 +116,17 @@ def plain_prose(_fix: bool) -> str:
     return "\n".join(prose.check())
 
 
+def commits_of_results(_fix: bool) -> str:
+    """The rows of docs/reliability.md name commits of the history; old ones are listed."""
+    if reason := measured_commits.why_unknown():
+        print(f"lint: commits of measured rows are not checked: {reason}")
+        return ""
+    if old := measured_commits.old():
+        names = ", ".join(f"{name} ({count})" for name, count in old)
+        print(f"lint: rows measured more than {measured_commits.OLD} commits ago: {names}")
+    return "\n".join(measured_commits.problems())
+
+
 # Each takes some 8 seconds of a core.
 MOST_TIDIED = 8
 
@@ -147,6 +159,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "rooms": rooms_of_sources,
     "Python's lock": python_lock,
     "prose": plain_prose,
+    "measured commits": commits_of_results,
     "clang-tidy": clang_tidy,
 }
 

@@ -51,7 +51,7 @@ SANITIZED = (
     "test_fields or test_gradients or test_atomic_gradients or test_loop_gradients or "
     "test_sparse_gradients or test_benchmark_scenes"
 )
-TOOLS = ["memcheck", "racecheck", "initcheck"]
+TOOLS = ["memcheck", "racecheck", "initcheck", "synccheck"]
 
 
 @dataclass

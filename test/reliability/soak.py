@@ -35,6 +35,10 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT / "scripts"))
+
+import measured_commits  # noqa: E402
+
 FOLDER = Path(__file__).resolve().parent
 RESULTS = {name: ROOT / f"benchmarks/results/reliability-{name}.csv" for name in ("cpu", "gpu")}
 PAGE = ROOT / "docs/reliability.md"
@@ -53,11 +57,6 @@ SECONDS = {
 }  # fmt: skip
 # Options that make use of two cores, where a script takes them.
 OPTIONS = {"R3": ["--jobs", "2"], "R4": ["--jobs", "2"]}
-ELSEWHERE = {
-    "R14": ("compute-sanitizer", "memcheck, racecheck, initcheck and synccheck: no report",
-            "a report of the tool",
-            "`make test-gpu ARGS=--sanitize`, the stage `sanitize` of `scripts/test_gpu.py`"),
-}  # fmt: skip
 LINE = re.compile(r"^(R\d+) (.+?): (.+?); (.+) \(bar (.+)\)$", re.MULTILINE)
 
 HEAD = """\
@@ -71,6 +70,10 @@ number of cases: a number below the target is marked. If each run has cases of i
 several runs add up until one misses: such a row names all their commits, and beside the count the
 result of the last run. If a bar can run on a GPU, its results there have a column of their own; an
 emulated device is not a GPU. Short forms run with `make test`.
+
+The last column counts the commits between a row's oldest commit and this page. A row is old if they
+are more than {old}; `make lint` counts anew, lists the old rows, and fails if a row's commit is not
+in the history.
 """
 
 
@@ -263,32 +266,47 @@ def show_cases(row: dict[str, str]) -> str:
     return f"{row['total']} {what}, in {row['runs']} runs"
 
 
+def show_age(commits: list[str]) -> str:
+    """How many commits came since; git does not know it everywhere."""
+    count = measured_commits.age_of(commits, ROOT)
+    if count is None:
+        return "not known"
+    return f"**old: {count}**" if count > measured_commits.OLD else str(count)
+
+
+def without_ages(page: str) -> str:
+    """A page without the numbers that each commit changes."""
+    one = r"(?:not known|\d+|\*\*old: \d+\*\*)"
+    return re.sub(rf"\| {one}(?:; {one})* \|$", "|", page, flags=re.MULTILINE)
+
+
+def make_row(name: str, said: dict, here: dict[str, str] | None, there: dict | None) -> str:
+    """A row of the table, from the facts of a bar and its results here and on a GPU."""
+    archs, full = said["archs"], said["full"]
+    on_cpu = show(here, full) if here or set(archs) != {"cuda"} else ""
+    on_gpu = show(there, full) if "cuda" in archs else ""
+    if there:
+        on_gpu += f"; {show_cases(there)}"
+    known = [row for row in (here, there) if row]
+    runs = "; ".join(f"{row['date']}, {row['machine']}, {row['commit']}" for row in known)
+    age = "; ".join(show_age(row["commit"].split()) for row in known)
+    cases = show_cases(here) if here else ""
+    what = f"{name} {said['what']}"
+    return f"| {what} | {said['target']} | {on_cpu} | {cases} | {on_gpu} | {runs} | {age} |"
+
+
 def make_page() -> str:
     """The page, from the scripts and the kept results of their runs."""
     cpu, gpu = read_rows("cpu"), read_rows("gpu")
-    known = scripts()
-    lines = [HEAD, "| bar | target | seen | cases | seen on a GPU | date, machine, commit |",
-             "|---|---|---|---|---|---|"]  # fmt: skip
+    head = HEAD.format(old=measured_commits.OLD)
+    columns = ["bar", "target", "seen", "cases", "seen on a GPU", "date, machine, commit",
+               "commits since"]  # fmt: skip
+    lines = [head, f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     misses = []
-    for name in sorted({*known, *ELSEWHERE}, key=number):
-        if name in ELSEWHERE:
-            what, target, miss, where = ELSEWHERE[name]
-            lines.append(f"| {name} {what} | {target} | {where} | | | |")
-        else:
-            said = facts(known[name])
-            what, target, miss = said["what"], said["target"], said["miss"]
-            here, there = cpu.get(name), gpu.get(name)
-            on_gpu = show(there, said["full"]) if "cuda" in said["archs"] else ""
-            if there:
-                on_gpu += f"; {show_cases(there)}"
-            runs = [f"{row['date']}, {row['machine']}, {row['commit']}"
-                    for row in (here, there) if row]  # fmt: skip
-            cases = show_cases(here) if here else ""
-            lines.append(
-                f"| {name} {what} | {target} | {show(here, said['full'])} | {cases} | {on_gpu} | "
-                f"{'; '.join(runs)} |"
-            )
-        misses.append(f"| {name} | {miss} |")
+    for name, script in scripts().items():
+        said = facts(script)
+        lines.append(make_row(name, said, cpu.get(name), gpu.get(name)))
+        misses.append(f"| {name} | {said['miss']} |")
     return "\n".join([*lines, "", "The meaning of one miss:", "", "| bar | a miss |", "|---|---|",
                       *misses, ""])  # fmt: skip
 

@@ -331,4 +331,101 @@ def test_the_page_is_that_of_the_scripts(soak):
     short = {name for name, path in soak.scripts().items() if path in SHORT}
     assert set(soak.SECONDS) == short and len(soak.scripts()) == len(BARS)
     assert sum(soak.SECONDS.values()) <= 90 * 60
-    assert soak.make_page() == soak.PAGE.read_text()
+    page = soak.PAGE.read_text()
+    assert soak.without_ages(soak.make_page()) == soak.without_ages(page)
+
+
+def git(folder, *words, **more):
+    names = {f"GIT_{who}_{what}": "someone@example.org"
+             for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}  # fmt: skip
+    command = ["git", "-C", str(folder), *words]
+    done = subprocess.run(command, env=os.environ | names, capture_output=True, text=True, **more)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def measured(tmp_path):
+    """A checkout of 206 commits with a table of rows, and all its commits from the last on."""
+    sys.path.insert(0, str(ROOT / "scripts"))
+    import measured_commits
+
+    git(tmp_path, "init", "-q")
+    tree = git(tmp_path, "write-tree")
+    commits = []
+    for number in range(206):
+        parents = ["-p", commits[0]] if commits else []
+        commits.insert(0, git(tmp_path, "commit-tree", tree, *parents, "-m", str(number)))
+    git(tmp_path, "update-ref", "HEAD", commits[0])
+    alone = git(tmp_path, "commit-tree", tree, "-m", "of a branch that is gone")
+    table = tmp_path / "benchmarks/results/reliability-cpu.csv"
+    table.parent.mkdir(parents=True)
+    lines = ["bar,commit", f"R1,{commits[200][:9]}", f"R2,{commits[3][:9]} {commits[201][:9]}",
+             f"R3,{alone[:9]}", "R4,", "R5,0123456"]  # fmt: skip
+    table.write_text("\n".join(lines) + "\n")
+    return measured_commits, tmp_path, commits
+
+
+def test_rows_say_that_they_are_old_or_that_their_commit_is_gone(measured):
+    module, folder, commits = measured
+    assert module.why_unknown(folder) == ""
+    assert module.old(folder) == [("R2", 201)]
+    assert module.age(commits[200], folder) == 200 and module.age(commits[0], folder) == 0
+    found = module.problems(folder)
+    assert [re.search(r": (R\d): (no commit|the history of HEAD has no commit)", line).groups()
+            for line in found] == [("R3", "the history of HEAD has no commit"),
+                                   ("R4", "no commit"),
+                                   ("R5", "the history of HEAD has no commit")]  # fmt: skip
+
+
+def test_a_shallow_clone_and_a_tree_without_git_give_their_reason(measured, capsys, monkeypatch):
+    module, folder, _ = measured
+    import lint
+
+    git(folder, "clone", "-q", "--depth=1", f"file://{folder}", str(folder / "shallow"))
+    assert "shallow" in module.why_unknown(folder / "shallow")
+    assert "no checkout" in module.why_unknown(Path("/"))
+    monkeypatch.setattr(module, "ROOT", folder / "shallow")
+    monkeypatch.setattr(module.why_unknown, "__defaults__", (folder / "shallow",))
+    assert lint.commits_of_results(False) == ""
+    assert "not checked: the clone is shallow" in capsys.readouterr().out
+
+
+def test_the_page_marks_old_rows(soak, monkeypatch):
+    ages = {"a": 200, "b": 201, "c": None}
+    monkeypatch.setattr(soak.measured_commits, "age", lambda commit, root=None: ages[commit])
+    assert [soak.show_age(one) for one in (["a"], ["a", "b"], ["a", "c"], [])] == [
+        "200", "**old: 201**", "not known", "not known",
+    ]  # fmt: skip
+    row = "| R1 | met | abc | {} |"
+    for age in ("200", "**old: 201**", "not known", "200; **old: 3000**"):
+        assert soak.without_ages(row.format(age)) == "| R1 | met | abc |"
+    assert soak.without_ages("| R1 | a miss |") == "| R1 | a miss |"
+
+
+def test_reports_of_compute_sanitizer_are_counted(tmp_path):
+    """R14 reads the lines of the stage `sanitize`; a tool without a result is a miss."""
+    sys.path[:0] = [str(ROOT / "test/reliability"), str(ROOT / "scripts")]
+    import r14_compute_sanitizer as r14
+
+    import test_gpu
+
+    assert tuple(test_gpu.TOOLS) == r14.TOOLS
+
+    def line(tool, reports, is_late=False):
+        part = test_gpu.Sanitized(
+            "", [] if is_late else [reports], ["Invalid read"] * reports if is_late else [],
+            20, Counter(passed=12), [], is_late,
+        )  # fmt: skip
+        return test_gpu.report_tool(argparse.Namespace(out=tmp_path), tool, [part])[0]
+
+    clean = [r14.read_tool(line(tool, 0)) for tool in r14.TOOLS]
+    assert r14.judge(clean) == (
+        "48 tests passed (memcheck 12, racecheck 12, initcheck 12, synccheck 12)",
+        "0 reports, 0 tests failed", True,
+    )  # fmt: skip
+    assert not r14.judge(clean[:3])[2] and "no result of synccheck" in r14.judge(clean[:3])[1]
+    for found in (r14.read_tool(line("memcheck", 2)), r14.read_tool(line("memcheck", 2, True))):
+        cases, seen, met = r14.judge([found, *clean[1:]])
+        assert not met and seen.startswith("2 reports")
+    assert r14.judge([])[2] is False and r14.read_tool("- a step: clean") is None
