@@ -63,7 +63,7 @@ bench: build ## time the scenes against other systems: CSV and plot
 	@$(PYTHON) benchmarks/programs/run.py
 	@$(PYTHON) benchmarks/sparse/run.py
 
-bench-error: build ## run time against error in all modes: docs/accuracy.md (ARGS=--quick)
+bench-error: build ## run time against error in all modes: docs/reports/accuracy.md (ARGS=--quick)
 	@$(PYTHON) benchmarks/error/run.py $(ARGS)
 
 bench-pairs: build ## time this build and another one in turns (ARGS="/path/to/base")

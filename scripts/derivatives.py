@@ -1,4 +1,4 @@
-"""Keeps docs/derivatives.md equal to the rules in lib/AD/Rules.
+"""Keeps docs/reference/derivatives.md equal to the rules in lib/AD/Rules.
 
 The table of scalar ops is made from ScalarRules.cpp, the formulas of matrix ops from the comments
 in MatrixModels.cpp. Every op with a rule, and every kind of atomic, is on the page.
@@ -20,7 +20,7 @@ RULES = ROOT / "lib/AD/Rules/ScalarRules.cpp"
 MATRICES = ROOT / "lib/AD/Rules/MatrixModels.cpp"
 ATTRIBUTES = ROOT / "include/tai/Dialect/Tai/IR/TaiAttrs.td"
 DIALECT = ROOT / "include/tai/Dialect/Tai/IR"
-PAGE = ROOT / "docs/derivatives.md"
+PAGE = ROOT / "docs/reference/derivatives.md"
 BEGIN, END = "<!-- table: begin -->\n", "<!-- table: end -->\n"
 
 # {"math.sin", {{0, "g cos x", never, ...}}, "at a kink"},

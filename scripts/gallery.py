@@ -1,4 +1,4 @@
-"""Runs examples and makes a gallery of their images: docs/gallery.md.
+"""Runs examples and makes a gallery of their images: docs/start/gallery.md.
 
     python scripts/gallery.py                    # all; some minutes on two cores
     python scripts/gallery.py --keep out/gallery # reuses the output of earlier runs
@@ -18,8 +18,8 @@ from typing import NamedTuple
 from PIL import Image, ImageSequence
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "gallery.md"
-PICTURES = ROOT / "docs" / "pictures"
+PAGE = ROOT / "docs" / "start" / "gallery.md"
+PICTURES = PAGE.parent / "pictures"
 # The part of a "last" frame that is kept: left, top, right and bottom as shares of it.
 CUT = (0.13, 0.24, 0.865, 0.977)
 
@@ -134,7 +134,7 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     parts = ["# Gallery", "The pictures of the programs of [examples](examples.md), made by "
              "`python scripts/gallery.py`. Plots of the paper's experiments are on [their page]"
-             "(paper.md)."]  # fmt: skip
+             "(../reports/paper.md)."]  # fmt: skip
     for entry in ENTRIES:
         picture = make(entry, run(entry, folder, keep=args.keep is not None))
         command = f"python examples/{entry.name}.py {entry.options}".strip()

@@ -1,6 +1,7 @@
 """Generates files from include/tai/Support/Options.def, and checks that they are up to date.
 
-These are the table of docs/options.md, and the rows that define the keywords of `ti.init`.
+These are the table of docs/reference/options.md, and the rows that define the keywords of
+`ti.init`.
 
 python scripts/options.py          checks; exits with 1 and a diff if they differ
 python scripts/options.py --fix    rewrites them
@@ -19,7 +20,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 TABLE = ROOT / "include/tai/Support/Options.def"
-PAGE = ROOT / "docs/options.md"
+PAGE = ROOT / "docs/reference/options.md"
 PYTHON = ROOT / "python/tai/_impl/base/option_rows.py"
 BEGIN, END = "<!-- table: begin (scripts/options.py --fix) -->\n", "<!-- table: end -->\n"
 

@@ -16,7 +16,7 @@ root=dist/$name
 rm -rf "$root" "$root.tar.xz"
 cmake --install build-portable --prefix "$root" --strip >/dev/null
 cp LICENSE "$root/"
-cp docs/portable.md "$root/README.md"
+cp docs/start/portable.md "$root/README.md"
 
 # Nothing else may be asked of the machine.
 base='^(linux-vdso|lib(c|m|dl|rt|pthread|stdc\+\+|gcc_s)|/lib64/ld-linux.*)\.so'

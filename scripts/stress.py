@@ -4,7 +4,7 @@ python scripts/stress.py                    all, at the sizes of the table
 python scripts/stress.py --only S22 S26     some of them
 python scripts/stress.py --short            small sizes, as in the normal test run
 python scripts/stress.py --arch emulated    as on a GPU
-python scripts/stress.py --write            writes docs/stress.md, too
+python scripts/stress.py --write            writes docs/reports/stress.md, too
 
 Exits with 1 if a test fails. Expected failures are listed with their reasons.
 """
@@ -27,7 +27,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 TESTS = ROOT / "test/python"
 FOLDER = TESTS / "stress"
-PAGE = ROOT / "docs/stress.md"
+PAGE = ROOT / "docs/reports/stress.md"
 sys.path[:0] = [str(ROOT / "python"), str(FOLDER)]
 
 from stress_cases import CASES, cases_of  # noqa: E402

@@ -1,7 +1,7 @@
 """The largest errors of elementary functions, in units in the last place, by mode.
 
 python scripts/ulps.py           prints them
-python scripts/ulps.py --fix     writes them to the table of docs/precision.md
+python scripts/ulps.py --fix     writes them to the table of docs/guides/precision.md
 
 Arguments are sampled uniformly over the exponents of the type; the reference is mpmath at 100
 digits. A figure is the largest error observed, not a bound.
@@ -17,7 +17,7 @@ import numpy as np
 import tai as ti
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs/precision.md"
+PAGE = ROOT / "docs/guides/precision.md"
 BEGIN, END = "<!-- ulps: begin (scripts/ulps.py --fix) -->\n", "<!-- ulps: end -->\n"
 MODES = ("default", "accurate", "strict", "fast")
 TYPES = {"f32": (ti.f32, np.float32, 24, 200), "f64": (ti.f64, np.float64, 53, 12)}
@@ -136,7 +136,9 @@ def table(names: list[str]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fix", action="store_true", help="write the table to docs/precision.md")
+    parser.add_argument(
+        "--fix", action="store_true", help=f"write the table to {PAGE.relative_to(ROOT)}"
+    )
     parser.add_argument("names", nargs="*", help="functions; all if left out")
     given = parser.parse_args()
     mpmath.mp.dps = 100

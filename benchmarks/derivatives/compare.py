@@ -5,7 +5,7 @@
 
 Each snippet runs in a process of its own, since some of them end in a crash. The numbers are
 compared with closed forms, at 1e-9. Results of a version of a peer are cached in
-build/derivatives. `--write` puts the table into docs/gradients-compared.md;
+build/derivatives. `--write` puts the table into docs/reports/gradients-compared.md;
 the exit status is 1 if tai is wrong anywhere.
 """
 
@@ -24,7 +24,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-PAGE = ROOT / "docs/gradients-compared.md"
+PAGE = ROOT / "docs/reports/gradients-compared.md"
 TOLERANCE = 1e-9
 TIMEOUT = 120
 

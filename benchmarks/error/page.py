@@ -1,4 +1,4 @@
-"""Plots of run time against error, and docs/accuracy.md, from the rows of the benchmark."""
+"""Plots of run time against error, and docs/reports/accuracy.md, from the rows of the benchmark."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ import rows
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-PAGE = ROOT / "docs" / "accuracy.md"
-PICTURES = ROOT / "docs" / "pictures"
+PAGE = ROOT / "docs" / "reports" / "accuracy.md"
+PICTURES = PAGE.parent / "pictures"
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-10)
 # A value for errors of zero, which cannot be drawn on a logarithmic axis.
 LEAST = 1e-17

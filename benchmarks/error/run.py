@@ -8,7 +8,7 @@
 
 Each measurement is a process of its own. Its row is written at once; a failed row contains the
 reason and does not affect others. Writes benchmarks/results/error-<machine>.csv and
-docs/accuracy.md, then judges the gates: the exit status is 1 if one of them fails.
+docs/reports/accuracy.md, then judges the gates: the exit status is 1 if one of them fails.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The cost of guards of derivatives: forward and backward, with and without them.
 
-A guard keeps an infinite partial derivative away from a zero adjoint (docs/derivatives.md).
+A guard keeps an infinite partial derivative away from a zero adjoint: see
+docs/reference/derivatives.md.
 The compiler was not tuned on these programs: shallow water with ghost cells
 behind branches, a lattice Boltzmann flow, elastic triangles, rays through a haze, smoothed
 particles, cloth with bending, bodies that attract each other, microfacets under lamps.

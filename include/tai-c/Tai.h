@@ -82,7 +82,7 @@ TAI_EXPORT int64_t taiListOptions(const TaiOptionRow **rows);
 
 /// Sets an option from text; an unknown name or value is TAI_ERROR_USAGE, with
 /// the valid ones in the message. Options that affect code apply to kernels
-/// created afterwards. See taiListOptions and docs/options.md.
+/// created afterwards. See taiListOptions and docs/reference/options.md.
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 

@@ -31,7 +31,7 @@ _HINTS_OF_CALLS = [
     (r"expects an array, but got", "pass an array: np.zeros(8, np.float32), or a ti.ndarray"),
     (r"^default_fp must", "write default_fp=ti.f32 or default_fp=ti.f64"),
     (r"^default_ip must", "write default_ip=ti.i32 or default_ip=ti.i64"),
-    (r"^option '(\w+)' expects", "docs/options.md lists the values of each option"),
+    (r"^option '(\w+)' expects", "docs/reference/options.md lists the values of each option"),
     (r"is not a type of numbers$|which is none of numbers$", "use a type such as ti.f32, "
      "or a vector type such as ti.math.vec3"),
     (r"^a struct type has at least", "write ti.types.struct(mass=ti.f32, pos=ti.math.vec3)"),

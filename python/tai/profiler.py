@@ -1,7 +1,7 @@
 """`ti.profiler`: run times of kernels, and counters of skipped work.
 
 Times need `ti.init(kernel_profiler=True)`; `skips` and `print_skips` do not. On a GPU, times are
-measured by its events: the host does not wait for kernels. See docs/gpu.md.
+measured by its events: the host does not wait for kernels. See docs/guides/gpu.md.
 """
 
 from __future__ import annotations

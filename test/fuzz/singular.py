@@ -1,7 +1,7 @@
 """Derivatives that may be infinite, or noise, though the slopes of the program are not, and tests
 for them.
 
-Things that floats and the conventions of docs/derivatives.md leave:
+Things that floats and the conventions of docs/reference/derivatives.md leave:
 
 - The derivative of a part is beyond the range, such as that of log at a denormal number, and
   comes back into it later. A gradient is linear in its seed: with a small one it must be right.

@@ -33,7 +33,7 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
 
     A zero adjoint contributes zero, whatever the partial derivative is, so that
     no infinity or NaN enters a gradient from where the loss does not depend on
-    it. See `docs/derivatives.md` for the rules.
+    it. See `docs/reference/derivatives.md` for the rules.
 
     A store kills the old value of the element: its adjoint reads the adjoint of
     the element and zeroes it, if an earlier access of the kernel may have used

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // One row for each differentiable scalar op: the op, the partials by operand,
-// and the values at kinks. docs/derivatives.md shows the same table; a test
-// compares the two.
+// and the values at kinks. docs/reference/derivatives.md shows the same table;
+// a test compares the two.
 //
 // A partial has a guard (a zero adjoint contributes zero, whatever the partial
 // is) unless it is finite: see `Partial::mayBeNonFinite`.

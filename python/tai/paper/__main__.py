@@ -62,9 +62,7 @@ def _options() -> argparse.Namespace:
     add("--resume", action="store_true", help="keep what is done in --out, and go on")
     add("--out", type=Path, default=Path("out/paper"), help="folder of runs and page (out/paper)")
     add("--examples", type=Path, help="the folder of the programs (examples, of the checkout)")
-    add(
-        "--page", type=Path, help="also writes paper.md or paper-cuda.md here (docs), with pictures"
-    )
+    add("--page", type=Path, help="also writes paper.md or paper-cuda.md here, with pictures")
     return parser.parse_args()
 
 
@@ -204,7 +202,7 @@ def _write_page(lab: Lab, rows: list[page.Row], copy: Path | None) -> Path:
             "times are several times too large.**"
         )
     head = [
-        "Results of the programs of [examples](examples.md) for the figures and tables of "
+        "Results of the programs of [examples](../start/examples.md) for the figures and tables of "
         "*DiffTaichi: Differentiable Programming for Physical Simulation* (ICLR 2020). Made by "
         f"`python -m tai.paper --{lab.level}`; every number that is not said to be the paper's "
         "comes from that run.",

@@ -208,4 +208,4 @@ def electric(lab: Lab) -> None:
         rows.append([name, run.losses[0], count, sum(tail) / len(tail)])
     lab.table(["controller", "first loss", "steps of descent", "mean of the last 50 losses"], rows)
     lab.text("""Each step of descent has a new path. The published controller reads slots that are
-        overwritten afterwards; see gradients-compared.md.""")
+        overwritten afterwards; see docs/reports/gradients-compared.md.""")

@@ -1,7 +1,7 @@
 // RUN: tai-run %s --no-cache
 
 // At kinks and singular points each derivative has one written value (see
-// docs/derivatives.md), and nothing that is not finite leaves a point where the
+// docs/reference/derivatives.md), and nothing that is not finite leaves a point where the
 // loss does not depend on it. Written with the former names of checks, as
 // programs outside of this tree are.
 

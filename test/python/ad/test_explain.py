@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import tai as ti
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "loops.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "loops.md"
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 

@@ -14,7 +14,7 @@ import tai as ti
 from tai._impl.base import state
 
 N = 7
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "derivatives.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "derivatives.md"
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""Derivatives at kinks and singular points: the conventions of docs/derivatives.md, one by one."""
+"""The conventions of docs/reference/derivatives.md at kinks and singular points, one by one."""
 
 import math
 

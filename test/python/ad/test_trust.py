@@ -1,4 +1,4 @@
-"""The programs of docs/trust.md run as they stand."""
+"""The programs of docs/guides/trust.md run as they stand."""
 
 import re
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "trust.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "trust.md"
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGE = ROOT / "docs/examples.md"
+DOCS = ROOT / "docs"
+PAGE = DOCS / "start" / "examples.md"
 TEXT = PAGE.read_text()
 
 
@@ -47,6 +48,6 @@ def test_pictures():
     for name in shown:
         path = PAGE.parent / name
         assert path.is_file() and path.stat().st_size < 150_000
-    pages = "".join(page.read_text() for page in [ROOT / "README.md", *PAGE.parent.glob("*.md")])
-    for path in (PAGE.parent / "pictures").iterdir():
+    pages = "".join(page.read_text() for page in [ROOT / "README.md", *DOCS.rglob("*.md")])
+    for path in DOCS.glob("*/pictures/*"):
         assert f"pictures/{path.name})" in pages, f"no page shows {path.name}"

@@ -42,11 +42,11 @@ def test_what_the_script_makes(folders, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["gallery.py", "--keep", str(folders / "kept")])
     gallery.main()
     # The committed page is this one, and has its pictures.
-    assert (folders / "gallery.md").read_text() == (ROOT / "docs/gallery.md").read_text()
+    assert (folders / "gallery.md").read_text() == (ROOT / "docs/start/gallery.md").read_text()
     for path in (folders / "pictures").iterdir():
-        assert (ROOT / "docs/pictures" / path.name).is_file()
+        assert (ROOT / "docs/start/pictures" / path.name).is_file()
     # Every picture that the page shows is made again.
-    shown = re.findall(r"\(pictures/([^)]+)\)", (ROOT / "docs/gallery.md").read_text())
+    shown = re.findall(r"\(pictures/([^)]+)\)", (ROOT / "docs/start/gallery.md").read_text())
     assert {path.name for path in (folders / "pictures").iterdir()} == set(shown)
     last = Image.open(folders / "pictures/liquid.png").convert("L")
     assert last.size[0] == 470 and last.getpixel((50, 50)) > 190
@@ -63,9 +63,10 @@ def test_a_program_that_draws_nothing(folders, monkeypatch):
 
 
 def test_the_pictures_are_small():
-    pictures = [*(ROOT / "docs/pictures").iterdir()]
+    pictures = [*(ROOT / "docs").glob("*/pictures/*")]
     assert sum(path.stat().st_size for path in pictures) < LIMIT
-    shown = re.findall(r"!\[[^\]]+\]\((docs/pictures/[^)]+)\)", (ROOT / "README.md").read_text())
+    readme = (ROOT / "README.md").read_text()
+    shown = re.findall(r"!\[[^\]]+\]\((docs/start/pictures/[^)]+)\)", readme)
     assert len(shown) == 3 and all((ROOT / name).is_file() for name in shown)
 
 

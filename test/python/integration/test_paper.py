@@ -16,6 +16,7 @@ from tai.paper.experiments import EXPERIMENTS
 from tai.paper.lab import Lab, Result, last_line
 
 ROOT = Path(__file__).resolve().parents[3]
+REPORTS = ROOT / "docs" / "reports"
 COMMAND = [sys.executable, "-m", "tai.paper", "--once"]
 
 
@@ -278,9 +279,9 @@ def test_the_list():
 
 @pytest.mark.parametrize("name", ["paper.md", "paper-cuda.md"])
 def test_the_pages_of_this_repository(name):
-    text = (ROOT / "docs" / name).read_text()
+    text = (REPORTS / name).read_text()
     names = re.findall(r"^\| [^|]+ \| [^|]+ \| `(\w+)` \| ([a-z ]+)", text, re.M)
     assert [name for name, _ in names] == [e.name for e in EXPERIMENTS]
     assert {result.strip() for _, result in names} <= {"as expected", "left out"}
     pictures = re.findall(r"\]\((pictures/[^)]+)\)", text)
-    assert len(pictures) > 10 and all((ROOT / "docs" / name).is_file() for name in pictures)
+    assert len(pictures) > 10 and all((REPORTS / name).is_file() for name in pictures)

@@ -307,7 +307,7 @@ def test_wrong_outputs():
         SQUARE(leaf(), leaf())
 
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "torch.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "torch.md"
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 

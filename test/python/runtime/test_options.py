@@ -72,7 +72,7 @@ def test_the_rows_of_the_package_are_those_of_the_library():
 
 
 def test_the_page_says_what_taichi_calls_an_option():
-    page = (Path(__file__).parents[3] / "docs/options.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/reference/options.md").read_text()
     for name, keyword in options._NAMES.items():
         assert f"| `{keyword}` | `{name}` |" in page
 

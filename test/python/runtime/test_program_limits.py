@@ -230,7 +230,7 @@ def test_options_that_ask_for_what_is_always_so_do_not():
 
 
 def documented_options():
-    page = (Path(__file__).parents[3] / "docs" / "taichi-options.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "taichi-options.md").read_text()
     rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
     return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
 

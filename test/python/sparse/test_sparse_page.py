@@ -1,4 +1,4 @@
-"""The programs of docs/sparse.md run as they stand, and print what their comments say."""
+"""The programs of docs/guides/sparse.md run as they stand, and print what their comments say."""
 
 import re
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "sparse.md").read_text()
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "sparse.md").read_text()
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 

@@ -31,6 +31,6 @@ def test_names_tell_cases():
 
 
 def test_the_page_has_all_cases():
-    page = (ROOT / "docs/stress.md").read_text()
+    page = (ROOT / "docs/reports/stress.md").read_text()
     for number, case in CASES.items():
         assert f"| S{number} | {case.name} | {case.expected} |" in page

@@ -387,8 +387,8 @@ def test_scenes(name, monkeypatch):
 
 
 def test_the_page():
-    """The programs of docs/precision-report.md run as they stand."""
-    page = ROOT / "docs" / "precision-report.md"
+    """The programs of docs/guides/precision-report.md run as they stand."""
+    page = ROOT / "docs" / "guides" / "precision-report.md"
     programs = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.M | re.S)
     assert len(programs) == 2
     for number, program in enumerate(programs):

@@ -30,7 +30,7 @@ def test_one_list_of_pythons():
     assert PROJECT["project"]["requires-python"] == f">={first}"
     glibc = re.search(r"manylinux_(\d+)_(\d+)", wheel.PLATFORM)
     assert f"glibc {glibc[1]}.{glibc[2]} " in native.WHEELS
-    page = (ROOT / "docs/install.md").read_text()
+    page = (ROOT / "docs/start/install.md").read_text()
     assert f"{first} to {last}" in page and f"glibc {glibc[1]}.{glibc[2]}" in page
 
 

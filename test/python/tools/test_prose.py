@@ -76,7 +76,7 @@ def test_a_sentence_may_go_over_several_lines():
         ("python/tai/_impl/ad/tape.py", "python/tai/_impl/ad"),
         ("python/tai/api.py", "python/tai"),
         ("test/python/ad/test_tape.py", "test/python"),
-        ("docs/tape.md", "pages"),
+        ("docs/guides/tape.md", "pages"),
         ("setup.py", "."),
     ],
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorial.md"
+TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "start" / "tutorial.md"
 PROGRAMS = re.findall(r"```python\n(.*?)```", TUTORIAL.read_text(), re.DOTALL)
 
 

@@ -1,6 +1,6 @@
 """Floating-point modes: the keywords of `ti.init` and `@ti.kernel`, and conflicts between them.
 
-See docs/precision.md.
+See docs/guides/precision.md.
 """
 
 from __future__ import annotations

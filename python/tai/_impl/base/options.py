@@ -67,7 +67,7 @@ _NOTES = {
     "program does not",
     "fast_math": "Norms are taken without care for squares that over- or underflow",
     "sanitize": "It ends the process where a kernel on the CPU leaves an array of the caller, or "
-    "memory that is no field: docs/bounds.md. Elements of other fields are no such memory; "
+    "memory that is no field: docs/guides/bounds.md. Elements of other fields are no such memory; "
     "`bounds` finds these. The environment variable TI_SANITIZE says it where the program does not "
     "and runs on the CPU",
     "target_cpu": "An error where this one cannot run its code. Results of one processor can be "
@@ -94,7 +94,7 @@ _OWN = (
     Keyword("precision", str, "default", "what `float` means and what kernels compute in: 'f64' or "
             "'f32'; with 'f16' or 'bf16' the fields of `float` are stored so, and kernels compute "
             "in f32. Types that the program names stay, but arithmetic on them is as wide. See "
-            "docs/precision.md for this and the next four"),
+            "docs/guides/precision.md for this and the next four"),
     Keyword("sums", str, "default", "how sums over iterations and scatters are kept: "
             "'compensated', with twice the digits of their type; 'deterministic', as by the option "
             "of that name"),
@@ -106,7 +106,7 @@ _OWN = (
     Keyword("check_out_of_bound", bool, False, "the same as bounds='check'"),
     Keyword("validation", bool, False, "each launch checks that no two iterations of a parallel "
             "loop read and write one element where the result depends on their order, which data "
-            "decide; `debug` implies it. See docs/parallel-updates.md"),
+            "decide; `debug` implies it. See docs/guides/parallel-updates.md"),
     Keyword("ad_ties", str, "second", "what `max` and `min` of equal numbers do in gradients: "
             "'second': the second one gets all; 'split': half each"),
     Keyword("ad_arcs", str, "exact", "the derivatives of asin and acos at ±1: 'exact': infinite; "
@@ -119,7 +119,8 @@ _OWN = (
     Keyword("compile_progress", bool, True, "name the kernel that is compiled on the terminal, if "
             "there is one, once that takes over a second"),
     Keyword("log_level", str, WARN, "accepted, as are others that no result depends on; "
-            "docs/taichi-options.md lists them. Those that ask for what does not happen warn"),
+            "docs/reference/taichi-options.md lists them. Those that ask for what does not happen "
+            "warn"),
     Keyword("unrolling_limit", int, 65536, "the most iterations that a `ti.static` loop may "
             "have; 0 for no limit. Less than the default, 65,536, is taken as that"),
 )  # fmt: skip
@@ -210,7 +211,7 @@ CHOICES = {
 }
 
 # Options of Taichi that ask for something that tai always does, or tune Taichi's own passes; they
-# are in docs/taichi-options.md.
+# are in docs/reference/taichi-options.md.
 ACCEPTED = {
     "advanced_optimization", "flatten_if", "device_memory_GB", "device_memory_fraction",
     "ad_stack_size", "default_ad_stack_size", "demote_dense_struct_fors", "verbose",

@@ -115,7 +115,7 @@ def _context() -> Any:
 def shadow_report() -> ShadowReport:
     """The lines that lost digits since `ti.init(shadow=True)` or `clear_shadow_report`.
 
-    See docs/shadow.md.
+    See docs/guides/shadow.md.
     """
     report = ShadowReport()
     for operation, kernel, place, _, *counts, error, error_in, bits in _context().shadow_rows():

@@ -27,7 +27,7 @@ def init(
     """Resets the program: discards all fields and kernels, and sets the options.
 
     Options of Taichi that request tai's fixed behaviour, or tune Taichi's passes, are accepted and
-    ignored: docs/taichi-options.md lists them.
+    ignored: docs/reference/taichi-options.md lists them.
 
     Args:
         enable_fallback: use the CPU if `ti.cuda` is not available.

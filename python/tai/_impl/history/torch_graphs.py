@@ -13,7 +13,7 @@ from ...errors import TaiAutodiffError
 from ..base import native
 from . import origins
 
-_RECIPE = "tai.torch.wrap, or torch.autograd.Function: see docs/torch.md"
+_RECIPE = "tai.torch.wrap, or torch.autograd.Function: see docs/guides/torch.md"
 
 
 def check_leaf(value: Any, what: str) -> None:

@@ -171,7 +171,7 @@ class Kernel(native.Launcher):
 
         For each serial loop: the number of its iterations, the values saved of them, and the class
         of each value that it carries from one to the next: *linear*, of a *closed form*,
-        *invertible* or a *trajectory* (see docs/loops.md). For each branch: whether it was
+        *invertible* or a *trajectory* (see docs/guides/loops.md). For each branch: whether it was
         flattened, or why not. Then the fields that the gradient reads and adds to, and the data
         that the tape saves for it.
 

@@ -13,7 +13,7 @@
 //   math = "fast", "strict" or "accurate"
 //   ftz = true                       denormal numbers are zero
 //
-// `"default"` is a word of each. See docs/precision.md.
+// `"default"` is a word of each. See docs/guides/precision.md.
 //
 // Functions that a kernel is lowered to have the same settings as an LLVM
 // function attribute, `["tai.modes", "sums=compensated,ftz=true"]` in

@@ -34,13 +34,13 @@ def Tai_KernelOp : Tai_Op<"kernel", [
     arguments. `summary` lists the accesses of the kernel (see `#tai.access`).
     `tangent` names its forward-mode variant.
 
-    `modes` sets precision, summation and approximations (docs/precision.md);
+    `modes` sets precision, summation and approximations (docs/guides/precision.md);
     its adjoint and its forward-mode variant have the same.
 
     Attributes for differentiation, set by users: `gradients`, the positions of
     arguments and results (numbered consecutively) with respect to which the
     kernel is differentiated besides fields; `conventions`, the subgradients at
-    kinks (docs/derivatives.md).
+    kinks (docs/reference/derivatives.md).
 
     Attributes set by passes. On an adjoint: `zeroes_adjoint`, it zeroes the
     adjoints of all elements that the kernel stores; `reads_before`, the fields
