@@ -395,3 +395,38 @@ def test_tapes_without_torch_knowing(torch):
     assert loss[None] == 1.25
     with pytest.raises(ti.TaiRuntimeTypeError, match="no numbers of type bfloat16"):
         total(torch.zeros(3, dtype=torch.bfloat16))
+
+
+def test_each_shape_of_elements_has_code_of_its_own():
+    """Arrays of as many dimensions and the same type; the quick path comes from the second call."""
+
+    @ti.kernel
+    def total(x: ti.types.ndarray(ndim=1)) -> ti.f64:
+        s = 0.0
+        for i in range(x.shape[0]):
+            s += x[i].sum()
+        return s
+
+    @ti.kernel
+    def square(x: ti.types.ndarray(ndim=1), y: ti.types.ndarray(ndim=1)):
+        for i in range(x.shape[0]):
+            y[i] = x[i] * x[i]
+
+    sizes = ((2,), (3,), (2, 2), (4, 1), (1, 4), (3,), (2,))
+
+    def make(size):
+        if len(size) == 1:
+            array = ti.Vector.ndarray(*size, ti.f64, shape=3)
+        else:
+            array = ti.Matrix.ndarray(*size, ti.f64, shape=3)
+        array.from_numpy(np.arange(3.0 * np.prod(size)).reshape(3, *size) + 1)
+        return array
+
+    for _ in range(2):
+        for size in sizes:
+            x, y = make(size), make(size)
+            ones = make(size)
+            ones.from_numpy(np.ones((3, *size)))
+            assert total(ones) == 3 * np.prod(size)
+            square(x, y)
+            assert (y.to_numpy() == x.to_numpy() ** 2).all()
