@@ -41,9 +41,12 @@ ALLOWED: dict[str, set[str]] = {
                  "_impl.launch"},
     "_impl.solvers": {"_impl.base", "_impl.values", "_impl.history", "_impl.fields",
                       "_impl.tracking", "_impl.launch", "_impl.ad"},
+    "_impl.optim": {"_impl.base", "_impl.values", "_impl.fields", "_impl.launch", "_impl.ad",
+                    "_impl.solvers"},
     "_impl.frameworks": {"_impl.base", "_impl.values", "_impl.launch", "_impl.ad"},
     "public": {"_impl", "_impl.base", "_impl.values", "_impl.interop", "_impl.fields",
-               "_impl.tracking", "_impl.launch", "_impl.ad", "_impl.solvers", "_impl.frameworks"},
+               "_impl.tracking", "_impl.launch", "_impl.ad", "_impl.solvers", "_impl.optim",
+               "_impl.frameworks"},
     "_impl": set(),
 }  # fmt: skip
 

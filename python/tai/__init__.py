@@ -232,7 +232,7 @@ _NOT_YET = {
     for name in names.split()
 }
 _MODULES = {"ad", "algorithms", "errors", "gui", "lang", "linalg", "math", "profiler", "sparse",
-            "testing", "tools", "torch", "volumes", "_lib"}  # fmt: skip
+            "optim", "testing", "tools", "torch", "volumes", "_lib"}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

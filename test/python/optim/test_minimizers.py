@@ -1,0 +1,299 @@
+"""L-BFGS, Gauss-Newton and SciPy's methods on fields."""
+
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tai as ti
+from scipy import optimize
+
+
+class Rosenbrock:
+    """Its minimum is 0 at (1, 1, …)."""
+
+    def __init__(self, n=2, dtype=ti.f64):
+        self.x = x = ti.field(dtype, shape=n, needs_grad=True, needs_dual=True)
+        self.loss = loss = ti.field(dtype, shape=(), needs_grad=True, needs_dual=True)
+        self.r = r = ti.field(dtype, shape=2 * n - 2, needs_grad=True, needs_dual=True)
+
+        @ti.kernel
+        def compute():
+            for i in range(n - 1):
+                loss[None] += (1 - x[i]) ** 2 + 100 * (x[i + 1] - x[i] ** 2) ** 2
+
+        @ti.kernel
+        def residuals():
+            for i in range(n - 1):
+                r[2 * i] = 1 - x[i]
+                r[2 * i + 1] = 10 * (x[i + 1] - x[i] ** 2)
+
+        self.compute, self.residuals = compute, residuals
+        self.start = np.where(np.arange(n) % 2, 1.0, -1.2)
+        x.from_numpy(self.start.astype(x.dtype.numpy))
+
+    def record(self):
+        with ti.ad.Tape(self.loss) as tape:
+            self.compute()
+        return tape
+
+
+@pytest.mark.parametrize("n", [2, 3, 64])
+def test_lbfgs_of_rosenbrock(n):
+    ti.init()
+    p = Rosenbrock(n)
+    result = ti.optim.LBFGS([p.x]).minimize(p.record(), max_iterations=500, gtol=1e-8)
+    assert result.converged and result.reason == "gradient"
+    np.testing.assert_allclose(p.x.to_numpy(), optimize.rosen(np.ones(n)) + 1, rtol=1e-6)
+    assert result.loss == p.loss[None]
+    reference = optimize.minimize(
+        optimize.rosen, p.start, jac=optimize.rosen_der, method="L-BFGS-B",
+        options={"gtol": 1e-8, "ftol": 0},
+    )  # fmt: skip
+    assert result.evaluations < 2 * reference.nfev
+
+
+def test_lbfgs_in_f32():
+    ti.init()
+    p = Rosenbrock(2, ti.f32)
+    result = ti.optim.LBFGS(p.x).minimize(p.record(), gtol=1e-3)
+    assert result.converged
+    np.testing.assert_allclose(p.x.to_numpy(), 1, rtol=1e-2)
+
+
+def test_lbfgs_of_an_ill_conditioned_quadratic():
+    ti.init()
+    n = 100
+    x = ti.Vector.field(2, ti.f64, shape=(n // 4), needs_grad=True)
+    y = ti.ndarray(ti.f64, n // 2, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def compute(y: ti.types.ndarray()):
+        for i in x:
+            for c in ti.static(range(2)):
+                loss[None] += 0.5 * 10 ** (4.0 * (2 * i + c) / n) * (x[i][c] - 1) ** 2
+        for i in range(y.shape[0]):
+            loss[None] += 0.5 * 10 ** (4.0 * (i + n // 2) / n) * (y[i] - 2) ** 2
+
+    with ti.ad.Tape(loss) as tape:
+        compute(y)
+    result = ti.optim.LBFGS([x, y], history=20).minimize(tape, max_iterations=1000, gtol=1e-7)
+    assert result.reason == "gradient"
+    np.testing.assert_allclose(x.to_numpy(), 1, atol=1e-6)
+    np.testing.assert_allclose(y.to_numpy(), 2, atol=1e-6)
+
+
+def test_lbfgs_of_a_function_and_steps():
+    ti.init()
+    p = Rosenbrock(2)
+
+    def evaluate():
+        with ti.ad.Tape(p.loss):
+            p.compute()
+        return p.loss[None]
+
+    optimizer = ti.optim.LBFGS(p.x)
+    losses = [optimizer.step(evaluate).loss for _ in range(60)]
+    assert all(b <= a for a, b in zip(losses, losses[1:], strict=False))
+    assert losses[-1] < 1e-10
+
+
+def test_lbfgs_steps_over_a_singularity():
+    # log is not finite for x <= 0, where the first long step ends.
+    ti.init()
+    x = ti.field(ti.f64, shape=1, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def compute():
+        for i in x:
+            loss[None] += 1e3 * x[i] - ti.log(x[i])
+
+    x[0] = 0.01
+    with ti.ad.Tape(loss) as tape:
+        compute()
+    result = ti.optim.LBFGS(x).minimize(tape, gtol=1e-6)
+    assert result.converged
+    assert x[0] == pytest.approx(1e-3, rel=1e-6)
+    x[0] = -1.0
+    with pytest.raises(ti.TaiAutodiffError, match="the loss is -?nan at the start"):
+        ti.optim.LBFGS(x).minimize(tape)
+    assert x[0] == -1
+
+
+def test_lbfgs_goes_on_from_its_state():
+    ti.init()
+    p = Rosenbrock(8)
+    tape = p.record()
+    first = ti.optim.LBFGS(p.x, history=5)
+    first.minimize(tape, max_iterations=12)
+    middle, state = p.x.to_numpy(), pickle.loads(pickle.dumps(first.state_dict()))
+    first.minimize(tape, max_iterations=5)
+    expected = p.x.to_numpy()
+    p.x.from_numpy(middle)
+    second = ti.optim.LBFGS(p.x, history=5)
+    second.load_state_dict(state)
+    second.minimize(tape, max_iterations=5)
+    np.testing.assert_allclose(p.x.to_numpy(), expected, rtol=1e-8)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="belongs to 8 numbers"):
+        ti.optim.LBFGS(p.r).load_state_dict(state)
+
+
+@pytest.mark.parametrize("n", [2, 16])
+def test_gauss_newton_of_rosenbrock(n):
+    ti.init()
+    p = Rosenbrock(n)
+    result = ti.optim.GaussNewton([p.x], p.r).minimize(p.residuals)
+    assert result.converged
+    np.testing.assert_allclose(p.x.to_numpy(), 1, rtol=1e-5)
+
+
+@pytest.mark.parametrize("as_tape", [False, True])
+def test_gauss_newton_fits_a_curve(as_tape):
+    # y = a exp(-b t) + c, with noise: SciPy's answer.
+    ti.init()
+    t = np.linspace(0, 4, 40)
+    rng = np.random.default_rng(3)
+    data = 2.5 * np.exp(-1.3 * t) + 0.5 + 0.05 * rng.normal(size=40)
+    a = ti.Vector.field(2, ti.f64, shape=(), needs_grad=True, needs_dual=True)
+    c = ti.field(ti.f64, shape=1, needs_grad=True, needs_dual=True)
+    r = ti.field(ti.f64, shape=40, needs_grad=True, needs_dual=True)
+    times, values = ti.field(ti.f64, shape=40), ti.field(ti.f64, shape=40)
+    times.from_numpy(t)
+    values.from_numpy(data)
+
+    @ti.kernel
+    def fit():
+        for i in r:
+            r[i] += a[None][0] * ti.exp(-a[None][1] * times[i]) + c[0] - values[i]
+
+    a[None] = [1.0, 0.5]
+    function = fit
+    if as_tape:
+        with ti.ad.Tape() as function:
+            fit()
+    result = ti.optim.GaussNewton([a, c], [r]).minimize(function)
+    reference = optimize.least_squares(
+        lambda p: p[0] * np.exp(-p[1] * t) + p[2] - data, [1, 0.5, 0], method="lm", xtol=1e-14
+    )
+    assert result.converged
+    np.testing.assert_allclose([*a.to_numpy(), c[0]], reference.x, rtol=1e-6)
+    assert result.loss == pytest.approx(reference.cost, rel=1e-9)
+
+
+def test_gauss_newton_of_residuals_with_a_pole():
+    ti.init()
+    x = ti.field(ti.f64, shape=1, needs_grad=True, needs_dual=True)
+    r = ti.field(ti.f64, shape=1, needs_grad=True, needs_dual=True)
+
+    @ti.kernel
+    def compute():
+        for i in x:
+            r[i] = ti.log(x[i]) + 3
+
+    x[0] = 10.0  # The first full step leads to negative numbers.
+    result = ti.optim.GaussNewton(x, r, damping=1e-9).minimize(compute)
+    assert result.converged
+    assert x[0] == pytest.approx(np.exp(-3), rel=1e-6)
+    x[0] = -1.0
+    with pytest.raises(ti.TaiAutodiffError, match="the loss is -?nan at the start"):
+        ti.optim.GaussNewton(x, r).minimize(compute)
+
+
+def test_gauss_newton_is_at_the_minimum():
+    ti.init()
+    p = Rosenbrock(2)
+    p.x.fill(1)
+    optimizer = ti.optim.GaussNewton(p.x, p.r)
+    result = optimizer.minimize(p.residuals)
+    assert (result.reason, result.iterations) == ("gradient", 0)
+    state = pickle.loads(pickle.dumps(optimizer.state_dict()))
+    optimizer.load_state_dict(state)
+
+
+@pytest.mark.parametrize("method", ["L-BFGS-B", "BFGS", "CG", "Newton-CG", "trust-ncg"])
+def test_scipy(method):
+    ti.init()
+    p = Rosenbrock(4)
+    result = ti.optim.scipy_minimize(p.record(), [p.x], method=method, tol=1e-10)
+    np.testing.assert_allclose(p.x.to_numpy(), 1, rtol=1e-3)
+    np.testing.assert_array_equal(p.x.to_numpy(), result.x)
+
+
+def test_scipy_with_bounds_and_arrays():
+    ti.init()
+    x = ti.Vector.ndarray(2, ti.f32, 2, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def compute(x: ti.types.ndarray()):
+        for i in range(x.shape[0]):
+            loss[None] += (x[i] - 2.0).norm_sqr()
+
+    with ti.ad.Tape(loss) as tape:
+        compute(x)
+    ti.optim.scipy_minimize(tape, x, bounds=[(0, 1)] * 3 + [(None, None)])
+    np.testing.assert_allclose(x.to_numpy(), [[1, 1], [1, 2]], rtol=1e-5)
+
+
+def test_refusals():
+    ti.init()
+    x = ti.field(ti.f32, shape=3, needs_grad=True, name="x")
+    r = ti.field(ti.f32, shape=3, needs_grad=True, needs_dual=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    many = ti.field(ti.f32, shape=2, needs_grad=True, name="many")
+    array = ti.ndarray(ti.f32, 3, needs_grad=True)
+    sparse = ti.field(ti.f32, name="sparse")
+    ti.root.pointer(ti.i, 4).place(sparse)
+    ti.root.lazy_grad()
+
+    @ti.kernel
+    def compute():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    with ti.ad.Tape(loss) as tape:
+        compute()
+    with ti.ad.Tape() as free:
+        compute()
+    kind = ti.TaiRuntimeTypeError
+    cases = [
+        (lambda: ti.optim.LBFGS(sparse), ti.TaiRuntimeError, "'sparse' is sparse"),
+        (lambda: ti.optim.LBFGS(x, history=0), kind, "history must be"),
+        (lambda: ti.optim.LBFGS(x).minimize(free), kind, "a tape with one loss"),
+        (lambda: ti.optim.LBFGS(x).minimize(3), kind, "takes a tape or a function, but got 3"),
+        (lambda: ti.optim.LBFGS(x).minimize(lambda: many), kind, "the loss must be one number"),
+        (lambda: ti.optim.GaussNewton(array, r), kind, "arrays have no tangents"),
+        (lambda: ti.optim.GaussNewton(x, r), ti.TaiAutodiffError, "'x' has no dual"),
+        (lambda: ti.optim.GaussNewton(r, many), ti.TaiAutodiffError, "'many' has no dual"),
+        (lambda: ti.optim.scipy_minimize(tape, sparse), ti.TaiRuntimeError, "is sparse"),
+        (lambda: ti.optim.scipy_minimize(tape, x, jac=True), kind, "gives 'jac' to SciPy"),
+        (
+            lambda: ti.optim.scipy_minimize(tape, x, method="trust-ncg"),
+            ti.TaiAutodiffError,
+            "needs second derivatives",
+        ),
+    ]
+    for call, error, message in cases:
+        with pytest.raises(error, match=message):
+            call()
+    with pytest.raises(ti.TaiAutodiffError, match="while a tape records"), ti.ad.Tape(loss):
+        ti.optim.LBFGS(x).minimize(compute)
+
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "optimizers.md"
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_programs_of_the_page(number, tmp_path):
+    assert len(PROGRAMS) == 4
+    if "torch" in PROGRAMS[number]:
+        pytest.importorskip("torch", reason="the program needs torch")
+    file = tmp_path / "program.py"
+    file.write_text(PROGRAMS[number])
+    subprocess.run([sys.executable, "-W", "error::UserWarning", str(file)], check=True)
