@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak bench bench-error bench-pairs fmt lint tidy portable wheel docs clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -91,6 +91,9 @@ wheel: setup ## make wheels of all CPythons that are found, an sdist, an SBOM (A
 docs: build ## generate the reference of dialect and passes in build/docs
 	@ninja -C $(BUILD) mlir-doc
 	@echo "the reference is in $(BUILD)/docs/reference"
+
+site: build ## build the documentation site, with search and checked links: build/site
+	@BUILD=$(BUILD) scripts/site/build.sh
 
 clean: ## remove what was built (.venv stays)
 	rm -rf build build-debug build-asan build-tsan build-portable dist python/tai/_core*.so
