@@ -13,7 +13,7 @@ target_include_directories(tai SYSTEM INTERFACE
 target_compile_features(tai INTERFACE cxx_std_17)
 
 install(DIRECTORY include/tai "${PROJECT_BINARY_DIR}/include/tai" DESTINATION include
-  COMPONENT headers FILES_MATCHING PATTERN "*.h" PATTERN "*.td" PATTERN "*.inc"
+  COMPONENT headers FILES_MATCHING PATTERN "*.h" PATTERN "*.def" PATTERN "*.td" PATTERN "*.inc"
   PATTERN "CMakeFiles" EXCLUDE)
 install(EXPORT TaiTargets NAMESPACE tai:: DESTINATION "${TAI_CMAKE_DIR}" COMPONENT headers)
 export(EXPORT TaiTargets NAMESPACE tai:: FILE "${PROJECT_BINARY_DIR}/lib/cmake/tai/TaiTargets.cmake")

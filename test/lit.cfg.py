@@ -50,8 +50,11 @@ tools += [
 llvm_config.add_tool_substitutions(tools, [config.tai_tools_dir, config.llvm_tools_dir])
 config.substitutions.append(("%tai_plugin", config.tai_plugin))
 config.substitutions.append(("%tai_lib", config.tai_lib_dir))
+config.substitutions.append(("%tai_build", config.tai_build_dir))
 config.substitutions.append(("%llvm_lib", os.path.join(config.llvm_tools_dir, "..", "lib")))
 config.substitutions.append(("%tai_src", config.tai_source_dir))
+llvm_include = os.path.join(config.llvm_tools_dir, "..", "include")
+config.substitutions.append(("%llvm_include", llvm_include))
 config.substitutions.append(("%python", config.python_executable))
 
 # A test that hangs fails; lit needs psutil to end its processes.

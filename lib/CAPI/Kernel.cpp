@@ -40,6 +40,8 @@ TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
 TaiStatus taiKernelLoad(TaiContext context, const char *bytes, size_t size,
                         const char *file, const char *name, TaiKernel *kernel) {
   return call(*context, [&]() -> TaiStatus {
+    if (!bytes)
+      return context->usage("there is no kernel to load: 'bytes' is null");
     FailureOr<SessionKernel *> made = context->session.parseKernel(
         StringRef(bytes, size), file ? file : "", name ? name : "");
     if (failed(made))

@@ -32,8 +32,9 @@ int64_t Declarations::size() const {
 LogicalResult Declarations::addTree(StringRef name, StringRef layout) {
   DiagnosticCollector collector(context);
   size_t read = 0;
-  Type type = parseType(layout, context, &read,
-                        /*isKnownNullTerminated=*/false);
+  Type type;
+  if (checkText(layout, context, "layout"))
+    type = parseType(layout, context, &read, /*isKnownNullTerminated=*/false);
   if (!type)
     return failures.fail(collector.take(
         FailureKind::Syntax, "the layout '" + layout + "' does not parse"));

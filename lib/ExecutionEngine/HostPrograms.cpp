@@ -9,7 +9,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "tai/Dialect/Check/IR/Check.h"
-#include "tai/Pipelines/Pipelines.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -35,7 +35,10 @@ static void stubKernels(ModuleOp module) {
 /// Drops operations that use nothing of tai and do not belong to the program
 /// `entry`.
 static void keepReachable(ModuleOp module, StringRef entry) {
-  llvm::SetVector<Operation *> needed = collectOwn(module, entry);
+  // Lowered even if it holds no op of tai.
+  if (auto program = module.lookupSymbol<func::FuncOp>(entry))
+    markLowered(program);
+  llvm::SetVector<Operation *> needed = collectLowered(module);
   for (size_t i = 0; i < needed.size(); ++i)
     needed[i]->walk([&](Operation *op) {
       op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {
@@ -52,8 +55,9 @@ OwningOpRef<ModuleOp> mlir::tai::makeHostModule(ModuleOp module,
                                                 StringRef entry) {
   OwningOpRef<ModuleOp> host = module.clone();
   upgradeFormerChecks(*host);
-  keepReachable(*host, entry);
+  // First, so that helpers of kernels go.
   stubKernels(*host);
+  keepReachable(*host, entry);
   return host;
 }
 

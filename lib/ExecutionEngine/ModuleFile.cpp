@@ -15,6 +15,7 @@
 #include "mlir/Bytecode/BytecodeWriter.h"
 #include "mlir/IR/Diagnostics.h"
 #include "mlir/Parser/Parser.h"
+#include "tai/Dialect/Tai/IR/TextLimits.h"
 #include "tai/Support/XXHash.h"
 #include "llvm/Support/Endian.h"
 #include "llvm/Support/MemoryBuffer.h"
@@ -58,52 +59,14 @@ static std::string checkHeader(StringRef bytes) {
   return "";
 }
 
-/// The place of a construct that MLIR's parser dies of, and the reason of the
-/// refusal: an array of `index`, and a result so far behind the others that
-/// there is no memory for those before it.
-static std::optional<std::pair<size_t, StringRef>>
-findFatalText(StringRef text) {
-  constexpr size_t kMostDigits = 6;
-  constexpr StringLiteral stops("#<\"/");
-  for (size_t at = text.find_first_of(stops); at != StringRef::npos;
-       at = text.find_first_of(stops, at + 1)) {
-    StringRef rest = text.drop_front(at + 1);
-    switch (text[at]) {
-    case '/':
-      // Past a comment.
-      if (rest.starts_with("/"))
-        at += rest.find_first_of('\n') == StringRef::npos
-                  ? rest.size()
-                  : rest.find_first_of('\n');
-      break;
-    case '"':
-      // Past a string.
-      for (++at; at < text.size() && text[at] != '"' && text[at] != '\n'; ++at)
-        at += text[at] == '\\';
-      if (at >= text.size())
-        return std::nullopt;
-      break;
-    case '#':
-      if (rest.take_while(llvm::isDigit).size() > kMostDigits)
-        return std::pair(at, StringRef("no operation has so many results"));
-      break;
-    case '<':
-      rest = rest.ltrim();
-      if (text.take_front(at).rtrim().ends_with("array") &&
-          rest.consume_front("index") && rest.ltrim().starts_with(":"))
-        return std::pair(at, StringRef("an array attribute holds integers of "
-                                       "known width or floats, not 'index'"));
-      break;
-    }
-  }
-  return std::nullopt;
-}
-
-static Location getPlace(MLIRContext *context, StringRef text, size_t at,
-                         StringRef file) {
-  StringRef before = text.take_front(at);
-  unsigned column = before.size() - (before.rfind('\n') + 1);
-  return FileLineColLoc::get(context, file, before.count('\n') + 1, column + 1);
+bool mlir::tai::checkText(StringRef text, MLIRContext *context,
+                          StringRef file) {
+  std::optional<TextProblem> problem = findTextProblem(text);
+  if (!problem)
+    return true;
+  emitError(FileLineColLoc::get(context, file, problem->line, problem->column),
+            problem->message);
+  return false;
 }
 
 OwningOpRef<ModuleOp> mlir::tai::readModule(StringRef bytes,
@@ -121,14 +84,15 @@ OwningOpRef<ModuleOp> mlir::tai::readModule(StringRef bytes,
   if (!bytes.starts_with(kMagic)) {
     // To MLIR's parser a file of nothing but zeros is an empty module.
     if (bytes.contains('\0')) {
-      emitError(getPlace(context, bytes, bytes.find('\0'), file),
+      StringRef before = bytes.take_until([](char c) { return c == '\0'; });
+      unsigned column = before.size() - (before.rfind('\n') + 1);
+      emitError(FileLineColLoc::get(context, file, before.count('\n') + 1,
+                                    column + 1),
                 "this is neither text nor bytecode: a byte is zero");
       return {};
     }
-    if (auto fatal = findFatalText(bytes)) {
-      emitError(getPlace(context, bytes, fatal->first, file), fatal->second);
+    if (!checkText(bytes, context, file))
       return {};
-    }
     return parseSourceString<ModuleOp>(bytes, config, file);
   }
   if (std::string problem = checkHeader(bytes); !problem.empty()) {

@@ -66,7 +66,7 @@ static Compiler::Pipelines getPipelines() {
 #define TAI_AUTODIFF_OPTION(type, member, from, argument, initial, about)      \
   autodiff.member = options.from;
 #include "tai/Support/Options.def"
-    buildAutodiffPipeline(manager, autodiff);
+    buildAutodiffPasses(manager, autodiff);
   };
   pipelines.forward = [](OpPassManager &manager, const CompileOptions &) {
     // A copy is launched with the arguments of its primal and no others.

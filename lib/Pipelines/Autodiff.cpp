@@ -14,8 +14,8 @@
 
 using namespace mlir;
 
-void tai::buildAutodiffPipeline(OpPassManager &pm,
-                                const AutodiffOptions &options) {
+void tai::buildAutodiffPasses(OpPassManager &pm,
+                              const AutodiffOptions &options) {
   // Helpers go into the kernels that call them: a call hides their reads.
   addInliner(pm);
   pm.addPass(createRecognizeReductions());
@@ -65,6 +65,13 @@ void tai::buildAutodiffPipeline(OpPassManager &pm,
     function.addPass(createMarkExclusive());
     function.addPass(createSummarizeKernels());
   });
+}
+
+void tai::buildAutodiffPipeline(OpPassManager &pm,
+                                const AutodiffOptions &options) {
+  addIsolated(
+      pm, [&](OpPassManager &own) { buildAutodiffPasses(own, options); },
+      IsolateMode::Keep, options.kernels);
 }
 
 void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {

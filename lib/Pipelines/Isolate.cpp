@@ -15,77 +15,16 @@
 
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
-#include "mlir/Interfaces/CallInterfaces.h"
 #include "mlir/Pass/Pass.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Pass/PassRegistry.h"
-#include "tai/Dialect/Check/IR/Check.h"
+#include "tai/AD/Selection.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Pipelines/Pipelines.h"
 
 using namespace mlir;
 using namespace mlir::tai;
-
-/// The op of tai that stands in `op`, or null. Modules are worlds of their own.
-static Operation *findTaiOp(Operation *op) {
-  Operation *found = nullptr;
-  op->walk<WalkOrder::PreOrder>([&](Operation *nested) {
-    if (nested != op && nested->hasTrait<OpTrait::SymbolTable>())
-      return WalkResult::skip();
-    if (!isa_and_present<TaiDialect, TaiRTDialect, CheckDialect>(
-            nested->getDialect()))
-      return WalkResult::advance();
-    found = nested;
-    return WalkResult::interrupt();
-  });
-  return found;
-}
-
-/// Calls `action` with each symbol that `op` names in its module, and the op
-/// that names it.
-static void
-forEachNamed(Operation *op, SymbolTable &symbols,
-             llvm::function_ref<void(Operation *, Operation *)> action) {
-  op->walk<WalkOrder::PreOrder>([&](Operation *user) {
-    if (user != op && user->hasTrait<OpTrait::SymbolTable>())
-      return WalkResult::skip();
-    user->getAttrDictionary().walk([&](SymbolRefAttr name) {
-      if (Operation *named = symbols.lookup(name.getRootReference()))
-        action(named, user);
-    });
-    return WalkResult::advance();
-  });
-}
-
-llvm::SetVector<Operation *> tai::collectOwn(ModuleOp module, StringRef entry) {
-  SymbolTable symbols(module);
-  llvm::SetVector<Operation *> own;
-  for (Operation &op : *module.getBody())
-    if (isa_and_present<TaiDialect, TaiRTDialect, CheckDialect>(
-            op.getDialect()) ||
-        (isa<func::FuncOp>(op) && findTaiOp(&op)))
-      own.insert(&op);
-  if (!entry.empty())
-    if (Operation *function = symbols.lookup(entry))
-      own.insert(function);
-  // A caller of a function that is lowered must be lowered with it: the callee
-  // has another signature afterwards. Calls of calls, until nothing is new.
-  for (bool grown = true; grown;) {
-    grown = false;
-    for (auto function : module.getOps<func::FuncOp>()) {
-      if (own.contains(function))
-        continue;
-      bool calls = false;
-      forEachNamed(function, symbols, [&](Operation *named, Operation *user) {
-        calls |= own.contains(named) && isa<func::FuncOp>(named) &&
-                 isa<CallOpInterface>(user);
-      });
-      grown |= calls && own.insert(function);
-    }
-  }
-  return own;
-}
 
 namespace {
 /// The functions that lowered code calls, and that hold nothing of tai
@@ -120,10 +59,15 @@ struct Isolate : PassWrapper<Isolate, OperationPass<ModuleOp>> {
   Isolate() : passes(ModuleOp::getOperationName()) {}
   Isolate(const Isolate &other) : PassWrapper(other), passes(other.passes) {
     pipeline = other.pipeline.getValue();
+    keep = other.keep.getValue();
+    names = other.names;
   }
-  explicit Isolate(llvm::function_ref<void(OpPassManager &)> populate)
+  Isolate(llvm::function_ref<void(OpPassManager &)> populate, IsolateMode mode,
+          ArrayRef<std::string> selected)
       : Isolate() {
     populate(passes);
+    keep = mode == IsolateMode::Keep;
+    names = selected;
     std::string text;
     llvm::raw_string_ostream stream(text);
     llvm::interleave(
@@ -157,14 +101,79 @@ struct Isolate : PassWrapper<Isolate, OperationPass<ModuleOp>> {
   void runOnOperation() final;
 
 private:
+  llvm::SetVector<Operation *> collectOwn();
   LogicalResult checkForeign(const llvm::SetVector<Operation *> &own);
+  LogicalResult runOnAll(const llvm::SetVector<Operation *> &own);
   LogicalResult runOn(const llvm::SetVector<Operation *> &own);
 
   OpPassManager passes;
   Option<std::string> pipeline{*this, "pipeline",
                                llvm::cl::desc("The passes to run")};
+  Option<bool> keep{*this, "keep",
+                    llvm::cl::desc("The passes keep the signatures of "
+                                   "functions: callers stay as they are"),
+                    llvm::cl::init(false)};
+  ListOption<std::string> names{
+      *this, "function",
+      llvm::cl::desc("Names of functions that count as those of tai")};
+};
+
+/// Makes private functions public that nothing else in the part would keep:
+/// those that are asked for, that others call, or that wait for their callers.
+class KeptFunctions {
+public:
+  KeptFunctions(ModuleOp module, const llvm::SetVector<Operation *> &own) {
+    for (Operation *op : own) {
+      auto function = dyn_cast<func::FuncOp>(op);
+      if (!function || !function.isPrivate() || function.isExternal())
+        continue;
+      std::optional<SymbolTable::UseRange> uses =
+          SymbolTable::getSymbolUses(function, module);
+      bool isCalledByOwn =
+          uses && !uses->empty() &&
+          llvm::all_of(*uses, [&](SymbolTable::SymbolUse use) {
+            Operation *root = use.getUser();
+            while (root->getParentOp() && root->getParentOp() != module)
+              root = root->getParentOp();
+            return own.contains(root);
+          });
+      if (isCalledByOwn && isTaiCode(function))
+        continue;
+      function.setPublic();
+      names.push_back(function.getSymNameAttr());
+    }
+  }
+
+  void restore(ModuleOp part) {
+    SymbolTable symbols(part);
+    for (StringAttr name : names)
+      if (auto function = symbols.lookup<func::FuncOp>(name))
+        function.setPrivate();
+  }
+
+private:
+  SmallVector<StringAttr> names;
 };
 } // namespace
+
+llvm::SetVector<Operation *> Isolate::collectOwn() {
+  ModuleOp module = getOperation();
+  llvm::SetVector<Operation *> own;
+  if (!keep) {
+    own = collectLowered(module);
+  } else {
+    for (Operation &op : *module.getBody())
+      if (belongsToTai(&op))
+        own.insert(&op);
+    SymbolTable symbols(module);
+    for (const std::string &name : names)
+      if (Operation *function = symbols.lookup(name))
+        own.insert(function);
+  }
+  own.remove_if(
+      [](Operation *op) { return !isTaiOp(op) && !isa<func::FuncOp>(op); });
+  return own;
+}
 
 /// Code that is left alone must be valid as it is.
 LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
@@ -176,8 +185,7 @@ LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
     if (op.hasTrait<OpTrait::SymbolTable>()) {
       Operation *found = nullptr;
       op.walk([&](Operation *nested) {
-        if (isa_and_present<TaiDialect, TaiRTDialect, CheckDialect>(
-                nested->getDialect()))
+        if (isTaiOp(nested))
           found = nested;
       });
       if (found)
@@ -212,9 +220,23 @@ LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
   return success();
 }
 
+/// On the module itself, which holds nothing else.
+LogicalResult Isolate::runOnAll(const llvm::SetVector<Operation *> &own) {
+  ModuleOp module = getOperation();
+  if (!keep)
+    return runPipeline(passes, module);
+  KeptFunctions kept(module, own);
+  LogicalResult result = runPipeline(passes, module);
+  kept.restore(module);
+  return result;
+}
+
 LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
   ModuleOp module = getOperation();
   Helpers helpers(module, own);
+  std::optional<KeptFunctions> kept;
+  if (keep)
+    kept.emplace(module, own);
   OpBuilder builder = OpBuilder::atBlockEnd(module.getBody());
   auto part = ModuleOp::create(builder, module.getLoc());
   // The layout of data is that of the module around. MLIR crashes on a second
@@ -224,12 +246,29 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
       part->setAttr(attribute.getName(), attribute.getValue());
   part->removeAttr(SymbolTable::getSymbolAttrName());
 
+  // The op that stays behind each op that is moved, which returns there.
+  DenseMap<StringAttr, Operation *> places;
+  Operation *place = nullptr;
+  SmallVector<StringAttr> moved;
+  DenseSet<StringAttr> copied;
+  auto getName = [](Operation &op) {
+    return op.getAttrOfType<StringAttr>(SymbolTable::getSymbolAttrName());
+  };
+  auto stays = [&](Operation &op) {
+    if (!place)
+      place = &op;
+    for (StringAttr name : moved)
+      places[name] = &op;
+    moved.clear();
+  };
+
   // Helpers keep their places before, between and behind the lowered functions.
   Block *body = part.getBody();
   for (Operation &op : llvm::make_early_inc_range(*module.getBody())) {
     if (&op == part)
       break;
     if (own.contains(&op)) {
+      moved.push_back(getName(op));
       op.moveBefore(body, body->end());
     } else if (helpers.functions.contains(&op)) {
       auto function = cast<func::FuncOp>(op);
@@ -249,11 +288,16 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
         auto copy = cast<func::FuncOp>(builder.clone(op));
         copy->moveBefore(body, body->end());
         copy.setPrivate();
+        copied.insert(function.getSymNameAttr());
+        stays(op);
       } else {
+        moved.push_back(getName(op));
         op.moveBefore(body, body->end());
       }
     } else if (helpers.named.contains(&op)) {
       // To be found by name where the passes run.
+      stays(op);
+      copied.insert(getName(op));
       Operation *copy = builder.clone(op);
       copy->moveBefore(body, body->end());
       if (auto function = dyn_cast<LLVM::LLVMFuncOp>(copy);
@@ -262,18 +306,30 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
         function.getBody().getBlocks().clear();
         function.setLinkage(LLVM::Linkage::External);
       }
+    } else {
+      stays(op);
     }
   }
+  stays(*part);
   if (failed(runPipeline(passes, part)))
     return failure();
+  if (kept)
+    kept->restore(part);
   SymbolTable symbols(module);
   for (Operation &op : llvm::make_early_inc_range(*part.getBody())) {
-    auto name = op.getAttrOfType<StringAttr>(SymbolTable::getSymbolAttrName());
+    StringAttr name = getName(op);
     Operation *known = name ? symbols.lookup(name) : nullptr;
     if (!known) {
-      op.moveBefore(part);
+      if (Operation *known = name ? places.lookup(name) : nullptr)
+        place = known;
+      op.moveBefore(place);
       continue;
     }
+    if (keep && !copied.contains(name))
+      return op.emitError("cannot make '@")
+                 .append(name.getValue(), "': the name is taken")
+                 .attachNote(known->getLoc())
+             << "by this";
     // Declared on both sides, or taken along to be found by its name.
     auto declared = dyn_cast<LLVM::LLVMFuncOp>(op);
     if (known->getName() == op.getName() &&
@@ -292,7 +348,9 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
 
 void Isolate::runOnOperation() {
   ModuleOp module = getOperation();
-  llvm::SetVector<Operation *> own = collectOwn(module, {});
+  if (keep && failed(checkNested(module)))
+    return signalPassFailure();
+  llvm::SetVector<Operation *> own = collectOwn();
   Helpers helpers(module, own);
   bool isAll = llvm::all_of(*module.getBody(), [&](Operation &op) {
     if (own.contains(&op))
@@ -302,17 +360,20 @@ void Isolate::runOnOperation() {
            helpers.functions.contains(function);
   });
   LogicalResult result = success();
-  if (isAll)
-    result = runPipeline(passes, module);
-  else if (succeeded(result = checkForeign(own)) && !own.empty())
-    result = runOn(own);
+  // A name without a function is an error of the passes.
+  bool isEmpty = own.empty() && names.empty();
+  if (isAll && !isEmpty)
+    result = runOnAll(own);
+  else if (keep || succeeded(result = checkForeign(own)))
+    result = isEmpty ? success() : runOn(own);
   if (failed(result))
     signalPassFailure();
 }
 
 void tai::addIsolated(OpPassManager &pm,
-                      llvm::function_ref<void(OpPassManager &)> populate) {
-  pm.addPass(std::make_unique<Isolate>(populate));
+                      llvm::function_ref<void(OpPassManager &)> populate,
+                      IsolateMode mode, ArrayRef<std::string> names) {
+  pm.addPass(std::make_unique<Isolate>(populate, mode, names));
 }
 
 void tai::registerIsolate() { PassRegistration<Isolate>(); }

@@ -98,7 +98,9 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   pm.addPass(createConvertToLLVM(llvm));
   if (options.shadow)
     pm.addPass(createShadowExecution());
-  pm.addPass(createVerifyLLVM());
+  VerifyLLVMOptions verify;
+  verify.all = true;
+  pm.addPass(createVerifyLLVM(verify));
 }
 
 void tai::buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options) {

@@ -79,7 +79,9 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   ConvertToLLVMOptions host;
   host.contract = options.contract;
   pm.addPass(createConvertToLLVM(host));
-  pm.addPass(createVerifyLLVM());
+  VerifyLLVMOptions verify;
+  verify.all = true;
+  pm.addPass(createVerifyLLVM(verify));
 }
 
 void tai::buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options) {

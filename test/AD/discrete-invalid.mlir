@@ -139,11 +139,13 @@ func.func @nested(%p: memref<4xmemref<4xf64>>, %y: memref<f64>) attributes {tai.
 // -----
 
 // Too late: fields cannot be recognised any more.
-tai.tree @t : !tai.root<{x: f64, gx: f64, y: f64, gy: f64}>
+tai.tree @t : !tai.root<{x: f64, gx: f64, y: f64, gy: f64, dx: f64, dy: f64}>
 tai.field @gx = @t["gx"] : f64, rank 0
 tai.field @gy = @t["gy"] : f64, rank 0
-tai.field @x = @t["x"] : f64, rank 0, adjoint @gx, dual @gx
-tai.field @y = @t["y"] : f64, rank 0, adjoint @gy, dual @gy
+tai.field @dx = @t["dx"] : f64, rank 0
+tai.field @dy = @t["dy"] : f64, rank 0
+tai.field @x = @t["x"] : f64, rank 0, adjoint @gx, dual @dx
+tai.field @y = @t["y"] : f64, rank 0, adjoint @gy, dual @dy
 // expected-note @+1 {{run 'tai-make-adjoint' and 'tai-forward-diff' before 'tai-lower-layout'}}
 tai.kernel @late() {
   // expected-error @+1 {{cannot differentiate accesses that are lowered already}}

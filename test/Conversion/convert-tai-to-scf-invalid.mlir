@@ -51,7 +51,7 @@ tai.kernel @local_vector() {
 
 // -----
 
-func.func private @again(%x: f32) -> f32 {
+func.func private @again(%x: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   // expected-error @+1 {{'func.call' op calls 'again', which cannot be inlined; helpers cannot call themselves}}
   %0 = func.call @again(%x) : (f32) -> f32
   return %0 : f32
@@ -60,7 +60,7 @@ func.func private @again(%x: f32) -> f32 {
 // -----
 
 // expected-error @+1 {{'func.func' op expects one block: control flow of a host program stands in 'scf'}}
-func.func @jumps() {
+func.func @jumps() attributes {passthrough = ["tai.lowered"]} {
   cf.br ^bb1
 ^bb1:
   return
@@ -92,7 +92,7 @@ func.func private @helper(%x: f32) -> f32 {
 ^next:
   return %x : f32
 }
-func.func @host(%x: f32) {
+func.func @host(%x: f32) attributes {passthrough = ["tai.lowered"]} {
   // expected-error @+1 {{calls 'helper', which cannot be inlined; helpers have one block}}
   %0 = func.call @helper(%x) : (f32) -> f32
   return

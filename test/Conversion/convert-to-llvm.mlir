@@ -12,7 +12,7 @@
 //       PLAIN:   llvm.fmul {{.+}} {fastmathFlags = #llvm.fastmath<reassoc>}
 //  FAST-LABEL: llvm.func @floats
 //        FAST:   llvm.fadd %{{.+}} {fastmathFlags = #llvm.fastmath<nsz, arcp, contract, afn, reassoc>}
-llvm.func @floats(%a: f32, %b: f32) -> f32 {
+llvm.func @floats(%a: f32, %b: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %0 = arith.addf %a, %b : f32
   %1 = arith.cmpf olt, %0, %b : f32
   %2 = arith.select %1, %0, %b : f32
@@ -33,7 +33,7 @@ llvm.func @floats(%a: f32, %b: f32) -> f32 {
 //       PLAIN:   llvm.intr.sqrt
 //  FAST-LABEL: llvm.func @functions
 //        FAST:   llvm.intr.sqrt
-llvm.func @functions(%x: f32) -> f32 {
+llvm.func @functions(%x: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %power = math.exp2 %x : f32
   %0 = math.sin %power : f32
   %1 = math.sqrt %0 : f32
@@ -52,7 +52,7 @@ llvm.func @functions(%x: f32) -> f32 {
 //       CHECK:   llvm.br ^bb1(%{{.+}} : i64) {loop_annotation = #{{.+}}}
 #group = #llvm.access_group<id = distinct[0]<>>
 #annotation = #llvm.loop_annotation<parallelAccesses = #group>
-llvm.func @loop(%p: !llvm.ptr, %n: i64, %x: f32) {
+llvm.func @loop(%p: !llvm.ptr, %n: i64, %x: f32) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %m = arith.index_cast %n : i64 to index
@@ -66,7 +66,7 @@ llvm.func @loop(%p: !llvm.ptr, %n: i64, %x: f32) {
 // CHECK-LABEL: llvm.func @floor
 //       CHECK:   llvm.sdiv
 //       CHECK:   llvm.select
-llvm.func @floor(%a: i32, %b: i32) -> i32 {
+llvm.func @floor(%a: i32, %b: i32) -> i32 attributes {passthrough = ["tai.lowered"]} {
   %0 = arith.floordivsi %a, %b : i32
   llvm.return %0 : i32
 }

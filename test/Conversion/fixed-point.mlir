@@ -21,7 +21,6 @@ tai.field @count = @t["count"] : i32, rank 1
 tai.field @m = @t["m"] : vector<2xf32>, rank 2
 tai.field @d = @t["d"] : f64, rank 2
 tai.field @one = @t["one"] : f32, rank 1
-tai.field @again = @t["one"] : f32, rank 1
 tai.field @total = @t["total"] : f32, rank 0
 tai.field @far = @large["far"] : f32, rank 1
 tai.field @p = @s["p"] : f32, rank 1
@@ -191,23 +190,6 @@ tai.kernel @too_large() {
     %at = tai.load @at[%i] : i32
     %j = arith.index_cast %at : i32 to index
     tai.atomic add %v, @far[%j] : f32
-  }
-  tai.return
-}
-
-// One element of two names would be rounded by two threads at a time.
-// RELAX-LABEL: tai.kernel @two_names
-//   RELAX-NOT:   strategy private
-//       RELAX: } {in_warp}
-tai.kernel @two_names() {
-  %c0 = arith.constant 0 : index
-  %c20000 = arith.constant 20000 : index
-  tai.parallel_for (%i) = (%c0) to (%c20000) {
-    %v = tai.load @v[%i] : f32
-    %at = tai.load @at[%i] : i32
-    %j = arith.index_cast %at : i32 to index
-    tai.atomic add %v, @one[%j] : f32
-    tai.atomic add %v, @again[%j] : f32
   }
   tai.return
 }

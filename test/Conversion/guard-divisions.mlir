@@ -1,9 +1,9 @@
 // RUN: tai-opt %s --tai-guard-divisions | FileCheck %s
 // RUN: tai-opt %s --tai-guard-divisions=debug | FileCheck %s --check-prefix=DEBUG
 
-tai.tree @t : !tai.root<dense<[i: 64], {x: i32}>>
+tai.tree @t : !tai.root<dense<[i: 64], {x: i32, y: i32}>>
 tai.field @x = @t["x"] : i32, rank 1, offset [1]
-tai.field @y = @t["x"] : i32, rank 1
+tai.field @y = @t["y"] : i32, rank 1
 
 // Both a missing quotient and one that is too large.
 // CHECK-LABEL: tai.kernel @any(

@@ -15,7 +15,7 @@ llvm.func @use(!llvm.ptr)
 //   CHECK-NOT:     free
 //       CHECK:   }
 //  CHECK-NEXT:   llvm.call @free(%[[P]])
-func.func @same_size(%n: i64, %from: index, %to: index, %step: index) {
+func.func @same_size(%n: i64, %from: index, %to: index, %step: index) attributes {passthrough = ["tai.lowered"]} {
   %eight = llvm.mlir.constant(8 : i64) : i64
   scf.for %i = %from to %to step %step {
     %size = llvm.mul %n, %eight : i64
@@ -34,7 +34,7 @@ func.func @same_size(%n: i64, %from: index, %to: index, %step: index) {
 //       CHECK:       llvm.call @use
 //       CHECK:   llvm.call @free
 //  CHECK-NEXT:   return
-func.func @nested(%n: i64, %from: index, %to: index, %step: index) {
+func.func @nested(%n: i64, %from: index, %to: index, %step: index) attributes {passthrough = ["tai.lowered"]} {
   scf.for %i = %from to %to step %step {
     scf.for %j = %from to %to step %step {
       %p = llvm.call @malloc(%n) : (i64) -> !llvm.ptr
@@ -51,7 +51,7 @@ func.func @nested(%n: i64, %from: index, %to: index, %step: index) {
 //       CHECK:   scf.for
 // CHECK-COUNT-3: llvm.call @malloc
 //       CHECK:   return
-func.func @stays(%n: i64, %from: index, %to: index, %step: index, %c: i1) {
+func.func @stays(%n: i64, %from: index, %to: index, %step: index, %c: i1) attributes {passthrough = ["tai.lowered"]} {
   scf.for %i = %from to %to step %step {
     %size = arith.index_cast %i : index to i64
     %p = llvm.call @malloc(%size) : (i64) -> !llvm.ptr

@@ -1,11 +1,12 @@
 // RUN: tai-opt %s --tai-lower-layout | FileCheck %s
 
 tai.tree @t : !tai.root<dense<[i: 4, j: 8], {x: f32, v: vector<2xf32>}>,
-                        dense<[i: 4], dense<[i: 16], {b: f64}>>, {s: i32, f: i1}>
+                        dense<[i: 4], dense<[i: 16], {b: f64}>>, {s: i32, f: i1},
+                        dense<[i: 4], dense<[i: 16], {o: f64}>>>
 tai.field @x = @t["x"] : f32, rank 2
 tai.field @v = @t["v"] : vector<2xf32>, rank 2
 tai.field @b = @t["b"] : f64, rank 1
-tai.field @o = @t["b"] : f64, rank 1, offset [-3]
+tai.field @o = @t["o"] : f64, rank 1, offset [-3]
 tai.field @s = @t["s"] : i32, rank 0
 tai.field @f = @t["f"] : i1, rank 0
 
@@ -45,14 +46,14 @@ tai.kernel @digits(%i: index) -> f64 {
   tai.return %0 : f64
 }
 
-// The offset of the field is subtracted. Two fields of one place overlap: they
-// share a scope, so that neither claims not to alias the other.
+// The offset of the field is subtracted. Two fields never overlap: each has a
+// scope of its own.
 // CHECK-LABEL: tai.kernel @offset(
 //  CHECK-SAME:     %[[I:.+]]: index
 //       CHECK:   llvm.load %{{.+}} {alias_scopes = [#[[S:.+]]], noalias_scopes = [{{.+}}]}
 //       CHECK:   %[[M3:.+]] = arith.constant -3 : index
 //       CHECK:   arith.subi %[[I]], %[[M3]] overflow<nsw>
-//       CHECK:   llvm.store {{.+}} {alias_scopes = [#[[S]]]
+//       CHECK:   llvm.store {{.+}} {alias_scopes = [#[[O:.+]]], noalias_scopes = [{{.*}}#[[S]]
 tai.kernel @offset(%i: index) {
   %0 = tai.load @b[%i] : f64
   tai.store %0, @o[%i] : f64

@@ -8,19 +8,19 @@ tai.field @x = @s["x"] : f32, rank 1
 tai.field @y = @s["y"] : f32, rank 1
 
 // CHECK-LABEL: llvm.func @strict(
-//  CHECK-SAME:   passthrough = {{\[\["tai.modes", "math=strict,ftz=true"\]\]}}
+//  CHECK-SAME:   passthrough = {{\["tai.lowered", \["tai.modes", "math=strict,ftz=true"\]\]}}
 // CHECK-LABEL: llvm.func internal @strict.loop0(
-//  CHECK-SAME:   passthrough = {{\[\["tai.modes", "math=strict,ftz=true"\]\]}}
+//  CHECK-SAME:   passthrough = {{\["tai.lowered", \["tai.modes", "math=strict,ftz=true"\]\]}}
 // CHECK-LABEL: llvm.func @plain(
 //   CHECK-NOT:   tai.modes
 
 //   GPU-LABEL: gpu.module @kernels
 //         GPU:   llvm.func @strict_0(
-//    GPU-SAME:     passthrough = {{\[\["tai.block_size", "64"\], \["tai.modes", "math=strict,ftz=true"\]\]}}
+//    GPU-SAME:     passthrough = {{\["tai.lowered", \["tai.block_size", "64"\], \["tai.modes", "math=strict,ftz=true"\]\]}}
 //         GPU:   llvm.func @plain_0(
 //     GPU-NOT:   tai.modes
 //         GPU: llvm.func @strict(
-//    GPU-SAME:   passthrough = {{\[\["tai.modes", "math=strict,ftz=true"\]\]}}
+//    GPU-SAME:   passthrough = {{\["tai.lowered", \["tai.modes", "math=strict,ftz=true"\]\]}}
 //     GPU-NOT: tai.modes
 tai.kernel @strict() attributes {modes = {math = "strict", ftz = true}} {
   tai.parallel_for (%i) in @y {

@@ -27,7 +27,7 @@ tai.field @p = @s["p"] : f32, rank 1
 // RELAX-LABEL: tai.kernel @neighbours
 //       RELAX: } {in_warp}
 //   GPU-LABEL: llvm.func @neighbours_0(
-//    GPU-SAME: passthrough = {{\[\["tai.block_size", "32"\]\]}}
+//    GPU-SAME: passthrough = {{\["tai.lowered", \["tai.block_size", "32"\]\]}}
 //       GPU:   %[[LANES:.+]] = llvm.call @tai_dev_ordered_lanes() : () -> i32
 //       GPU:   scf.if
 //       GPU:     llvm.call @tai_dev_ordered_meet()

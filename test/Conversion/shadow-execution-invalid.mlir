@@ -5,6 +5,6 @@
 // expected-error @below {{the floats of this module have shadows already}}
 llvm.mlir.global external @tai_rt_shadows() : !llvm.ptr
 
-llvm.func @k(%frame: !llvm.ptr, %a: f32) -> f32 {
+llvm.func @k(%frame: !llvm.ptr, %a: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   llvm.return %a : f32
 }

@@ -26,7 +26,7 @@
 //       CHECK: ^[[REST]]:
 //       CHECK:   llvm.call @tai_rt_shadow_counted(%[[FRAME]], %[[COUNTS]], %{{.+}})
 //       CHECK:   llvm.return %[[R]] : f32
-llvm.func @difference(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
+llvm.func @difference(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.fsub %a, %b : f32
   llvm.return %0 : f32
 }
@@ -37,7 +37,7 @@ llvm.func @difference(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
 //       CHECK:   llvm.call @tai_rt_shadow_site
 //   CHECK-NOT:   llvm.call @tai_rt_shadow_site
 //       CHECK:   llvm.return
-llvm.func @product(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
+llvm.func @product(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.fmul %a, %b : f32
   %1 = llvm.fadd %0, %b : f32
   llvm.return %1 : f32
@@ -60,7 +60,7 @@ llvm.func @product(%frame: !llvm.ptr, %a: f32, %b: f32) -> f32 {
 //       CHECK:   llvm.select %[[SAME]], %[[PART]]
 //       CHECK:   llvm.store %{{.+}} : vector<2xf32>, !llvm.ptr
 //       CHECK:   llvm.return
-llvm.func @memory(%frame: !llvm.ptr, %p: !llvm.ptr, %q: !llvm.ptr) {
+llvm.func @memory(%frame: !llvm.ptr, %p: !llvm.ptr, %q: !llvm.ptr) attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.load %p : !llvm.ptr -> f32
   llvm.store %0, %q : f32, !llvm.ptr
   llvm.return
@@ -70,7 +70,7 @@ llvm.func @memory(%frame: !llvm.ptr, %p: !llvm.ptr, %q: !llvm.ptr) {
 // CHECK-LABEL: llvm.func @no_entry(
 //   CHECK-NOT:   llvm.ptrtoint
 //       CHECK:   llvm.return
-llvm.func @no_entry(%frame: !llvm.ptr, %p: !llvm.ptr) {
+llvm.func @no_entry(%frame: !llvm.ptr, %p: !llvm.ptr) attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.load %p : !llvm.ptr -> f16
   llvm.store %0, %p : f16, !llvm.ptr
   %1 = llvm.load %p : !llvm.ptr -> i32
@@ -83,7 +83,7 @@ llvm.func @no_entry(%frame: !llvm.ptr, %p: !llvm.ptr) {
 //       CHECK:   llvm.br ^[[HEAD:bb[0-9]+]](%{{.+}}, %{{.+}}, %{{.+}} : f32, i64, f64)
 //       CHECK: ^[[HEAD]](%[[X:.+]]: f32, %{{.+}}: i64, %[[S:.+]]: f64):
 //       CHECK:   llvm.fadd %[[S]], %[[S]] : f64
-llvm.func @loop(%frame: !llvm.ptr, %n: i64) -> f32 {
+llvm.func @loop(%frame: !llvm.ptr, %n: i64) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %one = llvm.mlir.constant(1.0 : f32) : f32
   %0 = llvm.mlir.constant(0 : i64) : i64
   %1 = llvm.mlir.constant(1 : i64) : i64
@@ -105,7 +105,7 @@ llvm.func @loop(%frame: !llvm.ptr, %n: i64) -> f32 {
 //       CHECK:   llvm.call @tai_rt_shadow_flip
 //       CHECK:   llvm.select %[[C]], %{{[^,]+}}, %{{[^,]+}} : i1, f32
 //       CHECK:   llvm.select %[[C]], %{{[^,]+}}, %{{[^,]+}} : i1, f64
-llvm.func @decide(%frame: !llvm.ptr, %a: f32, %b: f32, %p: !llvm.ptr) {
+llvm.func @decide(%frame: !llvm.ptr, %a: f32, %b: f32, %p: !llvm.ptr) attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.fcmp "olt" %a, %b : f32
   %1 = llvm.select %0, %a, %b : i1, f32
   llvm.store %1, %p : f32, !llvm.ptr
@@ -116,7 +116,7 @@ llvm.func @decide(%frame: !llvm.ptr, %a: f32, %b: f32, %p: !llvm.ptr) {
 //   CHECK-NOT:   llvm.atomicrmw fadd
 //       CHECK:   llvm.call @tai_rt_shadow_atomic
 //       CHECK:   llvm.atomicrmw add
-llvm.func @update(%frame: !llvm.ptr, %p: !llvm.ptr, %v: f32, %i: i32) {
+llvm.func @update(%frame: !llvm.ptr, %p: !llvm.ptr, %v: f32, %i: i32) attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.atomicrmw fadd %p, %v monotonic : !llvm.ptr, f32
   %1 = llvm.atomicrmw add %p, %i monotonic : !llvm.ptr, i32
   llvm.return
@@ -132,7 +132,7 @@ llvm.func @update(%frame: !llvm.ptr, %p: !llvm.ptr, %v: f32, %i: i32) {
 //  WIDE-LABEL: llvm.func @functions(
 //        WIDE:   llvm.intr.sin(%{{.+}}) : (f128) -> f128
 llvm.func @tanf(f32) -> f32
-llvm.func @functions(%frame: !llvm.ptr, %a: f32, %d: f64, %p: !llvm.ptr) {
+llvm.func @functions(%frame: !llvm.ptr, %a: f32, %d: f64, %p: !llvm.ptr) attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.call @tanf(%a) : (f32) -> f32
   %1 = llvm.intr.sin(%0) : (f32) -> f32
   %2 = llvm.intr.sin(%d) : (f64) -> f64
@@ -148,7 +148,7 @@ llvm.func @functions(%frame: !llvm.ptr, %a: f32, %d: f64, %p: !llvm.ptr) {
 //       CHECK:   llvm.intr.ctpop
 //       CHECK:   llvm.call @tai_rt_shadow_lanes
 //       CHECK:   llvm.shufflevector {{.*}} [0, 2, 1, 3] : vector<2xf32>
-llvm.func @vectors(%frame: !llvm.ptr, %p: !llvm.ptr) {
+llvm.func @vectors(%frame: !llvm.ptr, %p: !llvm.ptr) attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.load %p : !llvm.ptr -> vector<2xf32>
   %1 = llvm.fadd %0, %0 : vector<2xf32>
   llvm.store %1, %p : vector<2xf32>, !llvm.ptr
@@ -159,7 +159,7 @@ llvm.func @vectors(%frame: !llvm.ptr, %p: !llvm.ptr) {
 // CHECK-LABEL: llvm.func @helper(
 //  CHECK-NEXT:   llvm.fsub
 //  CHECK-NEXT:   llvm.return
-llvm.func @helper(%a: f32, %b: f32) -> f32 {
+llvm.func @helper(%a: f32, %b: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %0 = llvm.fsub %a, %b : f32
   llvm.return %0 : f32
 }

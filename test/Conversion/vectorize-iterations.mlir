@@ -18,7 +18,7 @@
 //       CHECK:     llvm.store %{{.+}} {access_groups = [{{.+}}], alignment = 4 : i64} : vector<8xf32>
 //       CHECK:   scf.for %{{.+}} = %[[END]] to %[[N]]
 //       CHECK:     llvm.load {{.*}} -> f32
-func.func @stencil(%x: !llvm.ptr, %n: index, %c: i1, %s: f32) {
+func.func @stencil(%x: !llvm.ptr, %n: index, %c: i1, %s: f32) attributes {passthrough = ["tai.lowered"]} {
   %c1 = arith.constant 1 : index
   scf.for %i = %c1 to %n step %c1 {
     %before = arith.subi %i, %c1 : index
@@ -46,7 +46,7 @@ func.func @stencil(%x: !llvm.ptr, %n: index, %c: i1, %s: f32) {
 // CHECK-NOT: vector
 
 // Iterations may depend on one another.
-func.func @dependent(%x: !llvm.ptr, %n: index) {
+func.func @dependent(%x: !llvm.ptr, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   scf.for %i = %c0 to %n step %c1 {
@@ -59,7 +59,7 @@ func.func @dependent(%x: !llvm.ptr, %n: index) {
 }
 
 // Not consecutive.
-func.func @strided(%x: !llvm.ptr, %n: index) {
+func.func @strided(%x: !llvm.ptr, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %c2 = arith.constant 2 : index
@@ -74,7 +74,7 @@ func.func @strided(%x: !llvm.ptr, %n: index) {
 }
 
 // Shadows of f64 have no vectors.
-func.func @wide(%x: !llvm.ptr, %n: index) {
+func.func @wide(%x: !llvm.ptr, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   scf.for %i = %c0 to %n step %c1 {
@@ -87,7 +87,7 @@ func.func @wide(%x: !llvm.ptr, %n: index) {
 }
 
 // Iterations go different ways.
-func.func @divergent(%x: !llvm.ptr, %n: index, %some: index) {
+func.func @divergent(%x: !llvm.ptr, %n: index, %some: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32

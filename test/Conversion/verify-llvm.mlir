@@ -7,7 +7,7 @@ llvm.func @fine() {
 
 // -----
 
-llvm.func @left(%a: f32) {
+llvm.func @left(%a: f32) attributes {passthrough = ["tai.lowered"]} {
   // expected-error @+1 {{'arith.negf' op was not lowered to the LLVM dialect}}
   %0 = arith.negf %a : f32
   llvm.return

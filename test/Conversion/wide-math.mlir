@@ -22,7 +22,7 @@
 //       PLAIN:   llvm.intr.log(%{{.+}}) : (f32) -> f32
 //       PLAIN:   llvm.intr.exp(%{{.+}}) : (vector<4xf32>) -> vector<4xf32>
 //       PLAIN:   llvm.intr.exp(%{{.+}}) : (f64) -> f64
-llvm.func @wide(%x: f32, %v: vector<4xf32>, %d: f64, %p: !llvm.ptr) -> f64 {
+llvm.func @wide(%x: f32, %v: vector<4xf32>, %d: f64, %p: !llvm.ptr) -> f64 attributes {passthrough = ["tai.lowered"]} {
   %0 = math.exp %x : f32
   %1 = math.tanh %0 : f32
   %2 = math.log %1 : f32
@@ -44,7 +44,7 @@ llvm.func @wide(%x: f32, %v: vector<4xf32>, %d: f64, %p: !llvm.ptr) -> f64 {
 // PLAIN-LABEL: llvm.func @base_of_two
 //       PLAIN:   llvm.intr.exp2(%{{.+}}) : (f32) -> f32
 //       PLAIN:   llvm.intr.log2(%{{.+}}) : (f32) -> f32
-llvm.func @base_of_two(%x: f32, %d: f64, %p: !llvm.ptr) -> f64 {
+llvm.func @base_of_two(%x: f32, %d: f64, %p: !llvm.ptr) -> f64 attributes {passthrough = ["tai.lowered"]} {
   %0 = math.exp2 %x : f32
   %1 = math.log2 %0 : f32
   llvm.store %1, %p : f32, !llvm.ptr

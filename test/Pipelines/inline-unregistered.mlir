@@ -8,7 +8,7 @@ func.func private @half(%x: f32) -> f32 {
   %0 = arith.mulf %x, %half : f32
   return %0 : f32
 }
-func.func @foreign(%x: f32) {
+func.func @foreign(%x: f32) attributes {tai.differentiate} {
   %0 = func.call @half(%x) : (f32) -> f32
   // expected-error @+2 {{'foo.op' op holds a region, and its dialect is not loaded: calls cannot be inlined beside it}}
   // expected-note @+1 {{load the dialect, or keep the function with this op in a module of its own}}
@@ -21,8 +21,17 @@ func.func @foreign(%x: f32) {
 // -----
 
 // An empty region counts as well.
-// expected-error @+2 {{'foo.function' op holds a region, and its dialect is not loaded}}
-// expected-note @+1 {{load the dialect}}
+func.func @empty() attributes {tai.differentiate} {
+  // expected-error @+2 {{'foo.op' op holds a region, and its dialect is not loaded}}
+  // expected-note @+1 {{load the dialect}}
+  "foo.op"() ({
+  }) : () -> ()
+  return
+}
+
+// -----
+
+// Nothing is inlined in a module that has nothing to do with tai.
 "foo.function"() ({
 }) : () -> ()
 

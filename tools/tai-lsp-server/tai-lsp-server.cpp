@@ -5,12 +5,18 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "InputFilter.h"
 #include "common/Upstream.h"
 #include "mlir/IR/DialectRegistry.h"
 #include "mlir/Tools/mlir-lsp-server/MlirLspServerMain.h"
 #include "tai/InitAll.h"
 
 int main(int argc, char **argv) {
+  // As in tests; `--lit-test` sets it, too.
+  bool isDelimited = false;
+  for (llvm::StringRef word : llvm::ArrayRef(argv + 1, argc - 1))
+    isDelimited |= word.ends_with("lit-test") || word.ends_with("=delimited");
+  mlir::tai::filterStandardInput(isDelimited);
   mlir::DialectRegistry registry;
   mlir::tai::registerUpstreamDialects(registry);
   mlir::tai::registerAll(registry);

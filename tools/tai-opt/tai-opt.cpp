@@ -13,9 +13,12 @@
 #include "common/Upstream.h"
 #include "mlir/IR/DialectRegistry.h"
 #include "mlir/Tools/mlir-opt/MlirOptMain.h"
+#include "tai/Dialect/Tai/IR/TextLimits.h"
 #include "tai/InitAll.h"
 
 int main(int argc, char **argv) {
+  if (!mlir::tai::checkToolInput(argc, argv))
+    return 1;
   mlir::DialectRegistry registry;
   mlir::tai::registerUpstreamDialects(registry);
   mlir::tai::registerAll(registry);

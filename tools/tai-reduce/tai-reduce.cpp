@@ -8,9 +8,12 @@
 #include "common/Upstream.h"
 #include "mlir/IR/MLIRContext.h"
 #include "mlir/Tools/mlir-reduce/MlirReduceMain.h"
+#include "tai/Dialect/Tai/IR/TextLimits.h"
 #include "tai/InitAll.h"
 
 int main(int argc, char **argv) {
+  if (!mlir::tai::checkToolInput(argc, argv))
+    return 1;
   mlir::tai::registerUpstreamPasses();
   mlir::tai::registerAllPasses();
   mlir::DialectRegistry registry;

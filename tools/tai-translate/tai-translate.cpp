@@ -15,8 +15,11 @@
 #include "ModuleFiles.h"
 #include "common/Upstream.h"
 #include "mlir/Tools/mlir-translate/MlirTranslateMain.h"
+#include "tai/Dialect/Tai/IR/TextLimits.h"
 
 int main(int argc, char **argv) {
+  if (!mlir::tai::checkToolInput(argc, argv))
+    return 1;
   mlir::tai::registerUpstreamTranslations();
   mlir::tai::registerDeviceCodeTranslations();
   mlir::tai::registerModuleFileTranslations();

@@ -363,8 +363,13 @@ def CheckLowerable : Pass<"tai-check-lowerable", "::mlir::ModuleOp"> {
 def VerifyLLVM : Pass<"tai-verify-llvm", "::mlir::ModuleOp"> {
   let summary = "check that only the LLVM dialect is left";
   let description = [{
-    Fails at each operation of another dialect, with its name.
+    Fails at an operation of another dialect in the functions that belong to tai,
+    with its name. Then takes off the marks by which passes know these functions.
   }];
+  let options = [
+    Option<"all", "all", "bool", /*default=*/"false",
+           "Check all functions of the module">,
+  ];
 }
 
 #endif // TAI_CONVERSION_PASSES_TD

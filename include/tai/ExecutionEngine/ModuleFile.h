@@ -25,6 +25,10 @@ namespace mlir::tai {
 OwningOpRef<ModuleOp> readModule(StringRef bytes, const ParserConfig &config,
                                  StringRef file);
 
+/// Whether the parser can read the text of a module, an attribute or a type.
+/// Emits an error otherwise.
+bool checkText(StringRef text, MLIRContext *context, StringRef file);
+
 /// Writes the module as a checksum followed by bytecode.
 LogicalResult writeModule(ModuleOp module, llvm::raw_ostream &stream);
 

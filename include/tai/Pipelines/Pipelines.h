@@ -19,7 +19,6 @@
 #include "tai/Interfaces/Differentiable.h"
 #include "tai/Support/BoundsMode.h"
 #include "tai/Support/SkipOption.h"
-#include "llvm/ADT/SetVector.h"
 
 namespace mlir::tai {
 
@@ -73,22 +72,31 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
       llvm::cl::init(false)};
 };
 
-/// The ops of a module that are lowered: kernels, trees and fields, and the
-/// functions that hold ops of tai or call, directly or indirectly, a function
-/// that does. Includes the function `entry`, if not empty.
-llvm::SetVector<Operation *> collectOwn(ModuleOp module, StringRef entry);
+/// The effect of isolated passes on the functions on which they run.
+enum class IsolateMode {
+  /// Functions that only the runtime can call: their callers are lowered too.
+  Lower,
+  /// Functions as before, with others beside them: callers stay as they are.
+  Keep,
+};
 
-/// Adds the passes of `populate`, restricted to the ops of `collectOwn` and the
-/// functions that they call. The rest of the module stays as it is.
+/// Adds the passes of `populate`, restricted to what belongs to tai and the
+/// functions that it calls. The rest of the module stays as it is. `names`:
+/// functions that count as those of tai.
 void addIsolated(OpPassManager &pm,
-                 llvm::function_ref<void(OpPassManager &)> populate);
+                 llvm::function_ref<void(OpPassManager &)> populate,
+                 IsolateMode mode = IsolateMode::Lower,
+                 ArrayRef<std::string> names = {});
 
 /// Registers the pass `tai-isolate` by name.
 void registerIsolate();
 
 /// Makes the adjoints of kernels and the summaries of all kernels. Anchored on
-/// the module.
+/// the module, of which functions that do not belong to tai stay as they are.
 void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
+
+/// The passes of this pipeline, on a module that holds nothing else.
+void buildAutodiffPasses(OpPassManager &pm, const AutodiffOptions &options);
 
 /// Replaces all kernels by their forward-mode variants.
 void buildForwardPipeline(OpPassManager &pm, bool arrayTangents);

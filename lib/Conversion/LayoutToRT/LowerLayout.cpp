@@ -23,6 +23,7 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/IndexedAccess.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/LowerEach.h"
@@ -480,9 +481,15 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
     else
       groups.forget();
     WalkResult result = getOperation()->walk([&](FunctionOpInterface function) {
-      if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function))
+      if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function) ||
+          !isTaiCode(function))
         return WalkResult::skip();
-      AccessLowering lowering(function, fields, groups, boundsCheck, onDevice);
+      // Its accesses are those of plain memory from here on.
+      if (isa<func::FuncOp>(function))
+        markLowered(function);
+      // A host program has few accesses, and nobody else looks at its indices.
+      bool isChecked = boundsCheck || isa<func::FuncOp>(function);
+      AccessLowering lowering(function, fields, groups, isChecked, onDevice);
       return failed(lowerAccesses(function, fields, lowering, onDevice))
                  ? WalkResult::interrupt()
                  : WalkResult::skip();

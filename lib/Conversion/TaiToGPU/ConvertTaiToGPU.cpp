@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "llvm/Support/SaveAndRestore.h"
@@ -252,6 +253,9 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
 
   void runOnOperation() override {
     ModuleOp module = getOperation();
+    if (llvm::none_of(*module.getBody(),
+                      [](Operation &op) { return isTaiCode(&op); }))
+      return;
     OpBuilder builder = OpBuilder::atBlockEnd(module.getBody());
     auto kernels =
         gpu::GPUModuleOp::create(builder, module.getLoc(), "kernels");

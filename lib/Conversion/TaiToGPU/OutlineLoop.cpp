@@ -18,6 +18,7 @@
 #include "WarpLoop.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/SumOrder.h"
@@ -481,6 +482,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   auto function = LLVM::LLVMFuncOp::create(
       builder, loc, name, LLVM::LLVMFunctionType::get(voidType, {}));
   function.setNoUnwind(true);
+  markLowered(function);
   // Threads meet in it, so that a call must not become several.
   if (loop.getInWarp())
     function.setConvergent(true);

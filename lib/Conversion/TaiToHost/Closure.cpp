@@ -10,6 +10,7 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/IRMapping.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 
 using namespace mlir;
@@ -27,6 +28,7 @@ LLVM::LLVMFuncOp tai::createFunction(ModuleOp module, Location loc,
       isInternal ? LLVM::Linkage::Internal : LLVM::Linkage::External);
   // Nothing here throws; unwind tables would only cost time to make.
   function.setNoUnwind(true);
+  markLowered(function);
   function.addEntryBlock(builder);
   return function;
 }

@@ -19,6 +19,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
 #include "llvm/Support/SaveAndRestore.h"
@@ -38,6 +39,8 @@ ModuleLowering::ModuleLowering(ModuleOp module, bool deterministic, bool debug,
       fields(module), deterministic(deterministic), debug(debug) {
   for (auto [i, tree] : llvm::enumerate(module.getOps<TreeOp>()))
     treeIndex[tree.getSymNameAttr()] = i;
+  functions = collectLowered(module);
+  addCallees(module, functions);
 }
 
 /// True if the launch can fail in this function or in one that it runs.
@@ -112,7 +115,8 @@ LogicalResult tai::finishModule(ModuleLowering &lowering) {
   ModuleOp module = lowering.module;
   for (auto function :
        llvm::make_early_inc_range(module.getOps<func::FuncOp>()))
-    if (failed(lowerHostFunction(function, lowering)))
+    if (lowering.functions.contains(function) &&
+        failed(lowerHostFunction(function, lowering)))
       return failure();
   // Storage is the runtime's from here on.
   WalkResult accesses = module.walk([](Operation *op) {

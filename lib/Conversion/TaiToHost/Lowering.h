@@ -13,6 +13,7 @@
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "llvm/ADT/MapVector.h"
+#include "llvm/ADT/SetVector.h"
 
 namespace mlir::tai {
 
@@ -32,6 +33,9 @@ struct ModuleLowering {
   bool oneOrder = false;
   /// Position of each tree in TaiFrame::trees.
   llvm::DenseMap<StringAttr, int64_t> treeIndex;
+  /// The functions that are lowered, with the helpers that could not be
+  /// inlined, which are refused. Others of the module stay as they are.
+  llvm::SetVector<Operation *> functions;
 };
 
 /// Outlines code into a function with a closure: captured values are stored to

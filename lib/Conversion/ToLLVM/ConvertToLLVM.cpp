@@ -27,6 +27,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "llvm/ADT/StringSet.h"
@@ -312,6 +313,27 @@ static void relaxMathCalls(LLVM::LLVMFuncOp function, bool contract) {
   });
 }
 
+/// The ops of the module that are lowered, and the functions that they call.
+static llvm::SetVector<Operation *> collectWithCallees(ModuleOp module) {
+  llvm::SetVector<Operation *> ops = collectLowered(module);
+  addCallees(module, ops);
+  return ops;
+}
+
+/// Walks over the ops that are lowered, up to the first for which `check`
+/// fails.
+static LogicalResult
+checkLowered(ModuleOp module,
+             llvm::function_ref<LogicalResult(Operation *)> check) {
+  for (Operation *root : collectWithCallees(module)) {
+    WalkResult result =
+        root->walk([&](Operation *op) { return WalkResult(check(op)); });
+    if (result.wasInterrupted())
+      return failure();
+  }
+  return success();
+}
+
 namespace {
 struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   using Base::Base;
@@ -319,6 +341,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   void runOnOperation() override {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
+    llvm::SetVector<Operation *> lowered = collectWithCallees(module);
     // Their regions have one block, and a loop inside becomes several.
     WalkResult result = module.walk([](Operation *op) {
       if (op->getNumRegions() == 0 ||
@@ -330,13 +353,13 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     });
     if (result.wasInterrupted())
       return signalPassFailure();
-    for (Operation &op : *module.getBody()) {
-      if (failed(verifyPassedModes(&op)))
+    for (Operation *op : lowered) {
+      if (failed(verifyPassedModes(op)))
         return signalPassFailure();
-      std::optional<MathMode> own = Modes::of(&op).math;
+      std::optional<MathMode> own = Modes::of(op).math;
       if (vectorFunctions && own != MathMode::Strict)
-        relaxMathOps(&op);
-      setFloatOptions(&op, own ? own == MathMode::Fast : fastMath,
+        relaxMathOps(op);
+      setFloatOptions(op, own ? own == MathMode::Fast : fastMath,
                       contract && own != MathMode::Strict);
     }
 
@@ -358,8 +381,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     } else if (contract) {
       populateWideMath(patterns, /*benefit=*/2);
     }
-    if (llvm::any_of(module.getOps<LLVM::LLVMFuncOp>(), [](auto function) {
-          return Modes::of(function).isAccurate();
+    if (llvm::any_of(lowered, [](Operation *op) {
+          return isa<LLVM::LLVMFuncOp>(op) && Modes::of(op).isAccurate();
         }))
       populateAccurateMath(patterns, /*benefit=*/1);
     // Functions without an intrinsic of LLVM are called in libm.
@@ -367,17 +390,22 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     populateFuncToLLVMConversionPatterns(converter, patterns);
 
     LLVMConversionTarget target(*context);
-    if (failed(applyPartialConversion(module, target, std::move(patterns))) ||
+    if (failed(applyPartialConversion(lowered.getArrayRef(), target,
+                                      std::move(patterns))) ||
         failed(flushDenormals(module)))
       return signalPassFailure();
-    for (auto function : module.getOps<LLVM::LLVMFuncOp>())
+    for (Operation *op : collectWithCallees(module)) {
+      auto function = dyn_cast<LLVM::LLVMFuncOp>(op);
+      if (!function)
+        continue;
       relaxMathCalls(function, Modes::of(function).math != MathMode::Strict);
-    // The conversions carry annotations of loops along without knowing them.
-    module.walk([](LLVM::BrOp branch) {
-      if (auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
-              branch->removeDiscardableAttr("llvm.loop_annotation")))
-        branch.setLoopAnnotationAttr(annotation);
-    });
+      // The conversions carry annotations of loops along without knowing them.
+      function.walk([](LLVM::BrOp branch) {
+        if (auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
+                branch->removeDiscardableAttr("llvm.loop_annotation")))
+          branch.setLoopAnnotationAttr(annotation);
+      });
+    }
   }
 };
 
@@ -394,16 +422,26 @@ struct CheckLowerable : tai::impl::CheckLowerableBase<CheckLowerable> {
   using Base::Base;
 
   void runOnOperation() override {
-    WalkResult result = getOperation().walk([](Operation *op) {
-      StringRef dialect = op->getName().getDialectNamespace();
-      if (isLowered(dialect))
-        return WalkResult::advance();
-      op->emitOpError("is not lowered by this pipeline").attachNote()
-          << "run the passes that turn the dialect '" << dialect
-          << "' into those of arith, math, scf, memref, vector and func before";
-      return WalkResult::interrupt();
-    });
-    if (result.wasInterrupted())
+    LogicalResult result =
+        checkLowered(getOperation(), [](Operation *op) -> LogicalResult {
+          if (isa<scf::ParallelOp, scf::ForallOp>(op)) {
+            op->emitOpError("is not lowered in code of tai").attachNote()
+                << "write 'tai.parallel_for' at the top level of a kernel for "
+                   "iterations that run in parallel, or 'scf.for' for those "
+                   "that run in order ('scf-forall-to-for' and "
+                   "'scf-parallel-for-to-nested-fors' make it)";
+            return failure();
+          }
+          StringRef dialect = op->getName().getDialectNamespace();
+          if (isLowered(dialect))
+            return success();
+          op->emitOpError("is not lowered by this pipeline").attachNote()
+              << "run the passes that turn the dialect '" << dialect
+              << "' into those of arith, math, scf, memref, vector and func "
+                 "before";
+          return failure();
+        });
+    if (failed(result))
       return signalPassFailure();
     markAllAnalysesPreserved();
   }
@@ -413,16 +451,23 @@ struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
   using Base::Base;
 
   void runOnOperation() override {
-    WalkResult result = getOperation().walk([](Operation *op) {
+    auto check = [](Operation *op) -> LogicalResult {
       if (isa<ModuleOp, gpu::GPUModuleOp>(op) ||
           isa_and_present<LLVM::LLVMDialect, NVVM::NVVMDialect>(
               op->getDialect()))
-        return WalkResult::advance();
-      op->emitOpError("was not lowered to the LLVM dialect");
-      return WalkResult::interrupt();
-    });
-    if (result.wasInterrupted())
+        return success();
+      return op->emitOpError("was not lowered to the LLVM dialect");
+    };
+    bool isLowered =
+        all ? !getOperation()
+                   .walk([&](Operation *op) { return WalkResult(check(op)); })
+                   .wasInterrupted()
+            : succeeded(checkLowered(getOperation(), check));
+    if (!isLowered)
       return signalPassFailure();
+    // The last pass: nothing asks any more.
+    for (Operation *op : collectWithCallees(getOperation()))
+      op->walk([](LLVM::LLVMFuncOp function) { unmarkLowered(function); });
     markAllAnalysesPreserved();
   }
 };

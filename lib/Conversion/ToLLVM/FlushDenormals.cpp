@@ -16,6 +16,7 @@
 #include "FloatOptions.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -165,6 +166,7 @@ static void wrap(LLVM::LLVMFuncOp function) {
       function.getFunctionType(), LLVM::Linkage::Internal);
   body.getBody().takeBody(function.getBody());
   body.setNoInline(true);
+  markLowered(body);
   keepArguments(body);
   builder.setInsertionPointToStart(function.addEntryBlock(builder));
   ControlWord word(builder, loc);

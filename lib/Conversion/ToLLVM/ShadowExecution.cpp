@@ -24,6 +24,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/IR/RegionGraphTraits.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Support/Places.h"
 #include "llvm/ADT/PostOrderIterator.h"
 
@@ -697,17 +698,18 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
           << f64Shadow << "'";
       return signalPassFailure();
     }
+    SmallVector<LLVM::LLVMFuncOp> functions;
+    for (auto function : module.getOps<LLVM::LLVMFuncOp>())
+      if (!function.isExternal() && function.getNumArguments() &&
+          isa<LLVM::LLVMPointerType>(function.getArgument(0).getType()) &&
+          isTaiCode(function))
+        functions.push_back(function);
+    if (functions.empty())
+      return;
     if (Operation *table = SymbolTable::lookupSymbolIn(module, kTable)) {
       table->emitError("the floats of this module have shadows already");
       return signalPassFailure();
     }
-    SmallVector<LLVM::LLVMFuncOp> functions;
-    for (auto function : module.getOps<LLVM::LLVMFuncOp>())
-      if (!function.isExternal() && function.getNumArguments() &&
-          isa<LLVM::LLVMPointerType>(function.getArgument(0).getType()))
-        functions.push_back(function);
-    if (functions.empty())
-      return;
     auto b = OpBuilder::atBlockBegin(module.getBody());
     LLVM::GlobalOp::create(
         b, module.getLoc(), LLVM::LLVMPointerType::get(context),
@@ -715,12 +717,13 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
     RuntimeCalls runtime(module);
     ShadowReports::Texts texts;
     unsigned mostPrecision = ~0u;
-    module.walk([&](LLVM::FPExtOp op) {
-      Type type = getElementTypeOrSelf(op.getArg().getType());
-      mostPrecision = std::min(mostPrecision,
-                               APFloat::semanticsPrecision(
-                                   cast<FloatType>(type).getFloatSemantics()));
-    });
+    for (LLVM::LLVMFuncOp function : functions)
+      function.walk([&](LLVM::FPExtOp op) {
+        Type type = getElementTypeOrSelf(op.getArg().getType());
+        mostPrecision = std::min(
+            mostPrecision, APFloat::semanticsPrecision(
+                               cast<FloatType>(type).getFloatSemantics()));
+      });
     for (LLVM::LLVMFuncOp function : functions)
       Shadows(function, runtime, texts, wide, mostPrecision).run();
     ShadowReports::restrictEffects(module);

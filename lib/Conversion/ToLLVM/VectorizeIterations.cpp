@@ -19,6 +19,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_VECTORIZEITERATIONS
@@ -329,7 +330,9 @@ struct VectorizeIterations
 
   void runOnOperation() override {
     SmallVector<scf::ForOp> loops;
-    getOperation()->walk([&](scf::ForOp loop) { loops.push_back(loop); });
+    walkOwned(getOperation(), [&](Operation *owned) {
+      owned->walk([&](scf::ForOp loop) { loops.push_back(loop); });
+    });
     for (scf::ForOp loop : loops)
       if (Lanes lanes(loop); lanes.check())
         lanes.vectorize();

@@ -19,6 +19,7 @@
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTONVVM
@@ -82,7 +83,7 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
 
   void runOnOperation() override {
     for (auto kernels : getOperation().getOps<gpu::GPUModuleOp>())
-      if (failed(convert(kernels)))
+      if (isTaiCode(kernels) && failed(convert(kernels)))
         return signalPassFailure();
   }
 

@@ -9,6 +9,7 @@
 #include "mlir/Dialect/GPU/IR/GPUDialect.h"
 #include "mlir/IR/PatternMatch.h"
 #include "tai/Conversion/Passes.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/LowerEach.h"
 
@@ -86,7 +87,11 @@ struct LowerLaunches : tai::impl::LowerLaunchesBase<LowerLaunches> {
     RuntimeCalls runtime(getOperation());
     RewritePatternSet patterns(&getContext());
     patterns.add<LowerLaunch>(getOperation(), runtime);
-    if (failed(lowerAll(getOperation(), std::move(patterns))))
+    auto isOwned = [](Operation *op) {
+      auto function = op->getParentOfType<FunctionOpInterface>();
+      return function && isTaiCode(function);
+    };
+    if (failed(lowerAll(getOperation(), std::move(patterns), isOwned)))
       signalPassFailure();
   }
 };

@@ -16,6 +16,7 @@
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Analysis/IntegerRanges.h"
 #include "tai/Dialect/Check/IR/Check.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Passes.h"
@@ -150,22 +151,6 @@ LogicalResult Guard::run() {
   return success();
 }
 
-/// True for functions that this project compiles: kernels, and host functions
-/// around them.
-static bool isOurs(Operation *function) {
-  if (isa<KernelOp>(function))
-    return true;
-  return isa<func::FuncOp>(function) &&
-         function
-             ->walk([](Operation *op) {
-               return isa_and_present<TaiDialect, TaiRTDialect, CheckDialect>(
-                          op->getDialect())
-                          ? WalkResult::interrupt()
-                          : WalkResult::advance();
-             })
-             .wasInterrupted();
-}
-
 namespace {
 struct GuardDivisions : tai::impl::GuardDivisionsBase<GuardDivisions> {
   using Base::Base;
@@ -178,7 +163,7 @@ struct GuardDivisions : tai::impl::GuardDivisionsBase<GuardDivisions> {
         if (isDivision(op))
           divisions.push_back(op);
       });
-      if (divisions.empty() || !isOurs(&function))
+      if (divisions.empty() || !isTaiCode(&function))
         continue;
       IntegerRanges ranges;
       for (Operation *op : divisions)

@@ -11,6 +11,7 @@
 
 #include "mlir/IR/Builders.h"
 #include "mlir/Pass/Pass.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 
@@ -27,6 +28,8 @@ struct TestFailure : tai::impl::TestFailureBase<TestFailure> {
   using Base::Base;
 
   void runOnOperation() override {
+    if (!findTaiOp(getOperation()))
+      return;
     if (!invalid)
       return signalPassFailure();
     // Outside of any kernel.

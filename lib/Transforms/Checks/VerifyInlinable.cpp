@@ -12,6 +12,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Pass/Pass.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
@@ -27,6 +28,10 @@ struct VerifyInlinable : tai::impl::VerifyInlinableBase<VerifyInlinable> {
 
   void runOnOperation() override {
     markAllAnalysesPreserved();
+    // Nothing is inlined for tai here.
+    if (llvm::none_of(*getOperation().getBody(),
+                      [](Operation &op) { return tai::belongsToTai(&op); }))
+      return;
     WalkResult result = getOperation().walk([](Operation *op) {
       if (op->getNumRegions() == 0 || op->getDialect())
         return WalkResult::advance();

@@ -24,6 +24,7 @@
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/Vectorization.h"
@@ -334,9 +335,11 @@ struct VersionGuards : tai::impl::VersionGuardsBase<VersionGuards> {
     registry.insert<LLVM::LLVMDialect>();
   }
   void runOnOperation() override {
-    for (Region &region : getOperation()->getRegions())
-      for (Block &block : region)
-        versionGuards(block);
+    walkOwned(getOperation(), [](Operation *owned) {
+      for (Region &region : owned->getRegions())
+        for (Block &block : region)
+          versionGuards(block);
+    });
   }
 };
 } // namespace

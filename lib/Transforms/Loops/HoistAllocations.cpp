@@ -16,6 +16,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Transforms/LoopInvariantCodeMotionUtils.h"
 #include "tai/ABI/LocalMemory.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
@@ -57,8 +58,10 @@ struct HoistAllocations : tai::impl::HoistAllocationsBase<HoistAllocations> {
 
   void runOnOperation() override {
     // Inner loops first: an op that leaves them may leave the next.
-    getOperation()->walk<WalkOrder::PostOrder>(
-        [](scf::ForOp loop) { hoistFrom(loop); });
+    walkOwned(getOperation(), [](Operation *owned) {
+      owned->walk<WalkOrder::PostOrder>(
+          [](scf::ForOp loop) { hoistFrom(loop); });
+    });
   }
 
   static void hoistFrom(scf::ForOp loop) {

@@ -16,6 +16,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 
@@ -139,9 +140,11 @@ struct SplitIndexSets : tai::impl::SplitIndexSetsBase<SplitIndexSets> {
 
   void runOnOperation() override {
     SmallVector<Split> splits;
-    getOperation()->walk([&](scf::IfOp branch) {
-      if (std::optional<Split> split = matchSplit(branch))
-        splits.push_back(*split);
+    walkOwned(getOperation(), [&](Operation *owned) {
+      owned->walk([&](scf::IfOp branch) {
+        if (std::optional<Split> split = matchSplit(branch))
+          splits.push_back(*split);
+      });
     });
     for (Split &split : splits)
       apply(split);

@@ -19,6 +19,7 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
@@ -537,9 +538,11 @@ struct UnrollAndJam : tai::impl::UnrollAndJamBase<UnrollAndJam> {
 
   void runOnOperation() override {
     SmallVector<Candidate> candidates;
-    getOperation()->walk([&](scf::ForOp loop) {
-      if (std::optional<Candidate> candidate = match(loop, reassociate))
-        candidates.push_back(*candidate);
+    walkOwned(getOperation(), [&](Operation *owned) {
+      owned->walk([&](scf::ForOp loop) {
+        if (std::optional<Candidate> candidate = match(loop, reassociate))
+          candidates.push_back(*candidate);
+      });
     });
     for (const Candidate &candidate : candidates)
       apply(candidate);

@@ -18,6 +18,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/UB/IR/UBOps.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Passes.h"
 #include "llvm/ADT/TypeSwitch.h"
@@ -482,7 +483,8 @@ struct Scalarize : tai::impl::ScalarizeBase<Scalarize> {
 
   void runOnOperation() override {
     WalkResult result = getOperation()->walk([](FunctionOpInterface function) {
-      if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function))
+      if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function) ||
+          !isTaiCode(function))
         return WalkResult::skip();
       bool done = succeeded(expandAppends(function)) &&
                   succeeded(Scalarizer(function).run());

@@ -34,6 +34,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "mlir/Transforms/GreedyPatternRewriteDriver.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 
@@ -477,8 +478,10 @@ struct VectorsToMemory : tai::impl::VectorsToMemoryBase<VectorsToMemory> {
   }
 
   void runOnOperation() override {
-    getOperation()->walk([](FunctionOpInterface function) {
-      if (!hasPositionAtRunTime(function) || !isStructured(function))
+    walkOwned(getOperation(), [](Operation *owned) {
+      auto function = dyn_cast<FunctionOpInterface>(owned);
+      if (!function || !hasPositionAtRunTime(function) ||
+          !isStructured(function))
         return;
       copyFromOutside(function);
       for (bool withCopies : {true, false}) {

@@ -18,6 +18,7 @@
 #include "mlir/Interfaces/FunctionInterfaces.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/FloatFacts.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Interfaces/Differentiable.h"
 #include "tai/Transforms/Passes.h"
@@ -66,8 +67,10 @@ struct FlattenBranches : tai::impl::FlattenBranchesBase<FlattenBranches> {
   void runOnOperation() override {
     // Inner branches first: once flat they no longer hold back outer ones.
     SmallVector<scf::IfOp> branches;
-    getOperation()->walk<WalkOrder::PostOrder>(
-        [&](scf::IfOp branch) { branches.push_back(branch); });
+    walkOwned(getOperation(), [&](Operation *owned) {
+      owned->walk<WalkOrder::PostOrder>(
+          [&](scf::IfOp branch) { branches.push_back(branch); });
+    });
     for (scf::IfOp branch : branches) {
       StringRef reason = findReasonToKeep(branch);
       report(branch, reason);

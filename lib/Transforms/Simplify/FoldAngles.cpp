@@ -16,6 +16,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
 #include "llvm/ADT/TypeSwitch.h"
@@ -162,22 +163,25 @@ struct FoldAngles : tai::impl::FoldAnglesBase<FoldAngles> {
     Constants constants;
     // Constants are cached by address: ops are erased last.
     SmallVector<Operation *> replaced;
-    getOperation()->walk([&](math::Atan2Op op) {
-      TypedAttr angle = foldAngle(op, constants);
-      if (!angle)
-        return;
-      OpBuilder builder(op);
-      op.replaceAllUsesWith(
-          arith::ConstantOp::create(builder, op.getLoc(), angle).getResult());
-      replaced.push_back(op);
-    });
-    getOperation()->walk([&](Operation *op) {
-      bool isReplaced = llvm::TypeSwitch<Operation *, bool>(op)
-                            .Case<arith::IndexCastOp, arith::IndexCastUIOp>(
-                                [](auto cast) { return keepTruncation(cast); })
-                            .Default(false);
-      if (isReplaced)
+    tai::walkOwned(getOperation(), [&](Operation *owned) {
+      owned->walk([&](math::Atan2Op op) {
+        TypedAttr angle = foldAngle(op, constants);
+        if (!angle)
+          return;
+        OpBuilder builder(op);
+        op.replaceAllUsesWith(
+            arith::ConstantOp::create(builder, op.getLoc(), angle).getResult());
         replaced.push_back(op);
+      });
+      owned->walk([&](Operation *op) {
+        bool isReplaced =
+            llvm::TypeSwitch<Operation *, bool>(op)
+                .Case<arith::IndexCastOp, arith::IndexCastUIOp>(
+                    [](auto cast) { return keepTruncation(cast); })
+                .Default(false);
+        if (isReplaced)
+          replaced.push_back(op);
+      });
     });
     for (Operation *op : replaced)
       op->erase();

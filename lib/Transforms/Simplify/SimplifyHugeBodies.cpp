@@ -19,6 +19,7 @@
 #include "mlir/IR/OperationSupport.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "mlir/Transforms/GreedyPatternRewriteDriver.h"
+#include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/Canonicalization.h"
 #include "llvm/ADT/STLExtras.h"
@@ -102,13 +103,15 @@ struct SimplifyHugeBodies
   void runOnOperation() override {
     // Inner bodies first.
     SmallVector<Block *> huge;
-    getOperation()->walk([&](Operation *op) {
-      if (op->hasTrait<OpTrait::IsIsolatedFromAbove>())
-        return;
-      for (Region &region : op->getRegions())
-        if (region.hasOneBlock() &&
-            llvm::hasNItemsOrMore(region.front(), minOps))
-          huge.push_back(&region.front());
+    tai::walkOwned(getOperation(), [&](Operation *owned) {
+      owned->walk([&](Operation *op) {
+        if (op->hasTrait<OpTrait::IsIsolatedFromAbove>())
+          return;
+        for (Region &region : op->getRegions())
+          if (region.hasOneBlock() &&
+              llvm::hasNItemsOrMore(region.front(), minOps))
+            huge.push_back(&region.front());
+      });
     });
     if (huge.empty())
       return markAllAnalysesPreserved();

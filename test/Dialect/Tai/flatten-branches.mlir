@@ -11,7 +11,7 @@
 //       CHECK:   arith.select %[[C]], %[[S]], %[[B]]
 // SMALL-LABEL: func.func @safe(
 //       SMALL:   scf.if
-func.func @safe(%c: i1, %a: f32, %b: f32) -> f32 {
+func.func @safe(%c: i1, %a: f32, %b: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %r = scf.if %c -> (f32) {
     %m = arith.mulf %a, %b : f32
     %s = math.sin %m : f32
@@ -32,7 +32,7 @@ func.func @safe(%c: i1, %a: f32, %b: f32) -> f32 {
 // FORCE-LABEL: func.func @root(
 //   FORCE-NOT:   scf.if
 //       FORCE:   arith.select
-func.func @root(%a: f32) -> f32 {
+func.func @root(%a: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %zero = arith.constant 0.0 : f32
   %c = arith.cmpf ogt, %a, %zero : f32
   %r = scf.if %c -> (f32) {
@@ -53,7 +53,7 @@ func.func @root(%a: f32) -> f32 {
 //       CHECK:   math.sqrt
 //       CHECK:   arith.divf
 //       CHECK:   arith.select
-func.func @safe_root(%c: i1, %a: f32) -> f32 {
+func.func @safe_root(%c: i1, %a: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %eps = arith.constant 1.0e-4 : f32
   %two = arith.constant 2.0 : f32
   %r = scf.if %c -> (f32) {
@@ -72,7 +72,7 @@ func.func @safe_root(%c: i1, %a: f32) -> f32 {
 
 // CHECK-LABEL: func.func @division(
 //       CHECK:   scf.if
-func.func @division(%c: i1, %a: f32, %b: f32) -> f32 {
+func.func @division(%c: i1, %a: f32, %b: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %r = scf.if %c -> (f32) {
     %q = arith.divf %a, %b : f32
     scf.yield %q : f32
@@ -89,7 +89,7 @@ func.func @division(%c: i1, %a: f32, %b: f32) -> f32 {
 //       CHECK:   scf.if
 // FORCE-LABEL: func.func @trap(
 //       FORCE:   scf.if
-func.func @trap(%c: i1, %a: i32, %b: i32) -> i32 {
+func.func @trap(%c: i1, %a: i32, %b: i32) -> i32 attributes {passthrough = ["tai.lowered"]} {
   %r = scf.if %c -> (i32) {
     %q = arith.divsi %a, %b : i32
     scf.yield %q : i32
@@ -156,7 +156,7 @@ tai.kernel @known_index(%c: i1, %a: f32) -> f32 {
 //       CHECK:   %[[INNER:.+]] = arith.select
 //       CHECK:   %[[OUTER:.+]] = arith.select %{{.+}}, %[[INNER]]
 //       CHECK:   return %[[OUTER]]
-func.func @nested(%c: i1, %d: i1, %a: f32, %b: f32) -> f32 {
+func.func @nested(%c: i1, %d: i1, %a: f32, %b: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %r = scf.if %c -> (f32) {
     %s = scf.if %d -> (f32) {
       scf.yield %a : f32
@@ -177,7 +177,7 @@ func.func @nested(%c: i1, %d: i1, %a: f32, %b: f32) -> f32 {
 //       CHECK:   scf.if
 // FORCE-LABEL: func.func @loop(
 //       FORCE:   scf.if
-func.func @loop(%c: i1, %n: index, %a: f32) -> f32 {
+func.func @loop(%c: i1, %n: index, %a: f32) -> f32 attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %r = scf.if %c -> (f32) {

@@ -15,8 +15,8 @@ tai.kernel @former_grad() attributes {
 
 // Attributes of functions of other dialects stay as they are.
 // CHECK-LABEL: func.func @f(
-//  CHECK-SAME:     attributes {tai.conventions = {ties = "split"}, tai.gradients = array<i64: 0>}
-func.func @f(%x: f64) attributes {tai.conventions = {ties = "split"}, tai.gradients = array<i64: 0>} {
+//  CHECK-SAME:     attributes {tai.conventions = {ties = "split"}, tai.differentiate, tai.gradients = array<i64: 0>}
+func.func @f(%x: f64) attributes {tai.conventions = {ties = "split"}, tai.differentiate, tai.gradients = array<i64: 0>} {
   return
 }
 

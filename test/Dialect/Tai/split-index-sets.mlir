@@ -20,7 +20,7 @@
 //       CHECK:     scf.for
 //   CHECK-NOT:     scf.if
 //       CHECK:       memref.store %[[TWO]]
-func.func @split(%lo: index, %hi: index, %m: memref<?xf32>) {
+func.func @split(%lo: index, %hi: index, %m: memref<?xf32>) attributes {passthrough = ["tai.lowered"]} {
   %c1 = arith.constant 1 : index
   %c2 = arith.constant 2 : index
   %c63 = arith.constant 63 : index
@@ -43,7 +43,7 @@ func.func @split(%lo: index, %hi: index, %m: memref<?xf32>) {
 // An unmarked branch stays, and so does one beside which the loop does more.
 // CHECK-LABEL: func.func @stays(
 // CHECK-COUNT-2: scf.if
-func.func @stays(%lo: index, %hi: index, %m: memref<?xf32>) {
+func.func @stays(%lo: index, %hi: index, %m: memref<?xf32>) attributes {passthrough = ["tai.lowered"]} {
   %c1 = arith.constant 1 : index
   %c63 = arith.constant 63 : index
   %one = arith.constant 1.0 : f32

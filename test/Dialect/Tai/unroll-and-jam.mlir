@@ -27,7 +27,7 @@
 //       CHECK:     scf.for
 //       CHECK:       arith.addf
 //       CHECK:   } {llvm.loop_annotation
-func.func @sums(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) {
+func.func @sums(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %c1000 = arith.constant 1000 : index
@@ -57,7 +57,7 @@ func.func @sums(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) {
 //       CHECK:   arith.andi %{{.+}}, %c-8
 //       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c8
 //       CHECK:     %{{.+}}:8 = scf.for
-func.func @few(%a: !llvm.ptr, %b: !llvm.ptr) {
+func.func @few(%a: !llvm.ptr, %b: !llvm.ptr) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %c12 = arith.constant 12 : index
@@ -89,7 +89,7 @@ func.func @few(%a: !llvm.ptr, %b: !llvm.ptr) {
 // CHECK-LABEL: func.func @left(
 //   CHECK-NOT:   arith.andi
 //       CHECK:   return
-func.func @left(%a: !llvm.ptr, %lo: index, %hi: index) {
+func.func @left(%a: !llvm.ptr, %lo: index, %hi: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %c20 = arith.constant 20 : index
@@ -168,7 +168,7 @@ llvm.func @term() -> f32
 //       CHECK:     scf.for %[[K:.+]] = %c0{{.*}} to %{{.+}} iter_args
 // CHECK-COUNT-8:     arith.addi %{{.+}}, %[[K]]
 // CHECK-COUNT-8:   scf.for
-func.func @triangle(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+func.func @triangle(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32
@@ -201,7 +201,7 @@ func.func @triangle(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
 // CHECK-LABEL: func.func @uneven_left(
 //   CHECK-NOT:   arith.andi
 //       CHECK:   return
-func.func @uneven_left(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+func.func @uneven_left(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %c2 = arith.constant 2 : index
@@ -258,7 +258,7 @@ func.func @uneven_left(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n:
 //       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c16
 //       CHECK:     scf.for %{{.+}} iter_args({{.+}}) -> (f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32) {
 //       CHECK:       scf.for %{{.+}} iter_args({{.+}}) -> (f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32, f32) {
-func.func @nested(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+func.func @nested(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32
@@ -298,7 +298,7 @@ func.func @nested(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
 //       CHECK:     scf.if
 //   CHECK-NOT:   step %c16
 //       CHECK:   return
-func.func @branches(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+func.func @branches(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32
@@ -357,7 +357,7 @@ func.func @branches(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
 //   CHECK-NOT:       arith.addf
 //       CHECK:     scf.yield
 // CHECK-COUNT-16:  math.tanh
-func.func @rows(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+func.func @rows(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32
@@ -402,7 +402,7 @@ func.func @rows(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index)
 //       CHECK:   llvm.load
 //   CHECK-NOT:   arith.andi
 //       CHECK:   return
-func.func @short(%a: !llvm.ptr, %lo: index, %hi: index) {
+func.func @short(%a: !llvm.ptr, %lo: index, %hi: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %c24 = arith.constant 24 : index
@@ -439,7 +439,7 @@ func.func @short(%a: !llvm.ptr, %lo: index, %hi: index) {
 // Eleven ops: there are registers for one vector of sums.
 // CHECK-LABEL: func.func @many(
 //       CHECK:   scf.for %{{.+}} = %{{.+}} to %{{.+}} step %c8
-func.func @many(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+func.func @many(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32
@@ -480,7 +480,7 @@ func.func @many(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
 //       ANY:   step %c16
 //       ANY:     scf.for
 //       ANY:     } {llvm.loop_annotation = #[[$ONCE]]}
-func.func @columns(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+func.func @columns(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32
@@ -510,7 +510,7 @@ func.func @columns(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index, %n: ind
 // not walked one by one.
 // ANY-LABEL: func.func @doubled(
 //       ANY:   step %c16
-func.func @doubled(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
+func.func @doubled(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %zero = arith.constant 0.0 : f32
@@ -584,7 +584,7 @@ func.func @doubled(%a: !llvm.ptr, %lo: index, %hi: index, %n: index) {
 // CHECK-LABEL: func.func @unsigned(
 //   CHECK-NOT:   arith.andi
 //       CHECK:   return
-func.func @unsigned(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) {
+func.func @unsigned(%a: !llvm.ptr, %b: !llvm.ptr, %lo: index, %hi: index) attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   %c1000 = arith.constant 1000 : index

@@ -180,7 +180,9 @@ TEST_F(EngineCompiler, OperationsThatAreLeftLeaveAReproducer) {
   Compiler::Pipelines pipelines;
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
     manager.addPass(std::make_unique<LeftCast>());
-    manager.addPass(createVerifyLLVM());
+    VerifyLLVMOptions all;
+    all.all = true;
+    manager.addPass(createVerifyLLVM(all));
   };
   Compiler compiler(&context, pipelines, {});
   Failure failure;

@@ -113,4 +113,84 @@ TEST_F(ModuleFile, FatalTextIsRefused) {
             "");
 }
 
+std::string repeat(StringRef text, size_t count) {
+  std::string result;
+  for (size_t i = 0; i != count; ++i)
+    result += text;
+  return result;
+}
+
+std::string nest(StringRef before, StringRef open, StringRef inside,
+                 StringRef close, StringRef after, size_t count) {
+  return (before + repeat(open, count) + inside + repeat(close, count) + after)
+      .str();
+}
+
+// The parser descends by recursion, and the stack ends.
+TEST_F(ModuleFile, NestedTextIsRefused) {
+  auto make = [](size_t n) -> std::vector<std::string> {
+    std::string names = "!a0 = tuple<i1>\n", lists = "#a0 = [1]\n";
+    for (size_t i = 0; i != n; ++i) {
+      std::string before = std::to_string(i), after = std::to_string(i + 1);
+      names += "!a" + after + " = tuple<!a" + before + ">\n";
+      lists += "#a" + after + " = [#a" + before + "]\n";
+    }
+    std::string last = std::to_string(n);
+    return {
+        nest("module attributes {tai.x = ", "[", "", "]", "} {}", n),
+        nest("module attributes {tai.x = ", "{a = ", "1", "}", "} {}", n),
+        nest("#m = affine_map<(d0) -> (", "(", "d0", ")", ")>\nmodule {}", n),
+        nest("#m = affine_map<(d0) -> (", "-", "d0", "", ")>\nmodule {}", n),
+        nest("#m = affine_map<(d0) -> (", "- ", "d0", "", ")>\nmodule {}", n),
+        nest("", "module {\n", "", "}", "", n),
+        nest("func.func @f(%c: i1) {", "scf.if %c {\n", "", "}", "return }", n),
+        nest("", "\"builtin.module\"() ({", "", "}) : () -> ()\n", "", n),
+        nest("func.func private @f(", "tuple<", "i1", ">", ")", n),
+        nest("func.func private @f(", "() -> (", "i1", ")", ")", n),
+        nest("func.func private @f(", "memref<", "f32", ">", ")", n),
+        nest("module {} loc(", "callsite(\"a\" at ", "\"b\"", ")", ")", n),
+        nest("module {} loc(", "fused[", "\"b\"", "]", ")", n),
+        nest("module attributes {tai.x = dense<", "[", "1", "]",
+             "> : tensor<1xi32>} {}", n),
+        nest("module attributes {tai.x = #tai.y", "<", "", ">", "} {}", n),
+        names + "func.func private @f(!a" + last + ")",
+        lists + "module attributes {tai.x = #a" + last + "} {}",
+        // Quotes and comments hide nothing.
+        nest("// \"\nmodule attributes {tai.x = [\"\\\"\", ", "[", "", "]",
+             "]} {}", n),
+    };
+  };
+  for (const std::string &text : make(14000))
+    EXPECT_TRUE(StringRef(read(text))
+                    .contains("the text is nested more than 512 levels deep "
+                              "here, which is not read"))
+        << text.substr(0, 60);
+  // Less is read or refused by the parser itself.
+  for (const std::string &text : make(200))
+    EXPECT_FALSE(StringRef(read(text)).contains("nested more than"))
+        << text.substr(0, 60);
+}
+
+TEST_F(ModuleFile, LongTypesAndExpressionsAreRefused) {
+  EXPECT_TRUE(StringRef(read(nest("func.func private @f(memref<", "1x", "f32",
+                                  "", ">)", 100000)))
+                  .contains("a type has more than 1024 dimensions"));
+  EXPECT_TRUE(StringRef(read(nest("#m = affine_map<(d0) -> (d0", " + d0 mod 3",
+                                  "", "", ")>\nmodule {}", 100000)))
+                  .contains("an expression has more than 4096 operators"));
+  EXPECT_FALSE(StringRef(read(nest("func.func private @f(memref<", "1x", "f32",
+                                   "", ">)", 1000)))
+                   .contains("dimensions"));
+}
+
+// Braces of text, and what a file holds one after another, nest nothing.
+TEST_F(ModuleFile, LongTextIsRead) {
+  EXPECT_EQ(read(nest("", "module {}\n", "", "", "", 2000)), "");
+  EXPECT_EQ(read(nest("module {} loc(\"", "[", "", "", "\")", 2000)), "");
+  EXPECT_EQ(read(nest("// ", "[", "", "", "\nmodule {}", 2000)), "");
+  EXPECT_EQ(read(nest("#m = affine_map<(d0) -> (-d0 + 3, ", "-d0, ", "d0", "",
+                      ")>\nmodule {}", 2000)),
+            "");
+}
+
 } // namespace

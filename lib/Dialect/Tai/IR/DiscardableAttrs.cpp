@@ -193,6 +193,11 @@ LogicalResult tai::verifyDiscardableAttr(Operation *op,
            << op->getName() << "'";
   if (name == "tai.differentiate")
     return verifyDifferentiate(op);
+  // Kernels are differentiated by themselves.
+  if (name == "tai.gradients" && !op->hasAttr("tai.differentiate"))
+    return op->emitError(
+        "has 'tai.gradients', but not 'tai.differentiate', so that no gradient "
+        "would be made; add it, or remove 'tai.gradients'");
   return success();
 }
 

@@ -201,7 +201,78 @@ static LogicalResult verifyRelatedField(FieldOp field,
   return diag;
 }
 
+/// True if no field stands before this one.
+static bool isFirstField(FieldOp field) {
+  for (Operation *op = field->getPrevNode(); op; op = op->getPrevNode())
+    if (isa<FieldOp>(op))
+      return false;
+  return true;
+}
+
+/// Refuses two fields that share memory: two names of one place, and one field
+/// that holds the derivatives of two, or of itself. Gradients would be zeroed,
+/// or added up, where they belong to another field.
+static LogicalResult verifyApart(Block &fields) {
+  DenseMap<std::pair<Attribute, Attribute>, FieldOp> places;
+  DenseMap<StringAttr, FieldOp> byName;
+  DenseMap<Attribute, std::pair<FieldOp, StringRef>> holders;
+  for (auto field : fields.getOps<FieldOp>()) {
+    byName[field.getSymNameAttr()] = field;
+    auto [known, isNew] =
+        places.try_emplace({field.getTreeAttr(), field.getPlaceAttr()}, field);
+    if (!isNew) {
+      InFlightDiagnostic diag =
+          field.emitOpError("names place '")
+          << field.getPlace() << "' of " << field.getTreeAttr()
+          << ", which is another field already; give it a place of its own";
+      diag.attachNote(known->second.getLoc())
+          << "'@" << known->second.getSymName() << "' is this place";
+      return diag;
+    }
+    for (auto [related, role] :
+         {std::pair(field.getAdjointAttr(), StringRef("adjoint")),
+          std::pair(field.getDualAttr(), StringRef("dual"))}) {
+      if (!related)
+        continue;
+      auto [holder, isFree] = holders.try_emplace(related, field, role);
+      if (isFree)
+        continue;
+      auto [owner, ownerRole] = holder->second;
+      InFlightDiagnostic diag = field.emitOpError();
+      if (owner == field)
+        diag << "has '" << related << "' for its " << ownerRole << " and its "
+             << role << "; give it one field for each";
+      else
+        diag << "has the " << role << " '" << related
+             << "', which holds the derivatives of another field; give each "
+                "field its own";
+      diag.attachNote(owner.getLoc())
+          << "it is the " << ownerRole << " of '@" << owner.getSymName() << "'";
+      return diag;
+    }
+  }
+  // One owner at most, so that a chain that returns passes its start.
+  DenseSet<Operation *> visited;
+  for (auto field : fields.getOps<FieldOp>()) {
+    FieldOp next = field;
+    while (next && visited.insert(next).second) {
+      FlatSymbolRefAttr adjoint = next.getAdjointAttr();
+      next = adjoint ? byName.lookup(adjoint.getAttr()) : FieldOp();
+      if (next == field)
+        return field.emitOpError("is the adjoint of ")
+               << (adjoint == next.getAdjointAttr()
+                       ? "itself"
+                       : "its adjoint, or of the adjoint of that")
+               << "; its gradient would overwrite its values";
+    }
+  }
+  return success();
+}
+
 LogicalResult FieldOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  // (field_c1), (field_c2). Once for all of them: there may be thousands.
+  if (isFirstField(*this) && failed(verifyApart(*(*this)->getBlock())))
+    return failure();
   auto tree = symbols.lookupNearestSymbolFrom<TreeOp>((*this)->getParentOp(),
                                                       getTreeAttr());
   if (!tree)
@@ -481,7 +552,25 @@ LogicalResult LengthOp::verifySymbolUses(SymbolTableCollection &symbols) {
 // Host ops
 //===----------------------------------------------------------------------===//
 
+/// Refuses ops of host programs in kernels.
+static LogicalResult verifyOnHost(Operation *op) {
+  // (launch_c3)
+  Operation *around = op->getParentOp();
+  while (around && !isa<FunctionOpInterface>(around))
+    around = around->getParentOp();
+  auto kernel = dyn_cast_if_present<KernelOp>(around);
+  if (!kernel)
+    return success();
+  InFlightDiagnostic diag =
+      op->emitOpError("stands in a kernel; only the host can launch and record "
+                      "kernels. Move it into a 'func.func'");
+  diag.attachNote(kernel.getLoc()) << "kernel defined here";
+  return diag;
+}
+
 LogicalResult LaunchOp::verifySymbolUses(SymbolTableCollection &symbols) {
+  if (failed(verifyOnHost(*this)))
+    return failure();
   // (launch_c1)
   auto kernel =
       symbols.lookupNearestSymbolFrom<KernelOp>(*this, getKernelAttr());
@@ -524,6 +613,17 @@ static LogicalResult verifyLoss(Operation *op, FlatSymbolRefAttr name,
 
 LogicalResult tai::verifyTape(Operation *tape, FlatSymbolRefAttr loss,
                               SymbolTableCollection &symbols) {
+  if (failed(verifyOnHost(tape)))
+    return failure();
+  // (tape_c4)
+  for (Operation *op = tape->getParentOp(); op; op = op->getParentOp())
+    if (op->hasTrait<RecordsLaunches>()) {
+      InFlightDiagnostic diag =
+          tape->emitOpError("stands in another tape; one is recorded at a "
+                            "time. End the outer one first");
+      diag.attachNote(op->getLoc()) << "the outer tape begins here";
+      return diag;
+    }
   if (failed(verifyLoss(tape, loss, symbols)))
     return failure();
   // (tape_c3)

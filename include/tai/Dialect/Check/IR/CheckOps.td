@@ -41,7 +41,8 @@ def Check_CheckGradientOp : Check_GradientBase<Check_Dialect, "gradient"> {
     initial values have no effect. The program fails if no element is left to
     check.
 
-    1. (check_gradient_c1) The loss is one of `tai.tape`, and (tape_c3) holds.
+    1. (check_gradient_c1) The loss is one of `tai.tape`, and (tape_c3) and
+       (tape_c4) hold.
     2. (check_gradient_c2) Each field of `wrt` has an adjoint.
 
     Example:

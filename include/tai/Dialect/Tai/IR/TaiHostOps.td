@@ -24,6 +24,7 @@ def Tai_LaunchOp : Tai_Op<"launch", [
 
     1. (launch_c1) `kernel` names a `tai.kernel`.
     2. (launch_c2) Operands and results have the types of those of the kernel.
+    3. (launch_c3) It stands in no kernel, but in a function of the host.
 
     Example:
 
@@ -60,6 +61,7 @@ def Tai_TapeOp : Tai_Op<"tape", [
     2. (tape_c2) The loss has an adjoint.
     3. (tape_c3) No value with a derivative goes from one launch to the next
        through the host.
+    4. (tape_c4) It stands in no other tape, and in no kernel.
 
     Example:
 

@@ -44,6 +44,11 @@ def Tai_FieldOp : Tai_Op<"field", [Symbol,
     accumulates the derivative of the loss with respect to this one. `dual`
     names the field that holds its tangent in forward mode.
 
+    1. (field_c1) No other field has the same place.
+    2. (field_c2) The adjoint and the dual are fields of their own: each belongs
+       to one field, in one role, and no field is its own adjoint, directly or
+       through other adjoints.
+
     Example:
 
     ```mlir

@@ -1,0 +1,292 @@
+//===- TextLimits.cpp - Text that MLIR's parser cannot read ---------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Dialect/Tai/IR/TextLimits.h"
+#include "llvm/ADT/STLExtras.h"
+#include "llvm/ADT/StringExtras.h"
+#include "llvm/ADT/StringMap.h"
+#include "llvm/ADT/StringSwitch.h"
+#include "llvm/Support/FileSystem.h"
+#include "llvm/Support/MemoryBuffer.h"
+#include "llvm/Support/raw_ostream.h"
+#include <cstdio>
+#include <unistd.h>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+/// The longest run of dimensions of one type.
+constexpr unsigned kMostDimensions = 1024;
+/// The most operators of one affine expression.
+constexpr unsigned kMostOperators = 4096;
+/// The most digits of the number of a result.
+constexpr size_t kMostDigits = 6;
+
+class Scanner {
+public:
+  explicit Scanner(StringRef text) : text(text) {}
+  std::optional<TextProblem> run();
+
+private:
+  struct Open {
+    char bracket;
+    unsigned operators = 0;
+  };
+
+  void refuse(const llvm::Twine &message) {
+    if (problem)
+      return;
+    StringRef before = text.take_front(at);
+    unsigned column = before.size() - (before.rfind('\n') + 1);
+    problem =
+        TextProblem{at, message.str(),
+                    static_cast<unsigned>(before.count('\n') + 1), column + 1};
+  }
+  void checkDepth(unsigned depth) {
+    deepest = std::max(deepest, depth);
+    if (depth > kMostNested)
+      refuse("the text is nested more than " + llvm::Twine(kMostNested) +
+             " levels deep here, which is not read");
+  }
+  void countOperator() {
+    if (!open.empty() && open.back().bracket != '{' &&
+        ++open.back().operators > kMostOperators)
+      refuse("an expression has more than " + llvm::Twine(kMostOperators) +
+             " operators, which is not read");
+  }
+  void close(char bracket) {
+    char first = llvm::StringSwitch<char>(StringRef(&bracket, 1))
+                     .Case(")", '(')
+                     .Case("]", '[')
+                     .Case("}", '{')
+                     .Default('<');
+    // A bracket that does not match is no syntax, or an arrow or a comparison.
+    if (!open.empty() && open.back().bracket == first)
+      open.pop_back();
+  }
+  StringRef rest() const { return text.drop_front(at + 1); }
+  void skipComment();
+  void skipString();
+  void readWord();
+  void readAlias(char kind);
+  void endAlias();
+
+  StringRef text;
+  size_t at = 0;
+  SmallVector<Open> open;
+  unsigned minuses = 0;
+  unsigned dimensions = 0;
+  /// The levels inside each alias, by its name with `#` or `!`.
+  llvm::StringMap<unsigned> aliases;
+  std::string defined;
+  unsigned deepest = 0;
+  std::optional<TextProblem> problem;
+};
+} // namespace
+
+void Scanner::skipComment() {
+  size_t end = std::min(text.find('\n', at), text.size());
+  // Texts that a tool splits have nothing to do with one another.
+  if (text.slice(at, end).starts_with("// -----")) {
+    open.clear();
+    aliases.clear();
+    defined.clear();
+  }
+  at = end - 1;
+}
+
+void Scanner::skipString() {
+  for (++at; at < text.size() && text[at] != '"' && text[at] != '\n'; ++at)
+    at += text[at] == '\\';
+}
+
+/// A name or a number, which may hold the dimensions of a type.
+void Scanner::readWord() {
+  StringRef word = text.drop_front(at).take_while([](char c) {
+    return llvm::isAlnum(c) || c == '_' || c == '$' || c == '.' || c == '?';
+  });
+  at += std::max<size_t>(word.size(), 1) - 1;
+  if (word == "mod" || word == "floordiv" || word == "ceildiv")
+    return countOperator();
+  // 1x2x?x, as far as letters other than x begin.
+  StringRef run = word.take_while(
+      [](char c) { return llvm::isDigit(c) || c == 'x' || c == '?'; });
+  dimensions += run.count('x');
+  if (dimensions > kMostDimensions)
+    refuse("a type has more than " + llvm::Twine(kMostDimensions) +
+           " dimensions, which is not read");
+  if (run.size() != word.size())
+    dimensions = 0;
+}
+
+/// `#name` or `!name`: a definition if `=` follows outside of all brackets.
+void Scanner::readAlias(char kind) {
+  StringRef name = rest().take_while(
+      [](char c) { return llvm::isAlnum(c) || c == '_' || c == '$'; });
+  if (name.empty())
+    return;
+  if (kind == '#' && name.take_while(llvm::isDigit).size() > kMostDigits)
+    return refuse("no operation has so many results");
+  std::string key = (llvm::Twine(kind) + name).str();
+  StringRef behind = rest().drop_front(name.size());
+  at += name.size();
+  if (open.empty() && behind.ltrim().starts_with("=")) {
+    endAlias();
+    defined = std::move(key);
+    return;
+  }
+  if (auto known = aliases.find(key); known != aliases.end())
+    checkDepth(open.size() + known->second);
+}
+
+void Scanner::endAlias() {
+  // One level more than its text, so that chains of names end.
+  if (!defined.empty())
+    aliases[defined] = deepest + 1;
+  defined.clear();
+  deepest = 0;
+}
+
+std::optional<TextProblem> Scanner::run() {
+  for (; at < text.size() && !problem; ++at) {
+    char c = text[at];
+    if (c == ' ' || c == '\t' || c == '\r')
+      continue;
+    if (c == '\n') {
+      // An alias ends with its line, or where its brackets close.
+      if (open.empty())
+        endAlias();
+      continue;
+    }
+    if (c != '-')
+      minuses = 0;
+    if (!llvm::isAlnum(c) && c != '?' && c != '[' && c != ']')
+      dimensions = 0;
+    switch (c) {
+    case '/':
+      if (rest().starts_with("/"))
+        skipComment();
+      break;
+    case '"':
+      skipString();
+      break;
+    case '<':
+      // An array of `index` ends the process as well.
+      if (StringRef inside = rest().ltrim();
+          text.take_front(at).rtrim().ends_with("array") &&
+          inside.consume_front("index") && inside.ltrim().starts_with(":"))
+        refuse("an array attribute holds integers of known width or floats, "
+               "not 'index'");
+      if (rest().starts_with("="))
+        break;
+      [[fallthrough]];
+    case '(':
+    case '[':
+    case '{':
+      open.push_back({c});
+      checkDepth(open.size());
+      break;
+    case ')':
+    case ']':
+    case '}':
+    case '>':
+      close(c);
+      break;
+    case ',':
+      if (!open.empty())
+        open.back().operators = 0;
+      break;
+    case '-':
+      if (rest().starts_with(">")) {
+        ++at;
+        break;
+      }
+      countOperator();
+      if (++minuses > kMostNested)
+        checkDepth(minuses);
+      break;
+    case '+':
+    case '*':
+      countOperator();
+      break;
+    case '#':
+    case '!':
+      readAlias(c);
+      break;
+    default:
+      if (llvm::isAlnum(c) || c == '_' || c == '?')
+        readWord();
+      break;
+    }
+  }
+  return problem;
+}
+
+std::optional<TextProblem> tai::findTextProblem(StringRef text) {
+  return Scanner(text).run();
+}
+
+//===----------------------------------------------------------------------===//
+// Tools
+//===----------------------------------------------------------------------===//
+
+/// True unless the text has a problem, which is reported.
+static bool checkFile(StringRef name, StringRef text) {
+  // Bytecode and libraries are not for the parser.
+  if (text.contains('\0'))
+    return true;
+  std::optional<TextProblem> problem = findTextProblem(text);
+  if (!problem)
+    return true;
+  llvm::errs() << name << ":" << problem->line << ":" << problem->column
+               << ": error: " << problem->message << "\n";
+  return false;
+}
+
+/// Reads the standard input, and puts a file with the same in its place.
+static bool checkStandardInput() {
+  auto input = llvm::MemoryBuffer::getSTDIN();
+  std::FILE *copy = std::tmpfile();
+  if (!input || !copy)
+    return true;
+  StringRef text = (*input)->getBuffer();
+  std::fwrite(text.data(), 1, text.size(), copy);
+  std::rewind(copy);
+  // Stays open as the standard input.
+  ::dup2(::fileno(copy), ::fileno(stdin));
+  return checkFile("<stdin>", text);
+}
+
+bool tai::checkToolInput(int argc, char **argv) {
+  bool hasInput = false;
+  for (int i = 1; i < argc; ++i) {
+    StringRef argument(argv[i]);
+    StringRef name = argument.ltrim('-').split('=').first;
+    if (argument.starts_with("-") && argument.size() > 1) {
+      // These read nothing.
+      if (name.starts_with("help") || name.starts_with("list-") ||
+          name.starts_with("show-") || name == "version" || name == "h")
+        return true;
+      // The name of a file that is written.
+      if (name == "o" && !argument.contains('='))
+        ++i;
+      continue;
+    }
+    if (argument == "-" || !llvm::sys::fs::is_regular_file(argument))
+      continue;
+    auto file = llvm::MemoryBuffer::getFile(argument);
+    if (!file)
+      continue;
+    // A plugin, perhaps.
+    hasInput |= !(*file)->getBuffer().starts_with("\x7f"
+                                                  "ELF");
+    if (!checkFile(argument, (*file)->getBuffer()))
+      return false;
+  }
+  return hasInput || ::isatty(::fileno(stdin)) || checkStandardInput();
+}

@@ -1,0 +1,52 @@
+"""Compiles each header of an installation by itself.
+
+The arguments: the prefix, a folder for a precompiled header, LLVM's include
+folder, and the compiler. MLIR's headers, which take most of the time, are
+precompiled. Prints what the compiler says of headers that fail.
+"""
+
+import concurrent.futures
+import pathlib
+import subprocess
+import sys
+
+prefix, folder, llvm, compiler = sys.argv[1:]
+include = pathlib.Path(prefix) / "include"
+headers = sorted(include.glob("tai/**/*.h")) + sorted(include.glob("tai-c/**/*.h"))
+assert len(headers) > 90, f"{len(headers)} headers in {include}"
+flags = [compiler, "-std=c++17", "-O0", "-Wall", "-Werror", f"-I{include}", "-isystem", llvm]
+flags += ["-fno-exceptions", "-D__STDC_LIMIT_MACROS", "-D__STDC_CONSTANT_MACROS"]
+
+upstream = [
+    "Dialect/Arith/IR/Arith.h",
+    "Dialect/Func/IR/FuncOps.h",
+    "Dialect/LLVMIR/LLVMDialect.h",
+    "Dialect/MemRef/IR/MemRef.h",
+    "Dialect/SCF/IR/SCF.h",
+    "Dialect/Vector/IR/VectorOps.h",
+    "Analysis/DataFlow/SparseAnalysis.h",
+    "Pass/PassManager.h",
+    "Transforms/DialectConversion.h",
+]
+source = pathlib.Path(folder) / "upstream.h"
+source.write_text("".join(f'#include "mlir/{name}"\n' for name in upstream))
+precompiled = source.with_suffix(".pch")
+# Templates are instantiated once, not for each header.
+once = ["-fpch-instantiate-templates", "-x", "c++-header"]
+subprocess.run([*flags, *once, source, "-o", precompiled], check=True)
+
+
+def check(header: pathlib.Path) -> str:
+    """What the compiler says of a file that includes this header and no other."""
+    name = header.relative_to(include)
+    given = [] if name.parts[0] == "tai-c" else ["-include-pch", precompiled]
+    command = [*flags, *given, "-fsyntax-only", "-x", "c++", "-"]
+    text = f'#include "{name}"\n'
+    result = subprocess.run(command, input=text, capture_output=True, text=True)
+    return f"{name}:\n{result.stderr[:1000]}" if result.returncode else ""
+
+
+with concurrent.futures.ThreadPoolExecutor(2) as pool:
+    failures = [text for text in pool.map(check, headers) if text]
+print("\n".join(failures))
+sys.exit(bool(failures))

@@ -1,0 +1,131 @@
+//===- InputFilter.cpp - Keeps unreadable text from the server ------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "InputFilter.h"
+#include "tai/Dialect/Tai/IR/TextLimits.h"
+#include "llvm/ADT/StringExtras.h"
+#include "llvm/Support/JSON.h"
+#include "llvm/Support/raw_ostream.h"
+#include <cstdio>
+#include <thread>
+#include <unistd.h>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Ends the text in `object` before what cannot be read.
+static void cut(llvm::json::Object *object) {
+  if (!object)
+    return;
+  std::optional<StringRef> text = object->getString("text");
+  if (!text)
+    return;
+  if (std::optional<TextProblem> problem = findTextProblem(*text)) {
+    std::string start = text->take_front(problem->at).str();
+    (*object)["text"] = std::move(start);
+  }
+}
+
+/// The message for the server, or nothing if it has none for it.
+static std::string filter(StringRef message) {
+  // JSON is parsed by recursion as well.
+  if (findTextProblem(message))
+    return {};
+  if (!message.contains("\"text\""))
+    return message.str();
+  llvm::Expected<llvm::json::Value> value = llvm::json::parse(message);
+  if (!value) {
+    llvm::consumeError(value.takeError());
+    return message.str();
+  }
+  llvm::json::Object *root = value->getAsObject();
+  llvm::json::Object *params = root ? root->getObject("params") : nullptr;
+  if (!params)
+    return message.str();
+  cut(params->getObject("textDocument"));
+  if (llvm::json::Array *changes = params->getArray("contentChanges"))
+    for (llvm::json::Value &change : *changes)
+      cut(change.getAsObject());
+  std::string text;
+  llvm::raw_string_ostream(text) << *value;
+  return text;
+}
+
+static bool readLine(std::FILE *input, std::string &line) {
+  line.clear();
+  for (int c; (c = std::fgetc(input)) != EOF;) {
+    line += static_cast<char>(c);
+    if (c == '\n')
+      return true;
+  }
+  return !line.empty();
+}
+
+static void write(std::FILE *output, StringRef text) {
+  std::fwrite(text.data(), 1, text.size(), output);
+  std::fflush(output);
+}
+
+static void passDelimited(std::FILE *input, std::FILE *output) {
+  std::string message, line;
+  while (readLine(input, line)) {
+    StringRef text = StringRef(line).ltrim();
+    if (!text.starts_with("// -----")) {
+      // Comments are none of the message.
+      if (!text.starts_with("//"))
+        message += line;
+      continue;
+    }
+    write(output, filter(message) + "\n" + line);
+    message.clear();
+  }
+  write(output, filter(message));
+}
+
+static void passFramed(std::FILE *input, std::FILE *output) {
+  constexpr StringLiteral length("Content-Length:");
+  std::string line;
+  size_t size = 0;
+  while (readLine(input, line)) {
+    StringRef header = StringRef(line).trim();
+    if (header.consume_front(length)) {
+      if (header.trim().getAsInteger(10, size))
+        size = 0;
+      continue;
+    }
+    if (!header.empty() || size == 0)
+      continue;
+    std::string message(size, '\0');
+    if (std::fread(message.data(), 1, size, input) != size)
+      return;
+    size = 0;
+    message = filter(message);
+    if (!message.empty())
+      write(output,
+            (length + " " + llvm::Twine(message.size()) + "\r\n\r\n" + message)
+                .str());
+  }
+}
+
+void tai::filterStandardInput(bool isDelimited) {
+  int ends[2];
+  int given = ::dup(::fileno(stdin));
+  if (given < 0 || ::pipe(ends) != 0)
+    return;
+  ::dup2(ends[0], ::fileno(stdin));
+  ::close(ends[0]);
+  std::thread([=] {
+    std::FILE *input = ::fdopen(given, "r");
+    std::FILE *output = ::fdopen(ends[1], "w");
+    if (isDelimited)
+      passDelimited(input, output);
+    else
+      passFramed(input, output);
+    // The server ends where its input does.
+    std::fclose(output);
+  }).detach();
+}
