@@ -12,7 +12,7 @@
 // The variable becomes the result of the branch.
 // LOCALS-LABEL: func.func @figure(
 //  LOCALS-SAME:     %[[B:.+]]: i32) -> i32
-//   LOCALS-NOT:   tai.
+//   LOCALS-NOT:   tai.{{alloca|local}}
 //       LOCALS:   %[[C:.+]] = arith.cmpi sgt, %[[B]]
 //       LOCALS:   %[[A:.+]] = scf.if %[[C]] -> (i32) {
 //       LOCALS:     scf.yield %[[B]]
@@ -33,7 +33,7 @@
 //       BOTH:   %[[SSA1:.+]] = arith.select %[[C]], %[[B]], %[[TWICE]]
 //       BOTH:   %[[SSA2:.+]] = arith.addi %[[SSA1]], %[[C1]]
 //       BOTH:   return %[[SSA2]]
-func.func @figure(%b: i32) -> i32 {
+func.func @figure(%b: i32) -> i32 attributes {passthrough = ["tai.lowered"]} {
   %c0 = arith.constant 0 : i32
   %c1 = arith.constant 1 : i32
   %c2 = arith.constant 2 : i32
