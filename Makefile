@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -58,6 +58,9 @@ paper: build ## rerun the figures and tables of the paper into out/paper (ARGS="
 soak: build ## run the bars of reliability, 90 minutes (ARGS="--only R5 R8"): docs/reliability.md
 	@$(PYTHON) test/reliability/soak.py $(ARGS)
 
+coverage: build ## count the lines and branches that tests run (ARGS="--only python")
+	@$(PYTHON) scripts/measure_coverage.py --jobs $(JOBS) $(ARGS)
+
 bench: build ## time the scenes against other systems: CSV and plot
 	@$(PYTHON) benchmarks/run.py $(ARGS)
 	@$(PYTHON) benchmarks/programs/run.py
@@ -96,4 +99,4 @@ site: build ## build the documentation site, with search and checked links: buil
 	@BUILD=$(BUILD) scripts/site/build.sh
 
 clean: ## remove what was built (.venv stays)
-	rm -rf build build-debug build-asan build-tsan build-portable dist python/tai/_core*.so
+	rm -rf build build-debug build-asan build-tsan build-coverage build-mutants build-portable dist python/tai/_core*.so

@@ -35,7 +35,9 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT / "scripts"))
+sys.path[:0] = [str(Path(__file__).resolve().parent), str(ROOT / "scripts")]
+
+import page_tables  # noqa: E402
 
 import measured_commits  # noqa: E402
 
@@ -307,8 +309,10 @@ def make_page() -> str:
         said = facts(script)
         lines.append(make_row(name, said, cpu.get(name), gpu.get(name)))
         misses.append(f"| {name} | {said['miss']} |")
-    return "\n".join([*lines, "", "The meaning of one miss:", "", "| bar | a miss |", "|---|---|",
-                      *misses, ""])  # fmt: skip
+    lines += ["", "The meaning of one miss:", "", "| bar | a miss |", "|---|---|", *misses]
+    lines += page_tables.coverage(RESULTS["cpu"].with_name("coverage.csv"), show_age)
+    lines += page_tables.mutants(RESULTS["cpu"].with_name("mutants.csv"), show_age)
+    return "\n".join([*lines, ""])
 
 
 def main() -> int:
