@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup check
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -28,6 +28,9 @@ demo: build ## optimise a mass-spring triangle by gradients, and draw it
 
 test: build ## run lit, GoogleTest, pytest and the style checks
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) $(KINDS)
+
+check: build ## run a part of all tests that has something of every room, in about 3 minutes
+	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --quick
 
 # Runs where no LLVM is: from the bundle in dist/, with the Python of the machine.
 test-gpu: ## test and time the portable bundle on a GPU (ARGS="--tests -k smoke")

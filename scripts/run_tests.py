@@ -12,13 +12,17 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from sanitizers import SANITIZERS, Sanitizer, find_reports
 
 ROOT = Path(__file__).resolve().parent.parent
+# Tests that the list of the slowest has.
+SLOWEST = 10
 LLVM_BIN = Path(os.environ.get("TAI_LLVM_BIN", "/usr/lib/llvm-22/bin"))
 
 
@@ -31,12 +35,16 @@ class Result:
     failed: int = 0
     failures: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
+    # Seconds of each test, as its runner counts them, and of the runner.
+    times: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0
 
     def add_junit(self, path: Path) -> None:
         """Adds the test cases of a JUnit XML file, as lit and pytest write it."""
         for case in ElementTree.parse(path).getroot().iter("testcase"):
             name = f"{case.get('classname', '')}.{case.get('name', '')}".strip(".")
             skip = case.find("skipped")
+            self.times[name] = float(case.get("time") or 0)
             if case.find("failure") is not None or case.find("error") is not None:
                 self.fail(name)
             elif skip is not None:
@@ -71,11 +79,25 @@ def call(command: list[object], environment: dict[str, str] | None = None) -> in
     return subprocess.run(words, cwd=ROOT, env=os.environ | (environment or {})).returncode
 
 
-def run_lit(build: Path, jobs: int, out: Path) -> Result:
+def sample_of_lit() -> list[Path]:
+    """Of each folder with lit tests the first, and each fourth of the others."""
+    folders: dict[Path, list[Path]] = {}
+    for path in sorted((ROOT / "test").rglob("*")):
+        parts = path.relative_to(ROOT / "test").parts
+        if path.suffix in (".mlir", ".test") and not {"Inputs", "python", "fuzz"} & {*parts}:
+            folders.setdefault(path.parent, []).append(path)
+    return [path for paths in folders.values() for path in paths[::4]]
+
+
+def run_lit(build: Path, jobs: int, out: Path, quick: bool = False) -> Result:
     result = Result("lit")
     xml = out / "lit.xml"
     lit = [sys.executable, LLVM_BIN / "lit", "-s", "-v"]
-    status = call([*lit, f"-j{jobs}", f"--xunit-xml-output={xml}", build / "test"])
+    chosen = [build / "test"]
+    if quick:
+        # Names of sources, which the script of the build folder takes.
+        lit, chosen = [build / "bin/tai-lit", "-s", "-v"], sample_of_lit()
+    status = call([*lit, f"-j{jobs}", f"--xunit-xml-output={xml}", *chosen])
     if xml.exists():
         result.add_junit(xml)
     return result.close(status)
@@ -92,6 +114,7 @@ def run_gtest(build: Path, out: Path, environment: dict[str, str] | None = None)
         for suite in json.loads(report.read_text())["testsuites"]:
             for case in suite["testsuite"]:
                 name = f"{suite['name']}.{case['name']}"
+                result.times[name] = float(case.get("time", "0s").rstrip("s"))
                 if case.get("failures"):
                     result.fail(name)
                 elif case.get("result") == "SKIPPED":
@@ -111,12 +134,14 @@ def find_files(names: list[str]) -> list[Path]:
     return [found[f"test_{name}"] for name in names]
 
 
-def run_pytest(jobs: int, out: Path) -> Result:
+def run_pytest(jobs: int, out: Path, quick: bool = False) -> Result:
     result = Result("pytest")
     xml = out / "pytest.xml"
     command = [sys.executable, "-m", "pytest", "-q", "--tb=short", f"--junitxml={xml}"]
     if jobs > 1:
         command += ["-n", str(jobs)]
+    if quick:
+        command += ["--quick"]
     status = call([*command, "test/python"])
     if xml.exists():
         result.add_junit(xml)
@@ -221,6 +246,22 @@ def run_lint() -> Result:
     return result.close(0)
 
 
+def timed(runner: Callable[[], Result]) -> Result:
+    begin = time.monotonic()
+    result = runner()
+    result.seconds = time.monotonic() - begin
+    return result
+
+
+def print_times(results: list[Result]) -> None:
+    """Where the time went: by kind, and the slowest tests of all."""
+    spent = ", ".join(f"{result.kind} {result.seconds:.0f} s" for result in results)
+    print(f"time: {spent}")
+    each = [(t, f"{result.kind}: {name}") for result in results for name, t in result.times.items()]
+    for seconds, name in sorted(each, reverse=True)[:SLOWEST]:
+        print(f"  {seconds:6.1f} s  {name}")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--build", type=Path, default=Path("build"), help="build folder")
@@ -230,20 +271,27 @@ def main() -> int:
     parser.add_argument(
         "--rooms", nargs="+", default=[], help="with a sanitizer: these folders of test/python"
     )
+    parser.add_argument(
+        "--quick", action="store_true",
+        help="a part that has something of every room: some lit tests of each folder, all unit "
+        "tests, one test of each file of pytest, the style checks",
+    )  # fmt: skip
     parser.add_argument("--only", nargs="+", choices=["lit", "gtest", "pytest", "emulated", "lint"])
     args = parser.parse_args()
     build = (ROOT / args.build).resolve()
     # Verifiers after each pass; pytest and lit ask for them, too, when they run by themselves.
     os.environ.setdefault("TAI_VERIFY_EACH", "1")
     everything = ["lit", "gtest", "pytest", "emulated", "lint"]
+    if args.quick:
+        everything.remove("emulated")
     kinds = args.only or everything
 
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         runners = {
-            "lit": lambda: run_lit(build, args.jobs, out),
+            "lit": lambda: run_lit(build, args.jobs, out, args.quick),
             "gtest": lambda: run_gtest(build, out),
-            "pytest": lambda: run_pytest(args.jobs, out),
+            "pytest": lambda: run_pytest(args.jobs, out, args.quick),
             "emulated": lambda: run_emulated(args.jobs, out),
             "lint": run_lint,
         }
@@ -253,7 +301,8 @@ def main() -> int:
         elif args.layouts:
             results = run_layouts(build, args.jobs, out)
         else:
-            results = [runners[kind]() for kind in kinds]
+            results = [timed(runners[kind]) for kind in kinds]
+            print_times(results)
     passed = sum(result.passed for result in results)
     failed = sum(result.failed for result in results)
     print(f"{passed} passed, {failed} failed")

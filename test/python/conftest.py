@@ -54,6 +54,10 @@ def pytest_addoption(parser):
         help="run the tests in another order: none may depend on what ran before",
     )  # fmt: skip
     parser.addoption(
+        "--quick", action="store_true",
+        help="of each file, the first test that is not marked as slow: `make check`",
+    )  # fmt: skip
+    parser.addoption(
         "--part", metavar="K/N",
         help="run each Nth of the chosen tests, from the Kth on (of 0 to N - 1)",
     )  # fmt: skip
@@ -122,6 +126,12 @@ def pytest_collection_modifyitems(config, items):
         _choose_for_device(config, items)
     if config.getoption("--layout"):
         items[:] = [item for item in items if "layout" in getattr(item, "callspec", _NONE).params]
+    if config.getoption("--quick"):
+        files: dict = {}
+        for item in items:
+            if not item.get_closest_marker("slow"):
+                files.setdefault(item.path, item)
+        items[:] = files.values()
     if (seed := config.getoption("--shuffle")) is not None:
         random.Random(seed).shuffle(items)
     if part := config.getoption("--part"):
