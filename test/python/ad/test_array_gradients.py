@@ -410,6 +410,25 @@ def test_a_change_from_python_that_the_tape_does_not_see():
     assert x.grad.to_numpy().tolist() == [6, 6]
 
 
+def test_changes_from_python_of_arrays_whose_contents_no_sweep_reads():
+    """Those of a linear kernel, and those that only kernels write: a replay would find them."""
+
+    @ti.kernel
+    def double(x: ti.types.ndarray(), y: ti.types.ndarray()):
+        for i in range(x.shape[0]):
+            y[i] = 2 * x[i]
+
+    x, y, loss = array([1, 2]), array([0, 0]), scalar_loss()
+    with ti.ad.Tape(loss):
+        double(x, y)
+        for name, given in (("x", x), ("y", y)):
+            for change in (lambda g=given: g.fill(0), lambda g=given: g.__setitem__(0, 7.0)):
+                with pytest.raises(ti.TaiRuntimeError, match=f"'{name}'.* changed from Python"):
+                    change()
+        total(y, loss)
+    assert y.to_numpy().tolist() == [2, 4] and x.grad.to_numpy().tolist() == [2, 2]
+
+
 def test_a_loss_of_several_numbers():
     with pytest.raises(ti.TaiRuntimeTypeError, match="must be one number"):
         ti.ad.Tape(array([1, 2]))

@@ -241,6 +241,39 @@ def test_precision_of_a_kernel_with_matrices_and_gradients():
     np.testing.assert_array_equal(f.grad.to_numpy(), gradient.astype(np.float32))
 
 
+def test_the_precision_of_a_kernel_ends_with_it():
+    """Neither other kernels nor fields have it, also after one that does not compile."""
+    ti.init(arch=ti.cpu)
+    x = ti.field(ti.f32, shape=4)
+    x.fill(1e-9)
+
+    @ti.kernel(precision="f64")
+    def wide() -> float:
+        return x[0] + 1.0
+
+    @ti.kernel(precision="f64")
+    def wrong(a: float):
+        x[0] = nothing_of_this_name  # noqa: F821
+
+    @ti.kernel
+    def narrow(a: float) -> float:
+        return x[0] + a
+
+    assert wide() == np.float64(np.float32(1e-9)) + 1
+    assert narrow(1.0) == 1
+    with pytest.raises(ti.TaiCompilationError):
+        wrong(1.0)
+    assert narrow(1.0) == 1
+    assert ti.field(float, shape=()).dtype == ti.f32
+    assert ti.Vector.field(2, float, shape=()).dtype == ti.f32
+
+    @ti.kernel
+    def later(a: float) -> float:
+        return x[0] + a
+
+    assert later(1.0) == 1
+
+
 # Adjoints
 
 

@@ -169,6 +169,13 @@ def test_matrices_that_cannot_be_factorised(solver_type, matrix, reason):
         solver.solve(np.ones(2))
 
 
+def test_a_solver_without_a_matrix_says_so():
+    solver = ti.linalg.SparseSolver(dtype=ti.f64)
+    assert not solver.info()
+    with pytest.raises(ti.TaiRuntimeError, match="nothing to solve with: nothing is factorised"):
+        solver.solve(np.ones(2))
+
+
 def test_conjugate_gradients_of_a_matrix():
     ti.init(default_fp=ti.f64)
     n = 64

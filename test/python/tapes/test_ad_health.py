@@ -251,7 +251,29 @@ def test_a_kernel_that_leaves_what_is_not_finite_is_named():
         add()
     text = str(said[0].message)
     assert "the loss" in text and "itself is nan" in text and "kernel 'root'" in text
-    assert "ti.log(x[i])" in text
+    line = root.__wrapped__.__code__.co_firstlineno + 3
+    assert f"; suspects: line {line}: y[i] = ti.log(x[i])" in text
+
+
+def test_a_kernel_without_suspects_names_none():
+    x, y, loss = make_fields()
+
+    @ti.kernel
+    def square():
+        for i in x:
+            y[i] = x[i] * x[i]
+
+    @ti.kernel
+    def add():
+        for i in y:
+            loss[None] += y[i] - y[i]
+
+    x.fill(1e300)  # the square of it overflows
+    with pytest.warns(ti.ad.TaiGradientWarning) as said, ti.ad.Tape(loss):
+        square()
+        add()
+    text = str(said[0].message)
+    assert "kernel 'square'" in text and "suspects" not in text
 
 
 def test_host_functions_are_examined():
