@@ -226,7 +226,7 @@ _NOT_YET = {
         "volatile_load global_thread_idx experimental DeviceCapability Format": "",
         "frexp": "the bits of the exponent are in ti.bit_cast(x, ti.i32) >> 23",
         "ref": "return what a function changes, or pass the field as ti.template()",
-        "argpack ArgPack": "pass a struct: ti.types.struct(…)",
+        "argpack ArgPack": "ti.types.argpack(…) makes the type, and that the pack",
         "sparse_matrix_builder": "ti.linalg solves with a kernel in the place of a matrix",
     }.items()
     for name in names.split()

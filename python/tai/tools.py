@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ._impl.base.files import replacing_name, save_picture
+from ._impl.base.ply import PLYWriter as PLYWriter
 from ._impl.base.shadows import ShadowReport as ShadowReport
 from ._impl.base.shadows import ShadowRow as ShadowRow
 from ._impl.base.shadows import clear_shadow_report as clear_shadow_report

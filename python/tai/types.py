@@ -21,7 +21,7 @@ from ._impl.base.dtypes import (
     u32,
     u64,
 )
-from ._impl.fields.structs import StructType
+from ._impl.fields.structs import ArgPackType, StructType
 from ._impl.fields.triplets import TripletsType as sparse_matrix_builder  # noqa: N813
 from ._impl.values.types import (
     BitpackedFields,
@@ -44,8 +44,13 @@ def struct(**members: Any) -> StructType:
     return StructType(members)
 
 
+def argpack(**members: Any) -> ArgPackType:
+    """The type of a pack of arguments with these members, which may be arrays."""
+    return ArgPackType(members)
+
+
 __all__ = [
-    "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType", "StructType", "bf16",
+    "ArgPackType", "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType", "StructType", "argpack", "bf16",
     "f16", "f32", "f64", "i16", "i32", "i64", "i8", "is_integral", "is_real", "is_signed", "matrix",
     "ndarray", "primitive_types", "quant", "sparse_matrix_builder", "struct", "template", "u1",
     "u16", "u32", "u64", "u8", "vector",

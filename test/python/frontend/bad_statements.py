@@ -315,41 +315,6 @@ def nested_loop_over_a_field():
     kernel()
 
 
-@bad(ti.TaiSyntaxError, "step of a range")
-def dynamic_step():
-    @ti.kernel
-    def kernel(n: ti.i32):
-        for i in range(0, 10, n):  # BAD
-            pass
-
-    kernel(1)
-
-
-@bad(ti.TaiSyntaxError, "'else' of a while")
-def else_of_a_while():
-    @ti.kernel
-    def kernel(n: ti.i32):
-        i = 0
-        while i < n:  # BAD
-            i += 1
-        else:
-            i = 0
-
-    kernel(1)
-
-
-@bad(ti.TaiSyntaxError, "'else' of a for")
-def else_of_a_for():
-    @ti.kernel
-    def kernel(n: ti.i32):
-        for i in range(n):  # BAD
-            pass
-        else:
-            pass
-
-    kernel(1)
-
-
 @bad(ti.TaiSyntaxError, "kernels have no 'try'")
 def try_statement():
     @ti.kernel
@@ -401,15 +366,6 @@ def lambda_expression():
         return f(1)
 
     kernel()
-
-
-@bad(ti.TaiSyntaxError, "kernels have no ':='")
-def walrus():
-    @ti.kernel
-    def kernel(n: ti.i32) -> ti.i32:
-        return (m := n) + m  # BAD
-
-    kernel(1)
 
 
 @bad(ti.TaiSyntaxError, "kernels have no 'import'", "top of the file")

@@ -21,7 +21,7 @@ WRONG = [
     "x[0] = none(1)", "x[0] = v[0] > v[1]", "assert x[0] > 0, x[0]", "y = ti.field(ti.f32, 3)",
     "x.copy_from(x)", "a = x.to_numpy()", "x[0] = x.shape", "ti.sync()", "ti.init()",
     "x[0] = math.gamma(x[1])", "raise ValueError", "import math", "a = {1, 2}", "a: int",
-    "x[0] = 1j", "a = (b := 1)", "global x", "x[0] = x", "x[0] = math.sin", "for i in 5: pass",
+    "x[0] = 1j", "global x", "x[0] = x", "x[0] = math.sin", "for i in 5: pass",
     "for i, j in x: pass", "for i in range(1.5): pass", "return 1",
     "x[0] = 1 if x else 2", "print(f'{x[0]:d}')", "print(x[0], file=3)",
 ]  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Any
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError
 from ..base import state
 from .compare import CheckResult, Program, as_fields, check_program, check_start, run_records
+from .seeds import number_of
 from .snapshot import Snapshot
 from .tape import Tape
 
@@ -60,7 +61,7 @@ def check(
         target._need_record()
         run, what = functools.partial(run_records, target._core), "the tape"
         loss = target.loss if loss is None else loss
-        recorded = loss[None] if loss is not None else None
+        recorded = number_of(loss) if loss is not None else None
     elif callable(target):
         run = functools.partial(target, *args)
         what = f"'{getattr(target, '__name__', 'the function')}'"

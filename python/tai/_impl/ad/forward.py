@@ -207,12 +207,15 @@ class FwdMode(ForwardMode):
         self.param = check_dual(param, "the parameter")
         if seed is None:
             wanted = param.shape + param.element_shape
-            if wanted:
+            if int(np.prod(wanted, dtype=int)) != 1:
                 raise TaiRuntimeError(
                     f"the seed is not set, but field '{param.name}' is more than one number",
                     f"pass the direction of the derivative: seed=[…], of shape {wanted}",
                 )
             seed = 1.0
+        # A number is meant for the only element, whatever the shape.
+        if np.ndim(seed) == 0 and int(np.prod(param.shape + param.element_shape, dtype=int)) == 1:
+            seed = [seed]
         self.seed = check_tangent(param, seed)
         self.clear_gradients = clear_gradients
         # Whether the dual of the parameter is to be zero again.

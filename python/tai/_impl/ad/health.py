@@ -15,6 +15,7 @@ from ..base import state
 from ..base.program import get_program
 from ..base.targets import cuda
 from .compare import READ, Accesses, differentiable_fields, elements
+from .seeds import number_of
 from .snapshot import Snapshot
 from .source import Place
 
@@ -214,7 +215,7 @@ def _slope(squares: list[float]) -> float:
 
 
 def _find_nans(report: HealthReport, core: Any, loss: Any, place: Any) -> None:
-    if loss is not None and not np.isfinite(loss[None]):
+    if loss is not None and not np.isfinite(number_of(loss)):
         report.findings.append(_find_bad_value(core, loss, place))
     for kind, what in (("nans", "NaN"), ("infs", "an infinity")):
         bad = next((row for row in report.rows if getattr(row, kind)), None)
@@ -246,7 +247,7 @@ def _find_nans(report: HealthReport, core: Any, loss: Any, place: Any) -> None:
 def _find_bad_value(core: Any, loss: Any, place: Any) -> Finding:
     """The first record that left something that is not finite, as far as it stands there still."""
     known = differentiable_fields()
-    message = f"the loss '{loss.name}' itself is {loss[None]}"
+    message = f"the loss '{loss.name}' itself is {number_of(loss)}"
     for record in range(core.records):
         for symbol, kind, dimension, index in core.accesses(record):
             if kind == READ or symbol not in known:
@@ -274,12 +275,12 @@ def warn_of_losses(core: Any, losses: list[Any], stacklevel: int) -> None:
         return
     told = get_program().told_losses
     for loss in losses:
-        if np.isfinite(loss[None]) or loss.symbol in told:
+        if np.isfinite(number_of(loss)) or loss.symbol in told:
             continue
         told.add(loss.symbol)
         message = _find_bad_start(core) or _find_bad_value(core, loss, partial(Place, core)).message
         if "itself" not in message:
-            message = f"the loss '{loss.name}' is {loss[None]}: {message}"
+            message = f"the loss '{loss.name}' is {number_of(loss)}: {message}"
         warnings.warn(message, TaiGradientWarning, stacklevel=stacklevel + 1)
 
 

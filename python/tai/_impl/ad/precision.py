@@ -15,6 +15,7 @@ from ...errors import TaiAutodiffError, shorten, source_line
 from ..base import dtypes
 from ..base.program import get_program
 from .rounding import BITS, Sweep
+from .seeds import number_of
 from .snapshot import Snapshot
 
 # The types that a field may be stored in, from narrow to wide, and their digits in bits.
@@ -209,7 +210,7 @@ def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
             raise TaiAutodiffError(
                 f"field '{name}' {message}", "fill it before the tape is entered"
             )
-    value = float(loss[None])
+    value = float(number_of(loss))
     lines = [
         LinePrecision(key[1], key[2], source_line(key[1], key[2]).strip(), total)
         for key, total in sweep.sums.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from typing import Any
 
@@ -36,8 +37,15 @@ def as_losses(loss: Any) -> list[Any]:
 
 
 def is_number(field: Any) -> bool:
-    """Whether the field holds one number."""
-    return field.shape == () and field.element_shape == ()
+    """Whether the field holds one number, as one of shape () or (1,)."""
+    return math.prod(field.shape) == 1 and field.element_shape in ((), (1,))
+
+
+def number_of(field: Any) -> float:
+    """The number that the field of a loss holds."""
+    if field.shape == () and field.element_shape == ():
+        return field[None]
+    return field.to_numpy().item()
 
 
 def require_grad(field: Any, frame: Any) -> None:
@@ -72,6 +80,8 @@ def as_seed(field: Any, seed: Any) -> np.ndarray:
         raise TaiRuntimeTypeError(
             f"the seed of '{field.name}' must be numbers of shape {wanted}, but got {seed!r}"
         ) from None
+    if array.size == 1 and math.prod(wanted) == 1:
+        array = array.reshape(wanted)
     if array.shape != wanted:
         raise TaiRuntimeTypeError(
             f"the seed of '{field.name}' has shape {array.shape}, but the field has {wanted}",

@@ -63,7 +63,7 @@ class Tape(native.WithBlock):
     keeps snapshots and runs kernels again: see `memory_budget` and `checkpoint`.
 
     Args:
-        loss: a field without dimensions that has a gradient: a sum, which is set to zero when
+        loss: a field of one element that has a gradient: a sum, which is set to zero when
             the block is entered, and whose gradient starts as 1. Or any field, or a list of fields:
             fields of more than one number need a seed, here or in `grad`. Or None: then nothing
             runs in reverse before `backward(…)`, or `grad()` after gradients were set by hand. Or a
@@ -108,6 +108,7 @@ class Tape(native.WithBlock):
                 "grad_check needs the field of the loss", "see also ti.ad.check and tai.testing"
             )
         self._losses = as_losses(loss)
+        self._sums = [f for f in self._losses if is_number(f) and f.shape + f.element_shape]
         self._seed = seed
         self._checkpoint = parse_checkpoint(checkpoint, memory_budget)
         self.loss, self.clear_gradients = loss, clear_gradients
@@ -139,6 +140,9 @@ class Tape(native.WithBlock):
         seeds = None if self._seed is None else as_seeds(self._losses, self._seed)
         if self._outer_loss is not None:
             self._outer_loss.fill(0)
+        self._clear_sums()
+        if seeds is None and self._sums and all(map(is_number, self._losses)):
+            seeds = as_seeds(self._losses, [1.0] * len(self._losses))
         if self.clear_gradients:
             gradients.clear_gradients(all_threads=False)
         was_seeded = (seeds is not None or self._outer_loss is not None) or (
@@ -169,6 +173,11 @@ class Tape(native.WithBlock):
             self._missing.is_missing = True
         self._is_recording = True
         return self
+
+    def _clear_sums(self) -> None:
+        """Sets losses of shape (1,) to zero; the tape in C++ knows those without dimensions."""
+        for field in self._sums:
+            field.fill(0)
 
     def _forget(self) -> None:
         """Nothing is recorded any more."""
@@ -330,6 +339,7 @@ class Tape(native.WithBlock):
         self._need_record()
         if forward:
             self._values.check_replay()
+            self._clear_sums()
         if backward:
             gradients.clear_gradients(all_threads=False)
         if self._outer_loss is not None:
@@ -412,8 +422,26 @@ def clear_all_gradients() -> None:
     gradients.clear_gradients()
 
 
-def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Excludes a function from recording: no gradient passes through it."""
+def no_grad(function: Callable[..., Any] | None = None) -> Any:
+    """Excludes a function or a block from recording: no gradient passes through it.
+
+    ```python
+    @ti.ad.no_grad
+    def show(): ...
+
+    with ti.ad.no_grad():
+        diagnose()
+    ```
+
+    A tape that runs its kernels again, by `replay` or to save memory, calls the function again. It
+    cannot run a block again, and says so.
+    """
+    if function is None:
+        return _NoGradBlock()
+    if not callable(function):
+        raise TaiRuntimeTypeError(
+            f"ti.ad.no_grad takes a function, but got {function!r}", "with ti.ad.no_grad():"
+        )
 
     @functools.wraps(function)
     def decorated(*args: Any, **kwargs: Any) -> Any:
@@ -431,6 +459,43 @@ def no_grad(function: Callable[..., Any]) -> Callable[..., Any]:
         return result
 
     return decorated
+
+
+class _NoGradBlock(native.WithBlock):
+    """The block `with ti.ad.no_grad():`, and the decorator `@ti.ad.no_grad()`."""
+
+    def __init__(self) -> None:
+        self._inner: _Unrecorded | None = None
+        self._tape: Any = None
+
+    def __call__(self, function: Callable[..., Any]) -> Any:
+        return no_grad(function)
+
+    def _enter(self) -> None:
+        if state.forward:
+            raise TaiAutodiffError(
+                "a block of ti.ad.no_grad stands in forward mode, which does not know it yet",
+                "leave forward mode first",
+            )
+        if self._inner is not None:
+            raise TaiRuntimeError("this block of ti.ad.no_grad is entered already")
+        if state.tape is not None:
+            self._tape, self._inner = state.tape, _Unrecorded(state.tape)
+            self._inner._enter()
+
+    def _end(self) -> None:
+        inner, tape = self._inner, self._tape
+        if inner is not None:
+            inner._end()
+            self._inner = self._tape = None
+            tape.record(_refuse_again, None)
+
+
+def _refuse_again() -> None:
+    raise TaiAutodiffError(
+        "a tape cannot run the block of a `with ti.ad.no_grad():` again",
+        "move the block to a function that is marked @ti.ad.no_grad",
+    )
 
 
 def grad_replaced(function: Callable[..., Any]) -> Callable[..., Any]:

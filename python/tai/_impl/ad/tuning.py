@@ -15,6 +15,7 @@ from ..base.program import get_program, sync
 from .compare import as_fields
 from .precision import STORAGE, PrecisionReport, bytes_of, own_fields, owner_of
 from .rounding import Sweep
+from .seeds import number_of
 from .snapshot import Snapshot
 from .tape import Tape
 
@@ -234,7 +235,7 @@ def _parts(fields: Any) -> list[Any]:
 
 def _results(loss: Any, unknowns: list[Any]) -> tuple[float, np.ndarray]:
     gradients = [Snapshot._take(f._companions["grad"]).astype(float).ravel() for f in unknowns]
-    return float(loss[None]), np.concatenate(gradients) if gradients else np.zeros(1)
+    return float(number_of(loss)), np.concatenate(gradients) if gradients else np.zeros(1)
 
 
 def _distance(found: tuple, base: tuple) -> tuple[float, float]:

@@ -12,6 +12,9 @@ import __future__
 import ast
 import functools
 import linecache
+import os
+import re
+import stat
 import sys
 from collections.abc import Callable, Iterator
 from importlib.machinery import SourceFileLoader
@@ -86,7 +89,7 @@ _texts: dict[str, list[Text]] = {}
 
 def _read(filename: str, names: dict[str, Any]) -> Text:
     linecache.checkcache(filename)
-    lines = linecache.getlines(filename, names)
+    lines = linecache.getlines(filename, names) or _typed_lines(filename)
     texts = _texts.setdefault(filename, [])
     # `linecache` makes another list where the file has changed.
     if not texts or (texts[-1].lines is not lines and texts[-1].lines != lines):
@@ -94,6 +97,46 @@ def _read(filename: str, names: dict[str, Any]) -> Text:
         del texts[:-_MOST_TEXTS]
     LINES[filename] = texts[-1].lines
     return texts[-1]
+
+
+@functools.cache
+def _typed_lines(filename: str) -> list[str]:
+    """The program of `python -c`, or of a file that Python reads as its standard input."""
+    given = sys.orig_argv
+    if filename == "<string>" and "-c" in given[1:-1]:
+        return given[given.index("-c") + 1].splitlines(keepends=True)
+    if filename == "<stdin>" and not hasattr(sys, "ps1"):
+        try:
+            state = os.fstat(0)
+            if stat.S_ISREG(state.st_mode):
+                return os.pread(0, state.st_size, 0).decode().splitlines(keepends=True)
+        except (OSError, ValueError):
+            return []
+    return []
+
+
+def _typed_at_prompt(function: Callable[..., Any]) -> Text | None:
+    """The text of a function that was just typed at Python's prompt, where readline keeps it."""
+    readline = sys.modules.get("readline")
+    if function.__code__.co_filename != "<stdin>" or readline is None or not hasattr(sys, "ps1"):
+        return None
+    count = readline.get_current_history_length()
+    typed = [readline.get_history_item(i + 1) or "" for i in range(count)]
+    lines = [line for entry in typed for line in entry.split("\n")]
+    head = re.compile(rf"\s*(async\s+)?def\s+{re.escape(function.__name__)}\b")
+    found = next((n for n in reversed(range(len(lines))) if head.match(lines[n])), None)
+    if found is None:
+        return None
+    # Python counts the lines of each statement from 1; the first may be any of those before.
+    first = max(0, found + 1 - function.__code__.co_firstlineno)
+    while first > 0 and lines[first - 1].lstrip().startswith("@"):
+        first -= 1
+    for start in range(first, found + 1):
+        text = Text("<stdin>", [line + "\n" for line in lines[start:]])
+        key = (function.__code__.co_firstlineno, function.__name__)
+        if key in text.definitions:
+            return text
+    return None
 
 
 def _read_again(filename: str, names: dict[str, Any]) -> Text:
@@ -107,7 +150,11 @@ def _read_again(filename: str, names: dict[str, Any]) -> Text:
 
 def note(function: Callable[..., Any]) -> None:
     """Keeps the text of a function that is compiled later."""
-    text = _read(function.__code__.co_filename, function.__globals__)
+    text = _typed_at_prompt(function)
+    if text is None:
+        text = _read(function.__code__.co_filename, function.__globals__)
+    else:
+        LINES[text.filename] = text.lines
     function._tai_text = text  # type: ignore[attr-defined]
 
 
@@ -147,6 +194,8 @@ def definition(function: Callable[..., Any]) -> Definition:
             "load the module again (importlib.reload), or start Python again",
         ).locate(code.co_filename, code.co_firstlineno, 1)
     hint = "kernels must stand in a file: the compiler reads their text"
+    if code.co_filename == "<stdin>":
+        hint = "Python reads this program from a pipe and keeps no text: save it in a file, and run that"
     if code.co_filename.startswith("<timed"):  # what IPython calls cells below %%time and %%timeit
         hint = "define kernels in a cell without %%time: the compiler reads their text"
     raise TaiSyntaxError(f"the source of function '{function.__name__}' cannot be read", hint)

@@ -86,13 +86,19 @@ def field(
     """A field of numbers, or of vectors or matrices.
 
     Args:
-        dtype: `ti.f32`, `ti.i32`, …, `int` or `float`, or a type such as `ti.math.vec3`.
+        dtype: `ti.f32`, `ti.i32`, …, `int` or `float`, or a type such as `ti.math.vec3`, or a
+            struct type.
         shape: extents; without it the field is placed by hand: `ti.root.dense(…).place(x)`.
         order: layout order of the axes, such as `"ji"`, slowest first.
         name: the name of the field in messages and IR.
         offset: the first index along each dimension.
         needs_grad, needs_dual: place a gradient, a tangent.
     """
+    if hasattr(dtype, "_is_struct_type"):
+        return dtype.field(
+            shape, order=order, name=name or None, offset=offset, needs_grad=needs_grad,
+            needs_dual=needs_dual,
+        )  # fmt: skip
     element_shape: tuple[int, ...] = ()
     if isinstance(dtype, MatrixType):
         element_shape, dtype = dtype.shape, dtype.dtype

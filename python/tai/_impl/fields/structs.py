@@ -14,7 +14,7 @@ from ...errors import TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes, fitting, state
 from ..base.program import get_program
 from ..values.matrix import Matrix
-from ..values.types import MatrixType, ScalarType
+from ..values.types import MatrixType, NdarrayType, ScalarType
 from .field import Field, index_tuple
 from .make import make_field
 from .root import open_root
@@ -28,6 +28,9 @@ class StructType:
     Called, it makes a value; `P.field(shape=n)` makes a field. Members are number types, vector
     and matrix types, and struct types.
     """
+
+    # Fields and matrices, which know nothing of structs, look for this mark.
+    _is_struct_type = True
 
     # The name of the class that it was made of, as in Python.
     __name__: str
@@ -139,6 +142,48 @@ class StructType:
             for name, kind in self.members.items()
         )
         return f"struct({', '.join(members)})"
+
+
+class ArgPackType(StructType):
+    """The type of arguments that go to kernels together: `ti.types.argpack(dt=ti.f32, x=…)`.
+
+    A struct type whose members may be arrays, too: `ti.types.ndarray()`.
+    """
+
+    def __init__(self, members: dict[str, Any]):
+        arrays = {name: kind for name, kind in members.items() if _is_array_type(kind)}
+        numbers = {name: kind for name, kind in members.items() if name not in arrays}
+        if numbers or not arrays:
+            super().__init__(numbers)
+        else:
+            self.methods = {}
+            self.members = {}
+        kinds = {name: kind() if isinstance(kind, type) else kind for name, kind in arrays.items()}
+        self.members = {name: kinds.get(name, self.members.get(name)) for name in members}
+        self._arrays = set(arrays)
+
+    def __reduce__(self) -> Any:
+        return ArgPackType, (self.members,)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        given = self.bind(args, kwargs)
+        missing = [name for name in self._arrays if isinstance(given[name], int)]
+        if missing:
+            raise TaiTypeError(f"{self!r} needs an array for its member '{missing[0]}'")
+        numbers = {k: kind for k, kind in self.members.items() if k not in self._arrays}
+        entries = {name: given[name] for name in self._arrays}
+        if numbers:
+            entries.update(StructType(numbers)(**{k: given[k] for k in numbers}).entries)
+        return self.value_of({name: entries[name] for name in self.members})
+
+    def field(self, shape: Any = None, layout: Any = Layout.AOS, **options: Any) -> StructField:
+        if self._arrays:
+            raise TaiTypeError("a pack of arguments with arrays in it is no element of a field")
+        return super().field(shape, layout, **options)
+
+
+def _is_array_type(kind: Any) -> bool:
+    return isinstance(kind, NdarrayType) or kind is NdarrayType
 
 
 class _OfReceiver:
@@ -382,8 +427,22 @@ class StructField(Field):
         """A copy as a dictionary of arrays."""
         return {name: member.to_numpy(dtype=dtype) for name, member in self.members.items()}
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """A copy as a structured array, whose members have the names of those of the struct."""
+        if copy is False:
+            raise ValueError("np.asarray of a field of structs makes a copy")
+        members = {name: np.asarray(member) for name, member in self.members.items()}
+        shape = first_of(self).shape
+        kinds = [(name, a.dtype, a.shape[len(shape) :]) for name, a in members.items()]
+        made = np.empty(shape, kinds)
+        for name, array in members.items():
+            made[name] = array
+        return made if dtype is None else made.astype(dtype)
+
     def from_numpy(self, arrays: dict[str, Any]) -> None:
-        """Copies a dictionary of arrays into the members that it names."""
+        """Copies a dictionary of arrays, or a structured array, into the members that it names."""
+        if isinstance(arrays, np.ndarray) and arrays.dtype.names is not None:
+            arrays = {name: arrays[name] for name in arrays.dtype.names}
         for name, array in arrays.items():
             self.members[name].from_numpy(array)
 

@@ -45,6 +45,12 @@ class Assignments(Part):
             self.at(node)
             self.guarded(lambda t: self.assign(t, value, node, is_static), target)
 
+    def visit_NamedExpr(self, node: ast.NamedExpr) -> Any:
+        value, is_static = self.compile_time.evaluate(node.value)
+        self.at(node)
+        self.assign_name(node.target.id, value, is_static)
+        return self.visit(ast.copy_location(ast.Name(node.target.id, ast.Load()), node))
+
     def assign(self, target: ast.expr, value: Any, node: ast.stmt, is_static: bool = False) -> None:
         if isinstance(target, (ast.Tuple, ast.List)):
             self.unpack(target, value, node, is_static)

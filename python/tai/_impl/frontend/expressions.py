@@ -230,9 +230,6 @@ class Expressions(Part):
             self.comprehension(node, lambda: (self.visit(node.key), self.visit(node.value)))
         )
 
-    def visit_NamedExpr(self, node: ast.NamedExpr) -> Any:
-        raise TaiSyntaxError("kernels have no ':='", "assign in a statement of its own")
-
     def visit_Lambda(self, node: ast.Lambda) -> Any:
         raise TaiSyntaxError("kernels have no lambda", "define a @ti.func outside")
 

@@ -50,7 +50,6 @@ _HINTS = [
     (r"^an atomic operation takes", "write ti.atomic_add(x[i], 1.0), or x[i] += 1.0"),
     (r"^range takes", "write range(end), range(begin, end) or range(begin, end, step)"),
     (r"^block_dim is", "give a whole number, such as block_dim=128"),
-    (r"^'else' of a (while|for)", "set a variable before 'break', and test it behind the loop"),
     (r"has a return type, but no return", "return a value at its end, or drop the '-> …'"),
     (r"is not a function$", "only functions, and what has a __call__, can be called"),
     (r"^the assertion never holds|^static assertion", "it is known when the kernel is compiled"),

@@ -12,7 +12,9 @@ from ..fields.field import Field
 from ..fields.snode import Place, SNode
 from ..fields.structs import StructField, first_of
 from ..values import ops
+from ..values.builder import FAIL_INDEX
 from ..values.misuse import misuse_hint, said_as
+from ..values.positions import require
 from ..values.value import MatrixValue, Value
 from .context import Context, Part
 from .expressions import Expressions
@@ -21,9 +23,9 @@ from .sparse import Level
 
 
 class Bounds:
-    """The ranges of a loop: lower and upper bounds, as numbers or values."""
+    """The ranges of a loop: lower and upper bounds and the step, as numbers or values."""
 
-    def __init__(self, lower: list[Any], upper: list[Any], step: int = 1):
+    def __init__(self, lower: list[Any], upper: list[Any], step: Any = 1):
         self.lower, self.upper, self.step = lower, upper, step
 
 
@@ -110,18 +112,27 @@ class LoopDomains(Part):
             raise TaiSyntaxError(f"range takes 1 to 3 arguments, but got {len(parts)}")
         step = 1
         if len(parts) == 3:
-            step = parts.pop()
-            if isinstance(step, Value):
-                step = step.const
-            if not isinstance(step, int) or step == 0:
-                raise TaiSyntaxError(
-                    "the step of a range must be a number known at compile time, and not 0",
-                    "compute the index in the loop: i = start + k * step",
-                )
+            step = self._step(parts.pop())
         lower, upper = (0, parts[0]) if len(parts) == 1 else parts
         for part in (lower, upper):
             self._check_bound(part)
         return Bounds([lower], [upper], step)
+
+    def _step(self, step: Any) -> Any:
+        """The step of a range: a number, or a value that is checked not to be 0."""
+        self._check_bound(step)
+        if isinstance(step, Value) and step.const is not None:
+            step = step.const
+        if not isinstance(step, Value):
+            if int(step) == 0:
+                raise TaiSyntaxError(
+                    "the step of a range must not be 0",
+                    "count up by a positive step, or down by a negative one",
+                )
+            return int(step)
+        nonzero = self.emitter.compare("!=", step, 0)
+        require(self.emitter, nonzero, "the step of a range must not be 0", [], FAIL_INDEX)
+        return step
 
     def _check_bound(self, part: Any) -> None:
         whole = part.dt.is_int and not part.shape if isinstance(part, Value) else (
@@ -211,9 +222,19 @@ class LoopDomains(Part):
                 dt = promote(dt, part.dt)
         return dt
 
-    def trip_count(self, low: Any, high: Any, step: int) -> Any:
+    def at_step(self, low: Any, number: Value, step: Any) -> Value:
+        """The loop variable of iteration `number`."""
+        return self.emitter.binary("+", low, self.emitter.binary("*", number, step))
+
+    def trip_count(self, low: Any, high: Any, step: Any) -> Any:
         """The number of iterations of a range with a step, as an index handle."""
         emitter = self.emitter
+        if isinstance(step, Value):
+            dt = promote(self.index_type_of([low, high, step]), i64)
+            low, high, step = (emitter.cast(emitter.as_value(p, dt), dt) for p in (low, high, step))
+            # As `len` of a range: -((low - high) // step), where that is no less than 0.
+            behind = emitter.binary("//", emitter.binary("-", low, high), step)
+            return emitter.to_index(emitter.binary("max", emitter.unary("neg", behind), 0))
         size = abs(step)
         if not isinstance(low, Value) and not isinstance(high, Value):
             first, last = (low, high) if step > 0 else (high, low)

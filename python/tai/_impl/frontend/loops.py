@@ -36,8 +36,6 @@ class Loops(Part):
 
     def visit_For(self, node: ast.For) -> None:
         options = self.loop_config.take()
-        if node.orelse:
-            raise TaiSyntaxError("'else' of a for is not supported in kernels")
         static = self.compile_time.static_argument(node.iter)
         if static is not None:
             self._static_for(node, self.compile_time.visit_static(static))

@@ -12,10 +12,11 @@ from ..base.dtypes import promote, u1
 from ..fields.field import Field
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
-from .checks import is_struct, refuse_condition, refuse_non_number
+from .checks import holds_value, is_struct, refuse_condition, refuse_non_number
 from .compile_time import CompileTime
 from .context import Context, Part
 from .expressions import has_value
+from .printing import formatted_by_percent
 from .refs import Variable
 from .structs import variables_of
 
@@ -74,6 +75,8 @@ class Operators(Part):
         a, b = self.visit(node.left), self.visit(node.right)
         self.at(node)
         op = BINARY[type(node.op)]
+        if isinstance(node.op, ast.Mod) and isinstance(a, str) and holds_value(b):
+            return formatted_by_percent(a, b)
         for side in (a, b):
             refuse_non_number(side, (a, b))
             if is_struct(side):
@@ -94,6 +97,8 @@ class Operators(Part):
             return _NOW[type(node.op)](x)
         if isinstance(node.op, ast.UAdd):
             return x
+        if x.shape and isinstance(node.op, ast.Not) and not x.dt.is_float:
+            return self.emitter.compare("==", x, 0)
         name = {ast.USub: "neg", ast.Invert: "invert", ast.Not: "not"}[type(node.op)]
         return self.emitter.unary(name, x)
 
@@ -140,14 +145,31 @@ class Operators(Part):
         is_and = isinstance(node.op, ast.And)
         result = self.visit(node.values[0])
         for right in node.values[1:]:
+            if getattr(result, "is_matrix", False):
+                result = self.emitter.as_value(result)
             if not isinstance(result, Value):
                 refuse_condition(result)
                 if bool(result) != is_and:
                     return result
                 result = self.visit(right)
                 continue
-            result = self.short_circuit(is_and, result, right)
+            if result.shape and not result.dt.is_float:
+                result = self._of_elements(is_and, result, right)
+            else:
+                result = self.short_circuit(is_and, result, right)
         return result
+
+    def _of_elements(self, is_and: bool, left: Value, right_node: ast.expr) -> Value:
+        """`a and b` of each component of a vector or matrix: both operands are evaluated."""
+        emitter = self.emitter
+        right = emitter.as_value(self.visit(right_node))
+        self.at(right_node)
+        if right.dt.is_float:
+            emitter.to_bool(right if right.shape else left)  # raises
+        truth = emitter.compare("!=", left, 0)
+        left, right, dt = emitter.operands(left, right)
+        left, right = emitter.unify(left, right, dt)
+        return emitter.select(truth, *((right, left) if is_and else (left, right)))
 
     def short_circuit(self, is_and: bool, left: Value, right_node: ast.expr) -> Value:
         """As in Python, the operand that decides: `a or b` is `a` unless that is zero."""
@@ -159,11 +181,19 @@ class Operators(Part):
         builder.set_block(block)
         self.context.depth += 1
         before = self._variables(right_node)
+        self.frame.push()
         right = self.visit(right_node)
-        right_truth = emitter.to_bool(right)
+        fresh = self._new_names()
+        if getattr(right, "is_matrix", False):
+            right = emitter.as_value(right)
         # A plain number takes the type of the other operand, as it does in arithmetic.
-        _, right, dt = emitter.operands(left, right)
-        right = right_truth if dt is u1 else emitter.cast(right, dt)
+        if isinstance(right, Value) and right.shape and not right.dt.is_float:
+            _, right, dt = emitter.operands(left, right)
+            right = emitter.cast(right, dt)
+        else:
+            right_truth = emitter.to_bool(right)
+            _, right, dt = emitter.operands(left, right)
+            right = right_truth if dt is u1 else emitter.cast(right, dt)
         self.context.depth -= 1
         self.at(right_node)
         after = _taken_back(before)
@@ -173,22 +203,45 @@ class Operators(Part):
             builder.set_block(outer)
             builder.splice(block)
             self._select_variables(truth, changed, *values)
-            if dt is u1:
+            if dt is u1 and not right.shape:
                 return emitter.binary("&" if is_and else "|", truth, right)
-            left = emitter.cast(left, dt)
+            left = emitter.broadcast(emitter.cast(left, dt), right.shape)
             return emitter.select(truth, *((right, left) if is_and else (left, right)))
-        builder.yield_([right.handle, *(after[v].handle for v in changed)])
+        builder.yield_([right.handle, *(v.value.handle for v in fresh),
+                        *(after[v].handle for v in changed)])  # fmt: skip
         other = builder.region()
         builder.set_block(builder.block(other, []))
-        kept = emitter.constant(not is_and, u1) if dt is u1 else emitter.cast(left, dt)
-        builder.yield_([kept.handle, *(before[v].handle for v in changed)])
+        if dt is u1 and not right.shape:
+            kept = emitter.constant(not is_and, u1)
+        else:
+            kept = emitter.broadcast(emitter.cast(left, dt), right.shape)
+        builder.yield_([kept.handle, *map(self._zero_handle, fresh),
+                        *(before[v].handle for v in changed)])  # fmt: skip
         builder.set_block(outer)
         regions = [region, other] if is_and else [other, region]
-        return Value(emitter, self._branch(truth, emitter.type_of(dt), changed, regions), dt)
+        type_ = emitter.type_of(dt, right.shape)
+        handle = self._branch(truth, type_, [*fresh, *changed], regions)
+        return emitter.value(handle, dt, right.shape)
+
+    def _new_names(self) -> list[Variable]:
+        """Ends the scope of an operand; the names that it made with `:=` go on.
+
+        Returns:
+            The numbers among them, which are zero where the operand is not evaluated.
+        """
+        made = self.frame.scopes.pop()
+        for name, meaning in made.items():
+            self.frame.define(name, meaning)
+        return [variable for meaning in made.values() for variable in variables_of(meaning)]
+
+    def _zero_handle(self, variable: Variable) -> Any:
+        value, emitter = variable.value, self.emitter
+        return emitter.broadcast(emitter.constant(0, value.dt), value.shape).handle
 
     def _variables(self, *nodes: ast.expr) -> dict[Variable, Value]:
-        """The variables that a call in an expression could change, and their current values."""
-        if not any(isinstance(part, ast.Call) for node in nodes for part in ast.walk(node)):
+        """The variables that an expression could change, and their current values."""
+        changing = (ast.Call, ast.NamedExpr)
+        if not any(isinstance(part, changing) for node in nodes for part in ast.walk(node)):
             return {}
         return {
             variable: variable.value
@@ -237,12 +290,15 @@ class Operators(Part):
         blocks, regions, values = [], [], []
         before = self._variables(node)
         after: list[dict[Variable, Value]] = []
+        fresh: list[list[Variable]] = []
         for arm in (then, orelse):
             region = builder.region()
             block = builder.block(region, [])
             builder.set_block(block)
             self.context.depth += 1
+            self.frame.push()
             values.append(emitter.as_value(arm()))
+            fresh.append(self._new_names())
             self.context.depth -= 1
             after.append(_taken_back(before))
             blocks.append(block)
@@ -267,10 +323,16 @@ class Operators(Part):
                 builder.splice(block)
             self._select_variables(condition, changed, *after)
             return emitter.select(condition, *values)
-        for block, handle, held in zip(blocks, handles, after, strict=True):
+        for number, (block, handle, held) in enumerate(zip(blocks, handles, after, strict=True)):
             builder.set_block(block)
-            builder.yield_([handle, *(held[v].handle for v in changed)])
+            made = [
+                variable.value.handle if arm == number else self._zero_handle(variable)
+                for arm, variables in enumerate(fresh)
+                for variable in variables
+            ]
+            builder.yield_([handle, *made, *(held[v].handle for v in changed)])
         builder.set_block(outer)
+        changed = [*fresh[0], *fresh[1], *changed]
         handle = self._branch(condition, emitter.type_of(dt, shape), changed, regions)
         return emitter.value(handle, dt, shape)
 

@@ -10,6 +10,7 @@ from ..base.dtypes import DataType
 from ..fields.matrix_field import MatrixField
 from ..fields.scalar import ComponentField, ScalarField
 from ..fields.snode import Root
+from ..values.value import Value
 from .block_sizes import block_dim_of
 from .context import Context, Part
 from .loop_domains import Bounds, LoopDomains
@@ -55,9 +56,10 @@ class ParallelLoops(Part):
         is_single = bounds is not None and rank == 0
         if is_single:
             lower, upper = [emitter.index(0)], [emitter.index(1)]
+        has_step = bounds is not None and (isinstance(bounds.step, Value) or bounds.step != 1)
         if bounds is not None:
             for low, high in zip(bounds.lower, bounds.upper, strict=True):
-                if bounds.step != 1:
+                if has_step:
                     lower.append(emitter.index(0))
                     upper.append(self.domains.trip_count(low, high, bounds.step))
                 else:
@@ -76,14 +78,15 @@ class ParallelLoops(Part):
         indices = []
         for dimension in range(rank):
             if bounds is not None:
-                parts = [bounds.lower[dimension], bounds.upper[dimension]]
+                parts = [bounds.lower[dimension], bounds.upper[dimension], bounds.step]
             else:
                 first = (field.offset or (0,) * rank)[dimension]
                 parts = [first, first + field.shape[dimension]]
-            index = emitter.from_index(block.argument(dimension), self.domains.index_type_of(parts))
-            if bounds is not None and bounds.step != 1:
-                scaled = emitter.binary("*", index, bounds.step)
-                index = emitter.binary("+", bounds.lower[dimension], scaled)
+            dt = self.domains.index_type_of(parts)
+            index = emitter.from_index(block.argument(dimension), dt)
+            if bounds is not None and has_step:
+                first = bounds.lower[dimension]
+                index = emitter.cast(self.domains.at_step(first, index, bounds.step), dt)
             indices.append(index)
         if level is not None:
             offset = field.offset or (0,) * rank

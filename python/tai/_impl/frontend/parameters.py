@@ -79,8 +79,8 @@ class Parameters(Part):
                 members[key] = self._struct(inner, kind)
             else:
                 variable = self.frame.scopes[-1][inner]
-                assert isinstance(variable, Variable)
-                members[key] = variable.value
+                is_array = isinstance(variable, Bound)
+                members[key] = variable.thing if is_array else variable.value
         return StructValue(type_, members)
 
     def _argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:

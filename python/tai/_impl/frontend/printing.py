@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ...errors import TaiSyntaxError, TaiTypeError
-from ..base.dtypes import i64, u64
+from ..base.dtypes import f64, i64, u64
 from ..fields.field import Field
 from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
@@ -94,6 +94,72 @@ def formatted_by(template: str, args: list, kwargs: dict) -> FormattedText:
         text += part.text
         values += part.values
     return FormattedText(text, values)
+
+
+# A place of `template % values`: name, flags, width, precision, kind.
+_PERCENT = re.compile(r"%(?:\((\w+)\))?([-+ #0]*)(\*|\d*)(?:\.(\*|\d*))?[hlL]?(.)", re.DOTALL)
+
+
+def formatted_by_percent(template: str, values: Any) -> FormattedText:
+    """`template % values` with values of the kernel among them."""
+    text, shown, end, used = "", [], 0, 0
+    items = [values] if not isinstance(values, (tuple, dict)) else values
+    for place in _PERCENT.finditer(template):
+        text, end = text + template[end : place.start()], place.end()
+        name, flags, width, precision, kind = place.groups()
+        if kind == "%":
+            text += "%"
+            continue
+        if "*" in (width, precision) or kind not in "diuxXoeEfFgGsrac":
+            raise TaiTypeError(
+                f"kernels have no format '{place[0]}'", "formats are those as in %d, %8.3f and %s"
+            )
+        if name is not None or isinstance(items, dict):
+            if not isinstance(items, dict) or name not in items:
+                raise TaiTypeError(f"the text has a place '{place[0]}' that has no value")
+            thing = items[name]
+        elif used == len(items):
+            raise TaiTypeError(f"the text has a place '{place[0]}' more than there are values")
+        else:
+            thing, used = items[used], used + 1
+        part = _by_percent(place[0], thing, flags, width, precision, kind)
+        text += part.text
+        shown += part.values
+    if not isinstance(items, dict) and used < len(items):
+        raise TaiTypeError(f"the text has places for {used} values, but got {len(items)}")
+    return FormattedText(text + template[end:], shown)
+
+
+def _by_percent(
+    place: str, thing: Any, flags: str, width: str, precision: str | None, kind: str
+) -> FormattedText:
+    if isinstance(thing, Place):
+        thing = thing.load()
+    if not holds_value(thing):
+        bare = place if "(" not in place else "%" + place[place.index(")") + 1 :]
+        return FormattedText(bare % (thing,), [])
+    if kind in "srac" or not isinstance(thing, Value) or thing.shape:
+        if kind in "sra" and not width and precision is None:
+            return formatted(thing)
+        if not isinstance(thing, Value) or kind == "c" or precision is not None:
+            raise TaiTypeError(
+                f"the format '{place}' is for one number, but got {describe_misuse(thing)}",
+                "format its parts",
+            )
+    is_whole = thing.dt.is_int
+    if kind in "diu" and not is_whole:  # as Python, which cuts the fraction
+        thing = thing.emitter.cast(thing, i64)
+    spec = "" if kind in "sradiu" else kind
+    align = "<" if "-" in flags and width else ">" if kind in "sra" and width else ""
+    sign = "+" if "+" in flags else " " if " " in flags else ""
+    zero = "0" if "0" in flags and "-" not in flags and width else ""
+    digits = "" if precision is None else f".{precision or 0}"
+    if kind in "diuxXo" and digits:
+        raise TaiTypeError(f"kernels have no format '{place}'", "write a width, as in %04d")
+    if kind in "eEfFgG" and is_whole:
+        thing = thing.emitter.cast(thing, f64)
+    other = "#" if "#" in flags and kind in "xXo" else ""
+    return _with_spec(thing, f"{align}{sign}{other}{zero}{width}{digits}{spec}")
 
 
 _CONVERSIONS: dict[str, Callable[[Any], str]] = {"r": repr, "a": ascii, "s": str}

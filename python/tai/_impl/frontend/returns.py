@@ -116,7 +116,11 @@ class Returns(Part):
         if frame.kind == "kernel":
             types = [] if kernel.result is None else [(kernel.result.dt, kernel.result.shape)]
             self._make_results(types, False)
-        elif frame.result_type is not None:
+        elif (several := getattr(frame.result_type, "types", None)) is not None and all(
+            hasattr(type_, "dtype") for type_ in several
+        ):
+            self._make_results([(type_.dtype, type_.shape) for type_ in several], True)
+        elif hasattr(frame.result_type, "dtype"):
             self._make_results([(frame.result_type.dtype, frame.result_type.shape)], False)
         else:
             form = self._find_form()

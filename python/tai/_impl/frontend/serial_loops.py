@@ -58,7 +58,7 @@ class SerialLoops(Part):
             return
         emitter = self.emitter
         low, high = bounds.lower[dimension], bounds.upper[dimension]
-        dt = self.domains.index_type_of([low, high])
+        dt = self.domains.index_type_of([low, high, bounds.step])
         last = dimension + 1 == len(bounds.lower)
         loop = Loop("for", self.context.depth + 1)
         returns = bool(self.returns.exit_flags(None, node.body))
@@ -69,13 +69,14 @@ class SerialLoops(Part):
         self.frame.loops.pop()
         begin, end = emitter.to_index(low), emitter.to_index(high)
         work = self.serial_work.work
-        if bounds.step != 1:
+        has_step = isinstance(bounds.step, Value) or bounds.step != 1
+        if has_step:
             begin, end = emitter.index(0), self.domains.trip_count(low, high, bounds.step)
 
         def inside(handle: Any) -> None:
             index = emitter.from_index(handle, dt)
-            if bounds.step != 1:
-                index = emitter.binary("+", low, emitter.binary("*", index, bounds.step))
+            if has_step:
+                index = emitter.cast(self.domains.at_step(low, index, bounds.step), dt)
             if last and own_exits(node.body):
                 loop.skipped = Variable("continue", emitter.constant(False, u1))
             self.frame.loops.append(loop)

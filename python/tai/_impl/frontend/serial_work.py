@@ -32,7 +32,7 @@ class SerialWork(Part):
         self._threads = 1.0
         self._told = False
 
-    def end_serial(self, before: float, low: Any, high: Any, step: int, node: ast.For) -> None:
+    def end_serial(self, before: float, low: Any, high: Any, step: Any, node: ast.For) -> None:
         """A serial loop has been compiled; before it, there was so much work."""
         self.repeat(before, _trips(low, high, step, unknown=1), node)
 
@@ -77,8 +77,8 @@ class SerialWork(Part):
         )
 
 
-def _trips(low: Any, high: Any, step: int, unknown: float) -> float:
-    if isinstance(low, Value) or isinstance(high, Value):
+def _trips(low: Any, high: Any, step: Any, unknown: float) -> float:
+    if any(isinstance(part, Value) for part in (low, high, step)):
         return unknown
     return max(0, math.ceil((high - low) / abs(step)))
 

@@ -8,20 +8,21 @@ from typing import Any
 
 from ...errors import TaiSyntaxError
 from ..base import texts
+from .desugar import plain_definition
 
 
 def function_ast(function: Callable[..., Any]) -> ast.FunctionDef:
-    """The definition of `function`.
+    """The definition of `function`, as `desugar` leaves it.
 
     Raises:
-        TaiSyntaxError: its source is not at hand, or has changed.
+        TaiSyntaxError: its source is not at hand, or has changed, or a pattern is refused.
     """
     found = texts.definition(function)
     if isinstance(found, ast.AsyncFunctionDef):
         raise TaiSyntaxError(
             f"'{function.__name__}' is an 'async def', and kernels have no coroutines", "write def"
         ).locate(function.__code__.co_filename, found.lineno, found.col_offset + 1)
-    return found
+    return plain_definition(found, texts.text_of(function).filename)
 
 
 def closure_of(function: Callable[..., Any]) -> dict[str, Any]:
@@ -103,6 +104,10 @@ class AssignedNames(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
+        self._target(node.target)
+        self.generic_visit(node)
+
+    def visit_NamedExpr(self, node: ast.NamedExpr) -> None:
         self._target(node.target)
         self.generic_visit(node)
 

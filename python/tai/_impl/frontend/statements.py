@@ -34,7 +34,6 @@ _REFUSED = {
     ast.AsyncFor: ("'async for'", None),
     ast.AsyncWith: ("'async with'", None),
     ast.AsyncFunctionDef: ("coroutines", None),
-    ast.Match: ("'match'", "use if and elif"),
 }
 
 

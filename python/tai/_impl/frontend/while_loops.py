@@ -29,8 +29,6 @@ class WhileLoops(Part):
         self.returns, self.regions = returns, regions
 
     def visit_While(self, node: ast.While) -> None:
-        if node.orelse:
-            raise TaiSyntaxError("'else' of a while is not supported in kernels")
         emitter = self.emitter
         loop = Loop("while", self.context.depth + 1)
         if own_exits(node.body):

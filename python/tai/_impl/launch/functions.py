@@ -12,7 +12,21 @@ from ...errors import TaiSyntaxError, TaiTypeError
 from ..base import state, texts
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
 from . import autoreload
-from .signature import check_no_rest, defaults_of, names_of, parse_type, resolve
+from .signature import check_no_rest, defaults_of, names_of, parse_type, resolve, tuple_types
+
+
+class TupleType:
+    """The types of several results of a function."""
+
+    def __init__(self, types: list[Any]):
+        self.types = types
+
+    def convert(self, emitter: Any, value: Any) -> tuple:
+        if not isinstance(value, (tuple, list)) or len(value) != len(self.types):
+            got = f"{len(value)} values" if isinstance(value, (tuple, list)) else "one value"
+            raise TaiTypeError(f"the function returns {len(self.types)} values, but got {got}")
+        pairs = zip(self.types, value, strict=True)
+        return tuple(t.convert(emitter, v) if hasattr(t, "convert") else v for t, v in pairs)
 
 
 class FunctionInfo:
@@ -64,6 +78,8 @@ class FunctionInfo:
         annotation = self.function.__annotations__.get("return")
         if annotation is None or resolve(annotation, self.function) is None:
             return None
+        if several := tuple_types(resolve(annotation, self.function)):
+            return TupleType([parse_type(k, self.function, "the result") for k in several])
         type_ = parse_type(annotation, self.function, "the result")
         return type_ if isinstance(type_, (ScalarType, MatrixType)) else None
 

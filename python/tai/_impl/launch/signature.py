@@ -122,7 +122,7 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
     )
 
 
-def _tuple_types(annotation: Any) -> tuple:
+def tuple_types(annotation: Any) -> tuple:
     """The types in `(ti.i32, ti.f32)` or `tuple[ti.i32, ti.f32]`; none of another annotation."""
     if isinstance(annotation, tuple):
         return annotation
@@ -145,7 +145,7 @@ def _parse(
     if annotation is None or resolve(annotation, function) is None:
         return parameters, None
     result: Any
-    if several := _tuple_types(resolve(annotation, function)):
+    if several := tuple_types(resolve(annotation, function)):
         try:
             result = TupleResult([parse_type(k, function, "the result") for k in several])
         except TaiRuntimeTypeError as error:  # arrays, templates

@@ -36,6 +36,7 @@ class ArgumentSpec:
         alias: the number of the parameter that is the same array, or None.
         is_element_fixed: whether the annotation says how many dimensions an element has.
         is_checked: whether Python must look at each array that is given.
+        is_constant: whether it is an array whose gradient the annotation leaves out.
         is_read, is_written: whether the kernel reads and writes the array; known once it is
             compiled.
         is_loaded: whether the kernel may use the value of an element, besides adding to it.
@@ -52,7 +53,7 @@ class ArgumentSpec:
         self.taken: Any = None
         self.alive: Any = None
         self.alias: int | None = None
-        self.is_element_fixed = self.is_checked = False
+        self.is_element_fixed = self.is_checked = self.is_constant = False
         self.is_read = self.is_written = self.is_loaded = self.uses_gradient = False
 
     @property
@@ -191,7 +192,8 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> 
         )
     if tracks and dt.is_float:
         torch_graphs.check_leaf(value, what)
-    has_gradient = dt.is_float and tracked.has_gradient_array(value)
+    holds_gradient = dt.is_float and tracked.has_gradient_array(value)
+    has_gradient = holds_gradient and type_.needs_grad is not False
     if type_.needs_grad and isinstance(value, Ndarray) and not has_gradient:
         raise TaiRuntimeTypeError(
             f"{what} expects an array with a gradient",
@@ -202,5 +204,8 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> 
     )
     spec.is_element_fixed = bool(type_.element_dim)
     # Where the annotation wants a gradient, some arrays may still come without one.
-    spec.is_checked = type_.needs_grad and not has_gradient
+    spec.is_checked = bool(type_.needs_grad) and not has_gradient
+    # The launcher tells arrays by their gradients, and would take this one for another kind.
+    spec.is_checked = spec.is_checked or type_.needs_grad is False
+    spec.is_constant = holds_gradient and not has_gradient
     return spec

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiAutodiffError
+from ..base.elements import Elements
 from ..interop import device_arrays
 from . import tracked
 from .tape_arrays import overlap
@@ -19,6 +20,8 @@ def as_array(value: Any) -> Any:
         return value if type(value) is np.ndarray else np.ndarray.view(value, np.ndarray)
     if hasattr(value, "array") and isinstance(value.array, np.ndarray):
         return value.array
+    if isinstance(value, Elements):  # a field
+        return None
     found = device_arrays.as_device_array(value)
     if found is not None:
         return found
@@ -83,6 +86,12 @@ def check_arrays(kernel: str, parameters: list, found: Any, values: list) -> Non
                 f"kernel '{kernel}' uses the gradient of array '{name}' and cannot be "
                 "differentiated",
                 "call it outside of the tape, or under ti.ad.no_grad",
+            )
+        if spec.is_constant and spec.is_written:
+            raise TaiAutodiffError(
+                f"kernel '{kernel}' writes array '{name}', whose annotation has needs_grad=False: "
+                "the gradient of the numbers that it overwrites would be wrong",
+                "leave needs_grad out, or call the kernel under ti.ad.no_grad",
             )
         if spec.kind == "array" and spec.alias is None:
             arrays.append((name, spec, as_array(value)))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NoReturn
 
+import numpy as np
+
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes
 from .matrix import Matrix, Vector
@@ -63,6 +65,8 @@ class MatrixType:
             if getattr(part, "is_matrix", False):
                 shape = part.shape if hasattr(part, "emit_operand") else part.element_shape
                 items += list(part) if len(shape) == 1 else [x for row in part for x in row]
+            elif isinstance(part, np.ndarray):
+                items += part.ravel().tolist()
             elif isinstance(part, (list, tuple)):
                 for item in part:
                     nested = isinstance(item, (list, tuple)) or getattr(item, "is_matrix", False)
@@ -142,8 +146,9 @@ class NdarrayType:
         ndim: number of dimensions without those of the element; any if left out.
         element_dim: 1 or 2: the last dimensions are vectors or matrices.
         element_shape: the extents of the element.
-        needs_grad: refuse a `ti.ndarray` without a gradient. An array that has one is always
-            differentiated; a NumPy array is always constant.
+        needs_grad: True refuses a `ti.ndarray` without a gradient; False takes the array for a
+            constant, also one that has a gradient. Without either, an array that has a gradient
+            is differentiated. A NumPy array is always constant.
     """
 
     def __init__(
@@ -154,7 +159,7 @@ class NdarrayType:
         self.ndim = ndim if ndim is not None else field_dim
         self.element_shape = element_shape
         self.element_dim = element_dim
-        self.needs_grad = bool(needs_grad)
+        self.needs_grad = needs_grad
         if isinstance(dtype, MatrixType):
             self.element_shape, dtype = dtype.shape, dtype.dtype
         if self.element_shape is not None:
