@@ -2,9 +2,35 @@
 
 from __future__ import annotations
 
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ...errors import TaiRuntimeTypeError
+
+# The operators that Python has and whole fields and arrays do not.
+_OPERATORS = {
+    "add": "+", "sub": "-", "mul": "*", "truediv": "/", "floordiv": "//", "mod": "%", "pow": "**",
+    "matmul": "@", "and": "&", "or": "|", "xor": "^", "lshift": "<<", "rshift": ">>",
+}  # fmt: skip
+_COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}
+
+# Functions of NumPy that stand for these operators.
+_FUNCTIONS = {
+    "add": "+", "subtract": "-", "multiply": "*", "divide": "/", "floor_divide": "//",
+    "remainder": "%", "power": "**", "matmul": "@", "less": "<", "less_equal": "<=",
+    "greater": ">", "greater_equal": ">=", "bitwise_and": "&", "bitwise_or": "|",
+    "bitwise_xor": "^", "left_shift": "<<", "right_shift": ">>", "equal": "==",
+    "not_equal": "!=",
+}  # fmt: skip
+
 
 class Elements:
-    """Storage that kernels and Python read and write element by element: a field or an array."""
+    """Storage that kernels and Python read and write element by element: a field or an array.
+
+    NumPy takes it as a copy: `np.asarray(x)`, `np.sqrt(x)`, `np.max(x)`. The operators of Python
+    are refused, so that no program computes on the host by mistake.
+    """
 
     def suggest_name(self, name: str) -> None:
         """Takes the name of the variable that holds it, if it keeps one and has none yet."""
@@ -16,3 +42,107 @@ class Elements:
     def _example(self) -> str | None:
         """An access to one of its elements, to show in a hint."""
         return None
+
+    def _shown_name(self) -> str:
+        """A name for it in the lines of a hint."""
+        return "x"
+
+    # NumPy
+
+    def to_numpy(self) -> Any:
+        raise NotImplementedError
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """A copy, as of `to_numpy`; `np.from_dlpack(x)` shares the memory."""
+        if copy is False:
+            raise ValueError(
+                "np.asarray of a field or an array makes a copy; np.from_dlpack(x) shares its memory"
+            )
+        array = self.to_numpy()
+        return array if dtype is None else array.astype(dtype)
+
+    @property
+    def __array_interface__(self) -> dict[str, Any]:
+        """A copy of the numbers in the form that other libraries than NumPy ask for."""
+        array = self.__array__()
+        if array.ndim == 0:
+            raise AttributeError("NumPy takes a single number by __array__ only")
+        interface = dict(array.__array_interface__)
+        # The bytes keep themselves alive; an address would not.
+        whole = np.ascontiguousarray(array)
+        interface["data"] = whole.reshape(-1).view(np.uint8).data if array.size else bytearray(1)
+        interface["strides"] = None
+        return interface
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        symbol = _FUNCTIONS.get(ufunc.__name__)
+        if method == "__call__" and symbol is not None and len(inputs) == 2:
+            other = inputs[1] if inputs[0] is self else inputs[0]
+            self._refuse_operator(symbol, other, inputs[0] is not self)
+        if any(isinstance(out, Elements) for out in options.get("out", ())):
+            raise TaiRuntimeTypeError(
+                f"np.{ufunc.__name__} cannot write to {self._described()}", "x.from_numpy(array)"
+            )
+        arrays = (np.asarray(i) if isinstance(i, Elements) else i for i in inputs)
+        return getattr(ufunc, method)(*arrays, **options)
+
+    def __format__(self, spec: str) -> str:
+        return str(self) if not spec else format_numbers(np.asarray(self), spec)
+
+    # Operators
+
+    def _refuse_operator(self, symbol: str, other: Any, is_swapped: bool = False) -> NoReturn:
+        name, example = self._shown_name(), self._example() or "x[i]"
+        index = example[example.index("[") :]
+        if name in index:
+            index = index.replace(name, f"{name}{name}")
+        own = f"{name}{index}"
+        if isinstance(other, Elements):
+            shown = other._shown_name()
+            operand = f"{shown if other is self or shown != name else 'y'}{index}"
+        else:
+            operand = repr(other) if isinstance(other, (bool, int, float)) else f"y{index}"
+        left, right = (operand, own) if is_swapped else (own, operand)
+        update = f"z{index} = {left} {symbol} {right}"
+        if index == "[None]":
+            body = f"    {update}"
+        else:
+            body = f"    for {index[1:-1]} in {name}:\n        {update}"
+        raise TaiRuntimeTypeError(
+            f"{self._described()} is no number in Python, and has no operator '{symbol}'",
+            f"compute with {name}.to_numpy(), or with the elements in a kernel:\n"
+            f"@ti.kernel\ndef compute():\n{body}",
+        )
+
+    def __neg__(self) -> NoReturn:
+        self._refuse_operator("*", -1)
+
+    def __invert__(self) -> NoReturn:
+        self._refuse_operator("^", -1)
+
+    def __abs__(self) -> NoReturn:
+        raise TaiRuntimeTypeError(
+            f"{self._described()} is no number in Python", "take abs of its elements in a kernel"
+        )
+
+
+def _define(name: str, symbol: str, is_swapped: bool) -> None:
+    def refuse(self: Elements, other: Any) -> NoReturn:
+        self._refuse_operator(symbol, other, is_swapped)
+
+    refuse.__name__ = name
+    setattr(Elements, name, refuse)
+
+
+for _name, _symbol in _OPERATORS.items():
+    _define(f"__{_name}__", _symbol, False)
+    _define(f"__r{_name}__", _symbol, True)
+for _name, _symbol in _COMPARISONS.items():
+    _define(f"__{_name}__", _symbol, False)
+
+
+def format_numbers(numbers: Any, spec: str) -> str:
+    """The numbers of an array, each in a format as `.2f`, with commas as in a list."""
+    if getattr(numbers, "ndim", 0) == 0:
+        return format(numbers.item() if hasattr(numbers, "item") else numbers, spec)
+    return "[" + ", ".join(format_numbers(item, spec) for item in numbers) + "]"

@@ -61,6 +61,11 @@ def fill_matrices(field: Any, value: Any) -> None:
     if values.ndim == 0 and single is not None:
         single.fill(values.item())
         return
+    if values.ndim > len(field.element_shape) and (
+        values.shape == field.shape + field.element_shape
+    ):
+        field.from_numpy(values)
+        return
     values = fitting.stored_array(values, field.dtype, field)
     try:
         whole = np.broadcast_to(values, field.element_shape)

@@ -68,6 +68,9 @@ class Ndarray(Elements):
     def _described(self) -> str:
         return "a ti.ndarray"
 
+    def _example(self) -> str:
+        return f"x[{', '.join('ijklmnop'[: len(self.shape)]) or None}]"
+
     @property
     def grad(self) -> Ndarray | None:
         return self._grad

@@ -71,6 +71,9 @@ class Field(Elements, Shareable):
     def _described(self) -> str:
         return f"field '{self.name}'"
 
+    def _shown_name(self) -> str:
+        return self.name
+
     def _example(self) -> str:
         scalar = self.snode is None or not self.shape
         indices = "None" if scalar else ", ".join("ijklmnop"[: len(self.shape)])
@@ -216,16 +219,6 @@ class Field(Elements, Shareable):
         kind = "field" if not self.element_shape else f"field of {self.element_shape}"
         place = "not placed" if self.level is None else f"shape {self.shape}"
         return f"<{self.dtype} {kind} '{self.name}', {place}>"
-
-    def _refuse_arithmetic(self, *others: Any) -> Any:
-        raise TaiRuntimeTypeError(
-            f"field '{self.name}' is no number in Python",
-            f"compute with {self.name}.to_numpy(), or with its elements in a kernel",
-        )
-
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _refuse_arithmetic
-    __truediv__ = __rtruediv__ = __floordiv__ = __rfloordiv__ = __mod__ = _refuse_arithmetic
-    __pow__ = __rpow__ = __matmul__ = __rmatmul__ = __neg__ = __abs__ = _refuse_arithmetic
 
     def __iter__(self) -> Any:
         name = self.name

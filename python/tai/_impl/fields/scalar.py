@@ -237,7 +237,12 @@ class ScalarField(Field):
         origins.end_tangent(self)
 
     def fill(self, value: Any) -> None:
-        if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
+        if np.ndim(value) and np.shape(value) == self.shape:
+            self.from_numpy(value)
+            return
+        if np.ndim(value) or (
+            not isinstance(value, (int, float)) and not hasattr(value, "__float__")
+        ):
             raise TaiRuntimeTypeError(
                 f"field '{self.name}' is filled by a number of type {self.dtype}, not {value!r}"
             )

@@ -44,6 +44,19 @@ class Shareable:
         origins.note_view(self, *sharing.place_of(self))
         return capsule
 
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        """The memory of a field on a GPU for CuPy and Numba; elsewhere there is no such attribute.
+
+        It lives as long as the field. Work on streams other than the default one waits for
+        launches by `ti.let_stream_wait`.
+        """
+        if sharing.field_device(self)[0] != sharing.CUDA:
+            raise AttributeError("the field is on the CPU, and has no __cuda_array_interface__")
+        found, self._lent = sharing.cuda_interface(self)
+        origins.note_view(self, *sharing.place_of(self))
+        return found
+
     def __dlpack_device__(self) -> tuple[int, int]:
         """Where the field is: `(1, 0)` for the host, `(2, 0)` for the GPU."""
         return sharing.field_device(self)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ...errors import TaiError
 from ..base import native, state
 from ..base.dtypes import bf16
@@ -62,6 +64,24 @@ def field_dlpack(
         address, list(shape), strides, CODES[field.dtype.kind], 8 * size, device[0], owner,
         max_version is not None and tuple(max_version) >= (1, 0),
     )  # fmt: skip
+
+
+def cuda_interface(field: Any) -> tuple[dict[str, Any], Any]:
+    """The memory of a field as `__cuda_array_interface__` describes it, and its owner."""
+    try:
+        address, _, steps, owner = _storage(field).core.lend()
+    except (TaiError, BufferError) as error:
+        raise AttributeError(str(error)) from None
+    if field.dtype is bf16:
+        raise AttributeError(f"field '{field.name}' holds bf16, which the interface does not know")
+    # 1 is the default stream, as `let_stream_wait` has made it.
+    get_program().context.let_stream_wait(1)
+    shape = (*field.shape, *field.element_shape)
+    found = {
+        "shape": shape, "typestr": np.dtype(field.dtype.numpy).str, "data": (address, False),
+        "strides": tuple(steps), "version": 3, "stream": 1,
+    }  # fmt: skip
+    return found, owner
 
 
 def place_of(field: Any) -> tuple[int, tuple[int, ...]]:

@@ -24,7 +24,7 @@ from ..history import gradients, origins
 from ..history.gradients import ArrayGradient, Gradient, note_variable
 from ..interop import device_arrays
 from ..values.matrix import Matrix, Vector, swizzle
-from . import tangents
+from . import numpy_functions, tangents
 from .tape_arrays import ArraySweep, TapeArrays
 
 # Values
@@ -90,15 +90,13 @@ def _is_tracked(value: Any) -> bool:
 class Number(float):
     """A float with a gradient: a variable, or the result of a kernel under a tape.
 
-    Sums, products, quotients and powers of such numbers have one, too. Everything else
-    (`float(x)`, functions of `math`) gives plain numbers, which are constant to a tape.
+    Sums, products, quotients and powers of such numbers have one, too, and NumPy's functions of
+    single numbers (`np.sqrt(x)`). Everything else (`float(x)`, functions of `math`) gives plain
+    numbers, which are constant to a tape.
 
     Attributes:
         grad: the gradient after a reverse sweep.
     """
-
-    # NumPy's numbers leave arithmetic to this class, and its functions refuse it.
-    __array_ufunc__ = None
 
     _gradient: Gradient | None
     # Where its tangent is, in forward mode.
@@ -118,6 +116,68 @@ class Number(float):
 
     def __reduce__(self) -> Any:
         return float, (float(self),)
+
+
+def _plain(thing: Any) -> Any:
+    """The same with plain numbers in the place of those with a gradient."""
+    if isinstance(thing, Number):
+        return float(thing)
+    if type(thing) in (list, tuple):
+        return type(thing)(map(_plain, thing))
+    return thing
+
+
+def _numbers_in(thing: Any) -> list[Number]:
+    if isinstance(thing, (list, tuple)):
+        return [number for item in thing for number in _numbers_in(item)]
+    return [thing] if isinstance(thing, Number) else []
+
+
+def _refuse_function(name: str, values: Any) -> None:
+    """Refuses a function that would lose a gradient while a tape records, or in forward mode."""
+    lost = any(map(_is_tracked, _numbers_in(values)))
+    if lost and (state.tape is not None or state.forward):
+        raise TaiAutodiffError(
+            f"np.{name} knows no gradient of a number that a kernel returned",
+            "compute it in a kernel, or say that it is a constant: float(…)",
+        )
+
+
+def _numpy_function(ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+    """A function of NumPy of single numbers, with its gradient."""
+    name = ufunc.__name__
+    values = [item.item() if isinstance(item, np.ndarray) and item.ndim == 0 else item
+              for item in inputs]  # fmt: skip
+    is_plain = method == "__call__" and not options and all(
+        isinstance(value, (int, float, np.number)) for value in values
+    )
+    if is_plain and name in numpy_functions.OPERATORS:
+        return getattr(operator, numpy_functions.OPERATORS[name])(
+            *(value if isinstance(value, Number) else float(value) for value in values)
+        )
+    if name not in numpy_functions.CONSTANT and any(map(_is_tracked, values)):
+        has_tangent = any(tangents.cell_of(value) is not None for value in values)
+        if is_plain and not has_tangent:
+            found = numpy_functions.derivative(name, [float(value) for value in values])
+            if found is not None:
+                return _combine(found[0], None, *zip(values, found[1], strict=True))
+        _refuse_function(name, values)
+    return getattr(ufunc, method)(*map(_plain, inputs), **options)
+
+
+def _numpy_routine(function: Any, types: Any, args: Any, options: Any) -> Any:
+    """A function of NumPy of whole arrays, which are constants to a tape."""
+    if function.__name__ not in numpy_functions.FORM:
+        _refuse_function(function.__name__, [args, list(options.values())])
+    return function(*_plain(args), **_plain_values(options))
+
+
+def _plain_values(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: _plain(value) for name, value in options.items()}
+
+
+Number.__array_ufunc__ = lambda self, *args, **options: _numpy_function(*args, **options)  # type: ignore[attr-defined]
+Number.__array_function__ = lambda self, *args: _numpy_routine(*args)  # type: ignore[attr-defined]
 
 
 def _readable(gradient: Gradient | None) -> Gradient:
@@ -246,9 +306,26 @@ class _Tracked:
                 "do it in a kernel, or take the plain numbers by .to_numpy()",
             )
 
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        self._refuse_in_tape()
+        return getattr(ufunc, method)(*map(_as_plain_array, inputs), **options)
+
+    def __array_function__(self, function: Any, types: Any, args: Any, options: Any) -> Any:
+        if function.__name__ not in numpy_functions.FORM:
+            self._refuse_in_tape()
+        return function(*map(_as_plain_array, args), **options)
+
     def _binary(self, function: Any, other: Any, swapped: bool = False) -> Any:
         self._refuse_in_tape()
         return Matrix._binary(self, function, other, swapped)  # type: ignore[arg-type]
+
+
+def _as_plain_array(thing: Any) -> Any:
+    if isinstance(thing, _Tracked):
+        return thing.to_numpy()
+    if type(thing) in (list, tuple):
+        return type(thing)(map(_as_plain_array, thing))
+    return thing
 
 
 # Methods that give the numbers as they are; all others compute.
@@ -478,7 +555,7 @@ def check_loss(loss: Any) -> None:
     hint = "loss = ti.ndarray(ti.f32, shape=(), needs_grad=True)"
     if loss.grad is None:
         raise TaiRuntimeTypeError("an array without a gradient cannot be a loss", hint)
-    if loss.array.shape != ():
+    if loss.array.size != 1:
         raise TaiRuntimeTypeError(
             f"the loss has shape {loss.array.shape}, but must be one number", hint
         )

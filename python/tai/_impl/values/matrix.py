@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes, state
+from ..base.elements import format_numbers
 
 SWIZZLE_SETS = ("xyzw", "rgba", "stpq")
 
@@ -118,6 +119,10 @@ class Matrix:
 
     def __str__(self) -> str:
         return str(self._array)
+
+    def __format__(self, spec: str) -> str:
+        """Each component in a format of numbers: `f"{v:.2f}"` gives `[1.00, 2.50]`."""
+        return str(self) if not spec else format_numbers(self._array, spec)
 
     def __repr__(self) -> str:
         return f"<ti.{'Vector' if self.ndim == 1 else 'Matrix'} {self._array.tolist()}>"
