@@ -1,3 +1,4 @@
+# ruff: noqa: F507, UP031
 """`match`, `else` of loops, `:=`, ranges with a step known at run time, and their gradients."""
 
 import numpy as np

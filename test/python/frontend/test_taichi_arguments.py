@@ -302,7 +302,7 @@ def test_programs_that_python_reads_by_itself(tmp_path):
 
 
 def test_functions_typed_at_the_prompt():
-    """Python's own prompt on a terminal, where readline keeps what was typed."""
+    """Readline keeps the lines that were typed at Python's own prompt."""
     pty = pytest.importorskip("pty")
     os = pytest.importorskip("os")
     child, terminal = pty.fork()

@@ -111,6 +111,6 @@ def test_levels_of_a_log():
 
 
 def test_names_that_are_missing_say_what_to_take():
-    with pytest.raises(AttributeError, match="ti.argpack is not built in yet") as info:
-        _ = ti.argpack
-    assert info.value.__notes__ == ["hint: pass a struct: ti.types.struct(…)"]
+    with pytest.raises(AttributeError, match="ti.ArgPack is not built in yet") as info:
+        _ = ti.ArgPack
+    assert info.value.__notes__ == ["hint: ti.types.argpack(…) makes the type, and that the pack"]

@@ -138,7 +138,9 @@ class _Desugar(ast.NodeTransformer):
         for number, case in enumerate(node.cases):
             names: dict[str, ast.expr] = {}
             test = self._test(case.pattern, subject, names)
-            body = [_assign(name, value, case.pattern) for name, value in names.items()]
+            body: list[ast.stmt] = [
+                _assign(name, value, case.pattern) for name, value in names.items()
+            ]
             body += self._block(case.body)
             if case.guard is not None:
                 guard = _Replace(names).visit(case.guard)

@@ -79,8 +79,7 @@ class Parameters(Part):
                 members[key] = self._struct(inner, kind)
             else:
                 variable = self.frame.scopes[-1][inner]
-                is_array = isinstance(variable, Bound)
-                members[key] = variable.thing if is_array else variable.value
+                members[key] = variable.thing if isinstance(variable, Bound) else variable.value
         return StructValue(type_, members)
 
     def _argument(self, name: str, spec: Any, handles: list) -> Variable | Bound:

@@ -148,8 +148,10 @@ def _numpy_function(ufunc: Any, method: str, *inputs: Any, **options: Any) -> An
     name = ufunc.__name__
     values = [item.item() if isinstance(item, np.ndarray) and item.ndim == 0 else item
               for item in inputs]  # fmt: skip
-    is_plain = method == "__call__" and not options and all(
-        isinstance(value, (int, float, np.number)) for value in values
+    is_plain = (
+        method == "__call__"
+        and not options
+        and all(isinstance(value, (int, float, np.number)) for value in values)
     )
     if is_plain and name in numpy_functions.OPERATORS:
         return getattr(operator, numpy_functions.OPERATORS[name])(
