@@ -50,8 +50,8 @@ def argpack(**members: Any) -> ArgPackType:
 
 
 __all__ = [
-    "ArgPackType", "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType", "StructType", "argpack", "bf16",
-    "f16", "f32", "f64", "i16", "i32", "i64", "i8", "is_integral", "is_real", "is_signed", "matrix",
-    "ndarray", "primitive_types", "quant", "sparse_matrix_builder", "struct", "template", "u1",
-    "u16", "u32", "u64", "u8", "vector",
+    "ArgPackType", "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType",
+    "StructType", "argpack", "bf16", "f16", "f32", "f64", "i16", "i32", "i64", "i8", "is_integral",
+    "is_real", "is_signed", "matrix", "ndarray", "primitive_types", "quant",
+    "sparse_matrix_builder", "struct", "template", "u1", "u16", "u32", "u64", "u8", "vector",
 ]  # fmt: skip

@@ -100,14 +100,6 @@ def test_structs(way):
     assert list(way(field.place[1])) == [0, 7]
 
 
-@WAYS
-def test_fields_say_why_not(way):
-    ti.init(arch=ti.cpu)
-    for field in (ti.field(ti.f32, 3, name="x"), ti.Vector.field(2, ti.f32, 3), Ball.field(3)):
-        with pytest.raises(ti.TaiRuntimeTypeError, match="cannot be copied or pickled"):
-            way(field)
-
-
 def _in_child(kind, struct, number):
     ti.init(arch=ti.cpu)
     x = ti.field(kind, shape=2)

@@ -56,7 +56,7 @@ class Elements:
         """A copy, as of `to_numpy`; `np.from_dlpack(x)` shares the memory."""
         if copy is False:
             raise ValueError(
-                "np.asarray of a field or an array makes a copy; np.from_dlpack(x) shares its memory"
+                "np.asarray of fields and arrays makes a copy; np.from_dlpack(x) shares the memory"
             )
         array = self.to_numpy()
         return array if dtype is None else array.astype(dtype)

@@ -31,7 +31,7 @@ class PLYWriter:
     Args:
         num_vertices: how many there are; each channel has as many numbers.
         num_faces: how many polygons `add_faces` gives.
-        face_type: `"tri"`, `"quad"`, or `"tet"` for tetrahedra, of which the four faces are written.
+        face_type: `"tri"`, `"quad"`, or `"tet"` for tetrahedra, each of which gives four triangles.
         comment: a line of the file.
     """
 

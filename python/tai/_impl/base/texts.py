@@ -195,7 +195,7 @@ def definition(function: Callable[..., Any]) -> Definition:
         ).locate(code.co_filename, code.co_firstlineno, 1)
     hint = "kernels must stand in a file: the compiler reads their text"
     if code.co_filename == "<stdin>":
-        hint = "Python reads this program from a pipe and keeps no text: save it in a file, and run that"
+        hint = "Python keeps no text of a program from a pipe: save it in a file, and run that"
     if code.co_filename.startswith("<timed"):  # what IPython calls cells below %%time and %%timeit
         hint = "define kernels in a cell without %%time: the compiler reads their text"
     raise TaiSyntaxError(f"the source of function '{function.__name__}' cannot be read", hint)

@@ -65,6 +65,10 @@ class Ndarray(Elements):
             self._grad = Ndarray(resolved, self.shape, self.element_shape)
             self._grad.taken = gradients.note_gradient_array(self._grad)
 
+    def __reduce__(self) -> Any:
+        grad = None if self._grad is None else self._grad.array.copy()
+        return _array_of, (self.dtype, self.shape, self.element_shape, self.array.copy(), grad)
+
     def _described(self) -> str:
         return "a ti.ndarray"
 
@@ -188,6 +192,17 @@ class Ndarray(Elements):
 
     def __repr__(self) -> str:
         return f"<ti.ndarray of {self.dtype}, shape {self.shape}>"
+
+
+def _array_of(
+    dtype: Any, shape: tuple[int, ...], element_shape: tuple[int, ...], values: Any, grad: Any
+) -> Ndarray:
+    """An array that is loaded or copied."""
+    made = Ndarray(dtype, shape, element_shape, grad is not None)
+    made.array[...] = values
+    if made._grad is not None:
+        made._grad.array[...] = grad
+    return made
 
 
 def ndarray(dtype: Any, shape: Any, needs_grad: bool = False) -> Ndarray:

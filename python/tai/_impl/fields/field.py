@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,10 +33,9 @@ class Field(Elements, Shareable):
     offset: Any
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        raise TaiRuntimeTypeError(
-            f"field '{self.name}' cannot be copied or pickled: its memory belongs to the program",
-            "to_numpy() copies its values, and copy_from(other) those of another field",
-        )
+        """A copy or a loaded field has the same type, levels and values, and memory of its own."""
+        describe = importlib.import_module("tai._impl.fields.pickled").describe
+        return describe(self)
 
     def __init__(self, dtype: Any, element_shape: tuple[int, ...], name: str | None, role: str):
         resolved = dtypes.stored_as(dtype)

@@ -15,6 +15,7 @@ from ..base import dtypes, fitting, state
 from ..base.program import get_program
 from ..values.matrix import Matrix
 from ..values.types import MatrixType, NdarrayType, ScalarType
+from . import pickled
 from .field import Field, index_tuple
 from .make import make_field
 from .root import open_root
@@ -349,6 +350,11 @@ class StructField(Field):
                 f"a struct field has an attribute '{taken[0]}' of its own",
                 "give the member another name",
             )
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        if self.primal is not None:
+            return pickled.companion_of, (self.primal, self.role)
+        return StructField, (self.struct_type, self.members)
 
     def __getattr__(self, name: str) -> Any:
         members = self.__dict__.get("members", {})
