@@ -217,7 +217,7 @@ def read_seconds(log: str) -> dict[str, float]:
 def run_tests(tests: list[str], root: Path, environment: dict[str, str], limit: float) -> str:
     """killed, timeout or survived: pytest in a child of this process.
 
-    What all tests import, but for the package, the child has from its parent.
+    The child has from its parent the modules that all tests import, but for the package.
     """
     import hypothesis  # noqa: F401
     import numpy  # noqa: F401

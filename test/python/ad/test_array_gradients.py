@@ -411,7 +411,7 @@ def test_a_change_from_python_that_the_tape_does_not_see():
 
 
 def test_changes_from_python_of_arrays_whose_contents_no_sweep_reads():
-    """Those of a linear kernel, and those that only kernels write: a replay would find them."""
+    """The arrays of a linear kernel, one of them only written: a replay would find the change."""
 
     @ti.kernel
     def double(x: ti.types.ndarray(), y: ti.types.ndarray()):

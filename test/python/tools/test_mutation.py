@@ -91,7 +91,7 @@ def test_a_python_mutant_runs_the_tests_of_its_line(tmp_path):
 
     assert judge(("a < 3", "(a <= 3)"), both) == "killed"
     assert judge(("a < 3", "(a <= 3)"), Lines("test_one.test_weak")) == "survived"
-    assert judge(("a += 1", "pass"), both, budget=-11.9) == "timeout"
+    assert judge(("a += 1", "pass"), Lines("test_one.test_f"), budget=-11.9) == "timeout"
     assert judge(("3", "4"), both) == "killed"
     other = python_mutants.Mutant("one.py", 8, "constant", text.index("1\n", 60), 61, "1", "2")
     assert python_mutants.judge(other, both, package, tmp_path, 5)["outcome"] == (
