@@ -11,15 +11,27 @@ from ._impl.base.dtypes import (
     f16,
     f32,
     f64,
+    float16,
+    float32,
+    float64,
     i8,
     i16,
     i32,
     i64,
+    int8,
+    int16,
+    int32,
+    int64,
     u1,
     u8,
     u16,
     u32,
     u64,
+    uint1,
+    uint8,
+    uint16,
+    uint32,
+    uint64,
 )
 from ._impl.fields.structs import ArgPackType, StructType
 from ._impl.fields.triplets import TripletsType as sparse_matrix_builder  # noqa: N813
@@ -51,7 +63,8 @@ def argpack(**members: Any) -> ArgPackType:
 
 __all__ = [
     "ArgPackType", "BitpackedFields", "DataType", "MatrixType", "NdarrayType", "ScalarType",
-    "StructType", "argpack", "bf16", "f16", "f32", "f64", "i16", "i32", "i64", "i8", "is_integral",
-    "is_real", "is_signed", "matrix", "ndarray", "primitive_types", "quant",
-    "sparse_matrix_builder", "struct", "template", "u1", "u16", "u32", "u64", "u8", "vector",
+    "StructType", "argpack", "bf16", "f16", "f32", "f64", "float16", "float32", "float64", "i16",
+    "i32", "i64", "i8", "int16", "int32", "int64", "int8", "is_integral", "is_real", "is_signed",
+    "matrix", "ndarray", "primitive_types", "quant", "sparse_matrix_builder", "struct", "template",
+    "u1", "u16", "u32", "u64", "u8", "uint1", "uint16", "uint32", "uint64", "uint8", "vector",
 ]  # fmt: skip
