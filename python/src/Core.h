@@ -94,6 +94,7 @@ void bindBuilder(py::module_ &module);
 void bindWithBlock(py::module_ &module);
 void bindLauncher(py::module_ &module);
 void bindInterop(py::module_ &module);
+void bindXlaCalls(py::module_ &module);
 
 } // namespace taipy
 

@@ -17,4 +17,5 @@ PYBIND11_MODULE(_core, module) {
   taipy::bindWithBlock(module);
   taipy::bindLauncher(module);
   taipy::bindInterop(module);
+  taipy::bindXlaCalls(module);
 }

@@ -231,8 +231,9 @@ _NOT_YET = {
     }.items()
     for name in names.split()
 }
-_MODULES = {"ad", "algorithms", "checkpoint", "errors", "gui", "lang", "linalg", "math", "optim",
-            "profiler", "sparse", "testing", "tools", "torch", "volumes", "_lib"}  # fmt: skip
+_MODULES = {"ad", "algorithms", "checkpoint", "errors", "gui", "jax", "lang", "linalg", "math",
+            "optim", "profiler", "sparse", "testing", "tools", "torch", "volumes",
+            "_lib"}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
 import re
 from collections.abc import Callable, Sequence
@@ -14,46 +13,11 @@ from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
 from ..ad.tape import Tape, clear_all_gradients
 from ..base import state
 from ..launch.kernels import Kernel
-from ..values.types import NdarrayType, ScalarType
+from .parameters import check_outputs, kinds_of
 
 _numbers = itertools.count()
-# Types of plain numbers in schemas of torch.
-_SCHEMA = {"f": "float", "i": "SymInt", "u": "SymInt", "b": "bool"}
-
-
-def _kinds_of(function: Any) -> dict[str, str]:
-    """The parameters of a kernel or function: `Tensor`, or the type of a number.
-
-    Raises:
-        TaiRuntimeTypeError: a parameter is neither.
-    """
-    if isinstance(function, Kernel):
-        kinds = {}
-        for parameter in function._get_signature().given:
-            if isinstance(parameter.type, NdarrayType):
-                kinds[parameter.name] = "Tensor"
-            elif isinstance(parameter.type, ScalarType):
-                dt = parameter.type.dtype
-                kinds[parameter.name] = "bool" if dt.is_bool else _SCHEMA[dt.kind]
-            else:
-                raise TaiRuntimeTypeError(
-                    f"parameter '{parameter.name}' of kernel '{function.__name__}' is neither an "
-                    "array nor a number, and operators of torch take nothing else",
-                    "wrap a function with tensors and numbers that launches the kernel",
-                )
-        return kinds
-    numbers = {float: "float", int: "SymInt", bool: "bool", "float": "float", "int": "SymInt",
-               "bool": "bool"}  # fmt: skip
-    kinds = {}
-    for given in inspect.signature(function).parameters.values():
-        if given.kind not in (given.POSITIONAL_ONLY, given.POSITIONAL_OR_KEYWORD):
-            raise TaiRuntimeTypeError(
-                f"parameter '{given.name}' of '{function.__name__}' takes any number of "
-                "arguments, or is given by name alone",
-                "name each parameter",
-            )
-        kinds[given.name] = numbers.get(given.annotation, "Tensor")
-    return kinds
+# Types of parameters in schemas of torch.
+_SCHEMA = {"array": "Tensor", "float": "float", "int": "SymInt", "bool": "bool"}
 
 
 class Operator:
@@ -66,53 +30,26 @@ class Operator:
     """
 
     def __init__(self, function: Any, outputs: dict[str, Any], name: str | None):
-        if not (isinstance(function, Kernel) or inspect.isfunction(function)):
-            raise TaiRuntimeTypeError(
-                f"tai.torch.wrap takes a kernel or a function, but got {function!r}",
-                "wrap a function that calls the method of the object",
-            )
+        kinds = kinds_of(function, "tai.torch.wrap")
         self._function: Any = function
         self.__name__ = self.__qualname__ = function.__name__
         self.__doc__ = function.__doc__
-        kinds = _kinds_of(function)
         self._order = list(kinds)
-        self._check_outputs(outputs, kinds)
+        check_outputs(self.__name__, outputs, kinds, "torch.empty(…)")
         self._shapes = outputs
         self.inputs = [n for n in kinds if n not in outputs]
         self.outputs = [n for n in kinds if n in outputs]
-        self._is_tensor = [kinds[n] == "Tensor" for n in self.inputs]
+        self._is_tensor = [kinds[n] == "array" for n in self.inputs]
         self._known: set[tuple] = set()
         # Whether a gradient needs values of outputs that later stores overwrite.
         self._needs_tape = not isinstance(function, Kernel)
         plain = re.sub(r"\W", "_", self.__name__)
         self.name = name or f"{plain}_{next(_numbers)}"
-        parameters = ", ".join(f"{kinds[n]} {n}" for n in self.inputs)
+        parameters = ", ".join(f"{_SCHEMA[kinds[n]]} {n}" for n in self.inputs)
         self._define(parameters)
 
     def __repr__(self) -> str:
         return f"<tai.torch operator '{self.name}'>"
-
-    def _check_outputs(self, outputs: Any, kinds: dict[str, str]) -> None:
-        what = f"outputs of '{self.__name__}'"
-        if not isinstance(outputs, dict) or not outputs:
-            raise TaiRuntimeTypeError(
-                f"{what} must be a dict from parameters to shapes, but got {outputs!r}",
-                'outputs={"y": "x"}: y has the shape and type of x',
-            )
-        for name, shape in outputs.items():
-            if kinds.get(name) != "Tensor":
-                known = ", ".join(n for n, kind in kinds.items() if kind == "Tensor")
-                raise TaiRuntimeTypeError(
-                    f"{what} name '{name}', which is no array among its parameters",
-                    f"its arrays: {known or 'none'}",
-                )
-            is_input = isinstance(shape, str) and kinds.get(shape) == "Tensor"
-            if not callable(shape) and not (is_input and shape not in outputs):
-                raise TaiRuntimeTypeError(
-                    f"{what} say {shape!r} of '{name}', which is no array that it is given",
-                    "the name of an array with its shape and type, or a function of the inputs "
-                    "that returns a shape, or torch.empty(…)",
-                )
 
     # What torch calls
 

@@ -18,7 +18,7 @@ def as_array(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         # A subclass may say anything of its shape.
         return value if type(value) is np.ndarray else np.ndarray.view(value, np.ndarray)
-    if hasattr(value, "array") and isinstance(value.array, np.ndarray):
+    if isinstance(getattr(value, "array", None), (np.ndarray, device_arrays.DeviceArray)):
         return value.array
     if isinstance(value, Elements):  # a field
         return None

@@ -413,7 +413,7 @@ def gradient_array(value: Any) -> Any:
         return device_arrays.as_device_array(value.grad) or value.grad.detach().numpy()
     grad = getattr(value, "grad", None)
     array = getattr(grad, "array", None)
-    return array if isinstance(array, np.ndarray) else None
+    return array if isinstance(array, (np.ndarray, device_arrays.DeviceArray)) else None
 
 
 # Tapes

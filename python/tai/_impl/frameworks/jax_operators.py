@@ -1,0 +1,346 @@
+"""Differentiable functions of JAX that launch kernels; `tai.jax` is the interface.
+
+XLA calls one handler of the extension module for all of them. An attribute of the call says which
+function it is for, and with which inputs differentiated: the number of a task.
+"""
+
+from __future__ import annotations
+
+import functools
+import secrets
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ..ad.tape import Tape
+from ..base import native, state
+from ..fields.arrays import Ndarray
+from ..interop.streams import let_stream_wait, wait_for_stream
+from ..launch.kernels import Kernel
+from ..tracking import tracked
+from .parameters import check_outputs, kinds_of
+from .xla_buffers import DeviceBuffer, copy, number_of, store_number, zeros_like
+
+_TARGET = "tai_call"
+# Executables that JAX keeps on disk belong to the process that made them.
+_SESSION = secrets.randbits(62)
+_tasks: list[_Task] = []
+
+
+class _Array:
+    """An array with a gradient, for kernels: both are memory of XLA."""
+
+    def __init__(self, array: Any, grad: Any):
+        self.array, self.grad = array, None if grad is None else _Array(grad, None)
+
+
+def _with_gradient(array: Any, grad: Any) -> Any:
+    """The array as kernels take it to be differentiated by."""
+    if not isinstance(array, np.ndarray):
+        return _Array(array, grad)
+    # The launcher knows this class.
+    whole: Any = Ndarray.__new__(Ndarray)
+    part: Any = Ndarray.__new__(Ndarray)
+    for made, memory in ((whole, array), (part, grad)):
+        made.array, made.shape, made.element_shape = memory, memory.shape, ()
+        made.dtype, made._grad, made.taken = None, None, None
+    whole._grad = part
+    return whole
+
+
+class _Task:
+    """A forward call, or the gradient by some inputs, for operands of given ranks."""
+
+    def __init__(self, operator: Operator, wanted: tuple[int, ...] | None, ranks: tuple[int, ...]):
+        self._operator, self._wanted, self._ranks = operator, wanted, ranks
+        # Types of operands for which the kernels are known not to write to them.
+        self._checked: set[tuple] = set()
+
+    def run(self, operands: list[Any], results: list[Any]) -> None:
+        """Runs the call, once for each element of a batch."""
+        types = tuple([o.dtype for o in operands])
+        if types not in self._checked:
+            for operand in operands[: len(self._operator.inputs)]:
+                if isinstance(operand, np.ndarray):
+                    operand.flags.writeable = False  # To write to it is an error.
+            try:
+                self._run(operands, results)
+            except TaiRuntimeTypeError as error:
+                if "is read-only" not in error.message:
+                    raise
+                raise TaiRuntimeTypeError(
+                    f"'{self._operator.__name__}' writes to an input: {error.message}",
+                    "name it in outputs, or let a kernel copy it to an output first",
+                ) from None
+            self._checked.add(types)
+            return
+        self._run(operands, results)
+
+    def _run(self, operands: list[Any], results: list[Any]) -> None:
+        # The dimensions of a batch come first.
+        depth = operands[0].ndim - self._ranks[0] if operands else 0
+        if depth == 0:
+            self._run_one(operands, results)
+            return
+        batch = results[0].shape[:depth]
+        for index in np.ndindex(*batch):
+            # Operands that are the same for all elements have an extent of 1.
+            one = [
+                o[(*(i if n > 1 else 0 for i, n in zip(index, o.shape, strict=False)), ...)]
+                for o in operands
+            ]
+            self._run_one(one, [r[(*index, ...)] for r in results])
+
+    def _run_one(self, operands: list[Any], results: list[Any]) -> None:
+        if self._wanted is None:
+            self._operator._compute(operands, results)
+        else:
+            self._operator._differentiate(operands, results, self._wanted)
+
+
+def _called(attributes: dict, operands: list, results: list, stream: int) -> None:
+    """XLA calls this by way of the handler of each platform."""
+    if attributes.get("session") != _SESSION:
+        raise TaiRuntimeError("the program was compiled by another process", "compile it again")
+    task = _tasks[attributes["task"]]
+    if state.tape is not None or state.forward:
+        raise TaiRuntimeError(
+            f"'{task._operator.__name__}' is called by JAX while a tape records",
+            "call the kernel itself in the tape, or leave the tape first",
+        )
+    if isinstance(results[0], np.ndarray):
+        task.run(operands, results)
+        return
+    operands = [DeviceBuffer(o[0], o[1], o[2], stream) for o in operands]
+    results = [DeviceBuffer(r[0], r[1], r[2], stream) for r in results]
+    for result in results:
+        result.clear()
+    wait_for_stream(stream)
+    task.run(operands, results)
+    let_stream_wait(stream)
+
+
+@functools.cache
+def _register() -> None:
+    host, device = native.xla_handlers(_called)
+    jax.ffi.register_ffi_target(_TARGET, host, platform="cpu")
+    jax.ffi.register_ffi_target(_TARGET, device, platform="CUDA")
+
+
+class Operator:
+    """A kernel, or a function that launches kernels, as a function of JAX.
+
+    Attributes:
+        inputs: the names of the parameters that a call gives, in order.
+        outputs: the names of those that are its results.
+    """
+
+    def __init__(self, function: Any, outputs: dict[str, Any]):
+        kinds = kinds_of(function, "tai.jax.wrap")
+        self._function: Any = function
+        self.__name__ = self.__qualname__ = function.__name__
+        self.__doc__ = function.__doc__
+        self._order = list(kinds)
+        check_outputs(self.__name__, outputs, kinds, "jax.ShapeDtypeStruct(…)")
+        self._shapes = outputs
+        self.inputs = [n for n in kinds if n not in outputs]
+        self.outputs = [n for n in kinds if n in outputs]
+        self._kinds = [kinds[n] for n in self.inputs]
+        # Whether a gradient needs values of outputs that later stores overwrite; not known before
+        # the kernel is compiled.
+        self._needs_tape: bool | None = None if isinstance(function, Kernel) else True
+        self._numbers: dict[tuple, int] = {}
+        _register()
+        self._differentiable = jax.custom_vjp(self._call)
+        self._differentiable.defvjp(self._forward, self._backward, symbolic_zeros=True)
+        self._gradient = jax.custom_jvp(self._call_gradient, nondiff_argnums=(0,))
+        self._gradient.defjvp(self._refuse)
+
+    def __repr__(self) -> str:
+        return f"<tai.jax function '{self.__name__}'>"
+
+    # What JAX traces
+
+    def __call__(self, *inputs: Any) -> Any:
+        """Computes the outputs of arrays and numbers.
+
+        Args:
+            inputs: one for each parameter that is no output, in order.
+
+        Returns:
+            The output, or a tuple of them in the order of the parameters.
+
+        Raises:
+            TaiRuntimeTypeError: the number of arguments is wrong.
+        """
+        if len(inputs) != len(self.inputs):
+            raise TaiRuntimeTypeError(
+                f"'{self.__name__}' takes {len(self.inputs)} inputs, but got {len(inputs)}",
+                f"its inputs: {', '.join(self.inputs)}",
+            )
+        return self._differentiable(*map(self._as_operand, inputs, self._kinds, self.inputs))
+
+    def _as_operand(self, value: Any, kind: str, name: str) -> Any:
+        if kind == "array":
+            return jnp.asarray(value)
+        dtype: Any = {"float": jnp.result_type(float), "int": jnp.result_type(int), "bool": bool}[
+            kind
+        ]
+        number = jnp.asarray(value)
+        if number.ndim or (kind != "float" and jnp.issubdtype(number.dtype, jnp.floating)):
+            raise TaiRuntimeTypeError(
+                f"input '{name}' of '{self.__name__}' is a number of type {kind}, but got "
+                f"{number.dtype}{list(number.shape)}"
+            )
+        return number.astype(dtype)
+
+    def _task(self, wanted: tuple[int, ...] | None, operands: Sequence[Any]) -> np.int64:
+        ranks = tuple(o.ndim for o in operands)
+        number = self._numbers.get((wanted, ranks))
+        if number is None:
+            number = self._numbers[wanted, ranks] = len(_tasks)
+            _tasks.append(_Task(self, wanted, ranks))
+        return np.int64(number)
+
+    def _emit(self, results: list[Any], operands: Sequence[Any], wanted: Any) -> list[Any]:
+        call = jax.ffi.ffi_call(_TARGET, results, vmap_method="expand_dims")
+        found = call(
+            *operands, task=self._task(wanted, operands), session=np.int64(_SESSION)
+        )  # fmt: skip
+        return list(found)
+
+    def _result_types(self, inputs: Sequence[Any]) -> list[Any]:
+        given, found = dict(zip(self.inputs, inputs, strict=True)), []
+        for name in self.outputs:
+            shape = self._shapes[name]
+            if isinstance(shape, str):
+                found.append(jax.ShapeDtypeStruct(given[shape].shape, given[shape].dtype))
+                continue
+            answer = shape(*inputs)
+            if hasattr(answer, "shape") and hasattr(answer, "dtype"):
+                found.append(jax.ShapeDtypeStruct(answer.shape, answer.dtype))
+                continue
+            arrays = (i for i, k in zip(inputs, self._kinds, strict=True) if k == "array")
+            like = next(arrays, None)
+            dtype = jnp.result_type(float) if like is None else like.dtype
+            answer = (answer,) if isinstance(answer, int) else tuple(answer)
+            found.append(jax.ShapeDtypeStruct(answer, dtype))
+        return found
+
+    def _call(self, *inputs: Any) -> Any:
+        found = self._emit(self._result_types(inputs), inputs, None)
+        return found[0] if len(found) == 1 else tuple(found)
+
+    def _forward(self, *primals: Any) -> Any:
+        inputs = tuple(p.value for p in primals)
+        # The names of inputs whose gradient is wanted are part of the structure.
+        wanted = {
+            str(n): ()
+            for n, p in enumerate(primals)
+            if p.perturbed and jnp.issubdtype(p.value.dtype, jnp.floating)
+        }
+        # Through the rule once more, for gradients of gradients to reach the refusal.
+        return self._differentiable(*inputs), (inputs, wanted)
+
+    def _backward(self, residuals: Any, bars: Any) -> tuple:
+        inputs, names = residuals
+        wanted = tuple(sorted(map(int, names)))
+        bars = bars if len(self.outputs) > 1 else (bars,)
+        kept = []
+        for bar, result in zip(bars, self._result_types(inputs), strict=True):
+            if jnp.issubdtype(result.dtype, jnp.floating):
+                is_zero = isinstance(bar, jax.custom_derivatives.SymbolicZero)
+                kept.append(jnp.zeros(result.shape, result.dtype) if is_zero else bar)
+        gradients: list[Any] = [None] * len(inputs)
+        if wanted and kept:
+            found = self._gradient(wanted, *inputs, *kept)
+            for number, gradient in zip(wanted, found, strict=True):
+                gradients[number] = gradient
+        return tuple(gradients)
+
+    def _call_gradient(self, wanted: tuple[int, ...], *operands: Any) -> list[Any]:
+        # The last results are memory for the seeds, which a sweep uses up.
+        shown = [operands[n] for n in wanted] + list(operands[len(self.inputs) :])
+        types = [jax.ShapeDtypeStruct(one.shape, one.dtype) for one in shown]
+        return self._emit(types, operands, wanted)[: len(wanted)]
+
+    def _refuse(self, wanted: Any, primals: Any, tangents: Any) -> Any:
+        raise TaiAutodiffError(
+            f"the gradient of '{self.__name__}' has no gradient: kernels with arrays are "
+            "differentiated once",
+            "ti.ad.hvp differentiates kernels of fields twice",
+        )
+
+    # Launches
+
+    def _launch(self, inputs: Sequence[Any], outputs: Sequence[Any], call: Any = None) -> Any:
+        named = dict(zip(self.inputs, inputs, strict=True))
+        named.update(zip(self.outputs, outputs, strict=True))
+        answer = (call or self._function)(*[named[n] for n in self._order])
+        if answer is not None:
+            raise TaiRuntimeTypeError(
+                f"'{self.__name__}' returns a value, which as a function of JAX it cannot",
+                "store it to an array of shape (1,), and name that in outputs",
+            )
+
+    def _values(self, operands: Sequence[Any]) -> list[Any]:
+        return [
+            o if kind == "array" else number_of(o)
+            for o, kind in zip(operands, self._kinds, strict=True)
+        ]
+
+    def _compute(self, operands: list[Any], results: list[Any]) -> None:
+        self._launch(self._values(operands), results)
+
+    def _differentiate(
+        self, operands: list[Any], results: list[Any], wanted: tuple[int, ...]
+    ) -> None:
+        count = len(self.inputs)
+        inputs = self._values(operands[:count])
+        pairs = iter(zip(operands[count:], results[len(wanted) :], strict=True))
+        numbers = []
+        for number, result in zip(wanted, results, strict=False):
+            if self._kinds[number] == "array":
+                inputs[number] = _with_gradient(inputs[number], result)
+            else:
+                inputs[number] = tracked.variable(inputs[number])
+                numbers.append((inputs[number], result))
+        needs_tape = bool(numbers) or self._reads_outputs(operands[:count], inputs)
+        outputs, seeds = [], []
+        for type_ in self._result_types(operands[:count]):
+            if not np.issubdtype(type_.dtype, np.floating):
+                outputs.append(zeros_like(type_, operands[0]))
+                continue
+            bar, seed = next(pairs)
+            # A gradient that does not read outputs takes any memory for them.
+            value = zeros_like(type_, operands[0]) if needs_tape else bar
+            outputs.append(_with_gradient(value, seed))
+            seeds.append((seed, bar))
+        if needs_tape:
+            with Tape() as tape:
+                self._launch(inputs, outputs)
+            for seed, bar in seeds:
+                copy(seed, bar)
+            tape.grad()
+        else:
+            for seed, bar in seeds:
+                copy(seed, bar)
+            self._launch(inputs, outputs, self._function.grad)
+        for value, result in numbers:
+            store_number(result, value.grad)
+
+    def _reads_outputs(self, operands: list[Any], inputs: list[Any]) -> bool:
+        """Whether the kernel reads elements of outputs, whose earlier values a tape keeps."""
+        if self._needs_tape is None:
+            types = self._result_types(operands)
+            outputs = [zeros_like(type_, operands[0]) for type_ in types]
+            named = dict(zip(self.inputs, inputs, strict=True))
+            named.update(zip(self.outputs, outputs, strict=True))
+            found = self._function._specialize([named[n] for n in self._order])
+            pairs = zip(self._order, found.specs, strict=True)
+            self._needs_tape = any(s.is_loaded for n, s in pairs if n in self.outputs)
+        return self._needs_tape

@@ -1,0 +1,91 @@
+"""The parameters of functions that become operators of another framework."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from ...errors import TaiRuntimeTypeError
+from ..launch.kernels import Kernel
+from ..values.types import NdarrayType, ScalarType
+
+# Kinds of types of numbers.
+_KINDS = {"f": "float", "i": "int", "u": "int", "b": "bool"}
+
+
+def kinds_of(function: Any, user: str) -> dict[str, str]:
+    """The parameters of a kernel or function: `array`, or the type of a number.
+
+    Args:
+        function: for which they are wanted.
+        user: the function of the package that wraps it, for messages.
+
+    Raises:
+        TaiRuntimeTypeError: a parameter is neither, or it is no function.
+    """
+    if isinstance(function, Kernel):
+        kinds = {}
+        for parameter in function._get_signature().given:
+            if isinstance(parameter.type, NdarrayType):
+                kinds[parameter.name] = "array"
+            elif isinstance(parameter.type, ScalarType):
+                dt = parameter.type.dtype
+                kinds[parameter.name] = "bool" if dt.is_bool else _KINDS[dt.kind]
+            else:
+                raise TaiRuntimeTypeError(
+                    f"parameter '{parameter.name}' of kernel '{function.__name__}' is neither an "
+                    f"array nor a number, and {user} takes nothing else",
+                    "wrap a function with arrays and numbers that launches the kernel",
+                )
+        return kinds
+    if not inspect.isfunction(function):
+        raise TaiRuntimeTypeError(
+            f"{user} takes a kernel or a function, but got {function!r}",
+            "wrap a function that calls the method of the object",
+        )
+    numbers = {float: "float", int: "int", bool: "bool", "float": "float", "int": "int",
+               "bool": "bool"}  # fmt: skip
+    kinds = {}
+    for given in inspect.signature(function).parameters.values():
+        if given.kind not in (given.POSITIONAL_ONLY, given.POSITIONAL_OR_KEYWORD):
+            raise TaiRuntimeTypeError(
+                f"parameter '{given.name}' of '{function.__name__}' takes any number of "
+                "arguments, or is given by name alone",
+                "name each parameter",
+            )
+        kinds[given.name] = numbers.get(given.annotation, "array")
+    return kinds
+
+
+def check_outputs(function: str, outputs: Any, kinds: dict[str, str], like: str) -> None:
+    """Refuses outputs that are no parameters, or whose shape is not said.
+
+    Args:
+        function: its name.
+        outputs: as the user gives them.
+        kinds: of all parameters.
+        like: how the framework writes an array by which an output is described.
+
+    Raises:
+        TaiRuntimeTypeError: the outputs are wrong.
+    """
+    what = f"outputs of '{function}'"
+    if not isinstance(outputs, dict) or not outputs:
+        raise TaiRuntimeTypeError(
+            f"{what} must be a dict from parameters to shapes, but got {outputs!r}",
+            'outputs={"y": "x"}: y has the shape and type of x',
+        )
+    for name, shape in outputs.items():
+        if kinds.get(name) != "array":
+            known = ", ".join(n for n, kind in kinds.items() if kind == "array")
+            raise TaiRuntimeTypeError(
+                f"{what} name '{name}', which is no array among its parameters",
+                f"its arrays: {known or 'none'}",
+            )
+        is_input = isinstance(shape, str) and kinds.get(shape) == "array"
+        if not callable(shape) and not (is_input and shape not in outputs):
+            raise TaiRuntimeTypeError(
+                f"{what} say {shape!r} of '{name}', which is no array that it is given",
+                f"the name of an array with its shape and type, or a function of the inputs that "
+                f"returns a shape, or {like}",
+            )

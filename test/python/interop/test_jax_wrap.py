@@ -1,0 +1,240 @@
+"""Kernels as differentiable functions of JAX."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tai as ti
+
+jax = pytest.importorskip("jax", reason="JAX is not installed: pip install jax")
+jnp = pytest.importorskip("jax.numpy", reason="JAX is not installed: pip install jax")
+from jax.test_util import check_grads  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def wide():
+    """f64, for the checks of gradients."""
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", True)
+    ti.init()
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
+@ti.kernel
+def scale_squares(x: ti.types.ndarray(), s: ti.f64, y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[i] = s * x[i] * x[i]
+
+
+@ti.kernel
+def two(x: ti.types.ndarray(), w: ti.types.ndarray(), y: ti.types.ndarray(), z: ti.types.ndarray()):
+    for i in range(w.shape[0]):
+        for j in range(x.shape[0]):
+            y[i] += ti.sin(w[i, j]) * x[j]
+    for j in range(x.shape[0]):
+        z[j] = ti.exp(x[j])
+
+
+@ti.kernel
+def reads_output(x: ti.types.ndarray(), y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[i] = x[i] * x[i]
+        y[i] = y[i] * y[i] * x[i]
+
+
+@ti.kernel
+def step(a: ti.types.ndarray(), b: ti.types.ndarray()):
+    for i in range(a.shape[0]):
+        b[i] = a[i] + 0.1 * ti.sin(a[i])
+
+
+def chain(x, y):
+    middle = ti.ndarray(ti.f64, x.shape, needs_grad=True)
+    step(x, middle)
+    step(middle, y)
+
+
+SQUARES = ti.jax.wrap(scale_squares, outputs={"y": "x"})
+TWO = ti.jax.wrap(two, outputs={"y": lambda x, w: w.shape[0], "z": "x"})
+READS = ti.jax.wrap(reads_output, outputs={"y": "x"})
+CHAIN = ti.jax.wrap(chain, outputs={"y": "x"})
+
+
+def sample(*shape, seed=0):
+    return jnp.asarray(np.random.default_rng(seed).uniform(0.5, 1.5, shape))
+
+
+@pytest.mark.parametrize("n", [0, 1, 7, 65537])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_values(n, dtype):
+    x = jnp.asarray(np.linspace(-1, 2, n), dtype)
+    for f in (SQUARES, jax.jit(SQUARES)):
+        y = f(x, 3.0)
+        assert y.dtype == dtype
+        np.testing.assert_allclose(y, 3 * np.asarray(x) ** 2, rtol=1e-6)
+
+
+def test_inputs_are_not_changed():
+    x = sample(5)
+    before = np.array(x)
+    for _ in range(3):
+        jax.grad(lambda x: SQUARES(x, 2.0).sum())(x)
+    np.testing.assert_array_equal(x, before)
+
+
+def test_several_outputs():
+    x, w = sample(3), sample(2, 3, seed=1)
+    y, z = jax.jit(TWO)(x, w)
+    np.testing.assert_allclose(y, np.sin(w) @ np.asarray(x))
+    np.testing.assert_allclose(z, np.exp(x))
+
+
+CHECKED = {
+    "squares": lambda: (SQUARES, (sample(4), 1.3)),
+    "two": lambda: (TWO, (sample(3), sample(2, 3, seed=1))),
+    "reads": lambda: (READS, (sample(4),)),
+    "chain": lambda: (CHAIN, (sample(4),)),
+    "one of two": lambda: (lambda *a: TWO(*a)[1], (sample(3), sample(2, 3, seed=1))),
+    "jit": lambda: (jax.jit(SQUARES), (sample(4), 1.3)),
+    "vmap": lambda: (jax.vmap(SQUARES), (sample(3, 4), sample(3, seed=2))),
+    "vmap of one": lambda: (jax.vmap(TWO, in_axes=(0, None)), (sample(5, 3), sample(2, 3, seed=1))),
+    "vmap of last": lambda: (jax.vmap(READS, in_axes=1, out_axes=1), (sample(3, 4),)),
+    "vmap twice": lambda: (jax.vmap(jax.vmap(READS)), (sample(2, 3, 4),)),
+    "scan": lambda: (
+        lambda x: jax.lax.scan(lambda c, _: (CHAIN(c), c.sum()), x, None, length=3),
+        (sample(4),),
+    ),
+    "checkpoint": lambda: (jax.checkpoint(lambda x: READS(READS(x)).sum()), (sample(3),)),
+}
+
+
+@pytest.mark.parametrize("name", CHECKED)
+def test_gradients(name):
+    f, args = CHECKED[name]()
+    check_grads(f, args, order=1, modes=["rev"])
+
+
+def test_batches_give_the_values_of_single_calls():
+    x, w = sample(5, 3), sample(2, 3, seed=1)
+    y, z = jax.jit(jax.vmap(TWO, in_axes=(0, None)))(x, w)
+    for i in range(5):
+        single = TWO(x[i], w)
+        np.testing.assert_array_equal(y[i], single[0])
+        np.testing.assert_array_equal(z[i], single[1])
+
+
+def test_gradients_by_what_is_wanted():
+    f = jax.jit(jax.grad(lambda x, s: SQUARES(x, s).sum(), argnums=1))
+    assert f(jnp.arange(3.0), 2.0) == 5
+    x = jnp.arange(3.0)
+    np.testing.assert_array_equal(
+        jax.grad(lambda x: (SQUARES(x, 2.0) * x).sum())(x), 6 * np.arange(3.0) ** 2
+    )
+
+
+def test_whole_numbers_and_bools():
+    @ti.kernel
+    def pick(x: ti.types.ndarray(), at: ti.types.ndarray(), k: ti.i32, b: ti.u1,
+             y: ti.types.ndarray(), n: ti.types.ndarray()):  # fmt: skip
+        for i in range(at.shape[0]):
+            y[i] = x[at[i]] * k
+            if b:
+                n[i] = at[i] + 1
+
+    f = ti.jax.wrap(pick, outputs={"y": lambda x, at, k, b: at.shape, "n": "at"})
+    x, at = sample(4), jnp.array([3, 0])
+    y, n = f(x, at, 2, True)
+    np.testing.assert_array_equal(y, 2 * x[at])
+    assert n.dtype == at.dtype and n.tolist() == [4, 1]
+    gradient = jax.jit(jax.grad(lambda x: f(x, at, 2, True)[0].sum()))(x)
+    assert gradient.tolist() == [2, 0, 0, 2]
+
+
+def test_output_that_is_described():
+    @ti.kernel
+    def count(x: ti.types.ndarray(), y: ti.types.ndarray()):
+        for i in range(x.shape[0]):
+            if x[i] > 0:
+                y[0] += 1
+
+    f = ti.jax.wrap(count, outputs={"y": lambda x: jax.ShapeDtypeStruct((1,), jnp.int32)})
+    assert f(jnp.array([1.0, -1.0, 2.0])).tolist() == [2]
+
+
+def test_second_derivatives_are_refused():
+    def once(x):
+        return SQUARES(x, 2.0).sum()
+
+    with pytest.raises(ti.TaiAutodiffError, match="the gradient of 'scale_squares' has no grad"):
+        jax.grad(lambda x: jax.grad(once)(x).sum())(sample(3))
+    with pytest.raises(TypeError, match="forward-mode"):
+        jax.jvp(once, (sample(3),), (sample(3),))
+
+
+def test_kernels_that_write_to_inputs():
+    @ti.kernel
+    def spoil(x: ti.types.ndarray(), y: ti.types.ndarray()):
+        for i in range(x.shape[0]):
+            y[i] = x[i]
+            x[i] = 0
+
+    f = ti.jax.wrap(spoil, outputs={"y": "x"})
+    x = sample(3)
+    before = np.array(x)
+    for _ in range(2):
+        with pytest.raises(Exception, match="'spoil' writes to an input"):
+            jax.block_until_ready(f(x))
+    np.testing.assert_array_equal(x, before)
+
+
+def test_mistakes():
+    @ti.kernel
+    def field(x: ti.template(), y: ti.types.ndarray()):
+        for i in range(y.shape[0]):
+            y[i] = 1
+
+    kind = ti.TaiRuntimeTypeError
+    cases = [
+        (lambda: ti.jax.wrap(field, outputs={"y": "x"}), "neither an array nor a number"),
+        (lambda: ti.jax.wrap(3, outputs={"y": "x"}), "takes a kernel or a function"),
+        (lambda: ti.jax.wrap(scale_squares, outputs={}), "must be a dict"),
+        (lambda: ti.jax.wrap(scale_squares, outputs={"q": "x"}), "name 'q'"),
+        (lambda: ti.jax.wrap(scale_squares, outputs={"y": "s"}), "say 's' of 'y'"),
+        (lambda: SQUARES(sample(3)), "takes 2 inputs, but got 1"),
+        (lambda: SQUARES(sample(3), sample(3)), "input 's' of 'scale_squares' is a number"),
+    ]
+    for call, message in cases:
+        with pytest.raises(kind, match=message):
+            call()
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    with pytest.raises(Exception, match="while a tape records"), ti.ad.Tape(loss):
+        jax.block_until_ready(SQUARES(sample(3), 1.0))
+
+
+def test_a_new_program_between_calls():
+    f = jax.jit(SQUARES)
+    x = jnp.arange(3.0)
+    assert f(x, 1.0).tolist() == [0, 1, 4]
+    ti.init(cpu_max_num_threads=2)
+    assert f(x, 1.0).tolist() == [0, 1, 4]
+
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "jax.md"
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(2))
+def test_programs_of_the_page(number, tmp_path):
+    assert len(PROGRAMS) == 2
+    file = tmp_path / "program.py"
+    file.write_text(PROGRAMS[number])
+    subprocess.run([sys.executable, str(file)], check=True)
+
+
+def test_tai_does_not_import_jax():
+    code = "import sys, tai; tai.ad; assert 'jax' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
