@@ -31,6 +31,8 @@ class Field(Elements, Shareable):
     """
 
     offset: Any
+    # The `ti.batch` that it belongs to.
+    batch: Any = None
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """A copy or a loaded field has the same type, levels and values, and memory of its own."""

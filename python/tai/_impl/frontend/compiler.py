@@ -45,6 +45,7 @@ from .statements import Statements, refuse_statement
 from .structs import make_value
 from .templates import Reads
 from .while_loops import WhileLoops
+from .worlds import statements_of
 
 # Calls of Python that the compiler may need: some thirty for each statement inside of another.
 _RECURSION = 20000
@@ -94,6 +95,7 @@ class Compiler:
         structs: the names and types of parameters that are structs; their members are among
             `parameters`, by names such as `a.x`.
         modes: how it rounds, sums and approximates; see `base.modes`.
+        batch: the `ti.batch` whose worlds it is for, or None.
     """
 
     def __init__(
@@ -106,10 +108,11 @@ class Compiler:
         cells: tuple[list[tuple[str, ScalarField]], ScalarField | None],
         structs: dict[str, StructType],
         modes: dict[str, Any],
+        batch: Any = None,
     ):
         frame = Frame(function, function_ast(function), "kernel")
         followed, result_field = cells
-        kernel = Kernel(symbol, parameters, result, followed, result_field, structs, modes)
+        kernel = Kernel(symbol, parameters, result, followed, result_field, structs, modes, batch)
         self.context = context = Context(program, kernel, frame, self)
 
         compile_time = CompileTime(context)
@@ -205,7 +208,8 @@ class Compiler:
         builder.set_block(block)
         parameters.define(block)
         self._returns.prepare_returns()
-        self.body(node.body)
+        batch = kernel.batch
+        self.body(node.body if batch is None else statements_of(node.body, batch.is_masked))
         results = frame.results
         if not frame.has_returned and results is not None and results.may_have_run:
             self._returns.refuse_open_end()

@@ -18,6 +18,7 @@ from ..values.emitter import Emitter
 from .diagnostics import Diagnostics
 from .scope import Frame
 from .templates import Reads
+from .worlds import Worlds
 
 
 class ArgumentForm(Protocol):
@@ -74,6 +75,7 @@ class Kernel:
         structs: the names and types of parameters that are structs; their members are parameters,
             by names such as `a.x`.
         modes: how it rounds, sums and approximates, where that is not the usual.
+        batch: the `ti.batch` whose worlds it is for, or None.
     """
 
     symbol: str
@@ -83,6 +85,7 @@ class Kernel:
     result_field: ScalarField | None
     structs: dict[str, StructType]
     modes: dict[str, Any]
+    batch: Any = None
 
 
 class Walker(Protocol):
@@ -117,6 +120,7 @@ class Context:
         self.builder = Builder(program.context, frame.filename)
         rounding = state.rounding
         self.emitter = rounding.make_emitter(self.builder) if rounding else Emitter(self.builder)
+        self.emitter.worlds = None if kernel.batch is None else Worlds(kernel.batch)
         self.depth = self.top_depth = 0
         self.is_dead = False
         self.diagnostics = Diagnostics(self.frames)

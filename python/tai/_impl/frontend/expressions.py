@@ -24,6 +24,7 @@ from .sparse import Levels, list_element, list_method
 from .structs import StructPlace, StructValue, as_struct_value, struct_element
 from .templates import ARRAY_FORM
 from .triplets import TripletsValue
+from .worlds import single_world
 
 
 class Expressions(Part):
@@ -104,6 +105,9 @@ class Expressions(Part):
         try:
             found = getattr(base, name)
             self.context.reads.note(base, name, found, form_only)
+            worlds = self.emitter.worlds
+            if name == "shape" and worlds is not None and worlds.has(base):
+                return single_world(base)
             return found
         except NoAttribute:
             raise

@@ -23,10 +23,17 @@ from .sparse import Level
 
 
 class Bounds:
-    """The ranges of a loop: lower and upper bounds and the step, as numbers or values."""
+    """The ranges of a loop: lower and upper bounds and the step, as numbers or values.
 
-    def __init__(self, lower: list[Any], upper: list[Any], step: Any = 1):
+    Attributes:
+        step: of all ranges, but where `steps` says another.
+    """
+
+    def __init__(
+        self, lower: list[Any], upper: list[Any], step: Any = 1, steps: list[Any] | None = None
+    ):
         self.lower, self.upper, self.step = lower, upper, step
+        self.steps = [step] * len(lower) if steps is None else steps
 
 
 class LoopDomains(Part):

@@ -42,6 +42,13 @@ class Loops(Part):
             return
         domain, grouped = self.guarded(self.domains.domain, node.iter)
         self.at(node)
+        if self.emitter.worlds is not None and self.context.depth == self.context.top_depth and (
+            options.get("serialize") or options.get("parallelize") == 1
+        ):  # fmt: skip
+            raise TaiSyntaxError(
+                "a loop at the top of a kernel of a batch runs in parallel over the worlds",
+                "for an order within a world, put it in a loop: for _ in range(1)",
+            )
         top = self.context.depth == self.context.top_depth and not options.get("serialize", False)
         if isinstance(domain, Bounds):
             if top and options.get("parallelize", 0) != 1:
@@ -56,6 +63,10 @@ class Loops(Part):
             )
         options["serialize"] = not top
         self.parallel.make(node, None, domain, grouped, options)
+
+    def visit_WorldLoop(self, node: ast.For) -> None:
+        self.at(node)
+        self.parallel.make(node, Bounds([], []), None, False, self.loop_config.take())
 
     def _name_of(self, domain: Any) -> str:
         """The name of a field or a level in messages."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from typing import Any
 
-from ...errors import SHARED_VARIABLES
+from ...errors import SHARED_VARIABLES, TaiSyntaxError
 from ..base.dtypes import DataType
 from ..fields.matrix_field import MatrixField
 from ..fields.scalar import ComponentField, ScalarField
@@ -14,11 +14,12 @@ from ..values.value import Value
 from .block_sizes import block_dim_of
 from .context import Context, Part
 from .loop_domains import Bounds, LoopDomains
-from .refs import FieldElement, Variable
+from .refs import FieldElement, Variable, field_element
 from .regions import Regions
 from .scope import Loop
 from .serial_work import SerialWork
 from .sparse import Level, Levels
+from .worlds import ACTIVE
 
 
 class ParallelLoops(Part):
@@ -49,19 +50,22 @@ class ParallelLoops(Part):
         elif isinstance(field, ComponentField) and field.is_window:
             storage = field._whole.single
         rank = len(field.shape) if bounds is None else len(bounds.lower)
-        names = self.domains.targets(node, rank if level is None else level.rank, grouped)
+        worlds = emitter.worlds
+        if worlds is not None:
+            bounds, rank = self._with_worlds(bounds, field, level, rank)
+        own = rank if level is None else level.rank
+        names = self.domains.targets(node, own - (worlds is not None), grouped)
         lower: list[Any] = []
         upper: list[Any] = []
         # Over an array of no dimension there is one iteration, which has no index.
         is_single = bounds is not None and rank == 0
         if is_single:
             lower, upper = [emitter.index(0)], [emitter.index(1)]
-        has_step = bounds is not None and (isinstance(bounds.step, Value) or bounds.step != 1)
         if bounds is not None:
-            for low, high in zip(bounds.lower, bounds.upper, strict=True):
-                if has_step:
+            for low, high, step in zip(bounds.lower, bounds.upper, bounds.steps, strict=True):
+                if _is_step(step):
                     lower.append(emitter.index(0))
-                    upper.append(self.domains.trip_count(low, high, bounds.step))
+                    upper.append(self.domains.trip_count(low, high, step))
                 else:
                     lower.append(emitter.to_index(low))
                     upper.append(emitter.to_index(high))
@@ -78,15 +82,17 @@ class ParallelLoops(Part):
         indices = []
         for dimension in range(rank):
             if bounds is not None:
-                parts = [bounds.lower[dimension], bounds.upper[dimension], bounds.step]
+                parts = [bounds.lower[dimension], bounds.upper[dimension]]
+                parts.append(bounds.steps[dimension])
             else:
                 first = (field.offset or (0,) * rank)[dimension]
                 parts = [first, first + field.shape[dimension]]
             dt = self.domains.index_type_of(parts)
             index = emitter.from_index(block.argument(dimension), dt)
-            if bounds is not None and has_step:
+            if bounds is not None and _is_step(bounds.steps[dimension]):
                 first = bounds.lower[dimension]
-                index = emitter.cast(self.domains.at_step(first, index, bounds.step), dt)
+                step = bounds.steps[dimension]
+                index = emitter.cast(self.domains.at_step(first, index, step), dt)
             indices.append(index)
         if level is not None:
             offset = field.offset or (0,) * rank
@@ -94,6 +100,14 @@ class ParallelLoops(Part):
                 emitter.binary("//", emitter.binary("-", indices[d], offset[d]), level.scale[d])
                 for d in level.dimensions
             ]
+        if worlds is not None:
+            if shared:
+                self._refuse_shared(shared[0])
+            worlds.index = indices.pop(0)
+            if worlds.batch.is_masked:
+                mask = field_element(emitter, worlds.batch.mask, None).load()
+                active = emitter.compare("!=", mask, 0)
+                self.frame.define(ACTIVE, Variable(ACTIVE, active, "loop variable"))
         self.domains.define_indices(names, indices, grouped)
         self.levels.appends = False
         shape = None if bounds is not None else field.shape
@@ -103,6 +117,8 @@ class ParallelLoops(Part):
         if self.levels.appends and self.context.options.deterministic:
             # On many threads, the order of a list would be that in which they come.
             is_serial = True
+        if worlds is not None:
+            worlds.index = None
         self.frame.pop(node.lineno)
         self.context.depth -= 1
         self.at(node)
@@ -118,6 +134,31 @@ class ParallelLoops(Part):
             assert place is not None
             variable.value = place.convert(place.load())
             variable.hidden = None
+
+    def _with_worlds(
+        self, bounds: Bounds | None, field: Any, level: Level | None, rank: int
+    ) -> tuple[Bounds | None, int]:
+        """The domain of a loop of a batched kernel, with the worlds in front."""
+        worlds = self.emitter.worlds
+        if level is not None:
+            raise TaiSyntaxError(
+                "a kernel of a batch cannot loop over a level", "loop over a field of the batch"
+            )
+        if bounds is None:
+            if worlds.has(field):
+                return None, rank
+            first = list(field.offset or (0,) * rank)
+            last = [a + n for a, n in zip(first, field.shape, strict=True)]
+            bounds = Bounds(first, last)
+        size = worlds.batch.size
+        made = Bounds([0, *bounds.lower], [size, *bounds.upper], bounds.step, [1, *bounds.steps])
+        return made, len(made.lower)
+
+    def _refuse_shared(self, variable: Variable) -> None:
+        raise TaiSyntaxError(
+            f"'{variable.name}' would be one variable for all worlds, and the loop changes it",
+            "keep it in a field of the batch, of shape (): total[None] += …",
+        )
 
     def _share(self, variables: list[Variable], node: ast.For) -> list[Variable]:
         """Moves variables that a parallel loop changes to memory that its iterations share."""
@@ -139,3 +180,8 @@ class ParallelLoops(Part):
         root.place(field)
         root.allocate(self.context.program)
         return field
+
+
+def _is_step(step: Any) -> bool:
+    """Whether a range has another step than 1."""
+    return isinstance(step, Value) or step != 1

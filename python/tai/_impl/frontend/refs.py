@@ -496,6 +496,8 @@ def field_element(emitter: Emitter, field: Field, key: Any) -> Place:
     """
     use_field(field)
     indices = flatten_indices(key)
+    if emitter.worlds is not None:
+        indices = emitter.worlds.indices(field, [] if key is None else indices)
     shape = field.shape
     if len(indices) != len(shape):
         error = TaiIndexError(_count_message("field", field.name, len(shape), len(indices)))

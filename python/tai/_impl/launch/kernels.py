@@ -43,6 +43,8 @@ class Kernel(native.Launcher):
         self._take(function, is_method, modes or {})
         self._program: Any = None
         self._signature: Signature | None = None
+        # The `ti.batch` whose worlds it runs for.
+        self.batch: Any = None
         self._specializations = Specializations(self, function, self._modes)
         # The serial number of the kernel in this process.
         self.number = state.kernels_made

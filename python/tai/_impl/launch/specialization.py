@@ -232,8 +232,18 @@ class Specializations:
         cells = ([(names[number], inputs.field) for number, inputs in followed],
                  None if pool is None else pool.field)  # fmt: skip
         result = None if signature.result is None else ResultSpec(signature.result)
+        kernel = self._kernel()
+        assert kernel is not None
         compiler = Compiler(
-            program, self._function, symbol, parameters, result, cells, signature.structs, modes
+            program,
+            self._function,
+            symbol,
+            parameters,
+            result,
+            cells,
+            signature.structs,
+            modes,
+            kernel.batch,
         )
         compiler.context.emitter.stopped = {id(place) for place in constants}
         outer, state.of_thread.fp = state.fp, float_of(modes)
