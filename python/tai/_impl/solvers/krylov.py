@@ -14,6 +14,10 @@ from .operators import scratch
 from .vectors import get_kernels
 
 
+# The reason of a method that has to begin again from where it is.
+_BEGIN_AGAIN = "begin again"
+
+
 class Progress(NamedTuple):
     """The end of an iteration: `reason` says why it stopped before the tolerance, or is empty."""
 
@@ -90,6 +94,9 @@ class System:
             last = residual
             found = method(self, residual, self.limit - done)
             done, reason = done + found.iterations, found.reason
+            if reason == _BEGIN_AGAIN:
+                # The residual need not have fallen by then.
+                last, reason = math.inf, ""
         k.scale(self.x, self.x, 1 / inverse)
         if residual <= self.tolerance:
             reason = ""
@@ -155,8 +162,8 @@ def bi_conjugate_gradients(system: System, residual: float, limit: int) -> Progr
             return Progress(step, 0.0, "")
         last, rho = rho, k.dot(shadow, r)
         if rho == 0 or omega == 0:
-            # The residual is orthogonal to the shadow: begin again from here.
-            return Progress(step, 0.0, "")
+            # The residual is orthogonal to the shadow.
+            return Progress(step, 0.0, _BEGIN_AGAIN)
         k.turn(p, r, rho / last * (alpha / omega), v, omega)
     return Progress(limit, 0.0, "")
 
