@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from .operators import scratch
 from .vectors import get_kernels
 
-
 # The reason of a method that has to begin again from where it is.
 _BEGIN_AGAIN = "begin again"
 
