@@ -54,13 +54,13 @@ def spark():
 
 
 @ti.func
-def at(field: ti.template(), i, j):
+def at(field: ti.template, i, j):
     """Walls reflect; a cell of an inactive block is zero, and stays inactive."""
     return field.u[ti.min(ti.max(i, 0), N - 1), ti.min(ti.max(j, 0), N - 1)]
 
 
 @ti.kernel
-def step(old: ti.template(), new: ti.template()):
+def step(old: ti.template, new: ti.template):
     for i, j in old:
         u, v = old[i, j].u, old[i, j].v
         around = at(old, i - 1, j) + at(old, i + 1, j) + at(old, i, j - 1) + at(old, i, j + 1)

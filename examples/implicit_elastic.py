@@ -45,7 +45,7 @@ loss = ti.field(ti.f64, shape=(), needs_grad=True)
 
 
 @ti.func
-def pull(p: ti.template(), i):
+def pull(p: ti.template, i):
     """The force of spring i on its left joint."""
     d = p[i + 1] - p[i]
     length = d.norm() + 1e-12
@@ -53,7 +53,7 @@ def pull(p: ti.template(), i):
 
 
 @ti.func
-def imbalance(p: ti.template(), i):
+def imbalance(p: ti.template, i):
     """Inertia less forces, of joint i; a nailed one stays where it is."""
     out = p[i] - last[i]
     if 0 < i < N:
@@ -63,13 +63,13 @@ def imbalance(p: ti.template(), i):
 
 
 @ti.kernel
-def residual(p: ti.template(), r: ti.template()):
+def residual(p: ti.template, r: ti.template):
     for i in p:
         r[i] = imbalance(p, i)
 
 
 @ti.kernel
-def relax(p: ti.template(), q: ti.template()):
+def relax(p: ti.template, q: ti.template):
     """A small step against the imbalance."""
     for i in p:
         weight = 1.0

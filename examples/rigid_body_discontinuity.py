@@ -75,7 +75,7 @@ def move(t: int, friction: float):
 
 
 @ti.kernel
-def measure(axis: ti.template()):
+def measure(axis: ti.template):
     for i in range(N):
         loss[None] += x[STEPS - 1, i][axis]
 

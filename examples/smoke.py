@@ -78,7 +78,7 @@ def at(t):
 
 
 @ti.func
-def backtrace(q: ti.template(), slot, w, i, j):
+def backtrace(q: ti.template, slot, w, i, j):
     """The quantity q at the former place of the matter that is now in cell (i, j)
     (semi-Lagrangian)."""
     x, y = i - w[0], j - w[1]
@@ -92,7 +92,7 @@ def backtrace(q: ti.template(), slot, w, i, j):
 
 
 @ti.kernel
-def begin(density: ti.template()):
+def begin(density: ti.template):
     for i, j in start:
         velocity[0, i, j] = start[i, j]
         density[0, i, j] = smoke_at_start[i, j]
@@ -116,7 +116,7 @@ def compute_divergence(t: ti.i32):
 
 
 @ti.kernel
-def project(p: ti.template(), number: ti.i32, t: ti.i32):
+def project(p: ti.template, number: ti.i32, t: ti.i32):
     """Takes the gradient of the pressure out of the velocity."""
     for i, j in ti.ndrange(N, N):
         now, s = at(t), at(number)
@@ -130,7 +130,7 @@ def project(p: ti.template(), number: ti.i32, t: ti.i32):
 
 
 @ti.kernel
-def sweep(old: ti.template(), new: ti.template(), number: ti.i32, t: ti.i32):
+def sweep(old: ti.template, new: ti.template, number: ti.i32, t: ti.i32):
     """One Jacobi sweep of the pressure equation."""
     for i, j in ti.ndrange(N, N):
         s = at(number)
@@ -140,7 +140,7 @@ def sweep(old: ti.template(), new: ti.template(), number: ti.i32, t: ti.i32):
 
 
 @ti.kernel
-def advect_smoke(old: ti.template(), new: ti.template(), t: ti.i32):
+def advect_smoke(old: ti.template, new: ti.template, t: ti.i32):
     for i, j in ti.ndrange(N, N):
         now = at(t)
         w = velocity[now, i, j]
@@ -148,7 +148,7 @@ def advect_smoke(old: ti.template(), new: ti.template(), t: ti.i32):
 
 
 @ti.kernel
-def compute_loss(density: ti.template()):
+def compute_loss(density: ti.template):
     for i, j in target:
         last = at(STEPS - 1)
         loss[None] += (target[i, j] - density[last, i, j]) ** 2 / N**2

@@ -135,7 +135,7 @@ class Splatter:
             self.depth[i, j] = ti.cast(self.nearest[i, j] >> 32, ti.f32) * 1e-7
 
     @ti.kernel
-    def smooth(self, source: ti.template(), result: ti.template()):
+    def smooth(self, source: ti.template, result: ti.template):
         """Takes the bumps of single balls out, and keeps the edges of the body."""
         for i, j in source:
             here, total, weights = source[i, j], 0.0, 0.0

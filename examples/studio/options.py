@@ -90,7 +90,7 @@ class Options(argparse.ArgumentParser):
 
 
 def options(
-    doc: str, name: str, *, iterations: int = 0, steps: int = 0, rate: float = 0.0,
+    doc: str | None, name: str, *, iterations: int = 0, steps: int = 0, rate: float = 0.0,
     least_steps: int = 2, quick: dict | None = None, bare: bool = False,
 ) -> Options:  # fmt: skip
     """The parser of an example.
@@ -136,7 +136,7 @@ def options(
     return parser
 
 
-def plain(doc: str) -> Options:
+def plain(doc: str | None) -> Options:
     """The parser of a program that has its own options only; of bad ones it says one line, too."""
     parser = Options(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.name, parser.quick = Path(sys.argv[0]).stem, {}

@@ -45,7 +45,7 @@ def main() -> None:
     path, program = Path(sys.argv[1]), sys.argv[2]
     sys.argv[:] = sys.argv[2:]
     sys.path[0] = str(Path(program).resolve().parent)
-    tai.ad.Tape = _Tape
+    tai.ad.Tape = _Tape  # type: ignore[misc]
     atexit.register(_write, path)
     runpy.run_path(program, run_name="__main__")
 

@@ -6,7 +6,7 @@ import functools
 import sys
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -127,6 +127,10 @@ class Tape(native.WithBlock):
             len(self._losses) == 1 and is_number(self._losses[0]) and seed is None
         ):
             raise TaiAutodiffError("grad_check, health and precision need a loss of one number")
+
+    if TYPE_CHECKING:
+
+        def __enter__(self) -> Tape: ...
 
     def _enter(self) -> Tape:
         if state.tape is not None:

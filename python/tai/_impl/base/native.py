@@ -13,10 +13,18 @@ import os
 import platform
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 # The platforms of the wheels that `make wheel` builds.
 WHEELS = "CPython 3.11 to 3.14 on Linux, x86-64, with glibc 2.35 or newer"
+
+if TYPE_CHECKING:
+
+    class WithBlock:
+        """See python/src/WithBlock.cpp."""
+
+        def __enter__(self) -> Any: ...
+        def __exit__(self, kind: Any, error: Any, trace: Any) -> None: ...
 
 
 def __getattr__(name: str) -> Any:

@@ -25,7 +25,12 @@ _HALVINGS = 30
 
 
 def implicit(
-    step: Any, x: Any, *, tol: float | None = None, max_iterations: int = 1000, args: tuple = ()
+    step: Any,
+    x: Any,
+    *,
+    tol: float | None = None,
+    max_iterations: int = 1000,
+    args: tuple[Any, ...] = (),
 ) -> SolveInfo:
     """Repeats a kernel until its field no longer changes, and differentiates the fixed point.
 
@@ -99,7 +104,7 @@ def _add_residual(system: System) -> None:
 def newton(
     residual: Any, x: Any, *, tol: float | None = None, max_iterations: int = 50,
     symmetric: bool = False, linear_tol: float = 1e-3, linear_iterations: int = 1000,
-    args: tuple = (),
+    args: tuple[Any, ...] = (),
 ) -> SolveInfo:  # fmt: skip
     """Solves F(x) = 0 by Newton's method; a step that makes the residual greater is halved.
 

@@ -43,7 +43,7 @@ def _solve(
 
 def cg(
     apply: Any, b: Any, x: Any, *, tol: float | None = None, max_iterations: int = 1000,
-    args: tuple = (),
+    args: tuple[Any, ...] = (),
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by conjugate gradients, for a symmetric positive definite operator.
 
@@ -85,7 +85,7 @@ def cg(
 
 def bicgstab(
     apply: Any, b: Any, x: Any, *, tol: float | None = None, max_iterations: int = 1000,
-    args: tuple = (),
+    args: tuple[Any, ...] = (),
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by BiCGSTAB, for an operator that need not be symmetric.
 
@@ -98,7 +98,7 @@ def bicgstab(
 
 def jacobi(
     apply: Any, diagonal: Any, b: Any, x: Any, *, tol: float | None = None,
-    max_iterations: int = 1000, damping: float = 1.0, args: tuple = (),
+    max_iterations: int = 1000, damping: float = 1.0, args: tuple[Any, ...] = (),
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by Jacobi's iteration, x += damping (b - A x) / diagonal.
 

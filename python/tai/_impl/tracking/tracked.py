@@ -525,7 +525,7 @@ class ValueSweep(ArraySweep):
         forward: whether the launches run forward again before.
     """
 
-    def __init__(self, values: TapeValues, losses: tuple = (), forward: bool = False):
+    def __init__(self, values: TapeValues, losses: tuple[Any, ...] = (), forward: bool = False):
         super().__init__(values.arrays)
         self._values, self._losses, self._forward = values, losses, forward
 

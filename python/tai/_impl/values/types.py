@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -167,6 +167,14 @@ class NdarrayType:
         self._dtype = dtype
         if dtype is not None and dtypes.to_dtype(dtype) is None:
             raise TaiRuntimeTypeError(f"{dtype!r} is not a type of numbers")
+
+    if TYPE_CHECKING:  # the parameter in the body of a kernel
+        shape: Any
+        grad: Any
+
+        def __getitem__(self, key: Any) -> Any: ...
+        def __setitem__(self, key: Any, value: Any) -> None: ...
+        def __iter__(self) -> Any: ...
 
     def __repr__(self) -> str:
         given = {"dtype": self._dtype, "ndim": self.ndim, "element_shape": self.element_shape}

@@ -1,0 +1,83 @@
+"""The types that editors see: mypy and pyright on a program, completion, names of the stub."""
+
+import ast
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tai as ti
+
+PROGRAM = Path(__file__).with_name("typed_program.py")
+PACKAGE = Path(ti.__file__).parent
+
+
+def _run(command, folder):
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy is not installed")
+def test_mypy(tmp_path):
+    config = tmp_path / "mypy.ini"
+    config.write_text(f"[mypy]\nstrict = True\nmypy_path = {PACKAGE.parent}\n")
+    command = [sys.executable, "-m", "mypy", "--config-file", str(config), str(PROGRAM)]
+    found = _run(command, tmp_path)
+    # A kernel without a result has no annotation of it.
+    problems = [line for line in found.stdout.splitlines() if ": error:" in line]
+    assert [line for line in problems if "no-untyped-def" not in line] == []
+    wrong = tmp_path / "wrong.py"
+    wrong.write_text("import tai as ti\nti.field(ti.f32, 3).grda\nti.fieldd\n")
+    found = _run([*command[:-1], str(wrong)], tmp_path)
+    assert '"grda"' in found.stdout and '"fieldd"' in found.stdout
+
+
+@pytest.mark.skipif(shutil.which("pyright", path=str(Path(sys.executable).parent)) is None,
+                    reason="pyright is not installed")  # fmt: skip
+def test_pyright_in_strict_mode(tmp_path):
+    shutil.copy(PROGRAM, tmp_path / "program.py")
+    config = {
+        "include": ["program.py"], "extraPaths": [str(PACKAGE.parent)], "pythonVersion": "3.11",
+        "typeCheckingMode": "strict",
+    }  # fmt: skip
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(config))
+    command = [str(Path(sys.executable).with_name("pyright")), "--outputjson",
+               "--pythonpath", sys.executable]  # fmt: skip
+    answer = json.loads(_run(command, tmp_path).stdout)
+    found = [d["message"] for d in answer["generalDiagnostics"] if d["severity"] == "error"]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("jedi") is None, reason="jedi is not installed")
+@pytest.mark.parametrize(
+    "name, wanted", [("v", "to_numpy"), ("v.grad", "fill"), ("tape", "stats"), ("gui", "circles"),
+                     ("w", "normalized"), ("ti", "kernel"), ("ti.linalg", "cg")],
+)  # fmt: skip
+def test_completion(name, wanted):
+    import jedi
+
+    text = PROGRAM.read_text() + f"\n{name}."
+    project = jedi.Project(PACKAGE.parent.parent, added_sys_path=[str(PACKAGE.parent)])
+    script = jedi.Script(text, path="program.py", project=project)
+    completions = script.complete(len(text.splitlines()), len(name) + 1)
+    assert wanted in {completion.name for completion in completions}
+
+
+def test_the_stub_has_the_names_of_the_package():
+    tree = ast.parse((PACKAGE / "__init__.pyi").read_text())
+    named = set()
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom):
+            named |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            named.add(node.target.id)
+        elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            named.add(node.name)
+    public = {name for name in dir(ti) if not name.startswith("_")}
+    assert not {n for n in public - named if n not in ("annotations", "alias", "dtypes", "native",
+                                                       "Any", "doctor")}  # fmt: skip
+    missing = {n for n in named if not n.startswith("_") and not hasattr(ti, n)}
+    assert missing <= {"torch", "Any", "Callable", "Iterator", "Generic", "ParamSpec", "TypeAlias",
+                       "TypeVar", "overload", "npt"}  # fmt: skip
