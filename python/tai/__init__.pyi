@@ -14,6 +14,7 @@ from . import algorithms as algorithms
 from . import checkpoint as checkpoint
 from . import errors as errors
 from . import gui as gui
+from . import jax as jax
 from . import lang as lang
 from . import linalg as linalg
 from . import math as math
@@ -25,6 +26,7 @@ from . import tools as tools
 from . import torch as torch
 from . import types as types
 from . import volumes as volumes
+from ._impl.ad.batch import batch as batch
 from ._impl.base.log_level import is_logging_effective as is_logging_effective
 from ._impl.base.log_level import set_logging_level as set_logging_level
 from ._impl.base.program import reset as reset
