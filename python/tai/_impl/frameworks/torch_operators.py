@@ -40,6 +40,17 @@ class Operator:
         self.inputs = [n for n in kinds if n not in outputs]
         self.outputs = [n for n in kinds if n in outputs]
         self._is_tensor = [kinds[n] == "array" for n in self.inputs]
+        # For each parameter in order: whether it is an input, and its number among those or among
+        # the outputs.
+        self._places = [
+            (n in self.inputs, (self.inputs if n in self.inputs else self.outputs).index(n))
+            for n in self._order
+        ]
+        # For each output: the number of the input that it is like, or None.
+        self._models = [
+            self.inputs.index(s) if isinstance(s, str) else None
+            for s in (outputs[n] for n in self.outputs)
+        ]
         self._known: set[tuple] = set()
         # Whether a gradient needs values of outputs that later stores overwrite.
         self._needs_tape = not isinstance(function, Kernel)
@@ -84,13 +95,20 @@ class Operator:
     @staticmethod
     def _zeros_like(tensor: torch.Tensor) -> torch.Tensor:
         # Without the strides of the tensor, which may be expanded.
-        return tensor.new_zeros(tensor.shape)
+        return torch.zeros_like(tensor, memory_format=torch.contiguous_format)
 
     def _set_up(self, ctx: Any, inputs: tuple, output: Any) -> None:
-        ctx.save_for_backward(*(i for i, t in zip(inputs, self._is_tensor, strict=True) if t))
-        ctx.numbers = [i for i, t in zip(inputs, self._is_tensor, strict=True) if not t]
+        if all(self._is_tensor):
+            ctx.save_for_backward(*inputs)
+            ctx.numbers = ()
+        else:
+            pairs = list(zip(inputs, self._is_tensor, strict=True))
+            ctx.save_for_backward(*[i for i, t in pairs if t])
+            ctx.numbers = [i for i, t in pairs if not t]
         results = output if isinstance(output, tuple) else (output,)
-        ctx.mark_non_differentiable(*(r for r in results if not r.is_floating_point()))
+        whole = [r for r in results if not r.is_floating_point()]
+        if whole:
+            ctx.mark_non_differentiable(*whole)
 
     def _given(self, ctx: Any) -> tuple[list[Any], list[bool]]:
         """The inputs of a call, and which of its tensors have a gradient that is wanted."""
@@ -129,28 +147,28 @@ class Operator:
 
     def _allocate(self, inputs: Sequence[Any], make: Callable[..., Any]) -> list[torch.Tensor]:
         """Tensors for the results."""
-        given, made = dict(zip(self.inputs, inputs, strict=True)), []
-        for name in self.outputs:
-            shape = self._shapes[name]
-            like = given[shape] if isinstance(shape, str) else None
-            if like is None:
-                answer = shape(*inputs)
-                if isinstance(answer, torch.Tensor):
-                    like, answer = answer, answer.shape
-                else:
-                    like = next((i for i in inputs if isinstance(i, torch.Tensor)), None)
-                if isinstance(answer, (int, torch.SymInt)):
-                    answer = (answer,)
+        made = []
+        for name, model in zip(self.outputs, self._models, strict=True):
+            if model is not None:
+                # Without the strides of the input, which may be expanded.
+                like_it = torch.zeros_like if make is torch.zeros else torch.empty_like
+                made.append(like_it(inputs[model], memory_format=torch.contiguous_format))
+                continue
+            answer = self._shapes[name](*inputs)
+            like: torch.Tensor | None
+            if isinstance(answer, torch.Tensor):
+                like, answer = answer, answer.shape
             else:
-                answer = like.shape
+                like = next((i for i in inputs if isinstance(i, torch.Tensor)), None)
+            if isinstance(answer, (int, torch.SymInt)):
+                answer = (answer,)
             options = {} if like is None else {"dtype": like.dtype, "device": like.device}
             made.append(make(tuple(answer), **options))
         return made
 
-    def _launch(self, inputs: dict[str, Any], outputs: Sequence[Any], call: Any = None) -> Any:
-        results = iter(outputs)
+    def _launch(self, inputs: Sequence[Any], outputs: Sequence[Any], call: Any = None) -> Any:
         call = self._function if call is None else call
-        return call(*[inputs[n] if n in inputs else next(results) for n in self._order])
+        return call(*[inputs[n] if given else outputs[n] for given, n in self._places])
 
     def _forward(self, *inputs: Any) -> Any:
         if state.tape is not None:
@@ -164,22 +182,22 @@ class Operator:
             (i.detach() if i.is_contiguous() else i.detach().contiguous()) if t else i
             for i, t in zip(inputs, self._is_tensor, strict=True)
         ]
-        named = dict(zip(self.inputs, plain, strict=True))
         kind = tuple([i.dtype for i, t in zip(plain, self._is_tensor, strict=True) if t])
         if kind in self._known:
-            self._launch(named, outputs)
+            self._launch(plain, outputs)
         else:
-            self._launch_first(named, outputs)
+            self._launch_first(plain, outputs)
             self._known.add(kind)
         return outputs[0] if len(outputs) == 1 else tuple(outputs)
 
-    def _launch_first(self, inputs: dict[str, Any], outputs: Sequence[Any]) -> None:
+    def _launch_first(self, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         """Launches with new types of tensors, and checks that no input is written.
 
         Raises:
             TaiRuntimeTypeError: an input is written, or a result comes back in another way.
         """
-        tensors = {n: t for n, t in inputs.items() if isinstance(t, torch.Tensor)}
+        named = zip(self.inputs, inputs, strict=True)
+        tensors = {n: t for n, t in named if isinstance(t, torch.Tensor)}
         before = {n: t.clone() for n, t in tensors.items()}
         answer = self._launch(inputs, outputs)
         for name, tensor in tensors.items():
@@ -211,8 +229,8 @@ class Operator:
     def _gradient(self, *args: Any) -> list[torch.Tensor]:
         count = len(self.inputs)
         inputs, bars, wanted = args[:count], args[count:-1], iter(args[-1])
-        named, leaves = {}, []
-        for name, value, is_tensor in zip(self.inputs, inputs, self._is_tensor, strict=True):
+        given, leaves = [], []
+        for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
             if is_tensor:
                 value = value.detach()
                 if not value.is_contiguous():
@@ -222,7 +240,7 @@ class Operator:
                     value.requires_grad_()
                     value.grad = self._zeros_like(value)
                     leaves.append(value)
-            named[name] = value
+            given.append(value)
         outputs = self._allocate(inputs, torch.zeros if self._needs_tape else torch.empty)
         for output, bar in zip(outputs, bars, strict=True):
             if output.is_floating_point():
@@ -234,10 +252,10 @@ class Operator:
         if self._needs_tape:
             clear_all_gradients()
             with Tape() as tape:
-                self._launch(named, outputs)
+                self._launch(given, outputs)
             tape.grad()
         else:
-            self._launch(named, outputs, self._function.grad)
+            self._launch(given, outputs, self._function.grad)
         return [leaf.grad for leaf in leaves]
 
     # Calls
@@ -346,8 +364,7 @@ def _is_plain(inputs: tuple) -> bool:
     """Whether nothing but autograd stands between the call and the memory of the tensors."""
     return not (
         torch._C._len_torch_dispatch_stack()
-        or torch.is_autocast_enabled("cpu")
-        or torch.is_autocast_enabled("cuda")
+        or torch._C._is_any_autocast_enabled()
         or any(
             type(i) not in (torch.Tensor, torch.nn.Parameter)
             for i in inputs
