@@ -494,6 +494,34 @@ def test_replay():
     assert "step" in tape.explain()
 
 
+def test_a_replay_inside_of_another_tape_is_refused_before_it_changes_anything():
+    x, loss = ti.field(float, 3, needs_grad=True), ti.field(float, (), needs_grad=True)
+
+    @ti.kernel
+    def square():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    x.fill(3)
+    with ti.ad.Tape(loss) as first:
+        square()
+    with ti.ad.Tape(loss) as second:
+        square()
+        x.grad.fill(7)
+        with pytest.raises(
+            ti.TaiRuntimeError, match="replayed while another one records"
+        ) as caught:
+            first.replay()
+        assert "after the `with` block" in caught.value.hint
+        assert x.grad.to_numpy().tolist() == [7] * 3
+    # A tape clears gradients where it begins.
+    assert x.grad.to_numpy().tolist() == [7 + 6] * 3 and loss[None] == 27
+    x.fill(2)
+    for tape in (first, second):
+        tape.replay()
+        assert x.grad.to_numpy().tolist() == [4] * 3 and loss[None] == 12
+
+
 def test_replay_runs_custom_gradients():
     x = ti.field(ti.f64, shape=(), needs_grad=True)
     loss = scalar_loss()

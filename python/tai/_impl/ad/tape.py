@@ -341,6 +341,12 @@ class Tape(native.WithBlock):
         block are repeated. Gradients are cleared before the reverse sweep.
         """
         self._need_record()
+        # Before anything is cleared.
+        if state.tape is not None:
+            raise TaiRuntimeError(
+                "a tape cannot be replayed while another one records",
+                "replay it after the `with` block of the other tape",
+            )
         if forward:
             self._values.check_replay()
             self._clear_sums()
