@@ -184,6 +184,45 @@ def test_random_numbers_of_a_world():
     np.testing.assert_array_equal(draw(10, 3), draw(10, 3))
 
 
+def test_random_numbers_without_a_seed():
+    ti.init()
+    worlds = ti.batch(100)
+    x = worlds.field(ti.f32)
+
+    @worlds.kernel
+    def fill():
+        x[None] = worlds.random()
+
+    fill()
+    assert len(np.unique(x.to_numpy())) == 100
+
+
+def test_kernels_of_a_class():
+    ti.init()
+
+    @ti.data_oriented
+    class Model:
+        worlds = ti.batch(3)
+
+        def __init__(self, scale):
+            self.scale = scale
+            self.x = self.worlds.field(ti.f64, 2)
+
+        @ti.func
+        def value(self, i):
+            return self.scale * (i + self.x[i])
+
+        @worlds.kernel
+        def fill(self):
+            for i in self.x:
+                self.x[i] = self.value(i)
+
+    models = [Model(2), Model(3)]
+    for model in models:
+        model.fill()
+    assert [m.x.to_numpy().tolist() for m in models] == [[[0, 2]] * 3, [[0, 3]] * 3]
+
+
 def test_two_batches_and_other_kernels():
     ti.init()
     one, two = ti.batch(2), ti.batch(3)

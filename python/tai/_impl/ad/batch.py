@@ -191,9 +191,10 @@ class Batch:
 
         Args:
             seeds: a whole number, from which those of the worlds are derived; or one for each.
+                Before the first call they are derived from 0.
         """
         if np.ndim(seeds) == 0:
-            seeds = np.random.SeedSequence(int(seeds)).generate_state(self.size, np.uint32)
+            seeds = _spread(int(seeds), self.size)
         seeds = np.asarray(seeds)
         if seeds.shape != (self.size,) or not np.issubdtype(seeds.dtype, np.integer):
             raise TaiRuntimeTypeError(
@@ -205,6 +206,7 @@ class Batch:
         if self._states is None:
             self._states = make(dtypes.u32, self.size, name="batch_random")
             self._states.batch = self
+            self._states.from_numpy(_spread(0, self.size))
         return self._states
 
     @property
@@ -258,6 +260,11 @@ class _BatchTape(Tape):
         super()._enter()
         self.loss.fill(0)
         return self
+
+
+def _spread(seed: int, size: int) -> np.ndarray:
+    """A seed for each world from one number."""
+    return np.random.SeedSequence(seed).generate_state(size, np.uint32)
 
 
 @kernel
