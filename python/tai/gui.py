@@ -2,7 +2,7 @@
 
 Coordinates run from 0 to 1, the second one upward. `show("frame.png")` writes an image.
 `show()` writes one per frame into the folder given by the option `frames_dir` or the environment
-variable TAI_GUI_DIR; without a folder it only counts frames. Without a window, `running` becomes
+variable TAI_GUI_DIR; without a folder it only counts frames, and says so once. Without a window, `running` becomes
 false after `max_frames` frames (or TAI_GUI_FRAMES; 1000 by default). Keyboard and mouse events
 come from the window of `tai.view`.
 """
@@ -10,6 +10,7 @@ come from the window of `tai.view`.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -92,6 +93,8 @@ class GUI:
 
     # Where `tai.view` shows frames: a window, or files.
     screen: Any = None
+    # Whether the user knows where frames go.
+    _is_told = False
 
     def __init__(
         self,
@@ -252,6 +255,15 @@ class GUI:
 
     def show(self, file: str | None = None) -> None:
         """Ends a frame: writes the picture if there is a place for it, and clears the canvas."""
+        if file is None and not self.screen and not GUI._is_told:
+            GUI._is_told = True
+            where = (
+                f"frames go to the folder {self.frames_dir}"
+                if self.frames_dir
+                else "frames_dir=… or TAI_GUI_DIR names a folder for frames"
+            )
+            print(f"ti.GUI opens no window: {where}, and `python -m tai.view` shows them",
+                  file=sys.stderr)  # fmt: skip
         if file is None and self.frames_dir:
             os.makedirs(self.frames_dir, exist_ok=True)
             file = os.path.join(self.frames_dir, f"{self.frame:06d}.png")

@@ -416,6 +416,16 @@ class Tape(native.WithBlock):
         if self._core is None or self._is_recording:
             raise TaiRuntimeError("the tape holds nothing yet", "leave its `with` block first")
 
+    def __repr__(self) -> str:
+        if self._core is None:
+            return "<ti.ad.Tape: nothing recorded yet>"
+        if self._is_recording:
+            return f"<ti.ad.Tape: records, {self._core.records} so far>"
+        return (
+            f"<ti.ad.Tape: {self._core.records} records, {self._core.skipped} skipped in reverse, "
+            f"{self.memory:,} bytes of old values>"
+        )
+
     @property
     def num_records(self) -> int:
         return self._core.records

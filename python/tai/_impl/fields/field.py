@@ -222,6 +222,10 @@ class Field(Elements, Shareable):
         place = "not placed" if self.level is None else f"shape {self.shape}"
         return f"<{self.dtype} {kind} '{self.name}', {place}>"
 
+    def _repr_html_(self) -> str:
+        """The field in a notebook: its statistics, and a picture."""
+        return importlib.import_module("tai._impl.fields.notebook").field_html(self)
+
     def __iter__(self) -> Any:
         name = self.name
         if state.emitter is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from typing import Any
 
@@ -57,9 +58,15 @@ def begin_in_child() -> None:
 os.register_at_fork(after_in_child=begin_in_child)
 
 
+_OF_NOTEBOOKS = re.compile(r"_+(i|oh|dh)?\d*|_i+|Out|In")
+
+
 def name_fields(namespace: dict[str, Any]) -> None:
     """Names the fields that variables of `namespace` hold, where they have no name yet."""
     for name, value in list(namespace.items()):
+        # Notebooks call what a cell showed _, __ and _12, and its text _i12.
+        if _OF_NOTEBOOKS.fullmatch(name):
+            continue
         if isinstance(value, Elements):
             value.suggest_name(name)
         elif isinstance(value, (list, tuple)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import math
 import threading
 import weakref
@@ -439,6 +440,23 @@ class SNode:
             return "ti.root"
         names = "".join(AXIS_NAMES[a] for a in self.axes)
         return f"{self._parent!r}.{self.kind}(ti.{names}, {self.extents})"
+
+    def tree(self, depth: int = 0) -> str:
+        """The levels and fields below this one, a line each."""
+        axes = "".join(AXIS_NAMES[a] for a in self.axes)
+        own = "ti.root" if self.kind == "root" else f"{self.kind}(ti.{axes}, {self.extents})"
+        lines = ["  " * depth + own]
+        for child in self.children:
+            if isinstance(child, SNode):
+                lines.append(child.tree(depth + 1))
+            else:
+                element = f" of shape {child.element_shape}" if child.element_shape else ""
+                lines.append("  " * (depth + 1) + f"{child.name}: {child.dtype}{element}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The tree in a notebook."""
+        return f"<pre>{html.escape(self.tree())}</pre>"
 
     def __str__(self) -> str:
         shapes = [f"{level.kind} {list(level.shape)}" for level in self.path()]

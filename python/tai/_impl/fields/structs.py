@@ -469,6 +469,10 @@ class StructField(Field):
         for name, member in self.members.items():
             member.copy_from(other.members[name])
 
+    def _repr_html_(self) -> str:
+        """The fields of all members in a notebook."""
+        return "<br>".join(member._repr_html_() for member in self.members.values())
+
     def __str__(self) -> str:
         unplaced = first_of(self).level is None
         return f"<field '{self.name}', not placed>" if unplaced else str(self.to_numpy())
