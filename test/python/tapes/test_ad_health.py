@@ -338,3 +338,78 @@ def test_parameters_of_any_shape(shape, watched):
         square_of_one() if shape == () else square()
         total_of_one() if shape == () else total()
     assert sorted(tape.health().flat) == ["unused", "x"]
+
+
+def chaos_in_one_kernel(dtype, trips, form):
+    """The logistic map inside one kernel; the tape, the field of the start, and the line."""
+    ti.init(default_fp=dtype, offline_cache=False)
+    x = ti.field(dtype, shape=5, needs_grad=True)
+    y = ti.field(dtype, shape=5, needs_grad=True)
+    loss = ti.field(dtype, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def into_loss(n: ti.i32):
+        for i in x:
+            v = x[i]
+            for _ in range(n):
+                v = 4 * v * (1 - v)
+            loss[None] += v
+
+    @ti.kernel
+    def into_field(n: ti.i32):
+        for i in x:
+            v = x[i]
+            for _ in range(n):
+                v = 4 * v * (1 - v)
+            y[i] = v
+
+    @ti.kernel
+    def add():
+        for i in y:
+            loss[None] += y[i]
+
+    x.from_numpy(np.linspace(0.2, 0.7, 5).astype(x.to_numpy().dtype))
+    with ti.ad.Tape(loss) as tape:
+        if form == "loss":
+            into_loss(trips)
+        else:
+            into_field(trips)
+            add()
+    return tape, x
+
+
+@pytest.mark.parametrize("form", ["loss", "field"])
+@pytest.mark.parametrize("dtype, trips", [(ti.f64, 100), (ti.f32, 60)])
+def test_chaos_inside_one_kernel_is_flagged(dtype, trips, form):
+    tape, x = chaos_in_one_kernel(dtype, trips, form)
+    assert np.abs(x.grad.to_numpy()).max() > 1e15
+    report = tape.health()
+    [found] = report.findings
+    assert found.kind == "growth" and not report
+    assert found.kernel == f"into_{form}" and found.filename == __file__
+    assert "rounding 'x' alone changes the loss" in found.message
+
+
+@pytest.mark.parametrize("form", ["loss", "field"])
+@pytest.mark.parametrize("dtype, trips", [(ti.f64, 10), (ti.f32, 8)])
+def test_a_short_loop_is_no_chaos(dtype, trips, form):
+    tape, _ = chaos_in_one_kernel(dtype, trips, form)
+    assert tape.health().findings == []
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-3])
+def test_large_factors_are_no_chaos(offset):
+    ti.init(default_fp=ti.f32)
+    x = ti.field(ti.f32, shape=7, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def stiff(offset: ti.f32):
+        for i in x:
+            loss[None] += (1e7 * (x[i] + offset)) ** 2
+
+    x.fill(0.75)
+    with ti.ad.Tape(loss) as tape:
+        stiff(offset)
+    assert x.grad[3] > 1e14
+    assert tape.health().findings == []

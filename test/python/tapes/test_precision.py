@@ -396,3 +396,24 @@ def test_the_page():
         # Kernels are compiled from the source.
         linecache.cache[name] = (len(program), None, program.splitlines(True), name)
         exec(compile(program, name, "exec"), {"__name__": "__main__"})
+
+
+def test_a_refusal_names_the_loss_if_that_is_rounded():
+    ti.init(default_fp=ti.f32)
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True, name="energy")
+
+    @ti.kernel
+    def run():
+        for i in x:
+            y = x[i] * 0.1
+            loss[None] += 1.0 + 1e-3 * y
+
+    x.from_numpy(np.linspace(0.2, 0.9, 4).astype(np.float32))
+    with pytest.raises(ti.TaiAutodiffError, match=r"most of it from the loss 'energy' itself \("):
+        ti.ad.tune_precision(run, loss, error=1e-9)
+    with ti.ad.Tape(loss, precision=True) as tape:
+        run()
+    report = tape.precision_report()
+    others = dict(report.others)
+    assert others["the loss 'energy' itself"] > max(abs(line.error) for line in report.lines)

@@ -172,6 +172,7 @@ def _report(core: Any, loss: Any) -> HealthReport:
     report = HealthReport(rows, _by_kernel(rows, place))
     _find_nans(report, core, loss, place)
     _find_growth(report)
+    _find_amplification(report, loss, place)
     _find_flat(report, core, loss)
     return report
 
@@ -338,6 +339,44 @@ def _find_growth(report: HealthReport) -> None:
                     k.lineno,
                 )  # fmt: skip
             )
+
+
+def _find_amplification(report: HealthReport, loss: Any, place: Any) -> None:
+    """The first adjoint by which the rounding of a value changes the loss more than its size.
+
+    The number of replays does not matter, so that chaos inside one kernel is found. Large factors
+    alone are no chaos: the loss must change by more than itself, relative to the field.
+    """
+    if loss is None or report.findings:
+        return
+    known = differentiable_fields()
+    size = abs(float(loss[None]))
+    for row in report.rows:
+        f = known.get(row.symbol)
+        if f is None or f is loss:
+            continue
+        values = Snapshot._take(f)
+        eps = float(np.finfo(values.dtype).eps)
+        if row.max_abs * eps <= 1:
+            continue
+        change = row.max_abs * float(np.max(np.abs(values), initial=0.0)) * eps
+        if not change > size:
+            continue
+        where = place(row.record)
+        report.findings.append(
+            Finding(
+                "growth",
+                f"the adjoint of '{row.field}' is {row.max_abs:.3g} after record {row.record}, "
+                f"{where}: rounding '{row.field}' alone changes the loss by {change:.3g}, and the "
+                f"loss is {size:.3g}; the program is chaotic or unstable here; shorten the loop "
+                "or cut the gradient",
+                row.record,
+                where.kernel,
+                where.filename,
+                where.lineno,
+            )  # fmt: skip
+        )
+        return
 
 
 def _find_flat(report: HealthReport, core: Any, loss: Any) -> None:

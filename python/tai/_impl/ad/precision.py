@@ -75,6 +75,8 @@ class PrecisionReport:
             lines, accumulated errors of fields, and the rounding of the loss itself.
         fields, lines: the contribution of each to that, largest first.
         target: the requested relative error.
+        others: contributions that belong to no line, by name: sums that fields keep, storage, and
+            the loss itself.
     """
 
     loss: float
@@ -82,6 +84,7 @@ class PrecisionReport:
     fields: list[FieldPrecision]
     lines: list[LinePrecision]
     target: float
+    others: list[tuple[str, float]] = field(default_factory=list)
 
     @property
     def relative(self) -> float:
@@ -219,15 +222,23 @@ def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
     lines.sort(key=lambda line: -abs(line.error))
     fields = _fields(sweep)
     unit = 2.0 ** (BITS["14 bits"] - STORAGE["f32"])
-    added = [_STEPS_OF_SUM * unit * total for key, total in sweep.sums.items() if key[0] == "sum"]
-    added += [f.errors["f32"] for f in fields if f.is_accumulated]
+    known = get_program().fields
+    others = [
+        (f"the sum in '{owner_of(known[key[1]]).name}'", _STEPS_OF_SUM * unit * total)
+        for key, total in sweep.sums.items()
+        if key[0] == "sum"
+    ]
+    others += [(f"the sum in '{f.name}'", f.errors["f32"]) for f in fields if f.is_accumulated]
     # A value that no kernel computes is rounded where it is stored.
-    given = [f.errors["f32"] for f in fields if f.dtype == "f64" and not f.is_accumulated
-             and not sweep.stored & set(f.symbols)]  # fmt: skip
-    whole = math.fsum(line.error for line in lines)
+    others += [
+        (f"the storage of '{f.name}'", f.errors["f32"]) for f in fields
+        if f.dtype == "f64" and not f.is_accumulated and not sweep.stored & set(f.symbols)
+    ]  # fmt: skip
     steps = _STEPS_OF_SUM if loss.symbol in sweep.accumulated else 1.0
-    expected = math.hypot(whole, *added, *given, steps * _UNIT * value)
-    return PrecisionReport(value, expected, fields, lines, target)
+    others.append((f"the loss '{owner_of(loss).name}' itself", steps * _UNIT * value))
+    whole = math.fsum(line.error for line in lines)
+    expected = math.hypot(whole, *(error for _, error in others))
+    return PrecisionReport(value, expected, fields, lines, target, others)
 
 
 def _fields(sweep: Sweep) -> list[FieldPrecision]:

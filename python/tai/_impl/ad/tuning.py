@@ -290,10 +290,9 @@ def _refuse_impossible(report: PrecisionReport, base: tuple, error: float) -> No
             "start from a point where it is not 0",
         )
     if report.relative > error:
-        worst = "; ".join(
-            f"{shorten(line.filename)}:{line.lineno} ({abs(line.error / report.loss):.1e})"
-            for line in report.lines[:3]
-        )
+        parts = [(f"{shorten(line.filename)}:{line.lineno}", line.error) for line in report.lines]
+        parts = sorted(parts + report.others, key=lambda part: -abs(part[1]))
+        worst = "; ".join(f"{name} ({abs(part / report.loss):.1e})" for name, part in parts[:3])
         raise TaiAutodiffError(
             f"error={error:.1e} cannot be met: with all fields as they are, arithmetic in f32 is "
             f"expected to be off by {report.relative:.1e}, most of it from {worst}",
