@@ -2,9 +2,9 @@
 
 Coordinates run from 0 to 1, the second one upward. `show("frame.png")` writes an image.
 `show()` writes one per frame into the folder given by the option `frames_dir` or the environment
-variable TAI_GUI_DIR; without a folder it only counts frames, and says so once. Without a window, `running` becomes
-false after `max_frames` frames (or TAI_GUI_FRAMES; 1000 by default). Keyboard and mouse events
-come from the window of `tai.view`.
+variable TAI_GUI_DIR; without a folder it only counts frames, and says so once. Without a window,
+`running` becomes false after `max_frames` frames (or TAI_GUI_FRAMES; 1000 by default). Keyboard and
+mouse events come from the window of `tai.view`.
 """
 
 from __future__ import annotations

@@ -47,10 +47,11 @@ def test_layouts():
     x, v = ti.field(ti.f32, name="x"), ti.Vector.field(2, ti.f64, name="v")
     block = ti.root.pointer(ti.ij, 4)
     block.dense(ti.ij, (2, 8)).place(x, v)
-    assert block.tree().splitlines() == [
+    assert block.as_tree().splitlines() == [
         "pointer(ti.ij, (4, 4))", "  dense(ti.ij, (2, 8))", "    x: f32", "    v: f64 of shape (2,)"
     ]  # fmt: skip
     assert block._repr_html_().startswith("<pre>pointer")
+    assert ti.root._repr_html_().startswith("<pre>ti.root\n  pointer")
 
 
 def test_tapes():
@@ -69,8 +70,6 @@ def test_tapes():
         assert repr(tape) == "<ti.ad.Tape: records, 1 so far>"
     pattern = r"<ti.ad.Tape: 1 records, 0 skipped .*, \d+ bytes of old values>"
     assert re.fullmatch(pattern, repr(tape))
-        r"<ti.ad.Tape: 1 records, 0 skipped .*, \d+ bytes of old values>", repr(tape)
-    )
 
 
 def test_names_that_notebooks_give():

@@ -441,14 +441,14 @@ class SNode:
         names = "".join(AXIS_NAMES[a] for a in self.axes)
         return f"{self._parent!r}.{self.kind}(ti.{names}, {self.extents})"
 
-    def tree(self, depth: int = 0) -> str:
+    def as_tree(self, depth: int = 0) -> str:
         """The levels and fields below this one, a line each."""
         axes = "".join(AXIS_NAMES[a] for a in self.axes)
         own = "ti.root" if self.kind == "root" else f"{self.kind}(ti.{axes}, {self.extents})"
         lines = ["  " * depth + own]
         for child in self.children:
             if isinstance(child, SNode):
-                lines.append(child.tree(depth + 1))
+                lines.append(child.as_tree(depth + 1))
             else:
                 element = f" of shape {child.element_shape}" if child.element_shape else ""
                 lines.append("  " * (depth + 1) + f"{child.name}: {child.dtype}{element}")
@@ -456,7 +456,7 @@ class SNode:
 
     def _repr_html_(self) -> str:
         """The tree in a notebook."""
-        return f"<pre>{html.escape(self.tree())}</pre>"
+        return f"<pre>{html.escape(self.as_tree())}</pre>"
 
     def __str__(self) -> str:
         shapes = [f"{level.kind} {list(level.shape)}" for level in self.path()]
