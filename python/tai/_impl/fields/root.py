@@ -64,7 +64,7 @@ _OF_NOTEBOOKS = re.compile(r"_+(i|oh|dh)?\d*|_i+|Out|In")
 def name_fields(namespace: dict[str, Any]) -> None:
     """Names the fields that variables of `namespace` hold, where they have no name yet."""
     for name, value in list(namespace.items()):
-        # Notebooks call what a cell showed _, __ and _12, and its text _i12.
+        # Notebooks call the value of a cell _, __ or _12, and its text _i12.
         if _OF_NOTEBOOKS.fullmatch(name):
             continue
         if isinstance(value, Elements):

@@ -231,7 +231,7 @@ class Struct:
         object.__setattr__(self, "entries", {**(entries or {}), **more})
         object.__setattr__(self, "methods", dict(methods or {}))
 
-    # What made it, or None.
+    # The type that made it, or None.
     _type: StructType | None = None
 
     def __reduce__(self) -> Any:
