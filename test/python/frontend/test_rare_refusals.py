@@ -3,11 +3,10 @@
 Each kernel is refused at the line that ends with the mark.
 """
 
-# ruff: noqa: F841, C408
+# ruff: noqa: F841, F842, B007, F507, UP031
 
 import inspect
 
-import numpy as np
 import pytest
 import tai as ti
 
