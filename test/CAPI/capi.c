@@ -170,6 +170,15 @@ int main(void) {
   if (taiKernelLoad(context, file.data, file.size, "damaged", "sum", &loaded) ==
       TAI_ERROR_SYNTAX)
     printf("damaged: %s\n", taiContextLastError(context).diagnostics);
+  if (taiKernelLoad(context, NULL, 0, "none", "sum", &loaded) ==
+      TAI_ERROR_USAGE)
+    printf("none: %s\n", taiContextLastError(context).message);
+  if (taiKernelLoad(context, "", 0, "empty", "sum", &loaded) != TAI_OK)
+    printf("empty: %s\n", taiContextLastError(context).message);
+  if (taiKernelLoad(context, NULL, 0, NULL, NULL, &loaded) == TAI_ERROR_USAGE)
+    printf("no names: refused\n");
+  if (taiKernelParse(context, NULL, NULL, NULL, &loaded) != TAI_OK)
+    printf("no text: %s\n", taiContextLastError(context).message);
 
   if (taiContextSetOption(context, "colour", "red") == TAI_ERROR_USAGE &&
       strstr(taiContextLastError(context).message, "threads"))
