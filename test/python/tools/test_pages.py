@@ -69,3 +69,15 @@ def test_pages_that_sources_name():
                 wrong.append(f"{path.relative_to(ROOT)}: {name}")
     assert found > 40
     assert not wrong, "\n".join(wrong)
+
+
+def test_the_list_of_decisions():
+    """Each is on the list with its status, and one that is replaced says so there and itself."""
+    folder = DOCS / "decisions"
+    listed = re.findall(r"^\| (?:\d{4})? ?\| \[[^]]+\]\(([\w-]+\.md)\) \| (.+) \|$",
+                        (folder / "README.md").read_text(), re.M)  # fmt: skip
+    pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
+    assert {name for name, _ in listed} == pages and len(listed) == len(pages)
+    for name, status in listed:
+        replaced = re.search(r"^Status: replaced by", (folder / name).read_text(), re.M)
+        assert bool(replaced) == status.startswith("replaced by"), name
