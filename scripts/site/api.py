@@ -34,7 +34,7 @@ PAGES = (
             "Programs": "init reset sync info set_logging_level is_logging_effective "
             "is_extension_supported extension",
             "Fields": "field Field ScalarField MatrixField Struct StructField dataclass "
-            "deactivate_all_snodes",
+            "deactivate_all_snodes batch",
             "Layouts": "SNode FieldsBuilder Layout axes",
             "Arrays": "ndarray Ndarray ScalarNdarray VectorNdarray MatrixNdarray",
             "Memory of other libraries": "from_dlpack wait_for_stream let_stream_wait",
