@@ -119,6 +119,8 @@ import importlib, importlib.util, pkgutil, tai as ti
 left_out = ("__main__", "_core")
 if not importlib.util.find_spec("torch"):
     left_out += ("tai.torch", "torch_operators")
+if not importlib.util.find_spec("jax"):
+    left_out += ("tai.jax", "jax_operators")
 for module in pkgutil.walk_packages(ti.__path__, "tai."):
     if not module.name.endswith(left_out):
         importlib.import_module(module.name)
