@@ -37,6 +37,20 @@ static bool isRemainder(Value value, unsigned depth = 4) {
          });
 }
 
+/// The two conditions of `first and second` where the second one is computed in
+/// a branch, or those of `first or second` if that is known not to hold.
+static std::pair<Value, Value> getConjunction(Value condition, bool holds) {
+  auto branch = condition.getDefiningOp<scf::IfOp>();
+  if (!branch)
+    return {};
+  unsigned number = cast<OpResult>(condition).getResultNumber();
+  Value yes = branch.thenYield().getOperand(number);
+  Value no = branch.elseYield().getOperand(number);
+  if (holds ? matchPattern(no, m_Zero()) : matchPattern(yes, m_One()))
+    return {branch.getCondition(), holds ? yes : no};
+  return {};
+}
+
 namespace {
 /// The comparisons that hold where an access runs.
 class Conditions {
@@ -103,6 +117,10 @@ private:
                either && !holds) {
       add(either.getLhs(), false);
       add(either.getRhs(), false);
+    } else if (auto [first, second] = getConjunction(condition, holds);
+               first) {
+      add(first, holds);
+      add(second, holds);
     } else if (auto flip = condition.getDefiningOp<arith::XOrIOp>();
                flip && matchPattern(flip.getRhs(), m_One())) {
       add(flip.getLhs(), !holds);

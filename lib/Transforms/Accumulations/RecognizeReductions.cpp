@@ -18,12 +18,13 @@
 //   select c, update, update     each under its condition
 //   scf.if, whose branches yield updates
 //   select (e < old), e, old     an atomic minimum with e
-//   if (e < old) { store e }     the same
+//   if (e < old) { store e }     the same, also where more conditions hold
 //
 // The last step of all is the store, which goes.
 //
 //===----------------------------------------------------------------------===//
 
+#include "Guards.h"
 #include "SharedUpdate.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
@@ -210,15 +211,24 @@ LogicalResult LoopUpdates::run(bool oneThread, bool checks) {
     if (access.getAccessKind() == AccessKind::Read)
       reads[getStorageKey(access)].push_back(access);
   });
+  auto isCandidate = [&](DifferentiableAccessInterface access) {
+    return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
+           reads.contains(getStorageKey(access));
+  };
+  // Before anything is remembered about the branches.
+  for (DifferentiableAccessInterface access : accesses) {
+    if (!isCandidate(access))
+      continue;
+    SharedUpdate update(access, loop, reads[getStorageKey(access)], same);
+    if (update.readsElement() && !update.match())
+      joinGuards(access, loop, same, accesses);
+  }
   SmallVector<DifferentiableAccessInterface> others, certain, possible;
   for (DifferentiableAccessInterface access : accesses) {
-    if (!isa<StoreOp, memref::StoreOp>(access.getOperation()))
+    if (!isCandidate(access))
       continue;
-    auto found = reads.find(getStorageKey(access));
-    if (found == reads.end())
-      continue;
-    auto update =
-        std::make_unique<SharedUpdate>(access, loop, found->second, same);
+    auto update = std::make_unique<SharedUpdate>(
+        access, loop, reads[getStorageKey(access)], same);
     if (!update->readsElement())
       continue;
     if (update->readsOtherIteration()) {

@@ -94,6 +94,72 @@ tai.kernel @conditional() {
   tai.return
 }
 
+// Conditions in branches of each other hold together where the later ones can
+// be computed anyhow. An element that is read only where the first one holds may
+// lie outside its field.
+// CHECK-LABEL: tai.kernel @several_conditions
+// CHECK: tai.parallel_for
+// CHECK: %[[A:.*]] = tai.load @x[%{{.*}}] : f32
+// CHECK: %[[P:.*]] = arith.cmpf ogt, %[[A]], %{{.*}}
+// CHECK: scf.if %[[P]] {
+// CHECK-NEXT: tai.atomic min %[[A]], @o[]
+// CHECK: tai.parallel_for
+// CHECK: scf.if
+// CHECK: tai.atomic min %{{.*}}, @o[]
+// CHECK: tai.parallel_for
+// CHECK-NOT: tai.atomic
+// CHECK: scf.if
+// CHECK: tai.store
+tai.kernel @several_conditions() {
+  %zero = arith.constant 0.0 : f32
+  %false = arith.constant false
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @o[] : f32
+    %1 = tai.load @x[%i] : f32
+    %2 = arith.cmpf ogt, %0, %1 : f32
+    %3 = scf.if %2 -> (i1) {
+      %4 = tai.load @x[%i] : f32
+      %5 = arith.cmpf ogt, %4, %zero : f32
+      scf.yield %5 : i1
+    } else {
+      scf.yield %false : i1
+    }
+    scf.if %3 {
+      %4 = tai.load @x[%i] : f32
+      tai.store %4, @o[] : f32
+    }
+  }
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @o[] : f32
+    %2 = arith.cmpf olt, %0, %1 : f32
+    scf.if %2 {
+      %3 = tai.load @n[%i] : i32
+      %4 = arith.index_cast %3 : i32 to index
+      %5 = arith.index_cast %4 : index to i32
+      %6 = arith.sitofp %5 : i32 to f32
+      %7 = arith.cmpf ogt, %6, %zero : f32
+      scf.if %7 {
+        tai.store %0, @o[] : f32
+      }
+    }
+  }
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @n[%i] : i32
+    %1 = tai.load @c[] : i32
+    %2 = arith.cmpi eq, %0, %1 : i32
+    scf.if %2 {
+      %3 = arith.index_cast %0 : i32 to index
+      %4 = tai.load @n[%3] : i32
+      %5 = arith.cmpi slt, %4, %1 : i32
+      scf.if %5 {
+        tai.store %4, @c[] : i32
+      }
+    }
+  }
+  tai.return
+}
+
 // A choice between two sums, by a select and by a branch.
 // CHECK-LABEL: tai.kernel @choices
 // CHECK: %[[X:.*]] = tai.load @x

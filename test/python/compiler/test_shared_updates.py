@@ -97,7 +97,26 @@ def test_extrema_of_a_variable(data):
                 m = x[i]
         return m
 
-    for kernel in (by_call, by_select, by_expression, by_branch, by_other_branch):
+    @ti.kernel
+    def by_later_comparison() -> ti.f32:
+        m = x[0]
+        for i in x:
+            if data.n[i] < 2000 and x[i] > -100 and x[i] <= m:
+                m = x[i]
+        return m
+
+    @ti.kernel
+    def by_nested_branches() -> ti.f32:
+        m = x[0]
+        for i in x:
+            if not x[i] >= m:
+                v = x[i]
+                if data.n[i] < 2000 and v > -100:
+                    m = v
+        return m
+
+    kernels = (by_call, by_select, by_expression, by_branch, by_other_branch)
+    for kernel in (*kernels, by_later_comparison, by_nested_branches):
         same(kernel, data.numbers.min())
 
 
@@ -388,6 +407,25 @@ def test_what_is_no_reduction_is_refused(mode):
         for _ in x:
             a[0] = a[0] * a[0]
 
+    @ti.kernel
+    def by_two_conditions() -> ti.f32:
+        c = 0.0
+        for i in x:
+            if seen[i] < 5 and c < x[i]:
+                c = 2 * x[i]
+        return c
+
+    @ti.kernel
+    def by_nested_conditions() -> ti.f32:
+        c = 0.0
+        for i in x:
+            if c < x[i]:
+                if seen[i] < 5:
+                    c = 2 * x[i]
+        return c
+
+    refused(by_two_conditions, "c = 2 * x[i]", "c")
+    refused(by_nested_conditions, "c = 2 * x[i]", "c")
     refused(recurrence, "c = 0.5 * c + x[i]", "c")
     refused(reversed_difference, "c = x[i] - c", "c")
     refused(greatest_index, "best[None] = x[i]", "best")
