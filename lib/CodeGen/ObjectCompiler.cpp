@@ -258,8 +258,12 @@ void ObjectCompiler::runPasses(Module &module) {
       [&](FunctionPassManager &late, OptimizationLevel level) {
         late.addPass(TransposeColumns());
         late.addPass(WidenSums());
+        // Where nothing is fused, calls that may be contracted are those of
+        // deterministic kernels. Whether a loop is vectorised depends on the
+        // work that is skipped in it, on which their results must not depend.
         if (vectorMath && level != OptimizationLevel::O0)
-          late.addPass(MatchScalarMath(*vectorMath));
+          late.addPass(
+              MatchScalarMath(*vectorMath, /*everywhere=*/!options.contract));
       });
   builder.registerOptimizerLastEPCallback(
       [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {

@@ -133,7 +133,7 @@ PreservedAnalyses MatchScalarMath::run(Function &function,
   bool changed = false;
   for (auto [call, forms] : scalars) {
     call->removeFnAttr(VFABI::MappingsAttrName);
-    if (none_of(forms->vectors, [&](const auto &form) {
+    if (!everywhere && none_of(forms->vectors, [&](const auto &form) {
           return vectors.contains(form.second);
         }))
       continue;

@@ -65,12 +65,15 @@ struct NameVectorMath : llvm::PassInfoMixin<NameVectorMath> {
 /// Runs after the vectorisers: in a function that calls vector forms, the
 /// remaining calls take the scalar forms, which have the same bits, so that a
 /// result does not depend on its place in a loop. Elsewhere libm, which is
-/// faster for one number, stays.
+/// faster for one number, stays; with `everywhere`, a result does not depend on
+/// the function that it stands in either.
 struct MatchScalarMath : llvm::PassInfoMixin<MatchScalarMath> {
-  explicit MatchScalarMath(const VectorMath &math) : math(&math) {}
+  MatchScalarMath(const VectorMath &math, bool everywhere)
+      : math(&math), everywhere(everywhere) {}
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);
   const VectorMath *math;
+  bool everywhere;
 };
 
 } // namespace mlir::tai

@@ -29,7 +29,7 @@ ROWS: tuple[Row, ...] = (
     ("compile_profile", "Switch", "false", "true or false", "times of each compilation, on the standard error"),
     ("forward_mode", "Switch", "false", "true or false", "every kernel is launched in its forward-mode variant, with tangents; also kernels replayed by a tape, and adjoints"),
     ("history_bytes", "Bytes", "262144", "a number of bytes", "bytes of history that a loop of an adjoint may record at once; with a longer history, parts of the loop are run once more"),
-    ("skip", "Skips", "all", "all, none, or names of skips", "kinds of work that are skipped where they are not needed, separated by commas; \"-name\" removes one. Results do not depend on it where fields hold finite numbers"),
+    ("skip", "Skips", "all", "all, none, or names of skips", "kinds of work that are skipped where they are not needed, separated by commas; \"-name\" removes one. Results of strict and deterministic programs do not depend on it where fields hold finite numbers; others may differ by rounding"),
     ("memory_limit", "Bytes", "0", "a number of bytes, or 0", "bytes that fields may take; 0 for what the machine has"),
     ("device_memory_limit", "Bytes", "0", "a number of bytes, or 0", "the same for the memory of the GPU; to be set before arch"),
     ("device_heap", "Bytes", "0", "a number of bytes, or 0 for what suits the device", "bytes that kernels on the GPU may allocate while they run; to be set before arch"),
