@@ -18,6 +18,7 @@
 #include "StoredOutputs.h"
 #include "ValueShadows.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/CallInterfaces.h"
 #include "tai/AD/NarrowAdjoints.h"
@@ -250,6 +251,14 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
     if (Value share = atomic ? contended->getAdjoint(atomic) : Value()) {
       addAdjoint(value, share);
       return success();
+    }
+    if (isa<memref::AtomicRMWOp>(op)) {
+      emitError(op, "this product, minimum or maximum of an element of an array "
+                    "has no gradient, because several iterations may combine "
+                    "into one element")
+              .attachNote()
+          << "combine into a field that has a gradient instead of the array";
+      return failure();
     }
     emitError(op, "cannot differentiate this read-modify-write of a field "
                   "with an adjoint")

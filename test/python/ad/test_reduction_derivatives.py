@@ -303,6 +303,38 @@ def test_the_gradient_agrees_with_differences(name, layout, threads, size):
 ARRAY = ti.types.ndarray(dtype=ti.f64, ndim=1, needs_grad=True)
 
 
+@pytest.mark.parametrize("form", ["product", "maximum", "minimum"])
+def test_arrays_of_the_caller_are_refused_with_a_remedy(form):
+    """The remedy of the message, a field, is what the programs above use."""
+    s = Scene()
+
+    @ti.kernel
+    def product(a: ARRAY, b: ARRAY):
+        for i in b:
+            a[s.p[i]] *= b[i]
+
+    @ti.kernel
+    def maximum(a: ARRAY, b: ARRAY):
+        for i in b:
+            ti.atomic_max(a[s.p[i]], b[i])
+
+    @ti.kernel
+    def minimum(a: ARRAY, b: ARRAY):
+        for i in b:
+            a[s.p[i]] = ti.min(a[s.p[i]], b[i])
+
+    a = ti.ndarray(ti.f64, shape=BINS, needs_grad=True)
+    b = ti.ndarray(ti.f64, shape=N, needs_grad=True)
+    kernel = {"product": product, "maximum": maximum, "minimum": minimum}[form]
+    with pytest.raises(ti.TaiAutodiffError) as info, ti.ad.Tape(s.loss):
+        kernel(a, b)
+        finish(s)()
+    message = str(info.value)
+    assert "of an element of an array has no gradient" in message
+    assert "combine into a field that has a gradient instead of the array" in message
+    assert "tai-" not in message and "test_reduction_derivatives.py" in message
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_sums_into_arrays_at_indices_from_data(threads):
     s = Scene(threads=threads)
