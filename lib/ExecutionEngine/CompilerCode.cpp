@@ -140,18 +140,10 @@ getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
   return compiler.get();
 }
 
-/// The LLVM IR of a program before LLVM's passes; empty for a plan that is
-/// refused before them.
-static std::string printProgram(const runtime::ProgramPlan &plan,
-                                const CompileOptions &options) {
+static std::string printModule(const llvm::Module &module) {
   std::string text;
-  std::unique_ptr<DeviceCompiler> compiler;
-  if (auto made = getDeviceCompiler(compiler, options); !made) {
-    llvm::consumeError(made.takeError());
-    return text;
-  }
-  compiler->printInsteadOfFinishing(&text);
-  llvm::consumeError(tai::makeProgram(*compiler, plan).takeError());
+  llvm::raw_string_ostream stream(text);
+  module.print(stream, nullptr);
   return text;
 }
 
@@ -160,7 +152,17 @@ static std::string printProgram(const runtime::ProgramPlan &plan,
 static void addProgramReproducer(const runtime::ProgramPlan &plan,
                                  const CompileOptions &options,
                                  Failure &failure) {
-  std::string text = printProgram(plan, options);
+  std::unique_ptr<DeviceCompiler> compiler;
+  if (auto made = getDeviceCompiler(compiler, options); !made)
+    return llvm::consumeError(made.takeError());
+  std::string text;
+  compiler->setLinkedHook(
+      [&](const llvm::Module &module)
+          -> llvm::Expected<std::optional<runtime::DeviceImage>> {
+        text = printModule(module);
+        return llvm::createStringError("printed");
+      });
+  llvm::consumeError(tai::makeProgram(*compiler, plan).takeError());
   if (text.empty())
     return;
   std::string level =
@@ -173,24 +175,33 @@ static void addProgramReproducer(const runtime::ProgramPlan &plan,
 std::optional<runtime::DeviceImage>
 Compiler::makeProgram(const runtime::ProgramPlan &plan,
                       const CompileOptions &options, Failure &failure) {
-  std::string key;
-  if (cache) {
-    std::string text = printProgram(plan, options);
-    if (!text.empty())
-      key = getProgramKey(text, options);
-    if (!key.empty())
-      if (std::optional<std::string> bytes = cache.load(key))
-        if (auto object = CompiledObject::deserialize(*bytes);
-            object && object->image)
-          return std::move(*object->image);
-  }
   WorkerLease lease(*this, options);
   auto compiler = getDeviceCompiler((*lease).deviceCode, options);
   if (!compiler) {
     (void)failInLLVM(compiler.takeError(), failure);
     return std::nullopt;
   }
+  std::string key;
+  bool isKnown = false;
+  // The key is the linked module, so that a plan is linked once.
+  if (cache)
+    (*compiler)->setLinkedHook(
+        [&](const llvm::Module &module)
+            -> llvm::Expected<std::optional<runtime::DeviceImage>> {
+          key = getProgramKey(printModule(module), options);
+          std::optional<std::string> bytes;
+          if (!key.empty())
+            bytes = cache.load(key);
+          std::optional<CompiledObject> object;
+          if (bytes)
+            object = CompiledObject::deserialize(*bytes);
+          if (!object || !object->image)
+            return std::nullopt;
+          isKnown = true;
+          return std::move(object->image);
+        });
   auto image = tai::makeProgram(**compiler, plan);
+  (*compiler)->setLinkedHook(nullptr);
   if ((*compiler)->isBroken())
     (*lease).deviceCode.reset();
   if (!image) {
@@ -198,6 +209,8 @@ Compiler::makeProgram(const runtime::ProgramPlan &plan,
     addProgramReproducer(plan, options, failure);
     return std::nullopt;
   }
+  if (isKnown)
+    return std::move(*image);
   if (assembler)
     assembler(*image);
   if (!key.empty()) {

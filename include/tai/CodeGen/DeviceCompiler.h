@@ -28,7 +28,9 @@
 #include "llvm/IR/LLVMContext.h"
 #include "llvm/IR/Module.h"
 #include "llvm/Support/Error.h"
+#include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -108,8 +110,13 @@ public:
   finish(DeviceCode &code,
          llvm::function_ref<bool(const llvm::GlobalValue &)> isVisible,
          llvm::function_ref<void()> prepare = {});
-  /// Makes `finish` print the module before LLVM's passes, and fail.
-  void printInsteadOfFinishing(std::string *text) { printed = text; }
+  /// Sees the module before LLVM's passes, and may fail or give the image that
+  /// they would lead to.
+  using LinkedHook =
+      std::function<llvm::Expected<std::optional<runtime::DeviceImage>>(
+          const llvm::Module &)>;
+  /// Makes `finish` call the hook; null for none.
+  void setLinkedHook(LinkedHook hook) { linkedHook = std::move(hook); }
 
   bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
   /// True after a fatal error in LLVM: this must not be used any more.
@@ -133,7 +140,7 @@ private:
   /// For the emulated device.
   std::unique_ptr<ObjectCompiler> objects;
   bool broken = false;
-  std::string *printed = nullptr;
+  LinkedHook linkedHook;
 };
 
 /// Fuses the bodies of kernels, given by the bitcode of their images and by

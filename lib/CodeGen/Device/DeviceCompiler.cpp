@@ -394,10 +394,12 @@ Expected<runtime::DeviceImage> DeviceCompiler::finish(
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
   if (isCuda())
     prepareForCuda(module);
-  if (printed) {
-    llvm::raw_string_ostream stream(*printed);
-    module.print(stream, nullptr);
-    return createStringError("printed");
+  if (linkedHook) {
+    auto known = linkedHook(module);
+    if (!known)
+      return known.takeError();
+    if (*known)
+      return std::move(**known);
   }
   // Kernels have been combined when they were made, if they may be.
   llvm::SaveAndRestore combine(options.combineScatters, false);

@@ -200,6 +200,16 @@ const DeviceQueue::Way *DeviceQueue::Program::findGraph() const {
   return nullptr;
 }
 
+/// The fastest of the ways whose trials have ended; null if there is none.
+DeviceQueue::Way *DeviceQueue::Program::findFastest() const {
+  Way *best = nullptr;
+  for (const std::unique_ptr<Way> &way : ways)
+    if (way->isTried && way->refused.empty() && way->measured >= 0 &&
+        (!best || way->measured < best->measured))
+      best = way.get();
+  return best;
+}
+
 Status DeviceQueue::Program::runTimed(Way &way) {
   Status status = device.synchronize();
   auto start = Clock::now();
@@ -268,11 +278,7 @@ void DeviceQueue::Program::use(Way *way) {
 void DeviceQueue::Program::endTrial(Way &way) {
   way.isTried = true;
   way.job.reset();
-  Way *best = nullptr;
-  for (const std::unique_ptr<Way> &other : ways)
-    if (other->refused.empty() && other->measured >= 0 &&
-        (!best || other->measured < best->measured))
-      best = other.get();
+  Way *best = findFastest();
   use(best);
   if (hasTrials() || !best)
     return;
@@ -404,11 +410,7 @@ Status DeviceQueue::Program::runUsed() {
   lost.isTried = false;
   lost.tries = 0;
   lost.measured = -1;
-  use(nullptr);
-  for (const std::unique_ptr<Way> &way : ways)
-    if (way->isTried && way->refused.empty() && way->measured >= 0 &&
-        (!used || way->measured < used->measured))
-      use(way.get());
+  use(findFastest());
   return used ? used->launch() : runSteps();
 }
 

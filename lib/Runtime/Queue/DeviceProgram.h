@@ -61,6 +61,7 @@ private:
   void addWay(ProgramMode mode, const LaunchShape &shape);
   double predict(ProgramMode mode, const LaunchShape &shape) const;
   const Way *findGraph() const;
+  Way *findFastest() const;
   bool mayOverlapPay() const;
   void begin(ProgramMode mode, const Tools &tools);
   bool hasTrials() const;
