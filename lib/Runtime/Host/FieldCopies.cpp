@@ -15,6 +15,7 @@
 #include "tai/Runtime/Host/FieldCopies.h"
 #include "../Mirror/Mirror.h"
 #include "../Storage/Scalars.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <array>
 #include <cstring>
@@ -23,6 +24,7 @@ using namespace mlir::tai::runtime;
 
 /// Bytes that one worker should have to do, to repay its fork.
 static constexpr int64_t bytesPerPart = 128 << 10;
+constexpr int64_t bytesPerSafepoint = FieldCopies::bytesPerSafepoint;
 
 static Status gone(const Field &field) {
   return Status::failure(StatusCode::Usage,
@@ -44,13 +46,13 @@ template <typename Data> struct RowPart {
 
 /// `data` is the address of the first element.
 template <typename Data, typename Move>
-void FieldCopies::forEachRow(const Field &field, Data *data,
-                             const Move &move) const {
+bool FieldCopies::forEachRow(const Field &field, Data *data,
+                             Interrupts interrupts, const Move &move) const {
   const FieldLayout &layout = field.layout();
   const std::vector<int64_t> &shape = field.shape();
   int rank = field.rank();
   if (field.numElements() == 0)
-    return;
+    return true;
   // Contributions of each index to the address.
   std::vector<std::vector<int64_t>> tables(static_cast<size_t>(rank));
   std::vector<int64_t> steps(static_cast<size_t>(rank), 0);
@@ -99,22 +101,48 @@ void FieldCopies::forEachRow(const Field &field, Data *data,
     }
   };
 
-  int64_t parts = workers.partsOf(field.hostBytes(), bytesPerPart);
+  int64_t parts = std::max(workers.partsOf(field.hostBytes(), bytesPerPart),
+                           field.hostBytes() / bytesPerSafepoint);
+  bool isLong = field.hostBytes() >= 2 * bytesPerSafepoint;
+  // A handler may destroy the tree in the middle; its memory stays until the
+  // copy ends.
+  std::shared_ptr<void> memory = field.tree().sharedMemory();
   struct Job {
     decltype(visit) *run;
     int64_t elements, parts;
-  } job{&visit, field.numElements(), parts};
+    bool isLong, canStop;
+    std::atomic<bool> isStopped{false};
+    safepoint::Watch watch;
+
+    void look() {
+      if (!watch.look() && canStop)
+        isStopped.store(true, std::memory_order_relaxed);
+    }
+  } job{&visit, field.numElements(),           parts,
+        isLong, interrupts == Interrupts::Stop, {},
+        {}};
+  // The clock may stand still; the first safepoint starts it.
+  if (isLong && !safepoint::look() && job.canStop)
+    return false;
   workers.parallel(
       parts,
       [](void *context, int64_t part) {
         Job &job = *static_cast<Job *>(context);
+        // The thread that has called looks for all of them.
+        if (job.isLong && !safepoint::isWorker())
+          job.look();
+        if (job.isStopped.load(std::memory_order_relaxed))
+          return;
         auto bound = [&](int64_t p) {
           return job.elements / job.parts * p +
                  job.elements % job.parts * p / job.parts;
         };
         (*job.run)(bound(part), bound(part + 1));
       },
-      &job);
+      &job,
+      isLong ? [](void *context) { static_cast<Job *>(context)->look(); }
+             : static_cast<void (*)(void *)>(nullptr));
+  return !job.isStopped.load(std::memory_order_relaxed);
 }
 
 /// Calls body(address of the element, number of the element) along the row.
@@ -160,7 +188,7 @@ Status FieldCopies::copyOut(const Field &field, void *array) const {
   if (Mirror *mirror = field.tree().mirror();
       mirror && mirror->copyOut(field, array))
     return devices.takeFailure();
-  forEachRow(field, field.readable(), [&](const RowPart<const char> &row) {
+  auto copyRow = [&](const RowPart<const char> &row) {
     if (stride != scalar) {
       alongRow(row, [&](const char *from, int64_t k) {
         for (int64_t c = 0; c < components; ++c)
@@ -177,14 +205,19 @@ Status FieldCopies::copyOut(const Field &field, void *array) const {
         });
       });
     }
-  });
-  return devices.takeFailure();
+  };
+  bool isWhole =
+      forEachRow(field, field.readable(), Interrupts::Stop, copyRow);
+  return isWhole ? devices.takeFailure() : failAsInterrupted();
 }
 
-void FieldCopies::copyIn(Field &field, const void *array) const {
+bool FieldCopies::copyIn(Field &field, const void *array,
+                         Interrupts interrupts) const {
   field.oweZeros(nullptr);
-  if (field.sparseNode())
-    return copyInActive(field, array);
+  if (field.sparseNode()) {
+    copyInActive(field, array);
+    return true;
+  }
   int64_t scalar = byteSize(field.scalar());
   int64_t components = field.numComponents();
   int64_t element = scalar * components;
@@ -192,8 +225,8 @@ void FieldCopies::copyIn(Field &field, const void *array) const {
   const char *host = static_cast<const char *>(array);
   if (Mirror *mirror = field.tree().mirror();
       mirror && mirror->copyIn(field, array))
-    return;
-  forEachRow(field, field.writable(), [&](const RowPart<char> &row) {
+    return true;
+  auto copyRow = [&](const RowPart<char> &row) {
     if (stride != scalar) {
       alongRow(row, [&](char *to, int64_t k) {
         for (int64_t c = 0; c < components; ++c)
@@ -210,7 +243,8 @@ void FieldCopies::copyIn(Field &field, const void *array) const {
         });
       });
     }
-  });
+  };
+  return forEachRow(field, field.writable(), interrupts, copyRow);
 }
 
 /// Elements at one distance throughout: the rows of a small object are too
@@ -253,10 +287,13 @@ static bool fillEvenly(const Field &field, char *data, const char *scalar,
   return false;
 }
 
-void FieldCopies::fill(Field &field, const void *scalarBytes) const {
+bool FieldCopies::fill(Field &field, const void *scalarBytes,
+                       Interrupts interrupts) const {
   field.oweZeros(nullptr);
-  if (field.sparseNode())
-    return fillActive(field, scalarBytes);
+  if (field.sparseNode()) {
+    fillActive(field, scalarBytes);
+    return true;
+  }
   int64_t scalar = byteSize(field.scalar());
   int64_t components = field.numComponents();
   int64_t stride = field.layout().componentStride;
@@ -264,12 +301,13 @@ void FieldCopies::fill(Field &field, const void *scalarBytes) const {
   bool zero = std::all_of(bytes, bytes + scalar, [](char b) { return !b; });
   if (Mirror *mirror = field.tree().mirror();
       mirror && mirror->fill(field, scalarBytes))
-    return;
+    return true;
   char *data = field.writable();
   if (fillEvenly(field, data, bytes, zero))
-    return;
+    return true;
+  bool isWhole = true;
   withSize(scalar, [&](auto size) {
-    forEachRow(field, data, [&](const RowPart<char> &row) {
+    auto fillRow = [&](const RowPart<char> &row) {
       bool dense = stride == scalar && !row.offsets &&
                    (row.step == components * scalar || row.count == 1);
       if (dense && zero) {
@@ -285,6 +323,8 @@ void FieldCopies::fill(Field &field, const void *scalarBytes) const {
             std::memcpy(to + c * stride, bytes, size);
         });
       }
-    });
+    };
+    isWhole = forEachRow(field, data, interrupts, fillRow);
   });
+  return isWhole;
 }

@@ -9,19 +9,22 @@
 #include "../Mirror/Slabs.h"
 #include "../Storage/Scalars.h"
 #include "HostWrite.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <cstring>
 
 using namespace mlir::tai::runtime;
 
-void HostWrites::perform(const HostWrite &write) {
+bool HostWrites::perform(const HostWrite &write,
+                         FieldCopies::Interrupts interrupts) {
   Field &field = *write.field;
+  bool isWhole = true;
   switch (write.what) {
   case HostWrite::What::Fill:
-    copies.fill(field, write.bytes);
+    isWhole = copies.fill(field, write.bytes, interrupts);
     break;
   case HostWrite::What::Array:
-    copies.copyIn(field, write.bytes);
+    isWhole = copies.copyIn(field, write.bytes, interrupts);
     break;
   case HostWrite::What::Element:
     devices.noteFailure(
@@ -31,6 +34,26 @@ void HostWrites::perform(const HostWrite &write) {
     break;
   }
   field.markDirty();
+  return isWhole;
+}
+
+/// Compares an array with the field, piece by piece. False too if the host has
+/// interrupted it.
+static bool isEqual(const Field &field, const char *array) {
+  Slabs slabs(field, -1);
+  std::shared_ptr<void> memory = field.tree().sharedMemory();
+  int64_t element = byteSize(field.scalar()) * field.numComponents();
+  int64_t count = field.numElements();
+  int64_t piece =
+      std::max<int64_t>(FieldCopies::bytesPerSafepoint / element, 1);
+  safepoint::Watch watch;
+  if (count >= 2 * piece && !safepoint::look())
+    return false;
+  for (int64_t at = 0; at < count; at += piece)
+    if (!slabs.equal(at, std::min(piece, count - at), array + at * element) ||
+        !watch.look())
+      return false;
+  return true;
 }
 
 /// Whether the write would change nothing. A fill is not compared with the
@@ -38,8 +61,7 @@ void HostWrites::perform(const HostWrite &write) {
 static bool changesNothing(const HostWrite &write) {
   const Field &field = *write.field;
   if (write.what == HostWrite::What::Array)
-    return Slabs(field, -1).equal(0, field.numElements(),
-                                  static_cast<const char *>(write.bytes));
+    return isEqual(field, static_cast<const char *>(write.bytes));
   if (write.what == HostWrite::What::Fill)
     return false;
   char held[8] = {};
@@ -123,11 +145,13 @@ Status HostWrites::change(const HostWrite &write) {
   Status active = activateFor(write);
   if (!active)
     return active;
+  auto performNow = [&] {
+    bool isWhole = perform(write, FieldCopies::Interrupts::Stop);
+    return isWhole ? devices.takeFailure() : FieldCopies::failAsInterrupted();
+  };
   // Gradients are no values that a program computes from.
-  if (field.isAdjoint()) {
-    perform(write);
-    return devices.takeFailure();
-  }
+  if (field.isAdjoint())
+    return performNow();
   if (watcher && recordings.isForward() && write.replacesAll())
     watcher->overwrite(field);
   if (tape) {
@@ -139,8 +163,7 @@ Status HostWrites::change(const HostWrite &write) {
   if ((devices.isThere() && !recordings.needsValues(field)) ||
       !changesNothing(write))
     field.countChange();
-  perform(write);
-  return devices.takeFailure();
+  return performNow();
 }
 
 Status HostWrites::copyIn(Field &field, const void *array) {

@@ -269,8 +269,11 @@ Status Tape::recordWrite(const HostWrite &write) {
     status = parts->memory.beforeWrite(field, write.index, index);
   if (!status)
     return status;
-  parts->services.perform(write);
+  bool isWhole =
+      parts->services.perform(write, FieldCopies::Interrupts::Stop);
   parts->memory.settle();
+  if (!isWhole)
+    return FieldCopies::failAsInterrupted();
   if (isSuspended())
     return status;
   parts->memory.endParts(index, /*readsInReverse=*/false);

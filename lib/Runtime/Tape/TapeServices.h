@@ -117,7 +117,12 @@ public:
   uint64_t epoch() const { return runtime.storageEpoch(); }
   /// A unique number for marks of analyses.
   uint64_t nextMark() const { return runtime.recordings().nextStamp(); }
-  void perform(const HostWrite &write) const { runtime.perform(write); }
+  /// False if it was interrupted.
+  bool perform(
+      const HostWrite &write,
+      FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait) const {
+    return runtime.perform(write, interrupts);
+  }
   Status activateFor(const HostWrite &write) const {
     return runtime.activateFor(write);
   }

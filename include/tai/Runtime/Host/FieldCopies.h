@@ -27,18 +27,32 @@ public:
   /// From a field to an array of its scalar type, of shape (shape..., element
   /// shape...).
   Status copyOut(const Field &field, void *array) const;
-  /// The other way round; for a sparse field, only active cells.
-  void copyIn(Field &field, const void *array) const;
-  /// Sets all components to one scalar of the field's type.
-  void fill(Field &field, const void *scalarBytes) const;
+  /// Bytes between two safepoints of a copy: a few milliseconds, also where the
+  /// pages of the memory are new.
+  static constexpr int64_t bytesPerSafepoint = 4 << 20;
+  /// Whether the host may interrupt a copy in the middle. Safepoints are passed
+  /// either way.
+  enum class Interrupts { Stop, Wait };
+  /// The other way round; for a sparse field, only active cells. False if it
+  /// was interrupted: the field then holds a part of the array.
+  bool copyIn(Field &field, const void *array,
+              Interrupts interrupts = Interrupts::Wait) const;
+  /// Sets all components to one scalar of the field's type. False if it was
+  /// interrupted.
+  bool fill(Field &field, const void *scalarBytes,
+            Interrupts interrupts = Interrupts::Wait) const;
   void clear(Field &field) const {
     const char zeros[8] = {};
-    fill(field, zeros);
+    (void)fill(field, zeros);
+  }
+  static Status failAsInterrupted() {
+    return Status::failure(StatusCode::Interrupted, "interrupted");
   }
 
 private:
   template <typename Data, typename Move>
-  void forEachRow(const Field &field, Data *data, const Move &move) const;
+  bool forEachRow(const Field &field, Data *data, Interrupts interrupts,
+                  const Move &move) const;
   template <typename Body>
   void forEachActiveCell(const Field &field, int64_t bytesOfCell,
                          const Body &body) const;

@@ -62,7 +62,10 @@ public:
   /// activation of cells, and the write.
   Status change(const HostWrite &write);
   Status activateFor(const HostWrite &write);
-  void perform(const HostWrite &write);
+  /// False if it was interrupted.
+  bool perform(
+      const HostWrite &write,
+      FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait);
 
 private:
   Status activateNonzero(Field &field, const void *array);

@@ -327,7 +327,11 @@ public:
     return Launcher::failureOf(launch, kernel);
   }
   Status change(const HostWrite &write) { return hostWrites.change(write); }
-  void perform(const HostWrite &write) { hostWrites.perform(write); }
+  bool perform(
+      const HostWrite &write,
+      FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait) {
+    return hostWrites.perform(write, interrupts);
+  }
   Status activateFor(const HostWrite &write) {
     return hostWrites.activateFor(write);
   }

@@ -8,6 +8,7 @@
 #include "TapeMemory.h"
 #include "../../Mirror/Mirror.h"
 #include "../TapeServices.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <cstring>
 #include <set>
@@ -130,6 +131,8 @@ bool TapeMemory::isRead(const Field &field) const {
 
 Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
                                 uint32_t record, bool isPart) {
+  if (isInterrupted)
+    return failAsInterruptedWork();
   if (checkpoints) {
     checkpoints->reach(record);
     lost |= !isPart && !changedParts.empty();
@@ -176,6 +179,8 @@ void TapeMemory::afterPart(const KernelUses &uses, const uint64_t *args) {
 
 Status TapeMemory::beforeWrite(const FieldPtr &field, const int64_t *index,
                                uint32_t record) {
+  if (isInterrupted)
+    return failAsInterruptedWork();
   Track &track = trackOf(field, std::nullopt);
   int dimension = track.slabs.dimension();
   int64_t slab = -1;
@@ -227,6 +232,11 @@ Status TapeMemory::save(const Candidate &candidate) {
   track.everSaved = true;
   if (track.slabs.byCell())
     growing.push_back(candidate);
+  // The clock may stand still; the first safepoint starts it.
+  isLong = track.field->hostBytes() >= 2 * FieldCopies::bytesPerSafepoint;
+  if (isLong)
+    if (Status status = passSafepoint(/*isFirst=*/true); !status)
+      return status;
   return track.forEachRun(
       candidate.slab,
       [&](int64_t cell) { return track.savedAt[cell] <= candidate.stamp; },
@@ -235,12 +245,20 @@ Status TapeMemory::save(const Candidate &candidate) {
       });
 }
 
+Status TapeMemory::passSafepoint(bool isFirst) {
+  isInterrupted = true;
+  bool goesOn = isFirst ? safepoint::look() : watch.look();
+  isInterrupted = false;
+  return goesOn ? Status::success() : FieldCopies::failAsInterrupted();
+}
+
 Status TapeMemory::addPiece(const Candidate &candidate, int64_t cell,
                             int64_t endCell) {
   Track &track = *candidate.track;
   Piece piece{&track, candidate.record, candidate.before, cell, endCell, {}};
-  Status status =
-      piece.allocate(runtime, saved + (checkpoints ? checkpoints->bytes() : 0));
+  Status status = isLong ? passSafepoint(/*isFirst=*/false) : Status::success();
+  if (status)
+    status = piece.allocate(runtime, saved + (checkpoints ? checkpoints->bytes() : 0));
   if (!status)
     return status;
   stampSaved(candidate, cell, endCell);

@@ -1,0 +1,109 @@
+"""Ctrl-C in the middle of fills and copies: they stop before their end, and all stays usable.
+
+One thread goes from the first element to the last, so that the last one shows whether the copy was
+stopped.
+"""
+
+import signal
+
+import numpy as np
+import pytest
+import tai as ti
+from interrupts import check_usable
+
+# 512 MB of f32; the clock of safepoints ticks every 20 ms.
+SIZE = 1 << 27
+
+
+@pytest.fixture
+def field():
+    ti.init(default_fp=ti.f32, offline_cache=False, cpu_max_num_threads=1)
+    x = ti.field(ti.f32, shape=SIZE, needs_grad=True)
+    x.fill(1.0)
+    return x
+
+
+def interrupt(work):
+    """Runs `work`, to which a signal comes once it has begun; says whether that ended it."""
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    former = signal.signal(signal.SIGALRM, stop)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.005)
+        work()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, former)
+    return False
+
+
+def writes(x):
+    twos = np.full(SIZE, 2.0, np.float32)
+    return {"fill": lambda: x.fill(2.0), "from_numpy": lambda: x.from_numpy(twos)}
+
+
+@pytest.mark.parametrize("form", ["fill", "from_numpy"])
+@pytest.mark.parametrize("taped", [False, True])
+def test_a_write_stops_before_its_end(field, form, taped):
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+    write = writes(field)[form]
+
+    @ti.kernel
+    def head():
+        for i in range(4):
+            loss[None] += field[i] * field[i]
+
+    def work():
+        if not taped:
+            return write()
+        with ti.ad.Tape(loss):
+            head()
+            write()
+
+    head()
+    assert interrupt(work)
+    assert field[0] in (1.0, 2.0) and field[SIZE - 1] == 1.0
+    write()
+    assert field[0] == field[SIZE // 2] == field[SIZE - 1] == 2.0
+    loss[None] = 0.0
+    with ti.ad.Tape(loss):
+        head()
+    assert loss[None] == 16.0 and field.grad[0] == field.grad[3] == 4.0
+    check_usable()
+
+
+def test_a_read_is_interrupted(field):
+    assert interrupt(field.to_numpy)
+    array = field.to_numpy()
+    assert array[0] == array[-1] == 1.0
+    check_usable()
+
+
+def test_a_handler_that_destroys_the_tree(field):
+    """The memory stays until the copy has ended."""
+    tree = ti.FieldsBuilder()
+    y = ti.field(ti.f32)
+    tree.dense(ti.i, SIZE).place(y)
+    made = tree.finalize()
+    y.fill(1.0)
+    ran = []
+
+    def destroy(*_):
+        if not ran:
+            ran.append(True)
+            made.destroy()
+
+    former = signal.signal(signal.SIGALRM, destroy)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.005)
+        y.fill(2.0)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, former)
+    assert ran
+    assert field[SIZE - 1] == 1.0
+    check_usable()
