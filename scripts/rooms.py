@@ -28,7 +28,7 @@ ARROWS: dict[str, str] = {
     "Interfaces": "",
     "Dialect": "Interfaces",
     "Analysis": "ABI Dialect Interfaces Support",
-    "AD": "Analysis Dialect Interfaces Support",
+    "AD": "ABI Analysis Dialect Interfaces Support",
     "Transforms": "ABI Analysis Dialect Interfaces Support",
     "Conversion": "ABI Analysis Dialect Support Transforms",
     "Pipelines": "AD Conversion Dialect Interfaces Support Transforms",

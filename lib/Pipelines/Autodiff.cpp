@@ -46,6 +46,10 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
   split.kernels.assign(options.kernels.begin(), options.kernels.end());
   pm.addPass(createSplitKernel(split));
 
+  ChooseWritersOptions writers;
+  writers.kernels.assign(options.kernels.begin(), options.kernels.end());
+  pm.addPass(createChooseWriters(writers));
+
   MakeAdjointOptions adjoint;
   adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());
   adjoint.arrayAdjoints = options.arrayAdjoints;

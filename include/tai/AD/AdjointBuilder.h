@@ -80,6 +80,8 @@ struct Frame {
   SmallVector<Value> argumentValues;
   /// The recorded values that have been popped here.
   DenseSet<Value> popped;
+  /// Buffers that are freed at the end of the block.
+  SmallVector<Value> buffers;
 };
 
 class AdjointBuilder : public DerivativeBuilder {

@@ -210,6 +210,68 @@ def SplitKernel : Pass<"tai-split-kernel", "::mlir::ModuleOp"> {
   ];
 }
 
+def ChooseWriters : Pass<"tai-choose-writers", "::mlir::ModuleOp"> {
+  let summary = "decide which of several iterations stores to an element";
+  let description = [{
+    If iterations of a parallel loop store to the same element, its gradient
+    belongs to the one whose value remains. Where the indices do not prove that
+    no two do, and a derivative passes through a store, this pass makes a kernel
+    in which the last iteration stores, in the order of iterations, and the
+    others do not: `@k.0` with the attribute `part_of = @k`, which a tape
+    launches in place of `@k`. Parts of `tai-split-kernel` are changed
+    themselves.
+
+    The last iteration for each element is found by a copy of the loop that
+    keeps only what decides on the stores. If that is not known before the loop,
+    because the loop changes what it depends on, the loop runs on one thread. An
+    access that meets the store of another iteration fails the launch.
+
+    ```mlir
+    tai.parallel_for (%i) in @x {
+      %k = tai.load @p[%i] : i32
+      %j = arith.index_cast %k : i32 to index
+      %0 = tai.load @x[%i] : f32
+      tai.store %0, @y[%j] : f32
+    }
+    ```
+
+    becomes, less the treatment of indices out of range,
+
+    ```mlir
+    %owners = memref.alloc() {tai.owners} : memref<16xi32>
+    tai.parallel_for (%e) = (%c0) to (%c16) {
+      memref.store %none, %owners[%e] : memref<16xi32>
+    }
+    tai.parallel_for (%i) in @x {
+      %number = arith.index_cast %i : index to i32
+      %k = tai.load @p[%i] : i32
+      %j = arith.index_cast %k : i32 to index
+      %old = memref.atomic_rmw maxs %number, %owners[%j]
+          : (i32, memref<16xi32>) -> i32
+    }
+    tai.parallel_for (%i) in @x {
+      %number = arith.index_cast %i : index to i32
+      %k = tai.load @p[%i] : i32
+      %j = arith.index_cast %k : i32 to index
+      %0 = tai.load @x[%i] : f32
+      %owner = memref.load %owners[%j] : memref<16xi32>
+      %mine = arith.cmpi eq, %owner, %number : i32
+      scf.if %mine {
+        tai.store %0, @y[%j] : f32
+      }
+    }
+    ```
+  }];
+  let dependentDialects = [
+    "::mlir::arith::ArithDialect", "::mlir::memref::MemRefDialect",
+    "::mlir::scf::SCFDialect", "::mlir::tai::TaiDialect"
+  ];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the kernels to differentiate">,
+  ];
+}
+
 def ForwardDiff : Pass<"tai-forward-diff", "::mlir::ModuleOp"> {
   let summary = "make forward-mode variants of kernels";
   let description = [{

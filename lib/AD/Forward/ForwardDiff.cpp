@@ -16,6 +16,7 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "mlir/IR/Matchers.h"
 #include "tai/AD/Conventions.h"
 #include "tai/AD/DerivativeBuilder.h"
 #include "tai/AD/Passes.h"
@@ -23,6 +24,7 @@
 #include "tai/AD/Signature.h"
 #include "tai/AD/SpectralForms.h"
 #include "tai/AD/TangentBuilder.h"
+#include "tai/AD/Writers.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
@@ -161,6 +163,13 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
                  ? Storage(field.getDualAttr())
                  : Storage();
     };
+    // The value and the tangent of an element come from one iteration.
+    auto changesTangent = [&](DifferentiableAccessInterface store) {
+      return tangentOf(store.getAccessedStorage()) &&
+             !matchPattern(store.getAccessedValue(), m_Constant());
+    };
+    if (failed(chooseWriters(function, changesTangent, /*isReversed=*/false)))
+      return failure();
     SpectralForms forms(function);
     auto hasTangent = [&](Storage storage) {
       return static_cast<bool>(tangentOf(storage));

@@ -185,6 +185,8 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   setLoc(loc);
   if (isReexecuted)
     reexecution->end(frame);
+  for (Value buffer : frame.buffers)
+    memref::DeallocOp::create(*this, buffer);
   end(frame);
   frame.sweepBegin->erase();
   reexecution->leave(frame);

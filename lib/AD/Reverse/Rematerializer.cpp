@@ -11,6 +11,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "tai/AD/LoopHistory.h"
+#include "tai/AD/Writers.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -109,7 +110,80 @@ void Rematerializer::materializeArgument(Frame &frame, BlockArgument argument) {
     frame.values.map(argument, value);
 }
 
+/// Recomputed ops stand in the order of the primal.
+void Rematerializer::setInsertionPointFor(Frame &frame, Operation *op) {
+  auto next = frame.recomputed.lower_bound(op);
+  if (next != frame.recomputed.end())
+    b.setInsertionPoint(next->second);
+  else if (frame.sweepBegin)
+    b.setInsertionPoint(frame.sweepBegin);
+  else
+    b.setInsertionPointToEnd(frame.mirror);
+  b.setLoc(op->getLoc());
+}
+
+static bool holdsOwners(Value value) {
+  Operation *alloc = value.getDefiningOp();
+  return alloc && alloc->hasAttr(kOwnersAttrName);
+}
+
+/// The owners of elements are decided again: see tai-choose-writers. One loop
+/// may decide for several fields; each has a copy of it.
+void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
+  SmallVector<Operation *> setters = findOwnerSetters(alloc);
+  llvm::SetVector<Value> captured(llvm::from_range, alloc->getOperands());
+  bool isReadable = true;
+  for (Operation *setter : setters) {
+    auto isFromOutside = [&](Value value) {
+      return !setter->isAncestor(value.getParentBlock()->getParentOp()) &&
+             !holdsOwners(value);
+    };
+    setter->walk([&](Operation *op) {
+      for (Value operand : op->getOperands())
+        if (isFromOutside(operand))
+          captured.insert(operand);
+      auto read = dyn_cast<DifferentiableAccessInterface>(op);
+      if (!read || read.getAccessKind() != AccessKind::Read)
+        return;
+      isReadable &= checkReadable(read);
+      if (!b.isReexecuted(read))
+        return;
+      isReadable = false;
+      b.emitError(read, "the value read here decides which iteration stores to "
+                        "an element, and is overwritten")
+              .attachNote()
+          << "put the stores into a kernel of their own";
+    });
+  }
+  if (!isReadable) {
+    frame.values.map(alloc.getResult(), alloc.getResult());
+    refused.insert(alloc);
+    return;
+  }
+  IRMapping mapping;
+  for (Value value : captured)
+    mapping.map(value, get(value));
+  // Operands may stand between the setters.
+  Operation *last = setters.empty() ? alloc : setters.back();
+  setInsertionPointFor(frame, last);
+  Operation *copy = b.clone(*alloc, mapping);
+  Value owners = copy->getResult(0);
+  frame.values.map(alloc.getResult(), owners);
+  frame.recomputed.try_emplace(last, copy);
+  frame.buffers.push_back(owners);
+  for (Operation *setter : setters)
+    b.clone(*setter, mapping)->walk([&](Operation *op) {
+      auto access = dyn_cast<DifferentiableAccessInterface>(op);
+      Value memref = access ? access.getAccessedStorage().memref : Value();
+      if (memref && memref != owners && holdsOwners(memref))
+        op->erase();
+    });
+}
+
 void Rematerializer::recompute(Frame &frame, Operation *op) {
+  if (auto alloc = dyn_cast<memref::AllocOp>(op);
+      alloc && alloc->hasAttr(kOwnersAttrName))
+    return recomputeOwners(frame, alloc);
   if (!checkRecomputable(op)) {
     for (Value result : op->getResults())
       frame.values.map(result, result);
@@ -120,14 +194,7 @@ void Rematerializer::recompute(Frame &frame, Operation *op) {
   IRMapping mapping;
   for (Value operand : op->getOperands())
     mapping.map(operand, get(operand));
-  auto next = frame.recomputed.lower_bound(op);
-  if (next != frame.recomputed.end())
-    b.setInsertionPoint(next->second);
-  else if (frame.sweepBegin)
-    b.setInsertionPoint(frame.sweepBegin);
-  else
-    b.setInsertionPointToEnd(frame.mirror);
-  b.setLoc(op->getLoc());
+  setInsertionPointFor(frame, op);
   Operation *copy = b.insert(op->cloneWithoutRegions(mapping));
   for (auto [from, to] : llvm::zip(op->getResults(), copy->getResults()))
     frame.values.map(from, to);
@@ -161,6 +228,8 @@ void Rematerializer::cloneBlock(Block *primal, Block *mirror) {
   for (Value operand : terminator->getOperands())
     mapping.map(operand, get(operand));
   b.setInsertionPointToEnd(mirror);
+  for (Value buffer : frame.buffers)
+    memref::DeallocOp::create(b, buffer);
   b.clone(*terminator, mapping);
 }
 

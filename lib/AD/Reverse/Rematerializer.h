@@ -15,6 +15,7 @@
 #ifndef TAI_LIB_AD_REVERSE_REMATERIALIZER_H
 #define TAI_LIB_AD_REVERSE_REMATERIALIZER_H
 
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "tai/AD/AdjointBuilder.h"
 
 namespace mlir::tai {
@@ -52,6 +53,8 @@ private:
                      SmallVectorImpl<Operation *> &missing);
   void recompute(Frame &frame, Operation *op);
   void recomputeRegions(Operation *op, Operation *copy);
+  void recomputeOwners(Frame &frame, memref::AllocOp alloc);
+  void setInsertionPointFor(Frame &frame, Operation *op);
   bool checkRecomputable(Operation *op);
   Value loadStored(Frame &frame, Value value);
 

@@ -29,6 +29,7 @@ static std::optional<AtomicKind> toAtomicKind(arith::AtomicRMWKind kind) {
   case arith::AtomicRMWKind::minimumf:
     return AtomicKind::Min;
   case arith::AtomicRMWKind::maximumf:
+  case arith::AtomicRMWKind::maxs:
     return AtomicKind::Max;
   default:
     return std::nullopt;

@@ -1,0 +1,717 @@
+//===- ChooseWriters.cpp - Which iteration's store remains ----------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Where iterations may store to the same element, a copy of the loop runs
+// first, of which nothing is left but what decides on the stores. It finds the
+// last iteration that stores to each element. The loop itself then stores only
+// where it runs that iteration:
+//
+//   owner[e] = -1                                  over all elements
+//   owner[e] = max(owner[e], number)               the loop, without the rest
+//   if owner[e] == number: y[e] = v                the loop
+//
+// An adjoint repeats the first two, because they depend on nothing that the
+// loop changes, and takes the adjoint of the element under the condition. One
+// iteration is serial code, whose stores follow one another.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../SelectedFunctionsPass.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/IR/ImplicitLocOpBuilder.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/IR/PatternMatch.h"
+#include "mlir/Transforms/RegionUtils.h"
+#include "tai/ABI/Abi.h"
+#include "tai/AD/Passes.h"
+#include "tai/AD/Selection.h"
+#include "tai/AD/Writers.h"
+#include "tai/Analysis/AccessOrder.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Activity.h"
+#include "tai/Analysis/IterationOrder.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+
+namespace mlir::tai {
+#define GEN_PASS_DEF_CHOOSEWRITERS
+#include "tai/AD/Passes.h.inc"
+} // namespace mlir::tai
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// More elements than this get no owners.
+static constexpr int64_t kMaxElements = int64_t(1) << 28;
+
+static ElementPlace getPlace(DifferentiableAccessInterface access) {
+  return {access.getAccessIndices(), access.getAccessComponents()};
+}
+
+//===----------------------------------------------------------------------===//
+// Open stores
+//===----------------------------------------------------------------------===//
+
+/// True if the condition is that this iteration owns an element.
+static bool isOwnership(Value condition) {
+  if (auto either = condition.getDefiningOp<arith::OrIOp>())
+    return isOwnership(either.getLhs()) || isOwnership(either.getRhs());
+  auto compare = condition.getDefiningOp<arith::CmpIOp>();
+  if (!compare || compare.getPredicate() != arith::CmpIPredicate::eq)
+    return false;
+  return llvm::any_of(compare->getOperands(), [](Value value) {
+    auto load = value.getDefiningOp<memref::LoadOp>();
+    Operation *alloc = load ? load.getMemRef().getDefiningOp() : nullptr;
+    return alloc && alloc->hasAttr(kOwnersAttrName);
+  });
+}
+
+static bool isOwned(Operation *store, Operation *loop) {
+  for (Operation *parent = store->getParentOp(); parent != loop;
+       parent = parent->getParentOp())
+    if (auto branch = dyn_cast<scf::IfOp>(parent);
+        branch && isOwnership(branch.getCondition()))
+      return true;
+  return false;
+}
+
+namespace {
+/// The accesses of a parallel loop to a storage where iterations may meet.
+struct OpenStorage {
+  SmallVector<DifferentiableAccessInterface> stores;
+  /// Accesses that may meet the stores of other iterations, and sums that
+  /// accesses of other iterations may meet.
+  SmallVector<DifferentiableAccessInterface> others, sums;
+  /// Whether stores may meet each other.
+  bool collides = false;
+  /// Whether stores may meet sums: an element would have several owners.
+  bool isMixed = false;
+  /// Whether a derivative passes through a store.
+  bool isActive = false;
+
+  /// The accesses that make an iteration the owner of an element.
+  SmallVector<DifferentiableAccessInterface> getClaims() const {
+    SmallVector<DifferentiableAccessInterface> claims(stores);
+    llvm::append_range(claims, sums);
+    return claims;
+  }
+};
+} // namespace
+
+/// True if two of the accesses may meet in different iterations.
+static bool anyMeet(ParallelForOp loop,
+                    ArrayRef<DifferentiableAccessInterface> accesses) {
+  for (size_t i = 0; i != accesses.size(); ++i)
+    for (size_t j = i; j != accesses.size(); ++j)
+      if (mayMeet(loop, getPlace(accesses[i]), getPlace(accesses[j])))
+        return true;
+  return false;
+}
+
+/// A tangent is computed with the value, in whatever order; an adjoint is not,
+/// so that with `isReversed` reads must not meet what other iterations write.
+static SmallVector<OpenStorage> findOpen(ParallelForOp loop,
+                                         StoreFilter matters, bool isReversed) {
+  llvm::MapVector<const void *, SmallVector<DifferentiableAccessInterface>>
+      storages;
+  bool isActive = false;
+  loop.getBody().walk([&](DifferentiableAccessInterface access) {
+    Value memref = access.getAccessedStorage().memref;
+    if (memref && (loop->isAncestor(memref.getParentBlock()->getParentOp()) ||
+                   !isa<BlockArgument>(memref)))
+      return;
+    isActive |= matters(access);
+    storages[getStorageKey(access)].push_back(access);
+  });
+  SmallVector<OpenStorage> open;
+  for (auto &[key, accesses] : storages) {
+    OpenStorage storage;
+    SmallVector<DifferentiableAccessInterface> rest;
+    for (DifferentiableAccessInterface access : accesses) {
+      bool isStore = access.getAccessKind() == AccessKind::Write;
+      (isStore ? storage.stores : rest).push_back(access);
+    }
+    auto isOwnedHere = [&](Operation *op) { return isOwned(op, loop); };
+    if (llvm::any_of(accesses, isOwnedHere))
+      continue; // decided before
+    storage.collides = anyMeet(loop, storage.stores);
+    storage.isActive = llvm::any_of(storage.stores,
+                                    [&](auto store) { return matters(store); });
+    bool isOpen = storage.collides && storage.isActive;
+    for (DifferentiableAccessInterface other : rest) {
+      // A sum with an element of its own meets others as a store does.
+      bool isSum = other.getAccessKind() != AccessKind::Read &&
+                   !mayMeet(loop, getPlace(other), getPlace(other));
+      bool meets = llvm::any_of(accesses, [&](auto write) {
+        bool isRead = write.getAccessKind() == AccessKind::Read;
+        bool areSums = other.getAccessKind() != AccessKind::Read &&
+                       write.getAccessKind() != AccessKind::Write;
+        bool isOwn = write.getAccessKind() == AccessKind::Write ||
+                     !mayMeet(loop, getPlace(write), getPlace(write));
+        return !isRead && !areSums && isOwn &&
+               mayMeet(loop, getPlace(write), getPlace(other));
+      });
+      if (isSum) {
+        storage.sums.push_back(other);
+        storage.isMixed |= llvm::any_of(storage.stores, [&](auto store) {
+          return mayMeet(loop, getPlace(store), getPlace(other));
+        });
+      }
+      if (meets)
+        storage.others.push_back(other);
+    }
+    isOpen |= isReversed && isActive && !storage.others.empty();
+    if (isOpen)
+      open.push_back(std::move(storage));
+  }
+  return open;
+}
+
+static SmallVector<ParallelForOp> getParallelLoops(FunctionOpInterface f) {
+  SmallVector<ParallelForOp> loops;
+  f.getFunctionBody().walk([&](ParallelForOp loop) {
+    if (!loop.getSerialize())
+      loops.push_back(loop);
+  });
+  return loops;
+}
+
+bool mlir::tai::hasOpenStores(FunctionOpInterface function, StoreFilter matters,
+                              bool isReversed) {
+  return llvm::any_of(getParallelLoops(function), [&](ParallelForOp loop) {
+    return !findOpen(loop, matters, isReversed).empty();
+  });
+}
+
+SmallVector<Operation *> mlir::tai::findOwnerSetters(Operation *alloc) {
+  SmallVector<Operation *> setters;
+  for (Operation *user : alloc->getUsers())
+    if (isa<memref::StoreOp, memref::AtomicRMWOp>(user))
+      setters.push_back(alloc->getBlock()->findAncestorOpInBlock(*user));
+  llvm::sort(setters,
+             [](Operation *a, Operation *b) { return a->isBeforeInBlock(b); });
+  setters.erase(llvm::unique(setters), setters.end());
+  return setters;
+}
+
+//===----------------------------------------------------------------------===//
+// One loop
+//===----------------------------------------------------------------------===//
+
+namespace {
+class LoopWriters {
+public:
+  LoopWriters(ParallelForOp loop, SmallVector<OpenStorage> open)
+      : loop(loop), open(std::move(open)), b(loop.getLoc(), loop) {}
+
+  /// False if what decides on the stores is not known before the loop.
+  bool decide();
+  /// Runs the loop on one thread instead.
+  LogicalResult serialize(bool isReversed);
+
+private:
+  /// A dimension of the owners of a storage.
+  struct Dimension {
+    unsigned position;
+    int64_t first = 0;
+    Value extent;
+  };
+  /// The elements of a storage that have owners.
+  struct Owned {
+    SmallVector<Dimension> dimensions;
+    Value owners;
+  };
+
+  bool findDimensions(const OpenStorage &storage, Owned &owned);
+  bool buildDecision();
+  void countIterations();
+  Value createNumber(OpBuilder &builder, ValueRange ivs);
+  std::pair<SmallVector<Value>, Value>
+  createPosition(DifferentiableAccessInterface access, const Owned &owned);
+  void claim(const OpenStorage &storage, const Owned &owned,
+             const IRMapping &copies, Value number);
+  void restrict(const OpenStorage &storage, const Owned &owned, Value number);
+  bool isKnownBefore(Value value) {
+    return !loop->isAncestor(value.getParentBlock()->getParentOp());
+  }
+  Value index(int64_t value) {
+    return arith::ConstantIndexOp::create(b, value);
+  }
+
+  ParallelForOp loop;
+  SmallVector<OpenStorage> open;
+  ImplicitLocOpBuilder b;
+  /// The iterations along each dimension.
+  SmallVector<Value> lower, extents;
+  IntegerType type;
+  /// The copy that decides.
+  ParallelForOp decision;
+  IRMapping copies;
+  /// Whether the decision takes the result of an op with an effect.
+  bool needsUpdate = false;
+};
+} // namespace
+
+static SmallVector<Value> getPosition(DifferentiableAccessInterface access) {
+  SmallVector<Value> position(access.getAccessIndices());
+  llvm::append_range(position, access.getAccessComponents());
+  return position;
+}
+
+/// Fails where accesses are to whole elements and to components of them.
+bool LoopWriters::findDimensions(const OpenStorage &storage, Owned &owned) {
+  SmallVector<DifferentiableAccessInterface> accesses = storage.getClaims();
+  llvm::append_range(accesses, storage.others);
+  DifferentiableAccessInterface first = accesses.front();
+  size_t rank = getPosition(first).size();
+  if (!llvm::all_of(accesses, [&](auto other) {
+        return getPosition(other).size() == rank;
+      }))
+    return false;
+  int64_t elements = 1;
+  Storage where = first.getAccessedStorage();
+  SmallVector<int64_t> firsts(rank, 0), sizes;
+  if (where.field) {
+    FailureOr<FieldLayout> layout =
+        getFieldLayout(lookupField(first, where.field));
+    if (failed(layout))
+      return false;
+    llvm::copy(layout->offset, firsts.begin());
+    llvm::append_range(sizes, layout->shape);
+    if (auto vector = dyn_cast<VectorType>(layout->path.getElementType()))
+      llvm::append_range(sizes, vector.getShape());
+  } else {
+    llvm::append_range(sizes,
+                       cast<MemRefType>(where.memref.getType()).getShape());
+  }
+  for (size_t i = 0; i != rank; ++i) {
+    // An index that is the same in all iterations, such as a time slot, needs
+    // no room.
+    Value same = getPosition(first)[i];
+    auto isSame = [&](DifferentiableAccessInterface access) {
+      Value value = getPosition(access)[i];
+      return isKnownBefore(value) && areProvablyEqual(value, same);
+    };
+    if (llvm::all_of(accesses, isSame))
+      continue;
+    Dimension dimension{static_cast<unsigned>(i), firsts[i], {}};
+    if (ShapedType::isDynamic(sizes[i])) {
+      dimension.extent = memref::DimOp::create(b, where.memref, i);
+    } else {
+      dimension.extent = index(sizes[i]);
+      elements *= sizes[i];
+    }
+    if (elements > kMaxElements)
+      return false;
+    owned.dimensions.push_back(dimension);
+  }
+  return true;
+}
+
+void LoopWriters::countIterations() {
+  int64_t known = 1;
+  auto add = [&](Value from, Value extent) {
+    lower.push_back(from);
+    extents.push_back(extent);
+    APInt count;
+    bool isKnown = matchPattern(extent, m_ConstantInt(&count)) &&
+                   known <= std::numeric_limits<int32_t>::max();
+    known = isKnown && !llvm::MulOverflow(known, count.getSExtValue(), known)
+                ? known
+                : std::numeric_limits<int64_t>::max();
+  };
+  if (loop.isStructFor()) {
+    FailureOr<FieldLayout> layout =
+        getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+    if (succeeded(layout))
+      for (auto [extent, first] : llvm::zip(layout->shape, layout->offset))
+        add(index(first), index(extent));
+  } else {
+    for (auto [from, to] :
+         llvm::zip(loop.getLowerBounds(), loop.getUpperBounds()))
+      add(from, b.createOrFold<arith::SubIOp>(to, from));
+  }
+  type =
+      b.getIntegerType(known <= std::numeric_limits<int32_t>::max() ? 32 : 64);
+}
+
+/// The number of an iteration, in their order.
+Value LoopWriters::createNumber(OpBuilder &builder, ValueRange ivs) {
+  ImplicitLocOpBuilder at(loop.getLoc(), builder);
+  Value number = arith::ConstantIndexOp::create(at, 0);
+  for (auto [iv, from, extent] : llvm::zip(ivs, lower, extents))
+    number = at.createOrFold<arith::AddIOp>(
+        at.createOrFold<arith::MulIOp>(number, extent),
+        at.createOrFold<arith::SubIOp>(iv, from));
+  return arith::IndexCastOp::create(at, type, number);
+}
+
+/// Where the owner of the element of `access` stands, as far as it is in range,
+/// and whether it is not; emitted at the insertion point.
+std::pair<SmallVector<Value>, Value>
+LoopWriters::createPosition(DifferentiableAccessInterface access,
+                            const Owned &owned) {
+  SmallVector<Value> all = getPosition(access), position;
+  Value isOutside;
+  for (const Dimension &dimension : owned.dimensions) {
+    Value at = all[dimension.position];
+    if (!at.getType().isIndex())
+      at = arith::IndexCastOp::create(b, b.getIndexType(), at);
+    if (dimension.first != 0)
+      at = arith::SubIOp::create(b, at, index(dimension.first));
+    Value last = arith::SubIOp::create(b, dimension.extent, index(1));
+    Value inside = arith::MaxSIOp::create(
+        b, arith::MinSIOp::create(b, at, last), index(0));
+    Value differs =
+        arith::CmpIOp::create(b, arith::CmpIPredicate::ne, at, inside);
+    isOutside =
+        isOutside ? arith::OrIOp::create(b, isOutside, differs) : differs;
+    position.push_back(inside);
+  }
+  return {position, isOutside};
+}
+
+/// True for ops of an iteration that nothing outside of it sees.
+static bool isPrivate(Operation *op, Operation *loop) {
+  auto isInside = [&](Value memory) {
+    return loop->isAncestor(memory.getParentBlock()->getParentOp());
+  };
+  if (isa<AllocaOp, StackCreateOp, StackPushOp, StackPopOp, StackDestroyOp,
+          LocalLoadOp, LocalStoreOp, memref::AllocaOp, memref::AllocOp,
+          memref::DeallocOp>(op))
+    return llvm::all_of(op->getOperands(), [&](Value operand) {
+      return !isa<LocalType, StackType, BaseMemRefType>(operand.getType()) ||
+             isInside(operand);
+    });
+  if (auto access = dyn_cast<DifferentiableAccessInterface>(op))
+    if (Value memref = access.getAccessedStorage().memref)
+      return isInside(memref);
+  return isa<RandomOp>(op);
+}
+
+/// Leaves of a copy of a loop only what `kept` depends on. False if that needs
+/// the result of an op with an effect.
+static bool reduceTo(ParallelForOp copy, const DenseSet<Operation *> &kept) {
+  SmallVector<Operation *> effects;
+  copy.getBody().walk([&](Operation *op) {
+    if (op->getNumRegions() == 0 && !op->hasTrait<OpTrait::IsTerminator>() &&
+        !isMemoryEffectFree(op) && !hasSingleEffect<MemoryEffects::Read>(op) &&
+        !isPrivate(op, copy) && !kept.contains(op))
+      effects.push_back(op);
+  });
+  IRRewriter rewriter(copy->getContext());
+  size_t before;
+  do {
+    before = effects.size();
+    llvm::erase_if(effects, [&](Operation *op) {
+      bool isUnused = op->use_empty();
+      if (isUnused)
+        rewriter.eraseOp(op);
+      return isUnused;
+    });
+    (void)runRegionDCE(rewriter, copy->getRegions());
+  } while (effects.size() != before);
+  return effects.empty();
+}
+
+/// In the copy: the iteration becomes the owner of the elements that it
+/// writes.
+void LoopWriters::claim(const OpenStorage &storage, const Owned &owned,
+                        const IRMapping &copies, Value number) {
+  for (DifferentiableAccessInterface write : storage.getClaims()) {
+    Operation *copy = copies.lookup(write.getOperation());
+    b.setInsertionPoint(copy);
+    b.setLoc(write->getLoc());
+    SmallVector<Value> position =
+        createPosition(cast<DifferentiableAccessInterface>(copy), owned).first;
+    memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::maxs, number,
+                                owned.owners, position);
+  }
+}
+
+/// In the loop: only owners store. Other accesses must not meet the stores of
+/// other iterations.
+void LoopWriters::restrict(const OpenStorage &storage, const Owned &owned,
+                           Value number) {
+  auto createOwner = [&](DifferentiableAccessInterface access) {
+    b.setInsertionPoint(access);
+    b.setLoc(access->getLoc());
+    auto [position, isOutside] = createPosition(access, owned);
+    Value owner = memref::LoadOp::create(b, owned.owners, position);
+    return std::pair(owner, isOutside);
+  };
+  auto createOwnership = [&](Value owner, Value isOutside) {
+    Value isMine =
+        arith::CmpIOp::create(b, arith::CmpIPredicate::eq, owner, number);
+    // An index out of range is reported, or undefined, as ever.
+    return isOutside ? arith::OrIOp::create(b, isMine, isOutside) : isMine;
+  };
+  std::string name = "an array";
+  DifferentiableAccessInterface first = storage.getClaims().front();
+  if (FlatSymbolRefAttr field = first.getAccessedStorage().field)
+    name = ("field '" + field.getValue() + "'").str();
+  auto failure = b.getI32IntegerAttr(TAI_FAIL_CHECK);
+  for (DifferentiableAccessInterface other : storage.others) {
+    auto [owner, isOutside] = createOwner(other);
+    Value none = arith::ConstantIntOp::create(b, -1, type.getWidth());
+    Value isAlone = arith::OrIOp::create(
+        b, createOwnership(owner, isOutside),
+        arith::CmpIOp::create(b, arith::CmpIPredicate::eq, owner, none));
+    AssertOp::create(
+        b, isAlone,
+        b.getStringAttr("an iteration of a parallel loop uses an element of " +
+                        name +
+                        " here that another iteration writes, so that its "
+                        "value and its gradient would be wrong; write to "
+                        "another field, or use an atomic operation"),
+        ValueRange(), failure);
+  }
+  if (!storage.collides)
+    return;
+  for (DifferentiableAccessInterface store : storage.stores) {
+    auto [owner, isOutside] = createOwner(store);
+    auto branch = scf::IfOp::create(b, createOwnership(owner, isOutside),
+                                    /*withElseRegion=*/false);
+    store->moveBefore(branch.thenBlock(), branch.thenBlock()->begin());
+  }
+}
+
+/// True if `read` returns the same value in the copy of the loop and in the
+/// loop.
+static bool isUnchanged(DifferentiableAccessInterface read,
+                        ParallelForOp loop) {
+  const void *key = getStorageKey(read);
+  return !loop.getBody()
+              .walk([&](DifferentiableAccessInterface write) {
+                bool isWrite = write.getAccessKind() != AccessKind::Read &&
+                               getStorageKey(write) == key;
+                return isWrite &&
+                               (mayReachLater(write, read) ||
+                                mayMeet(loop, getPlace(write), getPlace(read)))
+                           ? WalkResult::interrupt()
+                           : WalkResult::advance();
+              })
+              .wasInterrupted();
+}
+
+/// Emits the copy of the loop, which claims nothing yet, and reduces it.
+bool LoopWriters::buildDecision() {
+  decision = cast<ParallelForOp>(b.clone(*loop, copies));
+  DenseMap<Operation *, Operation *> originals;
+  loop.getBody().walk(
+      [&](Operation *op) { originals[copies.lookup(op)] = op; });
+  // The stores are kept until owners stand for them, with a value that needs
+  // nothing.
+  DenseSet<Operation *> kept;
+  for (const OpenStorage &storage : open)
+    for (DifferentiableAccessInterface write : storage.getClaims()) {
+      Operation *copy = copies.lookup(write.getOperation());
+      kept.insert(copy);
+      Value value =
+          cast<DifferentiableAccessInterface>(copy).getAccessedValue();
+      b.setInsertionPoint(copy);
+      Value zero = arith::ConstantOp::create(b, b.getZeroAttr(value.getType()));
+      for (OpOperand &operand : copy->getOpOperands())
+        if (operand.get() == value) {
+          operand.set(zero);
+          break;
+        }
+    }
+  needsUpdate = !reduceTo(decision, kept);
+  if (needsUpdate ||
+      llvm::any_of(kept, [](Operation *write) { return !write->use_empty(); }))
+    return false;
+  bool isKnown = true;
+  decision.getBody().walk([&](DifferentiableAccessInterface copy) {
+    if (kept.contains(copy) || isPrivate(copy, decision))
+      return;
+    Operation *original = originals.lookup(copy);
+    isKnown &= original &&
+               isUnchanged(cast<DifferentiableAccessInterface>(original), loop);
+  });
+  return isKnown;
+}
+
+bool LoopWriters::decide() {
+  if (llvm::any_of(open, [](auto &storage) { return storage.isMixed; }))
+    return false;
+  b.setInsertionPoint(loop);
+  SmallVector<Owned> owned(open.size());
+  for (auto [storage, into] : llvm::zip(open, owned))
+    if (!findDimensions(storage, into))
+      return false;
+  if (loop.getLevel() || !buildDecision()) {
+    if (decision)
+      decision->erase();
+    return false;
+  }
+  b.setInsertionPoint(decision);
+  b.setLoc(loop.getLoc());
+  countIterations();
+  for (Owned &into : owned) {
+    SmallVector<int64_t> shape;
+    SmallVector<Value> sizes, dynamic;
+    for (const Dimension &dimension : into.dimensions) {
+      sizes.push_back(dimension.extent);
+      APInt size;
+      bool isKnown = matchPattern(dimension.extent, m_ConstantInt(&size));
+      shape.push_back(isKnown ? size.getSExtValue() : ShapedType::kDynamic);
+      if (!isKnown)
+        dynamic.push_back(dimension.extent);
+    }
+    auto alloc =
+        memref::AllocOp::create(b, MemRefType::get(shape, type), dynamic);
+    alloc->setAttr(kOwnersAttrName, b.getUnitAttr());
+    into.owners = alloc;
+    Value none = arith::ConstantIntOp::create(b, -1, type.getWidth());
+    if (sizes.empty()) {
+      memref::StoreOp::create(b, none, into.owners, ValueRange());
+      continue;
+    }
+    SmallVector<Value> from(sizes.size(), index(0));
+    auto fill = ParallelForOp::create(b, from, sizes);
+    OpBuilder::InsertionGuard guard(b);
+    b.setInsertionPoint(fill.getBody().front().getTerminator());
+    SmallVector<Value> ivs(fill.getInductionVars());
+    memref::StoreOp::create(b, none, into.owners, ivs);
+  }
+  auto inBody = [&](ParallelForOp in) {
+    auto body = OpBuilder::atBlockBegin(&in.getBody().front());
+    SmallVector<Value> ivs(in.getInductionVars());
+    return createNumber(body, ivs);
+  };
+  Value number = inBody(decision);
+  for (auto [storage, into] : llvm::zip(open, owned)) {
+    claim(storage, into, copies, number);
+    for (DifferentiableAccessInterface write : storage.getClaims())
+      copies.lookup(write.getOperation())->erase();
+  }
+  number = inBody(loop);
+  for (auto [storage, into] : llvm::zip(open, owned))
+    restrict(storage, into, number);
+  b.setInsertionPointAfter(loop);
+  for (Owned &into : owned)
+    memref::DeallocOp::create(b, into.owners);
+  return true;
+}
+
+LogicalResult LoopWriters::serialize(bool isReversed) {
+  if (!loop.isStructFor() || !isReversed) {
+    loop.setSerialize(true);
+    return success();
+  }
+  FailureOr<FieldLayout> layout =
+      getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+  if (failed(layout) || layout->path.getFirstSparse() || loop.getLevel()) {
+    // The adjoint needs that result too, and says why it has none.
+    if (needsUpdate &&
+        llvm::all_of(open, [](auto &storage) { return storage.isActive; }))
+      return success();
+    DifferentiableAccessInterface write = open.front().getClaims().front();
+    InFlightDiagnostic diag = write->emitError(
+        "iterations of a parallel loop may write the same element here, "
+        "and which of them is the last cannot be decided before the loop");
+    diag.attachNote(loop.getLoc()) << "the loop visits the cells of a sparse "
+                                      "field";
+    diag.attachNote() << "compute the index, and the condition, in an earlier "
+                         "loop and store them to fields";
+    return failure();
+  }
+  // The adjoint of a loop on one thread runs backwards over a range.
+  b.setInsertionPoint(loop);
+  SmallVector<Value> from, to;
+  for (auto [extent, first] : llvm::zip(layout->shape, layout->offset)) {
+    from.push_back(index(first));
+    to.push_back(index(first + extent));
+  }
+  if (from.empty())
+    return success();
+  auto box = ParallelForOp::create(b, from, to);
+  box.copyNotesFrom(loop);
+  box.setSerialize(true);
+  Block &body = box.getBody().front();
+  Block &old = loop.getBody().front();
+  old.getTerminator()->erase();
+  body.getOperations().splice(body.getTerminator()->getIterator(),
+                              old.getOperations());
+  for (auto [a, iv] : llvm::zip(old.getArguments(), body.getArguments()))
+    a.replaceAllUsesWith(iv);
+  loop->erase();
+  return success();
+}
+
+LogicalResult mlir::tai::chooseWriters(FunctionOpInterface function,
+                                       StoreFilter matters, bool isReversed) {
+  // All that is asked of the function is asked before it is changed.
+  SmallVector<std::pair<ParallelForOp, SmallVector<OpenStorage>>> loops;
+  for (ParallelForOp loop : getParallelLoops(function))
+    if (SmallVector<OpenStorage> open = findOpen(loop, matters, isReversed);
+        !open.empty())
+      loops.emplace_back(loop, std::move(open));
+  LogicalResult result = success();
+  for (auto &[loop, open] : loops) {
+    LoopWriters writers(loop, std::move(open));
+    if (!writers.decide() && failed(writers.serialize(isReversed)))
+      result = failure();
+  }
+  return result;
+}
+
+//===----------------------------------------------------------------------===//
+// The pass
+//===----------------------------------------------------------------------===//
+
+namespace {
+struct ChooseWriters
+    : SelectedFunctionsPass<ChooseWriters, tai::impl::ChooseWritersBase> {
+  using SelectedFunctionsPass::SelectedFunctionsPass;
+
+  LogicalResult runOnFunction(FunctionOpInterface function) {
+    auto kernel = dyn_cast<KernelOp>(function.getOperation());
+    if (!kernel || !kernel.getBody().hasOneBlock())
+      return success();
+    if (kernel.getPartOf())
+      return choose(kernel);
+    if (!isOpen(kernel))
+      return success();
+    // Without a tape nobody asks whose value remains.
+    KernelOp part = kernel.clone();
+    part.setSymName((kernel.getSymName() + ".0").str());
+    part.setPartOfAttr(FlatSymbolRefAttr::get(kernel.getSymNameAttr()));
+    kernel->getBlock()->getOperations().insertAfter(kernel->getIterator(),
+                                                    part);
+    if (succeeded(choose(part)))
+      return success();
+    part->erase();
+    return failure();
+  }
+
+private:
+  static Activity getActivity(KernelOp kernel) {
+    return Activity(kernel, [&](Storage storage) {
+      if (!storage.field)
+        return isa<BlockArgument>(storage.memref);
+      FieldOp field = lookupField(kernel, storage.field);
+      return field && field.getAdjointAttr();
+    });
+  }
+  static bool isOpen(KernelOp kernel) {
+    Activity activity = getActivity(kernel);
+    return hasOpenStores(
+        kernel, [&](auto access) { return activity.isActiveAccess(access); },
+        /*isReversed=*/true);
+  }
+  static LogicalResult choose(KernelOp kernel) {
+    Activity activity = getActivity(kernel);
+    return chooseWriters(
+        kernel, [&](auto access) { return activity.isActiveAccess(access); },
+        /*isReversed=*/true);
+  }
+};
+} // namespace

@@ -1,0 +1,28 @@
+// RUN: tai-opt %s --tai-choose-writers --verify-diagnostics
+
+!t = !tai.root<bitmasked<[i: 64], {x: f32, x_grad: f32}>,
+               dense<[i: 64], {y: f32, y_grad: f32}>,
+               dense<[i: 64], {p: i32}>>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 1
+tai.field @y_grad = @t["y_grad"] : f32, rank 1
+tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
+tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
+tai.field @p = @t["p"] : i32, rank 1
+
+tai.kernel @changes() {
+  %c2 = arith.constant 2 : index
+  // expected-note @below {{the loop visits the cells of a sparse field}}
+  tai.parallel_for (%i) in @x {
+    %half = arith.divsi %i, %c2 : index
+    %n = arith.index_cast %i : index to i32
+    // expected-error @below {{iterations of a parallel loop may write the same element here, and which of them is the last cannot be decided before the loop}}
+    // expected-note @below {{compute the index, and the condition, in an earlier loop and store them to fields}}
+    tai.store %n, @p[%half] : i32
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%i] : f32
+    tai.store %0, @y[%j] : f32
+  }
+  tai.return
+}
