@@ -19,6 +19,7 @@
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/IndexDigits.h"
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -251,25 +252,28 @@ static SmallVector<Later> getWays(Operation *loop) {
   SmallVector<Later> ways;
   Later later;
   later.loop = loop;
+  // False if the loop index has one value at most.
   auto setMost = [&](Value iv, int64_t step) {
     Interval range = getInterval(iv);
     if (range.low && range.high)
-      later.most = std::max<int64_t>((*range.high - *range.low) / step, 1);
+      later.most = (*range.high - *range.low) / step;
     else
       later.most = std::nullopt;
+    return !later.most || *later.most > 0;
   };
   if (auto serial = dyn_cast<scf::ForOp>(loop)) {
     // Steps are positive.
     int64_t step =
         std::max<int64_t>(getConstant(serial.getStep()).value_or(1), 1);
     later.moving.emplace_back(serial.getInductionVar(), step);
-    setMost(serial.getInductionVar(), step);
+    if (!setMost(serial.getInductionVar(), step))
+      return ways;
   } else if (auto parallel = dyn_cast<ParallelForOp>(loop)) {
     // In order of the last induction variable, then of the one before.
     for (BlockArgument iv : parallel.getInductionVars()) {
       later.moving.assign({{iv, 1}});
-      setMost(iv, 1);
-      ways.push_back(later);
+      if (setMost(iv, 1))
+        ways.push_back(later);
       later.same.push_back(iv);
     }
     return ways;
@@ -292,13 +296,22 @@ bool mlir::tai::mayMeet(ParallelForOp loop, ElementPlace first,
   auto areApartIn = [&](ValueRange a, ValueRange b, const Later &later) {
     return a.size() == b.size() && areApart(a, b, body, later);
   };
+  auto numbers = findNumbersOfDigits(first.indices, second.indices, loop);
+  auto areNumbersApart = [&](const Later &later, bool isSwapped) {
+    return llvm::any_of(numbers, [&](auto &pair) {
+      LinearIndex a = getForm(pair.first), b = getForm(pair.second);
+      return isSwapped ? areApart(b, a, body, later)
+                       : areApart(a, b, body, later);
+    });
+  };
   return llvm::any_of(getWays(loop), [&](Later &later) {
     later.inRange = true;
     auto mayAlias = [&](const ElementPlace &a, const ElementPlace &b) {
       return !areApartIn(a.indices, b.indices, later) &&
              !areApartIn(a.components, b.components, later);
     };
-    return mayAlias(first, second) || mayAlias(second, first);
+    return (mayAlias(first, second) && !areNumbersApart(later, false)) ||
+           (mayAlias(second, first) && !areNumbersApart(later, true));
   });
 }
 

@@ -14,6 +14,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/Races.h"
+#include "mlir/IR/Matchers.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Analysis/SharedElements.h"
@@ -129,8 +130,29 @@ static bool solve(Unknown unknown, Interval is, Interval js, bool &differ) {
   return true;
 }
 
+/// The known bounds of a loop; others are far away.
+static LoopBox getLongBox(ParallelForOp loop) {
+  constexpr int64_t kFar = int64_t(1) << 40;
+  if (std::optional<LoopBox> box = getIndexBox(loop))
+    return *box;
+  LoopBox box{loop, {}, {}};
+  auto get = [](Value bound, int64_t otherwise) {
+    APInt constant;
+    bool isKnown = matchPattern(bound, m_ConstantInt(&constant)) &&
+                   constant.getSignificantBits() <= 40;
+    return isKnown ? constant.getSExtValue() : otherwise;
+  };
+  for (auto [lower, upper] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    box.lower.push_back(get(lower, -kFar));
+    box.upper.push_back(get(upper, kFar));
+  }
+  return box;
+}
+
 Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
-                               DifferentiableAccessInterface rhs) {
+                               DifferentiableAccessInterface rhs,
+                               bool ofLongLoops) {
   auto loop = dyn_cast_if_present<ParallelForOp>(getEnclosingParallelLoop(lhs));
   if (!loop || loop.getSerialize() || getEnclosingParallelLoop(rhs) != loop)
     return nullptr;
@@ -152,7 +174,8 @@ Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
   if (!add(lhs.getAccessIndices(), rhs.getAccessIndices()) ||
       (lhsParts.size() == rhsParts.size() && !add(lhsParts, rhsParts)))
     return nullptr;
-  std::optional<LoopBox> box = getConstantBox(loop);
+  std::optional<LoopBox> box =
+      ofLongLoops ? getLongBox(loop) : getConstantBox(loop);
   if (!box || box->lower.size() != unknowns.size())
     return nullptr;
   // Under a condition, or in a loop, an access may not run at all.

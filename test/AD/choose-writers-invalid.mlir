@@ -16,12 +16,27 @@ tai.kernel @changes() {
   tai.parallel_for (%i) in @x {
     %half = arith.divsi %i, %c2 : index
     %n = arith.index_cast %i : index to i32
-    // expected-error @below {{iterations of a parallel loop may write the same element here, and which of them is the last cannot be decided before the loop}}
-    // expected-note @below {{compute the index, and the condition, in an earlier loop and store them to fields}}
     tai.store %n, @p[%half] : i32
     %k = tai.load @p[%i] : i32
     %j = arith.index_cast %k : i32 to index
     %0 = tai.load @x[%i] : f32
+    // expected-error @below {{iterations of a parallel loop may write the same element here, and which of them is the last cannot be decided before the loop}}
+    // expected-note @below {{compute the index, and the condition, in an earlier loop and store them to fields}}
+    tai.store %0, @y[%j] : f32
+  }
+  tai.return
+}
+
+tai.kernel @foreign(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  // expected-note @below {{the iterations of 'scf.parallel' have no order}}
+  scf.parallel (%i) = (%c0) to (%n) step (%c1) {
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%i] : f32
+    // expected-error @below {{iterations of a parallel loop may store to the same element here, and the gradient belongs to the one whose value remains}}
+    // expected-note @below {{store to an element for each iteration, or write the loop as 'tai.parallel_for' or as 'scf.for'}}
     tai.store %0, @y[%j] : f32
   }
   tai.return

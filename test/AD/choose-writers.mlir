@@ -5,13 +5,19 @@
 
 !t = !tai.root<dense<[i: 64], {x: f32, x_grad: f32, x_dual: f32, z: f32}>,
                dense<[i: 16], {y: f32, y_grad: f32}>,
-               dense<[i: 64], {p: i32}>>
+               dense<[i: 64], {p: i32}>,
+               dense<[i: 2, j: 8, k: 4], {cube: f32, cube_grad: f32}>,
+               dense<[i: 8, j: 8], {square: f32, square_grad: f32}>>
 tai.tree @t : !t
 tai.field @x_grad = @t["x_grad"] : f32, rank 1
 tai.field @y_grad = @t["y_grad"] : f32, rank 1
 tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
 tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
 tai.field @z = @t["z"] : f32, rank 1
+tai.field @cube_grad = @t["cube_grad"] : f32, rank 3
+tai.field @cube = @t["cube"] : f32, rank 3, adjoint @cube_grad
+tai.field @square_grad = @t["square_grad"] : f32, rank 2
+tai.field @square = @t["square"] : f32, rank 2, adjoint @square_grad
 tai.field @p = @t["p"] : i32, rank 1
 
 // The kernel stays, and its form for tapes has owners.
@@ -19,7 +25,7 @@ tai.field @p = @t["p"] : i32, rank 1
 //   CHECK-NOT:   memref.alloc
 // CHECK-LABEL: tai.kernel @scatter.0()
 //  CHECK-SAME:   part_of = @scatter
-//       CHECK:   %[[OWNERS:.+]] = memref.alloc() {tai.owners} : memref<16xi32>
+//       CHECK:   %[[OWNERS:.+]] = memref.alloc() : memref<16xi32>
 //       CHECK:   memref.store %c-1_i32, %[[OWNERS]]
 //       CHECK:   tai.parallel_for (%{{.+}}) in @x
 //   CHECK-NOT:     tai.load @x
@@ -68,6 +74,115 @@ tai.kernel @constant() {
     %j = arith.index_cast %k : i32 to index
     %0 = tai.load @z[%i] : f32
     tai.store %0, @y[%j] : f32
+  }
+  tai.return
+}
+
+// One iteration has no other to meet.
+// CHECK-NOT: tai.kernel @once.0
+tai.kernel @once() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) = (%c0) to (%c1) {
+    %0 = tai.load @x[%c1] : f32
+    tai.store %0, @y[%c1] : f32
+  }
+  tai.return
+}
+
+// The element of the border has no other iteration.
+// CHECK-NOT: tai.kernel @border.0
+tai.kernel @border(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %two = arith.constant 2.0 : f32
+  %last = arith.subi %n, %c1 : index
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %0 = tai.load @x[%i] : f32
+    %first = arith.cmpi eq, %i, %c0 : index
+    scf.if %first {
+      tai.store %0, @y[%c0] : f32
+    } else {
+      %isLast = arith.cmpi ne, %i, %last : index
+      %1 = arith.mulf %0, %two : f32
+      scf.if %isLast {
+        tai.store %1, @y[%i] : f32
+      } else {
+        tai.store %0, @y[%last] : f32
+      }
+    }
+  }
+  tai.return
+}
+
+// Digits of a number determine it. These are those of Python, rounded down.
+// CHECK-NOT: tai.kernel @digits.0
+// CHECK-NOT: tai.kernel @quotient_and_rest.0
+tai.kernel @digits() {
+  %c4 = arith.constant 4 : index
+  %c8 = arith.constant 8 : index
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %q = arith.floordivsi %i, %c8 : index
+    %q4 = arith.floordivsi %i, %c4 : index
+    %c2 = arith.constant 2 : index
+    %r0 = arith.remsi %q4, %c2 : index
+    %neg0 = arith.cmpi slt, %r0, %c0 : index
+    %up0 = arith.addi %r0, %c2 : index
+    %middle = arith.select %neg0, %up0, %r0 : index
+    %r1 = arith.remsi %i, %c4 : index
+    %neg1 = arith.cmpi slt, %r1, %c0 : index
+    %up1 = arith.addi %r1, %c4 : index
+    %low = arith.select %neg1, %up1, %r1 : index
+    tai.store %0, @cube[%middle, %q, %low] : f32
+  }
+  tai.return
+}
+tai.kernel @quotient_and_rest(%m: index) {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %q = arith.divsi %i, %m : index
+    %r = arith.remsi %i, %m : index
+    tai.store %0, @square[%q, %r] : f32
+  }
+  tai.return
+}
+
+// Some digits do not, nor a quotient and a remainder of different divisions.
+// CHECK-LABEL: tai.kernel @gap.0(
+// CHECK-LABEL: tai.kernel @mixed.0(
+tai.kernel @gap() {
+  %c4 = arith.constant 4 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %q = arith.floordivsi %i, %c8 : index
+    %r = arith.remsi %i, %c4 : index
+    tai.store %0, @square[%q, %r] : f32
+  }
+  tai.return
+}
+tai.kernel @mixed(%m: index, %n: index) {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %q = arith.divsi %i, %m : index
+    %r = arith.remsi %i, %n : index
+    tai.store %0, @square[%q, %r] : f32
+  }
+  tai.return
+}
+
+// Whether the slots are one is known when it runs: nothing is looked for.
+// CHECK-NOT: tai.kernel @slots.0
+tai.kernel @slots(%s: index, %d: index) {
+  %c1 = arith.constant 1 : index
+  %c7 = arith.constant 7 : index
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%c7) {
+    %j = arith.addi %i, %c1 : index
+    %0 = tai.load @square[%s, %j] : f32
+    tai.store %0, @square[%d, %i] : f32
   }
   tai.return
 }

@@ -238,7 +238,7 @@ def ChooseWriters : Pass<"tai-choose-writers", "::mlir::ModuleOp"> {
     becomes, less the treatment of indices out of range,
 
     ```mlir
-    %owners = memref.alloc() {tai.owners} : memref<16xi32>
+    %owners = memref.alloc() : memref<16xi32>
     tai.parallel_for (%e) = (%c0) to (%c16) {
       memref.store %none, %owners[%e] : memref<16xi32>
     }

@@ -20,16 +20,14 @@
 
 namespace mlir::tai {
 
-/// On the `memref.alloc` of the numbers of the iterations that own elements.
-constexpr llvm::StringLiteral kOwnersAttrName = "tai.owners";
-
 /// Tells whether a derivative passes through an access.
 using StoreFilter = llvm::function_ref<bool(DifferentiableAccessInterface)>;
 
 /// True if iterations of a parallel loop of the function may store to the same
 /// element, by stores of which one passes `matters`, and nothing decides yet
-/// which value remains. With `isReversed`, also if an iteration may read what
-/// another one writes, in a loop with an access that passes.
+/// which value remains. With `isReversed`, also if an iteration reads what
+/// another one writes as soon as the loop is long enough, in a loop with an
+/// access that passes.
 bool hasOpenStores(FunctionOpInterface function, StoreFilter matters,
                    bool isReversed);
 
@@ -39,9 +37,6 @@ bool hasOpenStores(FunctionOpInterface function, StoreFilter matters,
 /// where it has none.
 LogicalResult chooseWriters(FunctionOpInterface function, StoreFilter matters,
                             bool isReversed);
-
-/// The ops behind an allocation of owners that set them, in their order.
-SmallVector<Operation *> findOwnerSetters(Operation *alloc);
 
 } // namespace mlir::tai
 

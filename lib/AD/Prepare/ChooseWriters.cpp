@@ -24,6 +24,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/IR/PatternMatch.h"
@@ -36,6 +37,9 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/Analysis/IterationOrder.h"
+#include "tai/Analysis/Owners.h"
+#include "tai/Analysis/Races.h"
+#include "tai/Analysis/SharedElements.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -50,36 +54,69 @@ using namespace mlir::tai;
 /// More elements than this get no owners.
 static constexpr int64_t kMaxElements = int64_t(1) << 28;
 
-static ElementPlace getPlace(DifferentiableAccessInterface access) {
-  return {access.getAccessIndices(), access.getAccessComponents()};
+namespace {
+/// Where an access of an iteration is.
+struct Place {
+  SmallVector<Value> indices, components;
+
+  operator ElementPlace() const { return {indices, components}; }
+};
+} // namespace
+
+/// The loop index stands for what it is equal to where the access runs, as in
+/// `if i == 0: y[0] = ...`.
+static Place getPlace(DifferentiableAccessInterface access,
+                      ParallelForOp loop) {
+  Place place{llvm::to_vector(access.getAccessIndices()),
+              llvm::to_vector(access.getAccessComponents())};
+  auto isOfLoop = [&](const LinearIndex &form) {
+    return llvm::any_of(loop.getInductionVars(),
+                        [&](Value iv) { return form.getCoefficient(iv) != 0; });
+  };
+  auto use = [&](arith::CmpIOp equal) {
+    Value sides[] = {equal.getLhs(), equal.getRhs()};
+    LinearIndex forms[] = {getLinearIndex(sides[0]), getLinearIndex(sides[1])};
+    for (Value &index : place.indices)
+      for (unsigned side : {0, 1})
+        if (isOfLoop(forms[side]) && !isOfLoop(forms[1 - side]) &&
+            getLinearIndex(index) == forms[1 - side]) {
+          index = sides[side];
+          break;
+        }
+  };
+  Operation *inner = access;
+  for (Operation *op = access->getParentOp(); op != loop;
+       inner = op, op = op->getParentOp()) {
+    auto branch = dyn_cast<scf::IfOp>(op);
+    if (!branch)
+      continue;
+    bool holds = branch.getThenRegion().isAncestor(inner->getParentRegion());
+    SmallVector<Value> conditions = {branch.getCondition()};
+    while (!conditions.empty()) {
+      Value condition = conditions.pop_back_val();
+      if (auto both = condition.getDefiningOp<arith::AndIOp>(); both && holds)
+        llvm::append_range(conditions, both->getOperands());
+      auto compare = condition.getDefiningOp<arith::CmpIOp>();
+      if (compare &&
+          compare.getPredicate() ==
+              (holds ? arith::CmpIPredicate::eq : arith::CmpIPredicate::ne))
+        use(compare);
+    }
+  }
+  return place;
+}
+
+/// True if different iterations may reach one element by the two accesses.
+static bool mayMeet(ParallelForOp loop, DifferentiableAccessInterface first,
+                    DifferentiableAccessInterface second) {
+  if (first == second && getSharing(first, loop) == Sharing::Own)
+    return false;
+  return mayMeet(loop, getPlace(first, loop), getPlace(second, loop));
 }
 
 //===----------------------------------------------------------------------===//
 // Open stores
 //===----------------------------------------------------------------------===//
-
-/// True if the condition is that this iteration owns an element.
-static bool isOwnership(Value condition) {
-  if (auto either = condition.getDefiningOp<arith::OrIOp>())
-    return isOwnership(either.getLhs()) || isOwnership(either.getRhs());
-  auto compare = condition.getDefiningOp<arith::CmpIOp>();
-  if (!compare || compare.getPredicate() != arith::CmpIPredicate::eq)
-    return false;
-  return llvm::any_of(compare->getOperands(), [](Value value) {
-    auto load = value.getDefiningOp<memref::LoadOp>();
-    Operation *alloc = load ? load.getMemRef().getDefiningOp() : nullptr;
-    return alloc && alloc->hasAttr(kOwnersAttrName);
-  });
-}
-
-static bool isOwned(Operation *store, Operation *loop) {
-  for (Operation *parent = store->getParentOp(); parent != loop;
-       parent = parent->getParentOp())
-    if (auto branch = dyn_cast<scf::IfOp>(parent);
-        branch && isOwnership(branch.getCondition()))
-      return true;
-  return false;
-}
 
 namespace {
 /// The accesses of a parallel loop to a storage where iterations may meet.
@@ -104,14 +141,33 @@ struct OpenStorage {
 };
 } // namespace
 
-/// True if two of the accesses may meet in different iterations.
+static bool isConstant(DifferentiableAccessInterface store) {
+  return matchPattern(store.getAccessedValue(), m_Constant());
+}
+
+/// True if two of the stores may meet in different iterations. Stores of
+/// constants leave no derivative, whichever remains.
 static bool anyMeet(ParallelForOp loop,
-                    ArrayRef<DifferentiableAccessInterface> accesses) {
-  for (size_t i = 0; i != accesses.size(); ++i)
-    for (size_t j = i; j != accesses.size(); ++j)
-      if (mayMeet(loop, getPlace(accesses[i]), getPlace(accesses[j])))
+                    ArrayRef<DifferentiableAccessInterface> stores) {
+  for (size_t i = 0; i != stores.size(); ++i)
+    for (size_t j = i; j != stores.size(); ++j)
+      if (!(isConstant(stores[i]) && isConstant(stores[j])) &&
+          mayMeet(loop, stores[i], stores[j]))
         return true;
   return false;
+}
+
+/// True if one of the accesses reads what another iteration writes, once the
+/// loop is long enough. Others that may do so are left alone, as time slots
+/// from arguments are: a look at each element would cost more than the loop.
+static bool readsWrites(ArrayRef<DifferentiableAccessInterface> accesses) {
+  return llvm::any_of(accesses, [&](auto read) {
+    return read.getAccessKind() == AccessKind::Read &&
+           llvm::any_of(accesses, [&](auto write) {
+             return write.getAccessKind() != AccessKind::Read &&
+                    findRace(write, read, /*ofLongLoops=*/true);
+           });
+  });
 }
 
 /// A tangent is computed with the value, in whatever order; an adjoint is not,
@@ -120,8 +176,10 @@ static SmallVector<OpenStorage> findOpen(ParallelForOp loop,
                                          StoreFilter matters, bool isReversed) {
   llvm::MapVector<const void *, SmallVector<DifferentiableAccessInterface>>
       storages;
-  bool isActive = false;
+  bool isActive = false, isDecided = false;
   loop.getBody().walk([&](DifferentiableAccessInterface access) {
+    isDecided |= isa<memref::LoadOp>(access.getOperation()) &&
+                 holdsOwners(access.getAccessedStorage().memref);
     Value memref = access.getAccessedStorage().memref;
     if (memref && (loop->isAncestor(memref.getParentBlock()->getParentOp()) ||
                    !isa<BlockArgument>(memref)))
@@ -130,6 +188,8 @@ static SmallVector<OpenStorage> findOpen(ParallelForOp loop,
     storages[getStorageKey(access)].push_back(access);
   });
   SmallVector<OpenStorage> open;
+  if (isDecided)
+    return open;
   for (auto &[key, accesses] : storages) {
     OpenStorage storage;
     SmallVector<DifferentiableAccessInterface> rest;
@@ -137,9 +197,6 @@ static SmallVector<OpenStorage> findOpen(ParallelForOp loop,
       bool isStore = access.getAccessKind() == AccessKind::Write;
       (isStore ? storage.stores : rest).push_back(access);
     }
-    auto isOwnedHere = [&](Operation *op) { return isOwned(op, loop); };
-    if (llvm::any_of(accesses, isOwnedHere))
-      continue; // decided before
     storage.collides = anyMeet(loop, storage.stores);
     storage.isActive = llvm::any_of(storage.stores,
                                     [&](auto store) { return matters(store); });
@@ -147,26 +204,26 @@ static SmallVector<OpenStorage> findOpen(ParallelForOp loop,
     for (DifferentiableAccessInterface other : rest) {
       // A sum with an element of its own meets others as a store does.
       bool isSum = other.getAccessKind() != AccessKind::Read &&
-                   !mayMeet(loop, getPlace(other), getPlace(other));
+                   !mayMeet(loop, other, other);
       bool meets = llvm::any_of(accesses, [&](auto write) {
         bool isRead = write.getAccessKind() == AccessKind::Read;
         bool areSums = other.getAccessKind() != AccessKind::Read &&
                        write.getAccessKind() != AccessKind::Write;
         bool isOwn = write.getAccessKind() == AccessKind::Write ||
-                     !mayMeet(loop, getPlace(write), getPlace(write));
-        return !isRead && !areSums && isOwn &&
-               mayMeet(loop, getPlace(write), getPlace(other));
+                     !mayMeet(loop, write, write);
+        return !isRead && !areSums && isOwn && mayMeet(loop, write, other);
       });
       if (isSum) {
         storage.sums.push_back(other);
         storage.isMixed |= llvm::any_of(storage.stores, [&](auto store) {
-          return mayMeet(loop, getPlace(store), getPlace(other));
+          return mayMeet(loop, store, other);
         });
       }
       if (meets)
         storage.others.push_back(other);
     }
-    isOpen |= isReversed && isActive && !storage.others.empty();
+    isOpen |= isReversed && isActive && !storage.others.empty() &&
+              readsWrites(accesses);
     if (isOpen)
       open.push_back(std::move(storage));
   }
@@ -187,17 +244,6 @@ bool mlir::tai::hasOpenStores(FunctionOpInterface function, StoreFilter matters,
   return llvm::any_of(getParallelLoops(function), [&](ParallelForOp loop) {
     return !findOpen(loop, matters, isReversed).empty();
   });
-}
-
-SmallVector<Operation *> mlir::tai::findOwnerSetters(Operation *alloc) {
-  SmallVector<Operation *> setters;
-  for (Operation *user : alloc->getUsers())
-    if (isa<memref::StoreOp, memref::AtomicRMWOp>(user))
-      setters.push_back(alloc->getBlock()->findAncestorOpInBlock(*user));
-  llvm::sort(setters,
-             [](Operation *a, Operation *b) { return a->isBeforeInBlock(b); });
-  setters.erase(llvm::unique(setters), setters.end());
-  return setters;
 }
 
 //===----------------------------------------------------------------------===//
@@ -491,9 +537,8 @@ static bool isUnchanged(DifferentiableAccessInterface read,
               .walk([&](DifferentiableAccessInterface write) {
                 bool isWrite = write.getAccessKind() != AccessKind::Read &&
                                getStorageKey(write) == key;
-                return isWrite &&
-                               (mayReachLater(write, read) ||
-                                mayMeet(loop, getPlace(write), getPlace(read)))
+                return isWrite && (mayReachLater(write, read) ||
+                                   mayMeet(loop, write, read))
                            ? WalkResult::interrupt()
                            : WalkResult::advance();
               })
@@ -565,10 +610,8 @@ bool LoopWriters::decide() {
       if (!isKnown)
         dynamic.push_back(dimension.extent);
     }
-    auto alloc =
+    into.owners =
         memref::AllocOp::create(b, MemRefType::get(shape, type), dynamic);
-    alloc->setAttr(kOwnersAttrName, b.getUnitAttr());
-    into.owners = alloc;
     Value none = arith::ConstantIntOp::create(b, -1, type.getWidth());
     if (sizes.empty()) {
       memref::StoreOp::create(b, none, into.owners, ValueRange());
@@ -664,6 +707,65 @@ LogicalResult mlir::tai::chooseWriters(FunctionOpInterface function,
 }
 
 //===----------------------------------------------------------------------===//
+// Loops of other dialects
+//===----------------------------------------------------------------------===//
+
+/// The dimensions of the loop that may have several steps.
+static SmallVector<Value> getMovingDimensions(scf::ParallelOp loop) {
+  SmallVector<Value> moving;
+  for (auto [iv, lower, upper, step] :
+       llvm::zip(loop.getInductionVars(), loop.getLowerBound(),
+                 loop.getUpperBound(), loop.getStep())) {
+    std::optional<int64_t> from = getConstantIntValue(lower),
+                           to = getConstantIntValue(upper),
+                           by = getConstantIntValue(step);
+    if (!from || !to || !by || *to - *from > *by)
+      moving.push_back(iv);
+  }
+  return moving;
+}
+
+/// Their iterations have no order of which one could be the last.
+static LogicalResult checkForeignLoops(FunctionOpInterface function,
+                                       const Activity &activity) {
+  LogicalResult result = success();
+  function.getFunctionBody().walk([&](scf::ParallelOp loop) {
+    SmallVector<Value> moving = getMovingDimensions(loop);
+    llvm::MapVector<const void *, SmallVector<DifferentiableAccessInterface>>
+        storages;
+    loop.walk([&](DifferentiableAccessInterface access) {
+      Value memref = access.getAccessedStorage().memref;
+      if (access.getAccessKind() == AccessKind::Write && !isConstant(access) &&
+          !(memref && loop->isAncestor(memref.getParentBlock()->getParentOp())))
+        storages[getStorageKey(access)].push_back(access);
+    });
+    for (auto &[key, stores] : storages) {
+      SmallVector<LinearIndex> common;
+      for (auto [i, index] :
+           llvm::enumerate(getLinearIndices(stores.front().getAccessIndices())))
+        if (llvm::all_of(stores, [&, i = i](auto store) {
+              return getLinearIndex(store.getAccessIndices()[i]) == index;
+            }))
+          common.push_back(index);
+      bool isActive = llvm::any_of(
+          stores, [&](auto store) { return activity.isActiveAccess(store); });
+      if (!isActive || moving.empty() || isInjectiveOver(common, moving))
+        continue;
+      InFlightDiagnostic diag = stores.front()->emitError(
+          "iterations of a parallel loop may store to the same element here, "
+          "and the gradient belongs to the one whose value remains");
+      diag.attachNote(loop.getLoc())
+          << "the iterations of 'scf.parallel' have no order, so that none of "
+             "them is the last";
+      diag.attachNote() << "store to an element for each iteration, or write "
+                           "the loop as 'tai.parallel_for' or as 'scf.for'";
+      result = failure();
+    }
+  });
+  return result;
+}
+
+//===----------------------------------------------------------------------===//
 // The pass
 //===----------------------------------------------------------------------===//
 
@@ -673,12 +775,23 @@ struct ChooseWriters
   using SelectedFunctionsPass::SelectedFunctionsPass;
 
   LogicalResult runOnFunction(FunctionOpInterface function) {
-    auto kernel = dyn_cast<KernelOp>(function.getOperation());
-    if (!kernel || !kernel.getBody().hasOneBlock())
+    if (!function.getFunctionBody().hasOneBlock())
       return success();
-    if (kernel.getPartOf())
-      return choose(kernel);
-    if (!isOpen(kernel))
+    Activity activity(function, [&](Storage storage) {
+      if (!storage.field)
+        return isa<BlockArgument>(storage.memref);
+      FieldOp field = lookupField(function, storage.field);
+      return field && field.getAdjointAttr();
+    });
+    if (failed(checkForeignLoops(function, activity)))
+      return failure();
+    auto isActive = [&](DifferentiableAccessInterface access) {
+      return activity.isActiveAccess(access);
+    };
+    auto kernel = dyn_cast<KernelOp>(function.getOperation());
+    if (!kernel || kernel.getPartOf())
+      return chooseWriters(function, isActive, /*isReversed=*/true);
+    if (!hasOpenStores(kernel, isActive, /*isReversed=*/true))
       return success();
     // Without a tape nobody asks whose value remains.
     KernelOp part = kernel.clone();
@@ -686,32 +799,10 @@ struct ChooseWriters
     part.setPartOfAttr(FlatSymbolRefAttr::get(kernel.getSymNameAttr()));
     kernel->getBlock()->getOperations().insertAfter(kernel->getIterator(),
                                                     part);
-    if (succeeded(choose(part)))
+    if (succeeded(runOnFunction(part)))
       return success();
     part->erase();
     return failure();
-  }
-
-private:
-  static Activity getActivity(KernelOp kernel) {
-    return Activity(kernel, [&](Storage storage) {
-      if (!storage.field)
-        return isa<BlockArgument>(storage.memref);
-      FieldOp field = lookupField(kernel, storage.field);
-      return field && field.getAdjointAttr();
-    });
-  }
-  static bool isOpen(KernelOp kernel) {
-    Activity activity = getActivity(kernel);
-    return hasOpenStores(
-        kernel, [&](auto access) { return activity.isActiveAccess(access); },
-        /*isReversed=*/true);
-  }
-  static LogicalResult choose(KernelOp kernel) {
-    Activity activity = getActivity(kernel);
-    return chooseWriters(
-        kernel, [&](auto access) { return activity.isActiveAccess(access); },
-        /*isReversed=*/true);
   }
 };
 } // namespace

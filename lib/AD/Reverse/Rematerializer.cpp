@@ -11,7 +11,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "tai/AD/LoopHistory.h"
-#include "tai/AD/Writers.h"
+#include "tai/Analysis/Owners.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -122,17 +122,13 @@ void Rematerializer::setInsertionPointFor(Frame &frame, Operation *op) {
   b.setLoc(op->getLoc());
 }
 
-static bool holdsOwners(Value value) {
-  Operation *alloc = value.getDefiningOp();
-  return alloc && alloc->hasAttr(kOwnersAttrName);
-}
-
 /// The owners of elements are decided again: see tai-choose-writers. One loop
 /// may decide for several fields; each has a copy of it.
 void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
   SmallVector<Operation *> setters = findOwnerSetters(alloc);
   llvm::SetVector<Value> captured(llvm::from_range, alloc->getOperands());
   bool isReadable = true;
+  DenseSet<Value> otherOwners;
   for (Operation *setter : setters) {
     auto isFromOutside = [&](Value value) {
       return !setter->isAncestor(value.getParentBlock()->getParentOp()) &&
@@ -143,6 +139,9 @@ void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
         if (isFromOutside(operand))
           captured.insert(operand);
       auto read = dyn_cast<DifferentiableAccessInterface>(op);
+      Value memref = read ? read.getAccessedStorage().memref : Value();
+      if (memref && memref != alloc.getResult() && holdsOwners(memref))
+        otherOwners.insert(memref);
       if (!read || read.getAccessKind() != AccessKind::Read)
         return;
       isReadable &= checkReadable(read);
@@ -174,15 +173,13 @@ void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
   for (Operation *setter : setters)
     b.clone(*setter, mapping)->walk([&](Operation *op) {
       auto access = dyn_cast<DifferentiableAccessInterface>(op);
-      Value memref = access ? access.getAccessedStorage().memref : Value();
-      if (memref && memref != owners && holdsOwners(memref))
+      if (access && otherOwners.contains(access.getAccessedStorage().memref))
         op->erase();
     });
 }
 
 void Rematerializer::recompute(Frame &frame, Operation *op) {
-  if (auto alloc = dyn_cast<memref::AllocOp>(op);
-      alloc && alloc->hasAttr(kOwnersAttrName))
+  if (auto alloc = dyn_cast<memref::AllocOp>(op); alloc && holdsOwners(alloc))
     return recomputeOwners(frame, alloc);
   if (!checkRecomputable(op)) {
     for (Value result : op->getResults())

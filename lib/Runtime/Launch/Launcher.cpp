@@ -372,6 +372,14 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
     return status;
   parts.gradients.settle(fieldsOf(kernel));
   const AdjointPlan &plan = kernel.plan();
+  if (plan.parts.size() == 1)
+    return Status::failure(
+        StatusCode::Usage,
+        "iterations of a parallel loop of kernel '" + kernel.name() +
+            "' may store to one element, or read what another one stores: only "
+            "a launch under a tape finds the last of them, to which the "
+            "gradient belongs; launch the kernel under a tape, or run the loop "
+            "on one thread (ti.loop_config(serialize=True))");
   if (!plan.before.empty() || !plan.parts.empty())
     return Status::failure(
         StatusCode::Usage,

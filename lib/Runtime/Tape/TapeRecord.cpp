@@ -198,6 +198,10 @@ Status Tape::record(Launch &launch, Kernel &kernel, const uint64_t *args,
     return launchOne(launch, kernel, uses, args, results, number);
   for (const KernelPtr &part : kernel.plan().parts) {
     status = findUses(*part, uses);
+    if (status && part->hasParts())
+      status = Status::failure(StatusCode::Internal,
+                               "the part '" + part->name() +
+                                   "' of a kernel has parts itself");
     TapedKernel::lastLaunch(*part).store(number, std::memory_order_relaxed);
     if (status)
       status = launchOne(launch, *part, uses, args,

@@ -22,6 +22,7 @@
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Owners.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/AccessShadow.h"
@@ -238,6 +239,15 @@ LogicalResult Instrumentation::instrument(Operation *access) {
   }
   b.setLoc(access->getLoc());
   b.setInsertionPoint(access);
+  // The other iterations, which do not own the element, would store to it too.
+  if (scf::IfOp branch =
+          getOwnersBranch(access, getEnclosingParallelLoop(access))) {
+    auto isKnown = [&](Value value) {
+      return !branch->isAncestor(value.getParentBlock()->getParentOp());
+    };
+    if (llvm::all_of(indices, isKnown) && llvm::all_of(components, isKnown))
+      b.setInsertionPoint(branch);
+  }
   Builder attributes(access->getContext());
   described.push_back(attributes.getArrayAttr(
       {cast<FieldAccessOpInterface>(access).getFieldAttr(),

@@ -344,3 +344,145 @@ def test_conditions_that_the_loop_changes_are_refused(context):
         with ti.ad.Tape(loss):
             step()
             total()
+
+
+def test_a_gradient_without_a_tape_is_refused(context):
+    """Only a tape launches the kernel that decides which store remains."""
+    context(default_fp=ti.f64)
+    x = ti.field(ti.f64, shape=8, needs_grad=True)
+    y = ti.field(ti.f64, shape=8, needs_grad=True)
+
+    @ti.kernel
+    def halves():
+        for i in x:
+            y[i // 2] = x[i] * 3
+
+    @ti.kernel
+    def in_order():
+        ti.loop_config(serialize=True)
+        for i in range(8):
+            y[i // 2] = x[i] * 3
+
+    halves()
+    y.grad.fill(1)
+    with pytest.raises(
+        ti.errors.TaiRuntimeError, match="(?s)'halves.* may store to one element.*under a tape"
+    ):
+        halves.grad()
+    in_order()
+    in_order.grad()
+    assert x.grad.to_numpy().tolist() == [0, 3] * 4
+
+
+def test_digits_of_a_loop_index_do_not_collide(context):
+    """Nor do elements at a border: their gradients need no tape."""
+    context(default_fp=ti.f64)
+    x = ti.field(ti.f64, shape=60, needs_grad=True)
+    y = ti.field(ti.f64, shape=(15, 2, 2), needs_grad=True)
+    z = ti.field(ti.f64, shape=60, needs_grad=True)
+
+    @ti.kernel
+    def fold(m: ti.i32):
+        for i in x:
+            y[i // 4, i // 2 % 2, i % 2] = x[i] * 3
+        for i in x:
+            if i == 0:
+                z[0] = x[i]
+            elif i == x.shape[0] - 1:
+                z[x.shape[0] - 1] = 5 * x[i]
+            else:
+                z[i] = x[i] * 3
+
+    fold(4)
+    weights = np.random.default_rng(0).random(120)
+    y.grad.from_numpy(weights[:60].reshape(15, 2, 2))
+    z.grad.from_numpy(weights[60:])
+    fold.grad(4)
+    factors = np.full(60, 3.0)
+    factors[[0, -1]] = 1, 5
+    np.testing.assert_allclose(x.grad.to_numpy(), 3 * weights[:60] + factors * weights[60:])
+
+
+def test_a_sequence_of_launches_that_collide(context):
+    """On a device they become one piece of work, in which the steps of each must wait."""
+    context(default_fp=ti.f64)
+    n, steps = 96, 4
+    x = ti.field(ti.f64, shape=(steps + 1, n), needs_grad=True)
+    p = ti.field(ti.i32, shape=n)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i in range(n):
+            x[t + 1, p[i]] = x[t, i] * x[t, (i + 1) % n]
+
+    @ti.kernel
+    def total():
+        for i in range(n):
+            loss[None] += (i + 1) * x[steps, i]
+
+    rng = np.random.default_rng(0)
+    start = 0.5 + rng.random((steps + 1, n))
+    at = rng.integers(0, n // 2, n).astype(np.int32)
+    p.from_numpy(at)
+    winner = expect(at, n, n)
+    stored = winner >= 0
+    values = start.copy()
+    for t in range(steps):
+        values[t + 1, stored] = (values[t] * np.roll(values[t], -1))[winner[stored]]
+    slope = np.arange(1.0, n + 1)
+    for t in reversed(range(steps)):
+        new = np.zeros(n)
+        for e in np.flatnonzero(stored):
+            i = winner[e]
+            new[i] += slope[e] * values[t, (i + 1) % n]
+            new[(i + 1) % n] += slope[e] * values[t, i]
+        slope = new
+    for _ in range(6):
+        x.from_numpy(start)
+        with ti.ad.Tape(loss):
+            for t in range(steps):
+                step(t)
+            total()
+        np.testing.assert_allclose(x.to_numpy(), values)
+        np.testing.assert_allclose(x.grad.to_numpy()[0], slope)
+
+
+def test_blocks_of_one_field(context):
+    """Iterations that would read what others write, were the loop longer than it is."""
+    context(default_fp=ti.f64)
+    n = 6
+    x = ti.field(ti.f64, shape=(3, 3 * n), needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def double(count: ti.i32):
+        for i in range(count):
+            x[0, i] = 2.0 * x[0, i + n]
+
+    @ti.kernel
+    def shift(s: ti.i32, d: ti.i32):
+        for i in range(n):
+            x[d, i] = 3.0 * x[s, i + 1]
+
+    @ti.kernel
+    def total():
+        for i, j in x:
+            loss[None] += (i + 1) * (j + 1) * x[i, j]
+
+    weights = np.outer(np.arange(1.0, 4.0), np.arange(1.0, 3 * n + 1.0))
+    for count in [n, n, n - 2, 0, n]:
+        with ti.ad.Tape(loss):
+            double(count)
+            shift(1, 2)
+            total()
+        expected = weights.copy()
+        expected[0, n : n + count] += 2 * weights[0, :count]
+        expected[1, 1 : n + 1] += 3 * weights[2, :n]
+        expected[0, :count] = expected[2, :n] = 0
+        np.testing.assert_allclose(x.grad.to_numpy(), expected)
+    with pytest.raises(ti.errors.TaiRuntimeError, match="another iteration writes"):
+        with ti.ad.Tape(loss):
+            double(n + 1)
+            total()
+        ti.sync()

@@ -59,6 +59,22 @@ def a_sequence_that_is_executed_again():
     return gradient(loss, x)
 
 
+def stores_that_collide():
+    x, y, p, loss = filled(N), filled(N), ti.field(ti.i32, shape=N), real()
+    p.from_numpy(np.arange(N, dtype=np.int32) * 7 % 5)
+
+    @ti.kernel
+    def store():
+        for i in x:
+            y[p[i]] = x[i] * x[i]
+        for i in x:
+            loss[None] += (i + 1) * y[i]
+
+    with ti.ad.Tape(loss):
+        store()
+    return gradient(loss, x, y)
+
+
 def loops_that_are_launched_one_by_one():
     x, y, loss = filled(N), filled(N), real()
 
@@ -172,6 +188,7 @@ def arguments_that_are_differentiated():
 CASES = [
     (an_update_in_place, {}),
     (a_sequence_that_is_executed_again, {}),
+    (stores_that_collide, {}),
     (loops_that_are_launched_one_by_one, {}),
     (values_that_the_kernel_has_stored, {}),
     (scatters_over_sparse_cells, {}),

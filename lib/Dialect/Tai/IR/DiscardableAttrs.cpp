@@ -57,7 +57,6 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.adjoint_branch", Kind::Unit},
     {"tai.guard", Kind::Unit},
     {"tai.guard_infinite", Kind::Unit},
-    {"tai.owners", Kind::Unit},
     // Set and read by one pass.
     {"tai.alignment", Kind::Integer},
     {"tai.device_slot", Kind::Unit},
