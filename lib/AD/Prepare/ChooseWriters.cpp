@@ -21,10 +21,10 @@
 //===----------------------------------------------------------------------===//
 
 #include "../SelectedFunctionsPass.h"
+#include "LoopsWithoutOrder.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/ImplicitLocOpBuilder.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/IR/PatternMatch.h"
@@ -63,7 +63,7 @@ struct Place {
 };
 } // namespace
 
-/// The loop index stands for what it is equal to where the access runs, as in
+/// A condition such as `i == 0` lets the loop index replace its value, as in
 /// `if i == 0: y[0] = ...`.
 static Place getPlace(DifferentiableAccessInterface access,
                       ParallelForOp loop) {
@@ -707,65 +707,6 @@ LogicalResult mlir::tai::chooseWriters(FunctionOpInterface function,
 }
 
 //===----------------------------------------------------------------------===//
-// Loops of other dialects
-//===----------------------------------------------------------------------===//
-
-/// The dimensions of the loop that may have several steps.
-static SmallVector<Value> getMovingDimensions(scf::ParallelOp loop) {
-  SmallVector<Value> moving;
-  for (auto [iv, lower, upper, step] :
-       llvm::zip(loop.getInductionVars(), loop.getLowerBound(),
-                 loop.getUpperBound(), loop.getStep())) {
-    std::optional<int64_t> from = getConstantIntValue(lower),
-                           to = getConstantIntValue(upper),
-                           by = getConstantIntValue(step);
-    if (!from || !to || !by || *to - *from > *by)
-      moving.push_back(iv);
-  }
-  return moving;
-}
-
-/// Their iterations have no order of which one could be the last.
-static LogicalResult checkForeignLoops(FunctionOpInterface function,
-                                       const Activity &activity) {
-  LogicalResult result = success();
-  function.getFunctionBody().walk([&](scf::ParallelOp loop) {
-    SmallVector<Value> moving = getMovingDimensions(loop);
-    llvm::MapVector<const void *, SmallVector<DifferentiableAccessInterface>>
-        storages;
-    loop.walk([&](DifferentiableAccessInterface access) {
-      Value memref = access.getAccessedStorage().memref;
-      if (access.getAccessKind() == AccessKind::Write && !isConstant(access) &&
-          !(memref && loop->isAncestor(memref.getParentBlock()->getParentOp())))
-        storages[getStorageKey(access)].push_back(access);
-    });
-    for (auto &[key, stores] : storages) {
-      SmallVector<LinearIndex> common;
-      for (auto [i, index] :
-           llvm::enumerate(getLinearIndices(stores.front().getAccessIndices())))
-        if (llvm::all_of(stores, [&, i = i](auto store) {
-              return getLinearIndex(store.getAccessIndices()[i]) == index;
-            }))
-          common.push_back(index);
-      bool isActive = llvm::any_of(
-          stores, [&](auto store) { return activity.isActiveAccess(store); });
-      if (!isActive || moving.empty() || isInjectiveOver(common, moving))
-        continue;
-      InFlightDiagnostic diag = stores.front()->emitError(
-          "iterations of a parallel loop may store to the same element here, "
-          "and the gradient belongs to the one whose value remains");
-      diag.attachNote(loop.getLoc())
-          << "the iterations of 'scf.parallel' have no order, so that none of "
-             "them is the last";
-      diag.attachNote() << "store to an element for each iteration, or write "
-                           "the loop as 'tai.parallel_for' or as 'scf.for'";
-      result = failure();
-    }
-  });
-  return result;
-}
-
-//===----------------------------------------------------------------------===//
 // The pass
 //===----------------------------------------------------------------------===//
 
@@ -783,7 +724,7 @@ struct ChooseWriters
       FieldOp field = lookupField(function, storage.field);
       return field && field.getAdjointAttr();
     });
-    if (failed(checkForeignLoops(function, activity)))
+    if (failed(checkLoopsWithoutOrder(function, activity)))
       return failure();
     auto isActive = [&](DifferentiableAccessInterface access) {
       return activity.isActiveAccess(access);
