@@ -1,6 +1,8 @@
 // RUN: tai-opt %s --tai-choose-writers | FileCheck %s
 // RUN: tai-opt %s --tai-choose-writers --tai-make-adjoint=kernel=scatter | \
 // RUN:   FileCheck %s --check-prefix=ADJOINT
+// RUN: tai-opt %s --tai-choose-writers --tai-make-adjoint=kernel=steps | \
+// RUN:   FileCheck %s --check-prefix=STEPS
 // RUN: tai-opt %s --tai-choose-writers --tai-choose-writers | FileCheck %s
 
 !t = !tai.root<dense<[i: 64], {x: f32, x_grad: f32, x_dual: f32, z: f32}>,
@@ -220,6 +222,49 @@ tai.kernel @changes() {
     %j = arith.index_cast %k : i32 to index
     %0 = tai.load @x[%i] : f32
     tai.store %0, @y[%j] : f32
+  }
+  tai.return
+}
+
+// A function is changed itself: its gradient is not asked for by a tape.
+// CHECK-LABEL: func.func @function(
+//       CHECK:   memref.atomic_rmw maxs
+//       CHECK:   scf.if
+//  CHECK-NEXT:     memref.store
+func.func @function(%from: memref<64xf32>, %at: memref<64xi32>,
+                    %to: memref<16xf32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c64 = arith.constant 64 : index
+  tai.parallel_for (%i) = (%c0) to (%c64) {
+    %k = memref.load %at[%i] : memref<64xi32>
+    %j = arith.index_cast %k : i32 to index
+    %0 = memref.load %from[%i] : memref<64xf32>
+    memref.store %0, %to[%j] : memref<16xf32>
+  }
+  return
+}
+
+// Each time step decides for itself, in the adjoint too.
+// CHECK-LABEL: tai.kernel @steps.0(
+//       CHECK:   scf.for
+//       CHECK:     memref.alloc
+//       CHECK:     memref.dealloc
+//
+// STEPS-LABEL: tai.kernel @steps.0_grad(
+//       STEPS:   scf.for
+//       STEPS:     memref.alloc
+//       STEPS:     memref.atomic_rmw maxs
+//       STEPS:     memref.dealloc
+tai.kernel @steps(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  scf.for %t = %c0 to %n step %c1 {
+    tai.parallel_for (%i) in @x {
+      %k = tai.load @p[%i] : i32
+      %j = arith.index_cast %k : i32 to index
+      %0 = tai.load @x[%i] : f32
+      tai.store %0, @square[%t, %j] : f32
+    }
   }
   tai.return
 }

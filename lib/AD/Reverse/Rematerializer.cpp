@@ -290,6 +290,10 @@ bool Rematerializer::checkRecomputable(Operation *op) {
 }
 
 bool Rematerializer::checkReadable(DifferentiableAccessInterface read) {
+  // Owners are decided again.
+  if (Value memref = read.getAccessedStorage().memref;
+      memref && holdsOwners(memref))
+    return true;
   demands.reads.insert(read);
   if (plan.accumulated.contains(read.getAccessedStorage().getOpaque())) {
     b.emitError(read,
