@@ -44,18 +44,20 @@ LogicalResult mlir::tai::checkLoopsWithoutOrder(FunctionOpInterface function,
         storages;
     loop.walk([&](DifferentiableAccessInterface access) {
       Value memref = access.getAccessedStorage().memref;
-      if (access.getAccessKind() == AccessKind::Write && !isConstant(access) &&
+      if (access.getAccessKind() == AccessKind::Write &&
+          !matchPattern(access.getAccessedValue(), m_Constant()) &&
           !(memref && loop->isAncestor(memref.getParentBlock()->getParentOp())))
         storages[getStorageKey(access)].push_back(access);
     });
     for (auto &[key, stores] : storages) {
+      SmallVector<LinearIndex> indices =
+          getLinearIndices(stores.front().getAccessIndices());
       SmallVector<LinearIndex> common;
-      for (auto [i, index] :
-           llvm::enumerate(getLinearIndices(stores.front().getAccessIndices())))
-        if (llvm::all_of(stores, [&, i = i](auto store) {
-              return getLinearIndex(store.getAccessIndices()[i]) == index;
+      for (size_t i = 0; i != indices.size(); ++i)
+        if (llvm::all_of(stores, [&](auto store) {
+              return getLinearIndex(store.getAccessIndices()[i]) == indices[i];
             }))
-          common.push_back(index);
+          common.push_back(indices[i]);
       bool isActive = llvm::any_of(
           stores, [&](auto store) { return activity.isActiveAccess(store); });
       if (!isActive || moving.empty() || isInjectiveOver(common, moving))
