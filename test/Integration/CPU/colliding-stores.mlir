@@ -6,7 +6,7 @@
 
 tai.tree @data : !tai.root<
     dense<[i: 64], {x: f64, x_grad: f64, at: i32}>,
-    dense<[t: 4, j: 8], {y: f64, y_grad: f64}>,
+    dense<[i: 4, j: 8], {y: f64, y_grad: f64}>,
     {loss: f64, loss_grad: f64}>
 tai.field @x_grad = @data["x_grad"] : f64, rank 1
 tai.field @x = @data["x"] : f64, rank 1, adjoint @x_grad
