@@ -219,10 +219,11 @@ static void addReads(Writer &writer, const std::vector<NamedAccess> &reads) {
     if (!access.fixed)
       continue;
     writer.add(access.fixed->constant);
+    writer.add(access.fixed->bits);
     writer.add(static_cast<int64_t>(access.fixed->terms.size()));
-    for (const runtime::FixedIndex::Term &term : access.fixed->terms) {
+    for (const runtime::LaunchTerm &term : access.fixed->terms) {
       writer.add(term.slot);
-      writer.add(static_cast<int64_t>(term.bits));
+      writer.add(term.bits);
       writer.add(term.factor);
     }
   }
@@ -260,10 +261,14 @@ static void takeReads(Reader &reader, std::vector<NamedAccess> &reads) {
     NamedAccess access{reader.text(), runtime::AccessKind::Read, {}};
     int64_t dimension = reader.number();
     if (dimension >= 0) {
-      runtime::FixedIndex fixed{dimension, reader.number(), {}};
+      runtime::FixedIndex fixed{
+          dimension, reader.number(), {}, reader.number()};
+      auto isWidth = [](int64_t bits) { return bits >= 1 && bits <= 64; };
+      reader.ok &= isWidth(fixed.bits);
       for (int64_t t = reader.length(); t > 0; --t) {
         int64_t slot = reader.number();
-        auto bits = static_cast<unsigned>(reader.number());
+        int64_t bits = reader.number();
+        reader.ok &= isWidth(bits);
         fixed.terms.push_back({slot, bits, reader.number()});
       }
       access.fixed = std::move(fixed);

@@ -133,9 +133,7 @@ void KernelCode::count(const Compiler::Function &function, bool isAdjoint) {
 static bool alwaysZeroes(const std::vector<runtime::Access> &summary) {
   using Kind = runtime::AccessKind;
   auto areApart = [](const runtime::Access &a, const runtime::Access &b) {
-    return a.fixed && b.fixed && a.fixed->dimension == b.fixed->dimension &&
-           a.fixed->terms == b.fixed->terms &&
-           a.fixed->constant != b.fixed->constant;
+    return a.fixed && b.fixed && a.fixed->isApart(*b.fixed);
   };
   for (const runtime::Access &store : summary) {
     if (store.kind != Kind::Write || !store.field->adjoint())

@@ -17,6 +17,7 @@
 #ifndef TAI_ABI_DEVICEACCESSES_H
 #define TAI_ABI_DEVICEACCESSES_H
 
+#include "tai/ABI/LaunchAccesses.h"
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -44,16 +45,6 @@ struct DeviceAccess {
     /// deterministic mode those of floats are classified as writes.
     Sum,
   };
-  /// An integer parameter, sign-extended from `bits` bits, times a factor.
-  struct Term {
-    int64_t slot;
-    int64_t bits;
-    int64_t factor;
-    bool operator==(const Term &other) const {
-      return slot == other.slot && bits == other.bits && factor == other.factor;
-    }
-  };
-
   int64_t kind = Write;
   int64_t slot = 0;
   int64_t offset = 0;
@@ -66,7 +57,7 @@ struct DeviceAccess {
   int64_t unit = 0;
   /// One for each dimension of the loop.
   std::vector<int64_t> strides;
-  std::vector<Term> terms;
+  std::vector<LaunchTerm> terms;
 
   bool operator==(const DeviceAccess &other) const {
     return kind == other.kind && slot == other.slot && offset == other.offset &&
@@ -210,7 +201,7 @@ private:
       words.push_back(word);
     words.insert(words.end(), access.strides.begin(), access.strides.end());
     words.push_back(static_cast<int64_t>(access.terms.size()));
-    for (const DeviceAccess::Term &term : access.terms)
+    for (const LaunchTerm &term : access.terms)
       for (int64_t word : {term.slot, term.bits, term.factor})
         words.push_back(word);
   }

@@ -14,6 +14,7 @@
 #ifndef TAI_ABI_LAUNCHACCESSES_H
 #define TAI_ABI_LAUNCHACCESSES_H
 
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -21,35 +22,55 @@ namespace mlir::tai::runtime {
 
 enum class AccessKind : uint8_t { Read, Write, Accumulate };
 
+/// An integer argument of a launch, of `bits` bits with a sign, times a factor.
+struct LaunchTerm {
+  int64_t slot; // of the argument
+  int64_t bits;
+  int64_t factor;
+
+  int64_t getArgument(const uint64_t *slots) const {
+    auto unused = static_cast<unsigned>(64 - bits);
+    return static_cast<int64_t>(slots[slot] << unused) >> unused;
+  }
+  bool operator==(const LaunchTerm &other) const {
+    return slot == other.slot && bits == other.bits && factor == other.factor;
+  }
+};
+
 /// An index that is the same in all iterations of a launch: a constant plus
 /// multiples of integer arguments.
 struct FixedIndex {
-  struct Term {
-    int64_t slot; // of the argument
-    unsigned bits;
-    int64_t factor;
-
-    bool operator==(const Term &other) const {
-      return slot == other.slot && bits == other.bits && factor == other.factor;
-    }
-  };
   int64_t dimension;
   int64_t constant;
-  std::vector<Term> terms;
+  std::vector<LaunchTerm> terms;
+  /// The sum counts modulo two to this: the program computes it in as many
+  /// bits.
+  int64_t bits = 64;
 
   int64_t evaluate(const uint64_t *args) const {
-    // Wraps where the arguments do.
+    // Wraps where the program does.
     uint64_t sum = static_cast<uint64_t>(constant);
-    for (const Term &term : terms) {
-      unsigned unused = 64 - term.bits;
-      auto value = static_cast<int64_t>(args[term.slot] << unused) >> unused;
-      sum += static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
-    }
-    return static_cast<int64_t>(sum);
+    for (const LaunchTerm &term : terms)
+      sum += static_cast<uint64_t>(term.getArgument(args)) *
+             static_cast<uint64_t>(term.factor);
+    return signExtend(sum, bits);
   }
   bool operator==(const FixedIndex &other) const {
     return dimension == other.dimension && constant == other.constant &&
-           terms == other.terms;
+           terms == other.terms && bits == other.bits;
+  }
+  /// True if both certainly differ in each launch.
+  bool isApart(const FixedIndex &other) const {
+    uint64_t difference =
+        static_cast<uint64_t>(constant) - static_cast<uint64_t>(other.constant);
+    return dimension == other.dimension && terms == other.terms &&
+           signExtend(difference, std::min(bits, other.bits)) != 0;
+  }
+
+private:
+  static int64_t signExtend(uint64_t number, int64_t bits) {
+    auto unused = static_cast<unsigned>(64 - bits);
+    return static_cast<int64_t>(number << unused) >> unused;
   }
 };
 

@@ -215,7 +215,7 @@ llvm::Value *TileBuilder::getOrigin(const TileRow &row,
   llvm::Value *origin =
       builder.CreateAdd(slot(access.slot),
                         builder.getInt64(static_cast<uint64_t>(access.offset)));
-  for (const DeviceAccess::Term &term : access.terms) {
+  for (const LaunchTerm &term : access.terms) {
     llvm::Value *value = builder.CreateSExt(
         builder.CreateTrunc(
             slot(term.slot),

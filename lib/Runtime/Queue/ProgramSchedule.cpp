@@ -77,11 +77,10 @@ StepMemory StepMemory::ofLaunch(const Footprint *footprint,
     uint64_t first = slots[access.slot] + static_cast<uint64_t>(access.offset);
     double sum = std::abs(double(access.offset)) + double(line.high) -
                  double(line.low) + double(access.window);
-    for (const DeviceAccess::Term &term : access.terms) {
+    for (const LaunchTerm &term : access.terms) {
       if (!has(term.slot) || term.bits < 1 || term.bits > 64)
         return StepMemory();
-      auto unused = static_cast<unsigned>(64 - term.bits);
-      auto value = static_cast<int64_t>(slots[term.slot] << unused) >> unused;
+      int64_t value = term.getArgument(slots);
       first +=
           static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
       sum += std::abs(double(value) * double(term.factor));

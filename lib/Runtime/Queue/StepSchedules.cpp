@@ -43,7 +43,7 @@ void DeviceQueue::StepSchedules::listDecisiveSlots() {
     } else if (step.function->footprint) {
       for (const Footprint::Line &line : step.function->footprint->lines) {
         used.push_back(static_cast<size_t>(line.access.slot));
-        for (const DeviceAccess::Term &term : line.access.terms)
+        for (const LaunchTerm &term : line.access.terms)
           used.push_back(static_cast<size_t>(term.slot));
       }
       std::sort(used.begin(), used.end());

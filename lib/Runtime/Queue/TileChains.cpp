@@ -115,12 +115,10 @@ bool ChainMaker::findPlace(const ChainStep &step, const TileSite &site,
   place.address =
       step.slots[access.slot] + static_cast<uint64_t>(access.offset);
   double sum = std::abs(double(access.offset)) + double(access.window);
-  for (const DeviceAccess::Term &term : access.terms) {
+  for (const LaunchTerm &term : access.terms) {
     if (!has(term.slot) || term.bits < 1 || term.bits > 64)
       return false;
-    auto unused = static_cast<unsigned>(64 - term.bits);
-    auto value =
-        static_cast<int64_t>(step.slots[term.slot] << unused) >> unused;
+    int64_t value = term.getArgument(step.slots);
     place.address +=
         static_cast<uint64_t>(value) * static_cast<uint64_t>(term.factor);
     sum += std::abs(double(value) * double(term.factor));
