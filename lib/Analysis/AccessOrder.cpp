@@ -138,14 +138,12 @@ bool mlir::tai::reachSameElement(DifferentiableAccessInterface lhs,
   }
   for (auto [a, b] :
        llvm::zip(lhs.getAccessIndices(), rhs.getAccessIndices())) {
-    LinearIndex lhsForm = getLinearIndex(a), rhsForm = getLinearIndex(b);
-    for (auto &[value, coefficient] : rhsForm.terms)
-      if (Value other = renamed.lookup(value))
-        value = other;
-    llvm::sort(rhsForm.terms, [](auto &x, auto &y) {
-      return x.first.getAsOpaquePointer() < y.first.getAsOpaquePointer();
-    });
-    if (!(lhsForm == rhsForm))
+    IndexExpr rhsForm = getIndexExpr(b).substitute(
+        [&](Value value) -> std::optional<IndexExpr> {
+          Value other = renamed.lookup(value);
+          return other ? std::optional(IndexExpr(other)) : std::nullopt;
+        });
+    if (!(getIndexExpr(a) == rhsForm))
       return false;
   }
   return true;

@@ -6,7 +6,6 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/Accesses.h"
-#include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/AffineExpr.h"
 #include "mlir/IR/Matchers.h"
@@ -19,102 +18,14 @@ using namespace mlir;
 using namespace mlir::tai;
 
 //===----------------------------------------------------------------------===//
-// Linear forms
+// Equality
 //===----------------------------------------------------------------------===//
-
-int64_t LinearIndex::getCoefficient(Value value) const {
-  for (auto [term, coefficient] : terms)
-    if (term == value)
-      return coefficient;
-  return 0;
-}
-
-static void addScaled(LinearIndex &sum, const LinearIndex &other,
-                      int64_t scale) {
-  sum.constant += scale * other.constant;
-  sum.mayWrap |= other.mayWrap;
-  for (const auto &added : other.terms) {
-    auto *it = llvm::find_if(
-        sum.terms, [&](auto &term) { return term.first == added.first; });
-    if (it == sum.terms.end())
-      sum.terms.emplace_back(added.first, scale * added.second);
-    else
-      it->second += scale * added.second;
-  }
-}
-
-/// True for integers of 8 or 16 bits: unlike in 32 bits, a result is likely to
-/// wrap around, and then is no sum of its operands.
-static bool isNarrow(Value value) {
-  auto type = dyn_cast<IntegerType>(value.getType());
-  return type && type.getWidth() < 32;
-}
-
-static LinearIndex getSum(Value value, unsigned depth) {
-  LinearIndex sum;
-  auto addTerm = [&](Value term) { sum.terms.emplace_back(term, 1); };
-  APInt constant;
-  if (matchPattern(value, m_ConstantInt(&constant))) {
-    if (constant.getSignificantBits() <= 64)
-      sum.constant = constant.getSExtValue();
-    else
-      addTerm(value);
-    return sum;
-  }
-  Operation *op = value.getDefiningOp();
-  if (!op || depth == 0 || (isNarrow(value) && !isa<arith::ExtSIOp>(op))) {
-    addTerm(value);
-    return sum;
-  }
-  auto combine = [&](Value lhs, Value rhs, int64_t sign) {
-    addScaled(sum, getSum(lhs, depth - 1), 1);
-    addScaled(sum, getSum(rhs, depth - 1), sign);
-  };
-  if (auto add = dyn_cast<arith::AddIOp>(op)) {
-    combine(add.getLhs(), add.getRhs(), 1);
-  } else if (auto sub = dyn_cast<arith::SubIOp>(op)) {
-    combine(sub.getLhs(), sub.getRhs(), -1);
-  } else if (auto cast = dyn_cast<arith::IndexCastOp>(op)) {
-    addScaled(sum, getSum(cast.getIn(), depth - 1), 1);
-  } else if (auto extend = dyn_cast<arith::ExtSIOp>(op)) {
-    addScaled(sum, getSum(extend.getIn(), depth - 1), 1);
-  } else if (auto mul = dyn_cast<arith::MulIOp>(op)) {
-    LinearIndex lhs = getSum(mul.getLhs(), depth - 1);
-    LinearIndex rhs = getSum(mul.getRhs(), depth - 1);
-    if (!lhs.terms.empty() && !rhs.terms.empty()) {
-      addTerm(value);
-      return sum;
-    }
-    const LinearIndex &form = lhs.terms.empty() ? rhs : lhs;
-    int64_t factor = lhs.terms.empty() ? lhs.constant : rhs.constant;
-    addScaled(sum, form, factor);
-    sum.mayWrap |= std::abs(factor) > 1 && !value.getType().isIndex() &&
-                   !value.getType().isInteger(64);
-  } else {
-    addTerm(value);
-  }
-  return sum;
-}
-
-LinearIndex mlir::tai::getLinearIndex(Value value) {
-  // Deep chains are unrolled sums; a form of more terms is of no use.
-  LinearIndex sum = getSum(value, /*depth=*/16);
-  llvm::erase_if(sum.terms, [](auto &term) { return term.second == 0; });
-  llvm::sort(sum.terms, [](auto &lhs, auto &rhs) {
-    return lhs.first.getAsOpaquePointer() < rhs.first.getAsOpaquePointer();
-  });
-  return sum;
-}
-
-SmallVector<LinearIndex> mlir::tai::getLinearIndices(ValueRange values) {
-  return llvm::map_to_vector(values, getLinearIndex);
-}
 
 bool mlir::tai::areProvablyEqual(ValueRange lhs, ValueRange rhs) {
   return lhs.size() == rhs.size() &&
          llvm::all_of(llvm::zip(lhs, rhs), [](auto pair) {
            auto [a, b] = pair;
-           return a == b || getLinearIndex(a) == getLinearIndex(b);
+           return a == b || getIndexExpr(a) == getIndexExpr(b);
          });
 }
 
@@ -122,43 +33,8 @@ bool mlir::tai::areProvablyDistinct(ValueRange lhs, ValueRange rhs) {
   return lhs.size() == rhs.size() &&
          llvm::any_of(llvm::zip(lhs, rhs), [](auto pair) {
            auto [a, b] = pair;
-           LinearIndex x = getLinearIndex(a), y = getLinearIndex(b);
-           return x.terms == y.terms && x.constant != y.constant;
+           return areDistinct(getIndexExpr(a), getIndexExpr(b));
          });
-}
-
-// Solves for one induction variable at a time: an index in which only one of
-// them is still unknown determines it.
-bool mlir::tai::isInjectiveOver(ArrayRef<LinearIndex> indices, ValueRange ivs) {
-  SmallVector<Value> unknown(ivs);
-  bool changed = true;
-  while (changed && !unknown.empty()) {
-    changed = false;
-    for (const LinearIndex &index : indices) {
-      if (index.mayWrap)
-        continue;
-      Value only;
-      unsigned count = 0;
-      for (Value iv : unknown)
-        if (index.getCoefficient(iv) != 0) {
-          only = iv;
-          ++count;
-        }
-      // Other terms must be the same in all iterations.
-      bool isOpaque = llvm::any_of(index.terms, [&](auto &term) {
-        Value value = term.first;
-        if (llvm::is_contained(ivs, value))
-          return false;
-        Operation *loop = getLoopOf(ivs.front());
-        return loop && loop->isAncestor(value.getParentBlock()->getParentOp());
-      });
-      if (count != 1 || isOpaque)
-        continue;
-      llvm::erase(unknown, only);
-      changed = true;
-    }
-  }
-  return unknown.empty();
 }
 
 //===----------------------------------------------------------------------===//
@@ -220,7 +96,7 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
       exprs.emplace_back(argument, getAffineSymbolExpr(symbols++, context));
   SmallVector<AffineExpr> results;
   for (Value index : indices) {
-    LinearIndex form = getLinearIndex(index);
+    IndexExpr form = getIndexExpr(index);
     AffineExpr expr = getAffineConstantExpr(0, context);
     size_t used = 0;
     for (auto [value, unit] : exprs)
@@ -228,7 +104,11 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
         expr = expr + unit * coefficient;
         ++used;
       }
-    if (used != form.terms.size() || form.mayWrap)
+    // Two numbers whose sum leaves 32 bits are no indices of a field.
+    bool isSum = form.width >= 32 && llvm::all_of(form.terms, [](auto &term) {
+                   return std::abs(term.second) == 1;
+                 });
+    if (used != form.terms.size() || !(form.isExact() || isSum))
       return {};
     results.push_back(expr + form.constant);
   }
@@ -260,11 +140,11 @@ const void *mlir::tai::getStorageKey(Operation *op) {
 
 // The positions in which all writes agree must tell iterations apart.
 bool mlir::tai::isExclusive(Operation *loop,
-                            ArrayRef<SmallVector<LinearIndex>> writes) {
-  SmallVector<LinearIndex> common;
+                            ArrayRef<SmallVector<IndexExpr>> writes) {
+  SmallVector<IndexExpr> common;
   for (auto [i, first] : llvm::enumerate(writes.front())) {
     size_t position = i;
-    const LinearIndex &index = first;
+    const IndexExpr &index = first;
     if (llvm::all_of(writes,
                      [&](auto &indices) { return indices[position] == index; }))
       common.push_back(index);
@@ -276,7 +156,7 @@ namespace {
 /// All writes to one storage inside one parallel loop.
 struct Writes {
   SmallVector<AtomicOp> atomics;
-  SmallVector<SmallVector<LinearIndex>> indices;
+  SmallVector<SmallVector<IndexExpr>> indices;
 };
 } // namespace
 
@@ -289,10 +169,9 @@ void mlir::tai::markExclusiveAtomics(FunctionOpInterface function) {
     Writes &writes = groups[{loop, getStorageKey(op)}];
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
       writes.atomics.push_back(atomic);
-      writes.indices.push_back(getLinearIndices(atomic.getIndices()));
+      writes.indices.push_back(getIndexExprs(atomic.getIndices()));
     } else {
-      writes.indices.push_back(
-          getLinearIndices(cast<StoreOp>(op).getIndices()));
+      writes.indices.push_back(getIndexExprs(cast<StoreOp>(op).getIndices()));
     }
   });
   for (auto &[key, writes] : groups) {

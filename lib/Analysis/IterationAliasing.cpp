@@ -13,7 +13,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
@@ -23,7 +22,6 @@
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
-#include <numeric>
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -35,13 +33,6 @@ bool mlir::tai::isSerialLoop(Operation *op) {
   return !parallel || parallel.getSerialize();
 }
 
-namespace {
-/// The values that an unknown can have, as far as is known; both ends included.
-struct Interval {
-  std::optional<int64_t> low, high;
-};
-} // namespace
-
 static std::optional<int64_t> getConstant(Value value) {
   APInt constant;
   if (!matchPattern(value, m_ConstantInt(&constant)) ||
@@ -50,32 +41,16 @@ static std::optional<int64_t> getConstant(Value value) {
   return constant.getSExtValue();
 }
 
-/// The known range of a term of an index.
-static Interval getInterval(Value value) {
-  Interval range;
-  if (auto rem = value.getDefiningOp<arith::RemSIOp>()) {
-    std::optional<int64_t> divisor = getConstant(rem.getRhs());
-    if (divisor && *divisor > 0)
-      range = {1 - *divisor, *divisor - 1};
-    return range;
-  }
+/// True for an index of a loop whose bounds are constants: it has all values of
+/// its range.
+static bool hasConstantBounds(Value value) {
   Operation *loop = getLoopOf(value);
-  if (auto serial = dyn_cast_if_present<scf::ForOp>(loop)) {
-    if (value != serial.getInductionVar())
-      return range;
-    range.low = getConstant(serial.getLowerBound());
-    if (std::optional<int64_t> upper = getConstant(serial.getUpperBound()))
-      range.high = *upper - 1;
-    // Bounds that are compared without a sign are none of signed numbers.
-    if (serial.getUnsignedCmp() &&
-        !(range.low && range.high && *range.low >= 0 && *range.high >= -1))
-      range = Interval();
-  } else if (auto parallel = dyn_cast_if_present<ParallelForOp>(loop)) {
-    if (std::optional<LoopBox> box = getConstantBox(parallel))
-      if (std::optional<unsigned> dim = box->find(value))
-        range = {box->lower[*dim], box->upper[*dim] - 1};
-  }
-  return range;
+  if (auto serial = dyn_cast_if_present<scf::ForOp>(loop))
+    return value == serial.getInductionVar() &&
+           getConstant(serial.getLowerBound()) &&
+           getConstant(serial.getUpperBound());
+  auto parallel = dyn_cast_if_present<ParallelForOp>(loop);
+  return parallel && getConstantBox(parallel);
 }
 
 namespace {
@@ -86,10 +61,12 @@ struct Later {
   Operation *loop = nullptr;
   /// Values that grow by a constant, possibly negative, in each iteration.
   SmallVector<std::pair<Value, int64_t>, 2> moving;
+  /// Moving values count modulo two to this.
+  unsigned width = 64;
   /// Values of the loop, or of both regions of one, that are the same.
   SmallVector<Value, 2> same;
-  /// Iterations between the first and the last, if known.
-  std::optional<int64_t> most;
+  /// Iterations between the first and the last, at most.
+  __int128 most = kMostIterations;
   /// Whether indices wrap around only where they are known to.
   bool inRange = false;
 
@@ -98,100 +75,41 @@ struct Later {
                         [&](auto &entry) { return entry.first == value; });
   }
 };
-
-/// A linear form of which it is asked whether it can be zero.
-class Difference {
-public:
-  void addConstant(int64_t value) { constant += value; }
-  void addUnknown(int64_t factor, Interval range) {
-    if (factor == 0)
-      return;
-    divisor = std::gcd(divisor, factor);
-    auto addTo = [&](std::optional<__int128> &sum, std::optional<int64_t> end) {
-      if (sum && end)
-        *sum += static_cast<__int128>(factor) * *end;
-      else
-        sum.reset();
-    };
-    addTo(low, factor > 0 ? range.low : range.high);
-    addTo(high, factor > 0 ? range.high : range.low);
-  }
-
-  bool cannotBeZero(bool mayWrap) const {
-    if (divisor == 0)
-      return constant != 0;
-    if (mayWrap)
-      return false;
-    return constant % divisor != 0 || (low && *low + constant > 0) ||
-           (high && *high + constant < 0);
-  }
-
-private:
-  int64_t constant = 0;
-  int64_t divisor = 0; // of all factors; 0 if there are none
-  std::optional<__int128> low = 0, high = 0;
-};
 } // namespace
 
 /// The form in terms of the values with which a loop `scf.while` begins an
 /// iteration: its second region is given values of the first one.
-static LinearIndex getForm(Value value) {
-  LinearIndex form = getLinearIndex(value);
+static IndexExpr getForm(IndexBuilder &builder, Value value) {
+  IndexExpr form = builder.get(value);
   for (unsigned round = 0; round != 4; ++round) {
-    bool changed = false;
-    LinearIndex next;
-    next.constant = form.constant;
-    next.mayWrap = form.mayWrap;
-    auto add = [&](Value term, int64_t factor) {
-      auto *it = llvm::find_if(
-          next.terms, [&](auto &known) { return known.first == term; });
-      if (it == next.terms.end())
-        next.terms.emplace_back(term, factor);
-      else
-        it->second += factor;
-    };
-    for (auto [term, factor] : form.terms) {
-      auto argument = dyn_cast<BlockArgument>(term);
-      auto loop = dyn_cast_if_present<scf::WhileOp>(getLoopOf(term));
-      if (!argument || !loop || argument.getOwner() != loop.getAfterBody()) {
-        add(term, factor);
-        continue;
-      }
-      LinearIndex passed = getLinearIndex(
-          loop.getConditionOp().getArgs()[argument.getArgNumber()]);
-      next.constant += factor * passed.constant;
-      next.mayWrap |= passed.mayWrap;
-      for (auto [inner, innerFactor] : passed.terms)
-        add(inner, factor * innerFactor);
-      changed = true;
-    }
-    llvm::erase_if(next.terms, [](auto &term) { return term.second == 0; });
-    form = std::move(next);
-    if (!changed)
+    IndexExpr next =
+        form.substitute([&](Value term) -> std::optional<IndexExpr> {
+          auto argument = dyn_cast<BlockArgument>(term);
+          auto loop = dyn_cast_if_present<scf::WhileOp>(getLoopOf(term));
+          if (!argument || !loop || argument.getOwner() != loop.getAfterBody())
+            return std::nullopt;
+          Value passed =
+              loop.getConditionOp().getArgs()[argument.getArgNumber()];
+          IndexExpr expr = builder.get(passed);
+          return expr.isExact() ? expr : IndexExpr(passed);
+        });
+    if (next == form)
       break;
+    form = std::move(next);
   }
   return form;
 }
 
-/// True if a product in the form is known to leave 32 bits.
-static bool isKnownToWrap(const LinearIndex &form) {
-  __int128 low = form.constant, high = form.constant;
-  for (auto [value, factor] : form.terms) {
-    Interval range = getInterval(value);
-    if (!range.low || !range.high)
-      return false;
-    low +=
-        static_cast<__int128>(factor) * (factor > 0 ? *range.low : *range.high);
-    high +=
-        static_cast<__int128>(factor) * (factor > 0 ? *range.high : *range.low);
-  }
-  return low < std::numeric_limits<int32_t>::min() ||
-         high > std::numeric_limits<int32_t>::max();
+/// True if arithmetic of the form is known to leave its type in some iteration.
+static bool isKnownToWrap(IndexBuilder &builder, const IndexExpr &form) {
+  return form.allOf(hasConstantBounds) &&
+         !builder.getRange(form).fits(form.width);
 }
 
 /// True if the indices differ whenever `second` is so much later.
-static bool areApart(const LinearIndex &first, const LinearIndex &second,
-                     Block *common, const Later &later) {
+static bool areApart(IndexBuilder &builder, const IndexExpr &first,
+                     const IndexExpr &second, Block *common,
+                     const Later &later) {
   auto isShared = [&](Value value) {
     if (llvm::is_contained(later.same, value))
       return true;
@@ -199,67 +117,76 @@ static bool areApart(const LinearIndex &first, const LinearIndex &second,
     return later.loop ? !later.loop->isAncestor(owner)
                       : owner->isAncestor(common->getParentOp());
   };
-  Difference difference;
-  difference.addConstant(first.constant - second.constant);
-  // Terms that cancel are not looked at: ranges come from the layout.
-  auto addUnknown = [&](int64_t factor, Value value) {
-    if (factor != 0)
-      difference.addUnknown(factor, getInterval(value));
-  };
+  // Terms that both share cancel.
+  IndexExpr shared;
+  IndexDifference difference;
   // A moving term lies a positive number of steps ahead.
   int64_t perStep = 0;
   for (auto [value, step] : later.moving) {
     perStep -= second.getCoefficient(value) * step;
-    addUnknown(first.getCoefficient(value) - second.getCoefficient(value),
-               value);
+    int64_t factor = first.getCoefficient(value) - second.getCoefficient(value);
+    if (factor != 0)
+      difference.addUnknown(factor, builder.getRange(IndexAtom(value)));
   }
   difference.addUnknown(perStep, {1, later.most});
-  auto addTerms = [&](const LinearIndex &form, int64_t sign) {
-    for (auto [value, factor] : form.terms) {
-      if (later.moves(value))
-        continue;
-      int64_t rest = sign * factor;
-      if (isShared(value)) {
-        // Met in both forms; counted when met in the first.
-        const LinearIndex &other = sign > 0 ? second : first;
-        int64_t otherFactor = other.getCoefficient(value);
-        if (sign < 0 && otherFactor != 0)
-          continue;
-        rest -= sign * otherFactor;
-      }
-      addUnknown(rest, value);
-    }
+  auto addTerms = [&](const IndexExpr &form, int64_t sign) {
+    difference.addConstant(static_cast<__int128>(sign) * form.constant);
+    for (const auto &[atom, factor] : form.terms)
+      if (atom.allOf(isShared))
+        shared.add(IndexExpr(atom), sign * factor);
+      else if (!atom.getValue() || !later.moves(atom.getValue()))
+        difference.addUnknown(sign * factor, builder.getRange(atom));
   };
   addTerms(first, 1);
   addTerms(second, -1);
-  auto wraps = [&](const LinearIndex &form) {
-    return form.mayWrap && (!later.inRange || isKnownToWrap(form));
+  for (const auto &[atom, factor] : shared.terms)
+    difference.addUnknown(factor, builder.getRange(atom));
+  auto widthOf = [&](const IndexExpr &form) {
+    return later.inRange && !isKnownToWrap(builder, form) ? 64 : form.width;
   };
-  return difference.cannotBeZero(wraps(first) || wraps(second));
+  return !difference.canBeZero(
+      std::min({widthOf(first), widthOf(second), later.width}));
 }
 
 /// The same of lists of values of equal length.
-static bool areApart(ValueRange first, ValueRange second, Block *common,
-                     const Later &later) {
+static bool areApart(IndexBuilder &builder, ValueRange first, ValueRange second,
+                     Block *common, const Later &later) {
   return llvm::any_of(llvm::zip(first, second), [&](auto pair) {
     auto [lhs, rhs] = pair;
-    return areApart(getForm(lhs), getForm(rhs), common, later);
+    return areApart(builder, getForm(builder, lhs), getForm(builder, rhs),
+                    common, later);
   });
 }
 
+/// True if no two iterations of `loop` have all indices in common, because both
+/// lists are the same expressions, which tell iterations apart.
+static bool tellApart(IndexBuilder &builder, Operation *loop, ValueRange first,
+                      ValueRange second) {
+  std::optional<SmallVector<Value>> ivs;
+  if (isa<scf::ForOp, ParallelForOp>(loop))
+    ivs = cast<LoopLikeOpInterface>(loop).getLoopInductionVars();
+  if (!ivs || ivs->empty())
+    return false;
+  SmallVector<IndexExpr> common;
+  for (auto [lhs, rhs] : llvm::zip(first, second)) {
+    IndexExpr expr = builder.get(lhs);
+    if (lhs == rhs || expr == builder.get(rhs))
+      common.push_back(expr);
+  }
+  return !common.empty() && isInjectiveOver(builder, common, *ivs);
+}
+
 /// The ways in which an iteration of `loop` can be later than another.
-static SmallVector<Later> getWays(Operation *loop) {
+static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
   SmallVector<Later> ways;
   Later later;
   later.loop = loop;
   // False if the loop index has one value at most.
   auto setMost = [&](Value iv, int64_t step) {
-    Interval range = getInterval(iv);
-    if (range.low && range.high)
-      later.most = (*range.high - *range.low) / step;
-    else
-      later.most = std::nullopt;
-    return !later.most || *later.most > 0;
+    IndexRange range = builder.getRange(IndexAtom(iv));
+    later.most =
+        std::min<__int128>((range.high - range.low) / step, kMostIterations);
+    return later.most > 0;
   };
   if (auto serial = dyn_cast<scf::ForOp>(loop)) {
     // Steps are positive.
@@ -281,9 +208,17 @@ static SmallVector<Later> getWays(Operation *loop) {
     for (auto [argument, next] : llvm::zip(whileOp.getBeforeArguments(),
                                            whileOp.getYieldOp().getOperands()))
       if (argument.getType().isIntOrIndex()) {
-        LinearIndex form = getForm(next);
-        if (form.terms.size() == 1 && form.getCoefficient(argument) == 1)
-          later.moving.emplace_back(argument, form.constant);
+        IndexExpr form = getForm(builder, next);
+        if (form.width < 32 || form.terms.size() != 1 ||
+            form.getCoefficient(argument) != 1)
+          continue;
+        later.moving.emplace_back(argument, form.constant);
+        // A counter does not run so long that it is where it was.
+        later.width = std::min(later.width, form.width);
+        later.most = std::min(
+            later.most, (static_cast<__int128>(1) << form.width) /
+                                std::max<__int128>(std::abs(form.constant), 1) -
+                            1);
       }
   }
   ways.push_back(later);
@@ -293,18 +228,23 @@ static SmallVector<Later> getWays(Operation *loop) {
 bool mlir::tai::mayMeet(ParallelForOp loop, ElementPlace first,
                         ElementPlace second) {
   Block *body = &loop.getBody().front();
+  IndexBuilder builder;
   auto areApartIn = [&](ValueRange a, ValueRange b, const Later &later) {
-    return a.size() == b.size() && areApart(a, b, body, later);
+    return a.size() == b.size() && areApart(builder, a, b, body, later);
   };
+  if (first.indices.size() == second.indices.size() &&
+      tellApart(builder, loop, first.indices, second.indices))
+    return false;
   auto numbers = findNumbersOfDigits(first.indices, second.indices, loop);
   auto areNumbersApart = [&](const Later &later, bool isSwapped) {
     return llvm::any_of(numbers, [&](auto &pair) {
-      LinearIndex a = getForm(pair.first), b = getForm(pair.second);
-      return isSwapped ? areApart(b, a, body, later)
-                       : areApart(a, b, body, later);
+      IndexExpr a = getForm(builder, pair.first);
+      IndexExpr b = getForm(builder, pair.second);
+      return isSwapped ? areApart(builder, b, a, body, later)
+                       : areApart(builder, a, b, body, later);
     });
   };
-  return llvm::any_of(getWays(loop), [&](Later &later) {
+  return llvm::any_of(getWays(builder, loop), [&](Later &later) {
     later.inRange = true;
     auto mayAlias = [&](const ElementPlace &a, const ElementPlace &b) {
       return !areApartIn(a.indices, b.indices, later) &&
@@ -322,15 +262,16 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
   Block *common = findCommonBlock(firstUp, secondUp);
   if (!common)
     return true;
+  IndexBuilder builder;
   auto mayAlias = [&](const Later &later) {
     if (first.getAccessIndices().size() == second.getAccessIndices().size() &&
-        areApart(first.getAccessIndices(), second.getAccessIndices(), common,
-                 later))
+        areApart(builder, first.getAccessIndices(), second.getAccessIndices(),
+                 common, later))
       return false;
     ValueRange parts = first.getAccessComponents();
     ValueRange otherParts = second.getAccessComponents();
     return parts.size() != otherParts.size() || parts.empty() ||
-           !areApart(parts, otherParts, common, later);
+           !areApart(builder, parts, otherParts, common, later);
   };
   Later inSame;
   bool follows;
@@ -353,7 +294,11 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
   for (; loop && !isa<FunctionOpInterface>(loop) &&
          !(scope && loop == scope->getParentOp());
        loop = loop->getParentOp())
-    if (isSerialLoop(loop) && llvm::any_of(getWays(loop), mayAlias))
+    if (isSerialLoop(loop) &&
+        !(first.getAccessIndices().size() == second.getAccessIndices().size() &&
+          tellApart(builder, loop, first.getAccessIndices(),
+                    second.getAccessIndices())) &&
+        llvm::any_of(getWays(builder, loop), mayAlias))
       return true;
   return false;
 }

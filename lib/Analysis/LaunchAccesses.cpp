@@ -51,12 +51,12 @@ using ArgumentSlots = DenseMap<Value, int64_t>;
 
 /// A sum of constants and integer arguments, as an index along a dimension.
 static std::optional<runtime::FixedIndex>
-evaluateOnLaunch(const LinearIndex &form, size_t dimension,
+evaluateOnLaunch(const IndexExpr &form, size_t dimension,
                  const ArgumentSlots &slots) {
-  runtime::FixedIndex fixed{static_cast<int64_t>(dimension), form.constant, {}};
-  if (form.mayWrap)
-    return std::nullopt;
-  for (auto [term, factor] : form.terms) {
+  runtime::FixedIndex fixed{
+      static_cast<int64_t>(dimension), form.constant, {}, form.width};
+  for (const auto &[atom, factor] : form.terms) {
+    Value term = atom.getValue();
     auto slot = slots.find(term);
     if (slot == slots.end())
       return std::nullopt;
@@ -71,7 +71,7 @@ evaluateOnLaunch(const LinearIndex &form, size_t dimension,
 static std::optional<runtime::FixedIndex>
 getFixedIndex(ValueRange indices, const ArgumentSlots &slots) {
   for (auto [dimension, index] : llvm::enumerate(indices))
-    if (auto fixed = evaluateOnLaunch(getLinearIndex(index), dimension, slots))
+    if (auto fixed = evaluateOnLaunch(getIndexExpr(index), dimension, slots))
       return fixed;
   return std::nullopt;
 }
@@ -95,8 +95,8 @@ static std::optional<SmallVector<LoopRange>>
 findLoopRanges(Operation *store, const ArgumentSlots &slots) {
   SmallVector<LoopRange> ranges;
   auto add = [&](Value iv, Value lower, Value upper) {
-    auto from = evaluateOnLaunch(getLinearIndex(lower), 0, slots);
-    auto to = evaluateOnLaunch(getLinearIndex(upper), 0, slots);
+    auto from = evaluateOnLaunch(getIndexExpr(lower), 0, slots);
+    auto to = evaluateOnLaunch(getIndexExpr(upper), 0, slots);
     if (from && to)
       ranges.push_back({iv, {*from, *to}});
     return from && to;
@@ -134,6 +134,7 @@ static runtime::FixedIndex addTo(runtime::FixedIndex bound,
                                  const runtime::FixedIndex &offset) {
   bound.dimension = offset.dimension;
   bound.constant += offset.constant;
+  bound.bits = std::min(bound.bits, offset.bits);
   bound.terms.insert(bound.terms.end(), offset.terms.begin(),
                      offset.terms.end());
   return bound;
@@ -150,7 +151,7 @@ findStoredBox(Operation *store, ValueRange indices,
     return std::nullopt;
   runtime::StoredBox box;
   for (auto [dimension, index] : llvm::enumerate(indices)) {
-    LinearIndex form = getLinearIndex(index);
+    IndexExpr form = getIndexExpr(index);
     LoopRange *loop = nullptr;
     for (LoopRange &candidate : *loops) {
       int64_t factor = form.getCoefficient(candidate.iv);
@@ -159,8 +160,9 @@ findStoredBox(Operation *store, ValueRange indices,
       if (loop || factor != 1 || candidate.isUsed)
         return std::nullopt;
       loop = &candidate;
-      llvm::erase_if(form.terms,
-                     [&](auto &term) { return term.first == candidate.iv; });
+      llvm::erase_if(form.terms, [&](auto &term) {
+        return term.first.getValue() == candidate.iv;
+      });
     }
     auto offset = evaluateOnLaunch(form, dimension, slots);
     if (!offset)

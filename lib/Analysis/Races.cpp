@@ -37,18 +37,23 @@ struct Unknown {
 };
 } // namespace
 
+/// The dimension of a loop index.
+static std::optional<unsigned> findIndex(LoopBox &box, const IndexAtom &atom) {
+  return atom.getValue() ? box.find(atom.getValue()) : std::nullopt;
+}
+
 /// The one loop index of a form and its coefficient; dimension -1 if it has
 /// none. Fails where there are several, or where other parts of the form are
 /// not the same in all iterations.
 static FailureOr<std::pair<int, int64_t>> getLoopTerm(LoopBox &box,
-                                                      const LinearIndex &form) {
+                                                      const IndexExpr &form) {
   std::pair<int, int64_t> found(-1, 0);
-  if (form.mayWrap)
-    return failure();
-  for (auto [value, coefficient] : form.terms) {
-    std::optional<unsigned> dim = box.find(value);
+  for (const auto &[atom, coefficient] : form.terms) {
+    std::optional<unsigned> dim = findIndex(box, atom);
     if (!dim) {
-      if (box.loop->isAncestor(value.getParentBlock()->getParentOp()))
+      if (!atom.allOf([&](Value value) {
+            return !box.loop->isAncestor(value.getParentBlock()->getParentOp());
+          }))
         return failure();
       continue;
     }
@@ -60,16 +65,18 @@ static FailureOr<std::pair<int, int64_t>> getLoopTerm(LoopBox &box,
 }
 
 /// The part of the form that is the same in all iterations, less its constant.
-static LinearIndex dropLoopTerms(LoopBox &box, LinearIndex form) {
-  llvm::erase_if(form.terms, [&](auto &term) { return box.find(term.first); });
+static IndexExpr dropLoopTerms(LoopBox &box, IndexExpr form) {
+  llvm::erase_if(form.terms,
+                 [&](auto &term) { return findIndex(box, term.first); });
   form.constant = 0;
   return form;
 }
 
-/// Adds lhs(i) == rhs(j) for one index. False if it cannot hold, or is not
+/// Adds lhs(i) == rhs(j) for one index, as numbers that do not wrap: if those
+/// are equal, so are their low bits. False if it cannot hold, or is not
 /// understood.
-static bool addEquation(LoopBox &box, const LinearIndex &lhs,
-                        const LinearIndex &rhs,
+static bool addEquation(LoopBox &box, const IndexExpr &lhs,
+                        const IndexExpr &rhs,
                         MutableArrayRef<Unknown> unknowns) {
   FailureOr<std::pair<int, int64_t>> a = getLoopTerm(box, lhs);
   FailureOr<std::pair<int, int64_t>> b = getLoopTerm(box, rhs);
@@ -167,8 +174,7 @@ Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
   auto add = [&](ValueRange a, ValueRange b) {
     return llvm::all_of(llvm::zip_equal(a, b), [&](auto pair) {
       auto [x, y] = pair;
-      return addEquation(unbounded, getLinearIndex(x), getLinearIndex(y),
-                         unknowns);
+      return addEquation(unbounded, getIndexExpr(x), getIndexExpr(y), unknowns);
     });
   };
   if (!add(lhs.getAccessIndices(), rhs.getAccessIndices()) ||

@@ -64,14 +64,14 @@ public:
   }
 
   /// The differences that are zero.
-  ArrayRef<LinearIndex> getZeros() const { return zeros; }
+  ArrayRef<IndexExpr> getZeros() const { return zeros; }
   /// True if one of them compares for equality, which few iterations satisfy.
   bool haveEquality() const { return isEquality; }
 
   /// Takes away the iterations of which comparisons with constants say that
   /// they do not hold.
   void narrow(LoopBox &box) const {
-    for (const LinearIndex &zero : zeros)
+    for (const IndexExpr &zero : zeros)
       narrow(box, zero, /*most=*/0, /*least=*/true);
     for (const auto &bound : bounds)
       narrow(box, bound.second, bound.first == Less ? -1 : 0, /*least=*/false);
@@ -89,19 +89,20 @@ public:
 private:
   enum Bound { Less, LessOrEqual };
 
-  static bool isOfOneIndex(LoopBox &box, const LinearIndex &form) {
-    return form.terms.size() == 1 && !form.mayWrap &&
+  static bool isOfOneIndex(LoopBox &box, const IndexExpr &form) {
+    return form.terms.size() == 1 && form.isExact() &&
            std::abs(form.terms.front().second) == 1 &&
-           box.find(form.terms.front().first);
+           form.terms.front().first.getValue() &&
+           box.find(form.terms.front().first.getValue());
   }
 
   /// The form is `most` at most, and with `least` no less either.
-  static void narrow(LoopBox &box, const LinearIndex &form, int64_t most,
+  static void narrow(LoopBox &box, const IndexExpr &form, int64_t most,
                      bool least) {
     if (!isOfOneIndex(box, form))
       return;
-    auto [value, factor] = form.terms.front();
-    unsigned dim = *box.find(value);
+    const auto &[atom, factor] = form.terms.front();
+    unsigned dim = *box.find(atom.getValue());
     int64_t bound = most - form.constant; // of factor * iv
     if (factor > 0 || least)
       box.upper[dim] = std::min(box.upper[dim], factor * bound + 1);
@@ -146,21 +147,18 @@ private:
     if (!holds)
       predicate = arith::invertPredicate(predicate);
     auto difference = [&](Value lhs, Value rhs) {
-      LinearIndex a = getLinearIndex(lhs), b = getLinearIndex(rhs);
-      LinearIndex sum = a;
-      sum.constant -= b.constant;
-      sum.mayWrap |= b.mayWrap;
-      for (const auto &subtracted : b.terms) {
-        auto *known = llvm::find_if(sum.terms, [&](auto &term) {
-          return term.first == subtracted.first;
-        });
-        if (known == sum.terms.end())
-          sum.terms.emplace_back(subtracted.first, -subtracted.second);
-        else
-          known->second -= subtracted.second;
+      return builder.get(lhs).add(builder.get(rhs), -1);
+    };
+    // Numbers that have wrapped are in no order.
+    auto addBound = [&](Bound bound, Value less, Value more) {
+      for (Value side : {less, more}) {
+        IndexExpr expr = builder.get(side);
+        if (!expr.isExact() || !builder.getRange(expr).fits(64)) {
+          isUnknown = true;
+          return;
+        }
       }
-      llvm::erase_if(sum.terms, [](auto &term) { return term.second == 0; });
-      return sum;
+      bounds.emplace_back(bound, difference(less, more));
     };
     Value lhs = compare.getLhs(), rhs = compare.getRhs();
     switch (predicate) {
@@ -169,16 +167,16 @@ private:
       zeros.push_back(difference(lhs, rhs));
       break;
     case Predicate::slt:
-      bounds.emplace_back(Less, difference(lhs, rhs));
+      addBound(Less, lhs, rhs);
       break;
     case Predicate::sle:
-      bounds.emplace_back(LessOrEqual, difference(lhs, rhs));
+      addBound(LessOrEqual, lhs, rhs);
       break;
     case Predicate::sgt:
-      bounds.emplace_back(Less, difference(rhs, lhs));
+      addBound(Less, rhs, lhs);
       break;
     case Predicate::sge:
-      bounds.emplace_back(LessOrEqual, difference(rhs, lhs));
+      addBound(LessOrEqual, rhs, lhs);
       break;
     default:
       isUnknown = true;
@@ -187,8 +185,9 @@ private:
   }
 
   ParallelForOp loop;
-  SmallVector<LinearIndex> zeros;
-  SmallVector<std::pair<Bound, LinearIndex>> bounds;
+  IndexBuilder builder;
+  SmallVector<IndexExpr> zeros;
+  SmallVector<std::pair<Bound, IndexExpr>> bounds;
   bool isEquality = false;
   bool isUnknown = false;
 };
@@ -235,9 +234,8 @@ Sharing mlir::tai::getSharing(DifferentiableAccessInterface access,
   if (memref && loop->isAncestor(memref.getParentBlock()->getParentOp()))
     return Sharing::Own;
   Conditions conditions(access, loop);
-  SmallVector<LinearIndex> indices =
-      getLinearIndices(access.getAccessIndices());
-  SmallVector<LinearIndex> determined = indices;
+  SmallVector<IndexExpr> indices = getIndexExprs(access.getAccessIndices());
+  SmallVector<IndexExpr> determined = indices;
   llvm::append_range(determined, conditions.getZeros());
 
   // Dimensions of one step tell nothing apart.
@@ -261,16 +259,16 @@ Sharing mlir::tai::getSharing(DifferentiableAccessInterface access,
     return Sharing::Own;
   if (conditions.haveEquality())
     return Sharing::Possible;
-  llvm::append_range(indices, getLinearIndices(access.getAccessComponents()));
-  for (const LinearIndex &index : indices)
-    for (auto [value, factor] : index.terms)
-      if (!llvm::is_contained(loop.getInductionVars(), value) &&
-          !isAlike(value, loop))
-        return Sharing::Possible;
+  llvm::append_range(indices, getIndexExprs(access.getAccessComponents()));
+  for (const IndexExpr &index : indices)
+    if (!index.allOf([&](Value value) {
+          return llvm::is_contained(loop.getInductionVars(), value) ||
+                 isAlike(value, loop);
+        }))
+      return Sharing::Possible;
   bool isFree = llvm::any_of(moving, [&](Value iv) {
-    return llvm::all_of(indices, [&](const LinearIndex &index) {
-      return index.getCoefficient(iv) == 0;
-    });
+    return llvm::none_of(
+        indices, [&](const IndexExpr &index) { return index.mentions(iv); });
   });
   return isFree ? Sharing::Certain : Sharing::Possible;
 }
@@ -317,7 +315,7 @@ bool SameIteration::areEqual(ValueRange lhs, ValueRange rhs) const {
   return lhs.size() == rhs.size() &&
          llvm::all_of(llvm::zip(lhs, rhs), [&](auto pair) {
            auto [a, b] = pair;
-           return areEqual(a, b) || getLinearIndex(a) == getLinearIndex(b);
+           return areEqual(a, b) || getIndexExpr(a) == getIndexExpr(b);
          });
 }
 

@@ -5,9 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Index arithmetic as linear forms, and the queries based on them: whether two
-// accesses touch the same element, and whether distinct iterations of a
-// parallel loop touch distinct elements.
+// Whether two accesses touch the same element, and whether distinct iterations
+// of a parallel loop touch distinct elements.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,30 +16,11 @@
 #include "mlir/IR/AffineMap.h"
 #include "mlir/IR/Value.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Analysis/Index/IndexQueries.h"
 #include "tai/Interfaces/Differentiable.h"
 
 namespace mlir::tai {
 class FieldOp;
-
-/// A sum of values times constants, plus a constant. Terms are sorted by value
-/// and have non-zero coefficients. A value that is not itself a sum is a term,
-/// as is the result of 8-bit or 16-bit arithmetic, which may wrap around.
-struct LinearIndex {
-  SmallVector<std::pair<Value, int64_t>, 2> terms;
-  int64_t constant = 0;
-  /// A product was taken in a type narrower than 64 bits: equal forms are
-  /// equal values, but distinct forms may wrap to the same value.
-  bool mayWrap = false;
-
-  bool operator==(const LinearIndex &other) const {
-    return constant == other.constant && terms == other.terms;
-  }
-  int64_t getCoefficient(Value value) const;
-};
-
-/// The linear form of an integer or index value.
-LinearIndex getLinearIndex(Value value);
-SmallVector<LinearIndex> getLinearIndices(ValueRange values);
 
 /// True if the two lists of indices are equal whenever both are evaluated in
 /// the same iteration of the loops around them.
@@ -50,13 +30,9 @@ bool areProvablyEqual(ValueRange lhs, ValueRange rhs);
 /// position.
 bool areProvablyDistinct(ValueRange lhs, ValueRange rhs);
 
-/// True if different values of `ivs` give different values of at least one of
-/// `indices`, all else in them being equal.
-bool isInjectiveOver(ArrayRef<LinearIndex> indices, ValueRange ivs);
-
 /// True if no two iterations of the parallel loop reach the same element by any
 /// of the writes, given by their indices.
-bool isExclusive(Operation *loop, ArrayRef<SmallVector<LinearIndex>> writes);
+bool isExclusive(Operation *loop, ArrayRef<SmallVector<IndexExpr>> writes);
 
 /// The induction variables of an op that runs its body in parallel, or none.
 ValueRange getParallelInductionVars(Operation *op);

@@ -306,7 +306,7 @@ bool TangentBuilder::isExclusive(Operation *op) {
        loop->isProperAncestor(storage.memref.getParentBlock()->getParentOp())))
     return true;
   const void *key = mlir::tai::getStorageKey(op);
-  SmallVector<SmallVector<LinearIndex>> writes;
+  SmallVector<SmallVector<IndexExpr>> writes;
   loop->walk([&](DifferentiableAccessInterface other) {
     if (other.getAccessKind() == AccessKind::Read)
       return;
@@ -315,7 +315,7 @@ bool TangentBuilder::isExclusive(Operation *op) {
                       ? target.field && mlir::tai::getStorageKey(other) == key
                       : target == storage;
     if (isSame)
-      writes.push_back(getLinearIndices(other.getAccessIndices()));
+      writes.push_back(getIndexExprs(other.getAccessIndices()));
   });
   return mlir::tai::isExclusive(loop, writes);
 }

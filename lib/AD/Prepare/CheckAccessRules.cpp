@@ -73,33 +73,31 @@ static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
 /// A parallel loop around `access`, with no branch in between, of which at
 /// least two iterations reach the same element; or null.
 static Operation *findRepeatingLoop(DifferentiableAccessInterface access) {
-  SmallVector<LinearIndex> indices =
-      getLinearIndices(access.getAccessIndices());
-  SmallVector<LinearIndex> parts =
-      getLinearIndices(access.getAccessComponents());
+  SmallVector<IndexExpr> indices = getIndexExprs(access.getAccessIndices());
+  SmallVector<IndexExpr> parts = getIndexExprs(access.getAccessComponents());
   indices.append(parts);
   Operation *op = access;
   for (Operation *parent = op->getParentOp();
        isa<ParallelForOp, scf::ForOp>(parent); parent = parent->getParentOp()) {
     // Indices that the body computes can differ in each iteration.
-    for (const LinearIndex &index : indices)
-      for (auto [value, coefficient] : index.terms)
-        if (!isa<BlockArgument>(value) &&
-            parent->isAncestor(value.getDefiningOp()))
-          return nullptr;
+    for (const IndexExpr &index : indices)
+      if (!index.allOf([&](Value value) {
+            return isa<BlockArgument>(value) ||
+                   !parent->isAncestor(value.getDefiningOp());
+          }))
+        return nullptr;
     unsigned dims = isa<scf::ForOp>(parent)
                         ? 1
                         : cast<ParallelForOp>(parent).getInductionVars().size();
     Block &body = parent->getRegion(0).front();
     for (BlockArgument argument : body.getArguments().drop_front(dims))
-      for (const LinearIndex &index : indices)
-        if (index.getCoefficient(argument) != 0)
+      for (const IndexExpr &index : indices)
+        if (index.mentions(argument))
           return nullptr; // carried
     for (unsigned dim = 0; dim != dims; ++dim) {
       Value iv = body.getArgument(dim);
-      bool isUsed = llvm::any_of(indices, [&](const LinearIndex &index) {
-        return index.getCoefficient(iv) != 0;
-      });
+      bool isUsed = llvm::any_of(
+          indices, [&](const IndexExpr &index) { return index.mentions(iv); });
       std::optional<int64_t> extent = getExtent(parent, dim);
       if (!isUsed && extent && *extent >= 2 && !isSerialLoop(parent))
         return parent;

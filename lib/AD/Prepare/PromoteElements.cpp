@@ -33,7 +33,7 @@ using namespace mlir::tai;
 namespace {
 /// Accesses to one element within a scope, in program order.
 struct Group {
-  SmallVector<LinearIndex> indices, components;
+  SmallVector<IndexExpr> indices, components;
   Accesses accesses;
 };
 
@@ -46,7 +46,7 @@ public:
 
 private:
   bool isVisible(Value value);
-  bool sees(ArrayRef<LinearIndex> forms);
+  bool sees(ArrayRef<IndexExpr> forms);
   bool canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all);
   bool isOwned(Group &group, ArrayRef<DifferentiableAccessInterface> all);
   bool needsVariable(const Group &group);
@@ -69,10 +69,9 @@ bool Scope::isVisible(Value value) {
       block->getParentOp());
 }
 
-bool Scope::sees(ArrayRef<LinearIndex> forms) {
-  return llvm::all_of(forms, [&](const LinearIndex &form) {
-    return llvm::all_of(form.terms,
-                        [&](auto &term) { return isVisible(term.first); });
+bool Scope::sees(ArrayRef<IndexExpr> forms) {
+  return llvm::all_of(forms, [&](const IndexExpr &form) {
+    return form.allOf([&](Value value) { return isVisible(value); });
   });
 }
 
@@ -127,7 +126,7 @@ bool Scope::isOwned(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
     return true;
   return isExclusive(
       loop, llvm::map_to_vector(all, [](DifferentiableAccessInterface access) {
-        return getLinearIndices(access.getAccessIndices());
+        return getIndexExprs(access.getAccessIndices());
       }));
 }
 
@@ -230,12 +229,11 @@ void Scope::run() {
   for (auto &[storage, all] : byStorage) {
     if (llvm::none_of(all, isWrite))
       continue;
-    SmallVector<Group> groups;
+    SmallVector<Group, 1> groups;
     for (DifferentiableAccessInterface access : all) {
-      SmallVector<LinearIndex> indices =
-          getLinearIndices(access.getAccessIndices());
-      SmallVector<LinearIndex> components =
-          getLinearIndices(access.getAccessComponents());
+      SmallVector<IndexExpr> indices = getIndexExprs(access.getAccessIndices());
+      SmallVector<IndexExpr> components =
+          getIndexExprs(access.getAccessComponents());
       auto *group = llvm::find_if(groups, [&](const Group &candidate) {
         return candidate.indices == indices &&
                candidate.components == components;

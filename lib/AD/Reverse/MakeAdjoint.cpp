@@ -79,9 +79,9 @@ static void relaxArrayAccumulations(FunctionOpInterface function) {
       groups[{getEnclosingParallelLoop(op), memref}].push_back(op);
   });
   for (auto &[key, writes] : groups) {
-    SmallVector<SmallVector<LinearIndex>> indices =
+    SmallVector<SmallVector<IndexExpr>> indices =
         llvm::map_to_vector(writes, [](Operation *op) {
-          return getLinearIndices(
+          return getIndexExprs(
               cast<DifferentiableAccessInterface>(op).getAccessIndices());
         });
     bool exclusive = !key.first || isExclusive(key.first, indices);

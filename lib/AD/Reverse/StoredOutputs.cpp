@@ -63,7 +63,7 @@ static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
     return true;
   if (getEnclosingParallelLoop(loop))
     return false;
-  SmallVector<SmallVector<LinearIndex>> writes;
+  SmallVector<SmallVector<IndexExpr>> writes;
   for (DifferentiableAccessInterface other :
        accesses.getStorages().find(getStorageKey(store))->second) {
     if (other.getAccessKind() == AccessKind::Read ||
@@ -71,7 +71,7 @@ static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
       continue;
     if (other.getAccessIndices().size() != store.getIndices().size())
       return false;
-    writes.push_back(getLinearIndices(other.getAccessIndices()));
+    writes.push_back(getIndexExprs(other.getAccessIndices()));
   }
   return isExclusive(loop, writes);
 }

@@ -71,7 +71,7 @@ static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
                                    ValueRange indices,
                                    ArrayRef<int64_t> peeled) {
   for (auto [index, extent] : llvm::zip(indices, field.layout.shape))
-    for (auto [value, factor] : getLinearIndex(index).terms)
+    for (const auto &[atom, factor] : getIndexExpr(index).terms)
       if (std::abs(factor) > 1 && std::abs(factor) >= extent)
         return {};
   SmallVector<int64_t> digits;

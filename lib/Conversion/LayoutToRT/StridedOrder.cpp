@@ -48,14 +48,17 @@ bool isStrided(const ElementAccess &access, Value iv) {
     return true;
   for (auto [number, index] : llvm::enumerate(access.indices)) {
     bool isLast = number + 1 == access.indices.size();
-    for (auto [value, factor] : getLinearIndex(index).terms) {
+    for (const auto &[atom, factor] : getIndexExpr(index).terms) {
       // Another value may be made of the index in its own way. The indices of
       // the other dimensions stay as they are in the innermost loop.
-      auto argument = dyn_cast<BlockArgument>(value);
-      bool isOuter = argument && argument.getOwner() == iv.getParentBlock();
-      bool isOther =
-          !isOuter && value.getParentRegion() == iv.getParentRegion();
-      if (isOther || (value == iv && (!isLast || factor != 1)))
+      bool isIndex = atom.getValue() == iv;
+      bool isOther = !atom.allOf([&](Value value) {
+        auto argument = dyn_cast<BlockArgument>(value);
+        bool isOuter = argument && argument.getOwner() == iv.getParentBlock();
+        return (isOuter && (isIndex || value != iv)) ||
+               value.getParentRegion() != iv.getParentRegion();
+      });
+      if (isOther || (isIndex && (!isLast || factor != 1)))
         return true;
     }
   }
@@ -84,8 +87,8 @@ bool mayAlias(const ElementAccess &a, const ElementAccess &b) {
 /// index is part of a sum.
 bool variesWithRounds(const ElementAccess &access) {
   return llvm::any_of(access.indices, [&](Value index) {
-    return llvm::any_of(getLinearIndex(index).terms, [&](const auto &term) {
-      auto argument = dyn_cast<BlockArgument>(term.first);
+    return llvm::any_of(getIndexExpr(index).terms, [&](const auto &term) {
+      auto argument = dyn_cast_if_present<BlockArgument>(term.first.getValue());
       return argument && argument.getArgNumber() == 0 &&
              isa<scf::ForOp>(access.loop) &&
              argument.getOwner()->getParentOp() == access.loop;

@@ -19,7 +19,7 @@
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/DataLayoutInterfaces.h"
-#include "tai/Analysis/IntegerRanges.h"
+#include "tai/Analysis/Index/IntegerRanges.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"

@@ -14,7 +14,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
-#include "tai/Analysis/IntegerRanges.h"
+#include "tai/Analysis/Index/IntegerRanges.h"
 #include "tai/Dialect/Check/IR/Check.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"

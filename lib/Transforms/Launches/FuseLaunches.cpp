@@ -117,40 +117,18 @@ static ValueRange getIndices(Operation *access) {
 
 /// The form with the host's operands for arguments of the kernel, and with the
 /// given induction variables.
-static LinearIndex translate(const LinearIndex &form, Candidate &from,
-                             ValueRange ivs) {
-  LinearIndex result;
-  result.constant = form.constant;
-  result.mayWrap = form.mayWrap;
-  auto add = [&](Value term, int64_t factor) {
-    auto *known = llvm::find_if(
-        result.terms, [&](auto &other) { return other.first == term; });
-    if (known == result.terms.end())
-      result.terms.emplace_back(term, factor);
-    else
-      known->second += factor;
-  };
-  for (auto [term, factor] : form.terms) {
-    auto argument = dyn_cast<BlockArgument>(term);
-    if (std::optional<unsigned> d = from.box.find(term)) {
-      add(ivs[*d], factor);
-    } else if (argument &&
-               argument.getOwner() == &from.kernel.getBody().front()) {
-      LinearIndex passed =
-          getLinearIndex(from.launch.getOperands()[argument.getArgNumber()]);
-      result.constant += factor * passed.constant;
-      result.mayWrap |= passed.mayWrap;
-      for (auto [outer, scale] : passed.terms)
-        add(outer, factor * scale);
-    } else {
-      add(term, factor);
-    }
-  }
-  llvm::erase_if(result.terms, [](auto &term) { return term.second == 0; });
-  llvm::sort(result.terms, [](auto &a, auto &b) {
-    return a.first.getAsOpaquePointer() < b.first.getAsOpaquePointer();
+static IndexExpr translate(const IndexExpr &form, Candidate &from,
+                           ValueRange ivs) {
+  return form.substitute([&](Value value) -> std::optional<IndexExpr> {
+    if (std::optional<unsigned> d = from.box.find(value))
+      return IndexExpr(ivs[*d]);
+    auto argument = dyn_cast<BlockArgument>(value);
+    if (!argument || argument.getOwner() != &from.kernel.getBody().front())
+      return std::nullopt;
+    Value passed = from.launch.getOperands()[argument.getArgNumber()];
+    IndexExpr expr = getIndexExpr(passed);
+    return expr.isExact() ? expr : IndexExpr(passed);
   });
-  return result;
 }
 
 static bool isSum(Operation *access) {
@@ -173,19 +151,18 @@ static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
       return true;
   }
   ValueRange ivs = second.box.loop.getInductionVars();
-  SmallVector<LinearIndex> common;
+  SmallVector<IndexExpr> common;
   for (auto [x, y] : llvm::zip(getIndices(a), getIndices(b))) {
-    LinearIndex one = translate(getLinearIndex(x), first, ivs);
-    LinearIndex other = translate(getLinearIndex(y), second, ivs);
+    IndexExpr one = translate(getIndexExpr(x), first, ivs);
+    IndexExpr other = translate(getIndexExpr(y), second, ivs);
     if (one == other) {
       common.push_back(one);
       continue;
     }
     // Different rows, whatever the iterations are.
-    bool isFixed = llvm::none_of(one.terms, [&](auto &term) {
-      return llvm::is_contained(ivs, term.first);
-    });
-    if (isFixed && one.terms == other.terms && !one.mayWrap && !other.mayWrap)
+    bool isFixed =
+        one.allOf([&](Value value) { return !llvm::is_contained(ivs, value); });
+    if (isFixed && areDistinct(one, other))
       return true;
   }
   // Dimensions of one iteration tell nothing apart, and need not.
@@ -232,9 +209,12 @@ static Source getSource(Value operand, SmallVectorImpl<Value> &operands) {
     if (known.getType() != operand.getType() ||
         !operand.getType().isIntOrIndex() || operand.getType().isInteger(1))
       continue;
-    LinearIndex one = getLinearIndex(known), other = getLinearIndex(operand);
-    if (one.terms == other.terms && !one.mayWrap && !other.mayWrap)
-      return {static_cast<unsigned>(i), other.constant - one.constant};
+    IndexExpr one = getIndexExpr(known), other = getIndexExpr(operand);
+    IndexExpr difference = other;
+    difference.add(one, -1);
+    if (difference.isConstant() &&
+        (difference.isExact() || operand.getType().isInteger(difference.width)))
+      return {static_cast<unsigned>(i), difference.constant};
   }
   operands.push_back(operand);
   return {static_cast<unsigned>(operands.size() - 1)};

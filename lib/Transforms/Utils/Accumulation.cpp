@@ -88,7 +88,7 @@ bool tai::isInjective(ParallelForOp loop, ValueRange indices) {
     if (!lower || !upper || *upper - *lower > 1)
       ivs.push_back(iv);
   }
-  return isInjectiveOver(getLinearIndices(indices), ivs);
+  return isInjectiveOver(getIndexExprs(indices), ivs);
 }
 
 double tai::estimateRuns(Operation *op, ParallelForOp loop) {

@@ -121,6 +121,47 @@ tai.kernel @narrow(%a: f32, %n: index) {
   tai.return
 }
 
+// Both digits of the index tell iterations apart, and one does not. They may be
+// those of a number of the launch, as programs in Python divide.
+// CHECK-LABEL: tai.kernel @digits(
+//       CHECK:   @x[%{{.+}}, %{{.+}}] exclusive
+//       CHECK:   @y[%{{.+}}, %{{.+}}] exclusive
+//   CHECK-NOT:   exclusive
+//       CHECK:   tai.return
+tai.kernel @digits(%a: f32, %m: i32) {
+  %c0 = arith.constant 0 : index
+  %c4 = arith.constant 4 : index
+  %c16 = arith.constant 16 : index
+  %zero = arith.constant 0 : i32
+  %one = arith.constant 1 : i32
+  tai.parallel_for (%i) = (%c0) to (%c16) {
+    %0 = arith.floordivsi %i, %c4 : index
+    %1 = arith.remsi %i, %c4 : index
+    tai.atomic add %a, @x[%0, %1] : f32
+    %j = arith.index_cast %i : index to i32
+    %rem = arith.remsi %j, %m : i32
+    %ne = arith.cmpi ne, %rem, %zero : i32
+    %bits = arith.xori %rem, %m : i32
+    %slt = arith.cmpi slt, %bits, %zero : i32
+    %wrong = arith.andi %ne, %slt : i1
+    %up = arith.addi %rem, %m : i32
+    %low = arith.select %wrong, %up, %rem : i32
+    %div = arith.divsi %j, %m : i32
+    %down = arith.subi %div, %one : i32
+    %high = arith.select %wrong, %down, %div : i32
+    %2 = arith.index_cast %high : i32 to index
+    %3 = arith.index_cast %low : i32 to index
+    tai.atomic add %a, @y[%2, %3] : f32
+  }
+  tai.parallel_for (%i) = (%c0) to (%c16) {
+    %0 = arith.floordivsi %i, %c4 : index
+    tai.atomic add %a, @x[%0, %c0] : f32
+    %1 = arith.remsi %i, %c4 : index
+    tai.atomic add %a, @y[%c0, %1] : f32
+  }
+  tai.return
+}
+
 // CHECK-LABEL: tai.kernel @wide(
 //       CHECK:   @x[%{{.+}}, %{{.+}}] exclusive
 tai.kernel @wide(%a: f32, %n: index) {

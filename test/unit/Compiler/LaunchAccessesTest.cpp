@@ -81,6 +81,36 @@ TEST_F(LaunchAccessesTest, IndicesFromArgumentsAreToldFromTheLaunch) {
   EXPECT_EQ(box.ranges[1].upper.evaluate(arguments), 16);
 }
 
+// A sum of 32 bits wraps around at the launch as in the kernel, also after it
+// has been written and read.
+TEST_F(LaunchAccessesTest, SumsWrapAsTheProgramDoes) {
+  parse(R"(
+    tai.kernel @k(%v: f32, %t: i32) {
+      %c1 = arith.constant 1 : i32
+      %row = arith.index_cast %t : i32 to index
+      %sum = arith.addi %t, %c1 : i32
+      %next = arith.index_cast %sum : i32 to index
+      %c0 = arith.constant 0 : index
+      %0 = tai.load @x[%row, %c0] : f32
+      tai.store %0, @x[%next, %c0] : f32
+      tai.return
+    })");
+  std::vector<NamedAccess> accesses = listAccesses(kernel);
+  ASSERT_EQ(accesses.size(), 2u);
+  EXPECT_TRUE(accesses[0].fixed->isApart(*accesses[1].fixed));
+  ToBeRecorded record;
+  record.reads = accesses;
+  std::optional<ToBeRecorded> again =
+      ToBeRecorded::deserialize(record.serialize());
+  ASSERT_TRUE(again);
+  for (const NamedAccess &access : {accesses[1], again->reads[1]}) {
+    uint64_t last[] = {0, INT32_MAX};
+    EXPECT_EQ(access.fixed->evaluate(last), INT32_MIN);
+    uint64_t first[] = {0, 0};
+    EXPECT_EQ(access.fixed->evaluate(first), 1);
+  }
+}
+
 TEST_F(LaunchAccessesTest, StoresUnderABranchAreNoBox) {
   parse(R"(
     tai.kernel @k(%c: i1, %v: f32) {

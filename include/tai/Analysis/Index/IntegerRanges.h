@@ -13,8 +13,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_ANALYSIS_INTEGERRANGES_H
-#define TAI_ANALYSIS_INTEGERRANGES_H
+#ifndef TAI_ANALYSIS_INDEX_INTEGERRANGES_H
+#define TAI_ANALYSIS_INDEX_INTEGERRANGES_H
 
 #include "mlir/Interfaces/InferIntRangeInterface.h"
 #include "llvm/ADT/DenseMap.h"
@@ -44,4 +44,4 @@ private:
 
 } // namespace mlir::tai
 
-#endif // TAI_ANALYSIS_INTEGERRANGES_H
+#endif // TAI_ANALYSIS_INDEX_INTEGERRANGES_H

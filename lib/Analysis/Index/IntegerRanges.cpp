@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Analysis/IntegerRanges.h"
+#include "tai/Analysis/Index/IntegerRanges.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/Analysis/LoopBox.h"
 

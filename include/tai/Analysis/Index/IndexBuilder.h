@@ -1,0 +1,69 @@
+//===- IndexBuilder.h - Index expressions of a program ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The one place that takes index arithmetic apart. A builder remembers the
+// expressions and ranges of the values that it has met: use one for all queries
+// on a program that does not change meanwhile.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_INDEX_INDEXBUILDER_H
+#define TAI_ANALYSIS_INDEX_INDEXBUILDER_H
+
+#include "tai/Analysis/Index/IndexExpr.h"
+#include "tai/Analysis/Index/IntegerRanges.h"
+
+namespace mlir::tai {
+
+class IndexBuilder {
+public:
+  /// The expression of an integer or index value.
+  IndexExpr get(Value value);
+  SmallVector<IndexExpr> get(ValueRange values);
+
+  IndexRange getRange(const IndexAtom &atom);
+  /// The range of the sum, before any bits are dropped.
+  IndexRange getRange(const IndexExpr &expr);
+
+  /// ⌊lhs / rhs⌋ and the rest, for exact sums.
+  IndexExpr getQuotient(const IndexExpr &lhs, const IndexExpr &rhs);
+  IndexExpr getRemainder(const IndexExpr &lhs, const IndexExpr &rhs);
+
+private:
+  IndexExpr build(Value value, unsigned depth);
+  std::optional<IndexExpr> buildSum(Operation *op, unsigned depth);
+  std::optional<IndexExpr> buildProduct(Operation *op, unsigned depth);
+  std::optional<IndexExpr> buildCast(Operation *op, unsigned depth);
+  std::optional<IndexExpr> buildDivision(Operation *op, unsigned depth);
+  std::optional<IndexExpr> buildSelect(Operation *op, unsigned depth);
+  std::optional<IndexExpr> buildExtreme(Operation *op, unsigned depth);
+  /// The low bits of `expr`, which an op of type `type` computes from operands
+  /// of the ranges. `fits` asks whether it does so without wrapping.
+  IndexExpr limit(IndexExpr expr, Type type, llvm::function_ref<bool()> fits);
+  IndexRange getSignedRange(Value value);
+  /// Splits `expr` into `divisor` times a sum and a rest from 0 to divisor - 1.
+  std::optional<std::pair<IndexExpr, IndexExpr>> split(const IndexExpr &expr,
+                                                       int64_t divisor);
+
+  /// Replaces q d + r, of the quotient and the remainder of one division, by
+  /// the dividend.
+  IndexExpr joinDigits(IndexExpr expr);
+
+  IntegerRanges ranges;
+  llvm::DenseMap<Value, IndexExpr> known;
+  /// Those that the depth ended early, on the way to one value.
+  llvm::DenseMap<Value, IndexExpr> cut;
+  bool isCut = false;
+};
+
+/// The same, by a builder of its own.
+IndexExpr getIndexExpr(Value value);
+SmallVector<IndexExpr> getIndexExprs(ValueRange values);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_INDEX_INDEXBUILDER_H

@@ -1,0 +1,117 @@
+//===- IndexExpr.h - Index expressions --------------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Index arithmetic in one form: a sum of atoms times constants. An atom is a
+// value of the program, or a quotient, remainder, product, minimum or maximum
+// of such sums. See docs/decisions/0056-index-expressions.md.
+//
+// Integers of a fixed width wrap around, sums do not. An expression says how
+// many low bits of its sum the value is made of: 64 where the arithmetic is
+// known not to wrap, and the width of the narrowest arithmetic otherwise. The
+// queries count modulo that power of two, so that their answers hold for
+// arithmetic that wraps, too.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_INDEX_INDEXEXPR_H
+#define TAI_ANALYSIS_INDEX_INDEXEXPR_H
+
+#include "mlir/IR/Value.h"
+#include <memory>
+#include <optional>
+
+namespace mlir::tai {
+struct IndexNode;
+
+/// A term of a sum: a value of the program, or an operation on sums.
+class IndexAtom {
+public:
+  IndexAtom(Value value) : value(value) {}
+  IndexAtom(IndexNode node);
+
+  /// The value, or null for an operation.
+  Value getValue() const { return value; }
+  /// The operation, or null for a value.
+  const IndexNode *getNode() const { return node.get(); }
+
+  /// True if the predicate holds for all values that the atom is made of.
+  bool allOf(llvm::function_ref<bool(Value)> predicate) const;
+  bool mentions(Value wanted) const;
+
+  /// A total order of atoms, by structure; negative, zero or positive.
+  int compare(const IndexAtom &other) const;
+  bool operator==(const IndexAtom &other) const { return compare(other) == 0; }
+
+private:
+  Value value;
+  std::shared_ptr<const IndexNode> node;
+};
+
+/// A sum of atoms times factors, and a constant.
+struct IndexExpr {
+  /// Sorted by atom, without factors of zero. Factors and the constant count
+  /// modulo 2^64.
+  SmallVector<std::pair<IndexAtom, int64_t>, 2> terms;
+  int64_t constant = 0;
+  /// The value is the number that the low `width` bits of the sum stand for.
+  unsigned width = 64;
+
+  IndexExpr() = default;
+  explicit IndexExpr(int64_t constant) : constant(constant) {}
+  explicit IndexExpr(IndexAtom atom) { terms.emplace_back(std::move(atom), 1); }
+  explicit IndexExpr(Value value) : IndexExpr(IndexAtom(value)) {}
+  explicit IndexExpr(IndexNode node);
+
+  /// Arithmetic never wrapped on the way to the value.
+  bool isExact() const { return width == 64; }
+  bool isConstant() const { return terms.empty(); }
+
+  /// Adds `scale` times `other`. The result has the smaller width of both.
+  IndexExpr &add(const IndexExpr &other, int64_t scale = 1);
+
+  /// The number of values in it, each as often as it is named.
+  unsigned getSize() const;
+  /// The factor of a value that is itself a term.
+  int64_t getCoefficient(Value value) const;
+  bool allOf(llvm::function_ref<bool(Value)> predicate) const;
+  bool mentions(Value value) const;
+
+  /// Replaces values by expressions, where `replace` returns one. One that is
+  /// not exact stands for its value as a term, which `replace` must return
+  /// itself.
+  IndexExpr
+  substitute(llvm::function_ref<std::optional<IndexExpr>(Value)> replace) const;
+
+  bool operator==(const IndexExpr &other) const {
+    return width == other.width && compare(other) == 0;
+  }
+  /// The order of the sums.
+  int compare(const IndexExpr &other) const;
+};
+
+/// An operation on two sums as integers, rounded down, with the remainder of
+/// the sign of the divisor.
+struct IndexNode {
+  enum class Kind { Quotient, Remainder, Product, Min, Max };
+  Kind kind;
+  IndexExpr lhs, rhs;
+  unsigned size = lhs.getSize() + rhs.getSize();
+};
+
+/// The closed range of a sum.
+struct IndexRange {
+  __int128 low, high;
+
+  bool fits(unsigned width) const {
+    __int128 half = static_cast<__int128>(1) << (width - 1);
+    return low >= -half && high < half;
+  }
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_INDEX_INDEXEXPR_H

@@ -1,0 +1,453 @@
+//===- IndexBuilder.cpp - Index expressions of a program ------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/Index/IndexBuilder.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/IR/Matchers.h"
+#include "llvm/Support/MathExtras.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+using Kind = IndexNode::Kind;
+
+/// Longer chains are unrolled sums; an expression of more terms is of no use.
+static constexpr unsigned kMostDepth = 16;
+/// Products of products name values exponentially often.
+static constexpr unsigned kMostSize = 64;
+
+static unsigned getWidth(Type type) {
+  return type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
+}
+
+//===----------------------------------------------------------------------===//
+// Ranges
+//===----------------------------------------------------------------------===//
+
+/// Beyond this, ranges are cut off: sums of a few such numbers fit.
+static constexpr __int128 kFar = static_cast<__int128>(1) << 120;
+
+static __int128 clampFar(__int128 number) {
+  return std::clamp(number, -kFar, kFar);
+}
+
+static __int128 multiplyFar(__int128 a, __int128 b) {
+  __int128 product;
+  if (__builtin_mul_overflow(a, b, &product))
+    return (a < 0) == (b < 0) ? kFar : -kFar;
+  return clampFar(product);
+}
+
+static IndexRange multiplyRanges(IndexRange a, IndexRange b) {
+  __int128 ends[] = {multiplyFar(a.low, b.low), multiplyFar(a.low, b.high),
+                     multiplyFar(a.high, b.low), multiplyFar(a.high, b.high)};
+  return {*std::min_element(ends, ends + 4), *std::max_element(ends, ends + 4)};
+}
+
+static IndexRange addRanges(IndexRange a, IndexRange b) {
+  return {clampFar(a.low + b.low), clampFar(a.high + b.high)};
+}
+
+static __int128 divideDown(__int128 a, __int128 b) {
+  __int128 quotient = a / b;
+  return quotient - ((a % b != 0 && (a < 0) != (b < 0)) ? 1 : 0);
+}
+
+IndexRange IndexBuilder::getSignedRange(Value value) {
+  ConstantIntRanges range = ranges.get(value);
+  if (range.smin().getBitWidth() > 64)
+    return {-kFar, kFar};
+  return {range.smin().getSExtValue(), range.smax().getSExtValue()};
+}
+
+IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
+  const IndexNode *node = atom.getNode();
+  if (!node)
+    return getSignedRange(atom.getValue());
+  IndexRange a = getRange(node->lhs), b = getRange(node->rhs);
+  if (node->kind == Kind::Product)
+    return multiplyRanges(a, b);
+  // The others are computed from the low bits of their operands.
+  constexpr IndexRange all{INT64_MIN, INT64_MAX};
+  a = a.fits(64) ? a : all;
+  b = b.fits(64) ? b : all;
+  switch (node->kind) {
+  case Kind::Product:
+    break;
+  case Kind::Min:
+    return {std::min(a.low, b.low), std::min(a.high, b.high)};
+  case Kind::Max:
+    return {std::max(a.low, b.low), std::max(a.high, b.high)};
+  case Kind::Quotient: {
+    if (b.low <= 0) {
+      // No quotient is farther from zero than the dividend and minus one.
+      __int128 most = std::max({a.high, -a.low, static_cast<__int128>(1)});
+      return {-most, most};
+    }
+    __int128 ends[] = {divideDown(a.low, b.low), divideDown(a.low, b.high),
+                       divideDown(a.high, b.low), divideDown(a.high, b.high)};
+    return {*std::min_element(ends, ends + 4),
+            *std::max_element(ends, ends + 4)};
+  }
+  case Kind::Remainder: {
+    IndexRange range{std::min<__int128>(b.low + 1, 0),
+                     std::max<__int128>(b.high - 1, 0)};
+    if (a.low >= 0 && b.low > 0)
+      range.high = std::min(range.high, a.high);
+    return range;
+  }
+  }
+  llvm_unreachable("all kinds are handled");
+}
+
+IndexRange IndexBuilder::getRange(const IndexExpr &expr) {
+  IndexRange range{expr.constant, expr.constant};
+  for (const auto &[atom, factor] : expr.terms)
+    range = addRanges(range, multiplyRanges(getRange(atom), {factor, factor}));
+  return range;
+}
+
+//===----------------------------------------------------------------------===//
+// Quotients
+//===----------------------------------------------------------------------===//
+
+std::optional<std::pair<IndexExpr, IndexExpr>>
+IndexBuilder::split(const IndexExpr &expr, int64_t divisor) {
+  IndexExpr multiple, rest;
+  for (const auto &[atom, factor] : expr.terms)
+    if (factor % divisor == 0)
+      multiple.add(IndexExpr(atom), factor / divisor);
+    else
+      rest.add(IndexExpr(atom), factor);
+  multiple.constant = llvm::divideFloorSigned(expr.constant, divisor);
+  rest.constant = expr.constant - multiple.constant * divisor;
+  IndexRange range = getRange(rest);
+  // The sum must be the dividend itself, and not a number with the same bits.
+  if (range.low < 0 || range.high >= divisor || !getRange(expr).fits(64))
+    return std::nullopt;
+  return std::pair{std::move(multiple), std::move(rest)};
+}
+
+IndexExpr IndexBuilder::getQuotient(const IndexExpr &lhs,
+                                    const IndexExpr &rhs) {
+  if (rhs.isConstant() && rhs.constant > 0) {
+    if (auto parts = split(lhs, rhs.constant))
+      return parts->first;
+    // A quotient of a quotient divides by the product.
+    if (lhs.terms.size() == 1 && lhs.constant == 0 &&
+        lhs.terms.front().second == 1) {
+      const IndexNode *node = lhs.terms.front().first.getNode();
+      int64_t product;
+      if (node && node->kind == Kind::Quotient && node->rhs.isConstant() &&
+          node->rhs.constant > 0 &&
+          !llvm::MulOverflow(node->rhs.constant, rhs.constant, product))
+        return getQuotient(node->lhs, IndexExpr(product));
+    }
+  }
+  return IndexExpr(IndexNode{Kind::Quotient, lhs, rhs});
+}
+
+IndexExpr IndexBuilder::getRemainder(const IndexExpr &lhs,
+                                     const IndexExpr &rhs) {
+  if (rhs.isConstant() && rhs.constant > 0)
+    if (auto parts = split(lhs, rhs.constant))
+      return parts->second;
+  return IndexExpr(IndexNode{Kind::Remainder, lhs, rhs});
+}
+
+IndexExpr IndexBuilder::joinDigits(IndexExpr expr) {
+  for (const auto &[atom, factor] : expr.terms) {
+    const IndexNode *node = atom.getNode();
+    if (!node || node->kind != Kind::Remainder)
+      continue;
+    IndexExpr quotient = getQuotient(node->lhs, node->rhs);
+    IndexExpr multiple;
+    if (node->rhs.isConstant())
+      multiple.add(quotient, node->rhs.constant);
+    else
+      multiple = IndexExpr(IndexNode{Kind::Product, node->rhs, quotient});
+    if (multiple.terms.size() != 1 || multiple.constant != 0)
+      continue;
+    std::pair<IndexAtom, int64_t> wanted = multiple.terms.front();
+    if (llvm::MulOverflow(factor, wanted.second, wanted.second) ||
+        !llvm::is_contained(expr.terms, wanted))
+      continue;
+    IndexExpr joined = expr;
+    unsigned width = expr.width;
+    joined.add(IndexExpr(atom), -factor);
+    joined.add(multiple, -factor);
+    joined.add(node->lhs, factor);
+    joined.width = width;
+    return joinDigits(std::move(joined));
+  }
+  return expr;
+}
+
+//===----------------------------------------------------------------------===//
+// Operations
+//===----------------------------------------------------------------------===//
+
+/// True if the value is determined modulo two to the width of its type.
+static bool isWhole(const IndexExpr &expr, Value value) {
+  return expr.width >= getWidth(value.getType());
+}
+
+IndexExpr IndexBuilder::limit(IndexExpr expr, Type type,
+                              llvm::function_ref<bool()> fits) {
+  unsigned width = getWidth(type);
+  if (width < 64 && !(expr.isExact() && fits()))
+    expr.width = std::min(expr.width, width);
+  return expr;
+}
+
+template <typename Op> static bool neverWraps(Op op) {
+  return bitEnumContainsAny(op.getOverflowFlags(),
+                            arith::IntegerOverflowFlags::nsw);
+}
+
+std::optional<IndexExpr> IndexBuilder::buildSum(Operation *op, unsigned depth) {
+  auto add = dyn_cast<arith::AddIOp>(op);
+  auto sub = dyn_cast<arith::SubIOp>(op);
+  if (!add && !sub)
+    return std::nullopt;
+  Value lhs = op->getOperand(0), rhs = op->getOperand(1);
+  int64_t sign = add ? 1 : -1;
+  IndexExpr a = build(lhs, depth), b = build(rhs, depth);
+  if (!isWhole(a, lhs))
+    a = IndexExpr(lhs);
+  if (!isWhole(b, rhs))
+    b = IndexExpr(rhs);
+  auto fits = [&] {
+    if (add ? neverWraps(add) : neverWraps(sub))
+      return true;
+    return addRanges(getSignedRange(lhs),
+                     multiplyRanges(getSignedRange(rhs), {sign, sign}))
+        .fits(getWidth(op->getResult(0).getType()));
+  };
+  a.add(b, sign);
+  return limit(joinDigits(std::move(a)), op->getResult(0).getType(), fits);
+}
+
+std::optional<IndexExpr> IndexBuilder::buildProduct(Operation *op,
+                                                    unsigned depth) {
+  auto mul = dyn_cast<arith::MulIOp>(op);
+  if (!mul)
+    return std::nullopt;
+  Value lhs = mul.getLhs(), rhs = mul.getRhs();
+  IndexExpr a = build(lhs, depth), b = build(rhs, depth);
+  if (!isWhole(a, lhs) || !isWhole(b, rhs))
+    return std::nullopt;
+  if (a.isConstant())
+    std::swap(a, b);
+  IndexExpr product;
+  product.width = std::min(a.width, b.width);
+  if (b.isConstant()) {
+    product.add(a, b.constant);
+  } else {
+    unsigned width = product.width;
+    // The factors count as integers, of which the product's low bits are kept.
+    a.width = b.width = 64;
+    product = IndexExpr(IndexNode{Kind::Product, std::move(a), std::move(b)});
+    product.width = width;
+  }
+  auto fits = [&] {
+    return neverWraps(mul) ||
+           multiplyRanges(getSignedRange(lhs), getSignedRange(rhs))
+               .fits(getWidth(mul.getType()));
+  };
+  return limit(std::move(product), mul.getType(), fits);
+}
+
+std::optional<IndexExpr> IndexBuilder::buildCast(Operation *op,
+                                                 unsigned depth) {
+  if (!isa<arith::IndexCastOp, arith::IndexCastUIOp, arith::ExtSIOp,
+           arith::ExtUIOp, arith::TruncIOp>(op))
+    return std::nullopt;
+  Value from = op->getOperand(0);
+  Type to = op->getResult(0).getType();
+  if (from.getType().isInteger(1) || to.isInteger(1))
+    return std::nullopt;
+  bool isUnsigned = isa<arith::IndexCastUIOp, arith::ExtUIOp>(op);
+  if (getWidth(to) > getWidth(from.getType())) {
+    // The same bits are another number.
+    if (isUnsigned && getSignedRange(from).low < 0)
+      return std::nullopt;
+    return build(from, depth);
+  }
+  IndexExpr expr = build(from, depth);
+  if (getWidth(to) == getWidth(from.getType()))
+    return expr;
+  // A number that fits is not changed by dropping its high bits.
+  if (getSignedRange(from).fits(getWidth(to)))
+    return expr;
+  expr.width = std::min(expr.width, getWidth(to));
+  return expr;
+}
+
+std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
+                                                     unsigned depth) {
+  bool isFloor = isa<arith::FloorDivSIOp>(op);
+  bool isQuotient = isFloor || isa<arith::DivSIOp, arith::DivUIOp>(op);
+  if (!isQuotient && !isa<arith::RemSIOp, arith::RemUIOp>(op))
+    return std::nullopt;
+  Value lhs = op->getOperand(0), rhs = op->getOperand(1);
+  IndexExpr a = build(lhs, depth), b = build(rhs, depth);
+  if (!a.isExact() || !b.isExact() || (b.isConstant() && b.constant == 0))
+    return std::nullopt;
+  IndexRange divisor = getSignedRange(rhs);
+  // Rounding towards zero is rounding down for numbers of one sign.
+  if (!isFloor && (getSignedRange(lhs).low < 0 || divisor.low < 0))
+    return std::nullopt;
+  // The one quotient that wraps is that of the least number and -1.
+  if (divisor.low <= -1 && divisor.high >= -1 &&
+      !multiplyRanges(getSignedRange(lhs), {-1, -1})
+           .fits(getWidth(lhs.getType())))
+    return std::nullopt;
+  return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
+}
+
+/// True if `condition` says that `rest`, a remainder that is rounded towards
+/// zero, and `divisor` have different signs.
+static bool saysSignsDiffer(Value condition, Value rest, Value divisor) {
+  auto comparesWithZero = [](Value side, arith::CmpIPredicate predicate) {
+    auto compare = side.getDefiningOp<arith::CmpIOp>();
+    return compare && compare.getPredicate() == predicate &&
+                   matchPattern(compare.getRhs(), m_Zero())
+               ? compare.getLhs()
+               : Value();
+  };
+  APInt constant;
+  if (matchPattern(divisor, m_ConstantInt(&constant)) &&
+      constant.isStrictlyPositive() &&
+      comparesWithZero(condition, arith::CmpIPredicate::slt) == rest)
+    return true;
+  auto both = condition.getDefiningOp<arith::AndIOp>();
+  if (!both)
+    return false;
+  for (auto [first, second] : {std::pair{both.getLhs(), both.getRhs()},
+                               std::pair{both.getRhs(), both.getLhs()}}) {
+    if (comparesWithZero(first, arith::CmpIPredicate::ne) != rest)
+      continue;
+    Value bits = comparesWithZero(second, arith::CmpIPredicate::slt);
+    auto differ = bits ? bits.getDefiningOp<arith::XOrIOp>() : nullptr;
+    if (differ && ((differ.getLhs() == rest && differ.getRhs() == divisor) ||
+                   (differ.getLhs() == divisor && differ.getRhs() == rest)))
+      return true;
+  }
+  return false;
+}
+
+/// Division that rounds down, as programs write it by one that rounds towards
+/// zero; and a choice of which the outcome is known.
+std::optional<IndexExpr> IndexBuilder::buildSelect(Operation *op,
+                                                   unsigned depth) {
+  auto select = dyn_cast<arith::SelectOp>(op);
+  if (!select || !select.getCondition().getType().isInteger(1))
+    return std::nullopt;
+  Value yes = select.getTrueValue(), no = select.getFalseValue();
+  ConstantIntRanges condition = ranges.get(select.getCondition());
+  if (std::optional<APInt> outcome = condition.getConstantValue())
+    return build(outcome->isZero() ? no : yes, depth);
+  Value lhs, rhs, rest;
+  bool isQuotient = false;
+  if (auto rem = no.getDefiningOp<arith::RemSIOp>()) {
+    auto sum = yes.getDefiningOp<arith::AddIOp>();
+    lhs = rem.getLhs(), rhs = rem.getRhs(), rest = no;
+    if (!sum || !((sum.getLhs() == no && sum.getRhs() == rhs) ||
+                  (sum.getLhs() == rhs && sum.getRhs() == no)))
+      return std::nullopt;
+  } else if (auto div = no.getDefiningOp<arith::DivSIOp>()) {
+    // One less, by a sum or a difference.
+    isQuotient = true;
+    lhs = div.getLhs(), rhs = div.getRhs();
+    APInt number;
+    auto sum = yes.getDefiningOp<arith::AddIOp>();
+    auto difference = yes.getDefiningOp<arith::SubIOp>();
+    bool isLess = (sum && sum.getLhs() == no &&
+                   matchPattern(sum.getRhs(), m_ConstantInt(&number)) &&
+                   number.isAllOnes()) ||
+                  (difference && difference.getLhs() == no &&
+                   matchPattern(difference.getRhs(), m_One()));
+    if (!isLess)
+      return std::nullopt;
+    for (Operation *user : lhs.getUsers())
+      if (auto rem = dyn_cast<arith::RemSIOp>(user);
+          rem && rem.getLhs() == lhs && rem.getRhs() == rhs &&
+          saysSignsDiffer(select.getCondition(), rem, rhs))
+        rest = rem;
+  }
+  if (!rest || !saysSignsDiffer(select.getCondition(), rest, rhs))
+    return std::nullopt;
+  IndexExpr a = build(lhs, depth), b = build(rhs, depth);
+  if (!a.isExact() || !b.isExact() || (b.isConstant() && b.constant == 0))
+    return std::nullopt;
+  // The least number divided by -1 is no number.
+  return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
+}
+
+std::optional<IndexExpr> IndexBuilder::buildExtreme(Operation *op,
+                                                    unsigned depth) {
+  bool isMin = isa<arith::MinSIOp>(op);
+  if (!isMin && !isa<arith::MaxSIOp>(op))
+    return std::nullopt;
+  IndexExpr a = build(op->getOperand(0), depth);
+  IndexExpr b = build(op->getOperand(1), depth);
+  if (!a.isExact() || !b.isExact())
+    return std::nullopt;
+  return IndexExpr(
+      IndexNode{isMin ? Kind::Min : Kind::Max, std::move(a), std::move(b)});
+}
+
+IndexExpr IndexBuilder::build(Value value, unsigned depth) {
+  APInt constant;
+  if (matchPattern(value, m_ConstantInt(&constant)) &&
+      constant.getSignificantBits() <= 64)
+    return IndexExpr(constant.getSExtValue());
+  Operation *op = value.getDefiningOp();
+  Type type = value.getType();
+  if (!op || !type.isIntOrIndex() || type.isInteger(1) || getWidth(type) > 64)
+    return IndexExpr(value);
+  if (auto found = known.find(value); found != known.end())
+    return found->second;
+  if (auto found = cut.find(value); found != cut.end()) {
+    isCut = true;
+    return found->second;
+  }
+  if (depth == 0) {
+    isCut = true;
+    return IndexExpr(value);
+  }
+  bool wasCut = std::exchange(isCut, false);
+  std::optional<IndexExpr> expr;
+  for (auto rule : {&IndexBuilder::buildCast, &IndexBuilder::buildSum,
+                    &IndexBuilder::buildProduct, &IndexBuilder::buildDivision,
+                    &IndexBuilder::buildSelect, &IndexBuilder::buildExtreme})
+    if ((expr = (this->*rule)(op, depth - 1)))
+      break;
+  if (!expr || expr->getSize() > kMostSize)
+    expr = IndexExpr(value);
+  (isCut ? cut : known)[value] = *expr;
+  isCut |= wasCut;
+  return *expr;
+}
+
+IndexExpr IndexBuilder::get(Value value) {
+  isCut = false;
+  cut.clear();
+  return build(value, kMostDepth);
+}
+
+SmallVector<IndexExpr> IndexBuilder::get(ValueRange values) {
+  return llvm::map_to_vector(values, [&](Value value) { return get(value); });
+}
+
+IndexExpr mlir::tai::getIndexExpr(Value value) {
+  return IndexBuilder().get(value);
+}
+
+SmallVector<IndexExpr> mlir::tai::getIndexExprs(ValueRange values) {
+  return IndexBuilder().get(values);
+}

@@ -1,0 +1,498 @@
+//===- IndexExprTest.cpp - Index expressions against enumeration ----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Random index arithmetic in integers of several widths, in a loop over two
+// indices. MLIR's folders compute its values in all iterations and for several
+// arguments, among them the extremes, and each answer of the queries must hold
+// for them. The tests also count the answers: an analysis that knows nothing
+// is right as well.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Compiler/ContextTest.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/IR/Matchers.h"
+#include "mlir/Parser/Parser.h"
+#include "tai/Analysis/Index/IndexQueries.h"
+#include "tai/Analysis/IterationOrder.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "llvm/Support/MathExtras.h"
+#include "gtest/gtest.h"
+#include <map>
+#include <random>
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+class IndexExprTest : public ContextTest {
+protected:
+  IndexExprTest() : b(UnknownLoc::get(&context), &context) {}
+
+  int64_t pick(int64_t low, int64_t high) {
+    return std::uniform_int_distribution<int64_t>(low, high)(random);
+  }
+  bool chance(int percent) { return pick(1, 100) <= percent; }
+
+  /// A kernel with a loop over `extents` that the builder stands in.
+  void start(int64_t lower0, int64_t upper0, int64_t lower1, int64_t upper1) {
+    std::string text;
+    llvm::raw_string_ostream(text)
+        << "tai.kernel @k(%a: i16, %b: i32, %c: i64) {\n"
+        << "%l0 = arith.constant " << lower0 << " : index\n"
+        << "%u0 = arith.constant " << upper0 << " : index\n"
+        << "%l1 = arith.constant " << lower1 << " : index\n"
+        << "%u1 = arith.constant " << upper1 << " : index\n"
+        << "tai.parallel_for (%i, %j) = (%l0, %l1) to (%u0, %u1) {\n}\n"
+        << "tai.return\n}";
+    module = parseSourceString<ModuleOp>(text, &context);
+    ASSERT_TRUE(module);
+    auto kernel = module->lookupSymbol<KernelOp>("k");
+    arguments.assign(kernel.getBody().getArguments().begin(),
+                     kernel.getBody().getArguments().end());
+    kernel->walk([&](ParallelForOp op) { loop = op; });
+    lower = {lower0, lower1}, upper = {upper0, upper1};
+    b.setInsertionPoint(loop.getBody().front().getTerminator());
+  }
+
+  Value constant(int64_t value, Type type) {
+    return arith::ConstantOp::create(b, b.getIntegerAttr(type, value));
+  }
+
+  Type randomType() {
+    switch (pick(0, 5)) {
+    case 0:
+      return b.getI8Type();
+    case 1:
+      return b.getI16Type();
+    case 2:
+    case 3:
+      return b.getI32Type();
+    case 4:
+      return b.getI64Type();
+    default:
+      return b.getIndexType();
+    }
+  }
+
+  static unsigned widthOf(Type type) {
+    return type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
+  }
+
+  Value castTo(Value value, Type type) {
+    Type from = value.getType();
+    if (from == type)
+      return value;
+    if (from.isIndex() || type.isIndex()) {
+      if (chance(10))
+        return arith::IndexCastUIOp::create(b, type, value);
+      return arith::IndexCastOp::create(b, type, value);
+    }
+    if (widthOf(from) > widthOf(type))
+      return arith::TruncIOp::create(b, type, value);
+    if (chance(15))
+      return arith::ExtUIOp::create(b, type, value);
+    return arith::ExtSIOp::create(b, type, value);
+  }
+
+  Value randomConstant(Type type) {
+    int64_t value = pick(-3, 9);
+    if (chance(15))
+      value = static_cast<int64_t>(uint64_t(1) << pick(0, widthOf(type) - 1));
+    return constant(
+        llvm::SignExtend64(static_cast<uint64_t>(value), widthOf(type)), type);
+  }
+
+  /// Python's quotient or remainder, as the frontend writes it.
+  Value roundDown(bool isQuotient, Value x, Value y) {
+    using Predicate = arith::CmpIPredicate;
+    Value rest = arith::RemSIOp::create(b, x, y);
+    Value zero = constant(0, x.getType());
+    APInt number;
+    Value wrong;
+    if (matchPattern(y, m_ConstantInt(&number)) &&
+        number.isStrictlyPositive()) {
+      wrong = arith::CmpIOp::create(b, Predicate::slt, rest, zero);
+    } else {
+      Value bits = arith::XOrIOp::create(b, rest, y);
+      wrong = arith::AndIOp::create(
+          b, arith::CmpIOp::create(b, Predicate::ne, rest, zero),
+          arith::CmpIOp::create(b, Predicate::slt, bits, zero));
+    }
+    if (!isQuotient)
+      return arith::SelectOp::create(b, wrong,
+                                     arith::AddIOp::create(b, rest, y), rest);
+    Value quotient = arith::DivSIOp::create(b, x, y);
+    Value less = arith::SubIOp::create(b, quotient, constant(1, x.getType()));
+    return arith::SelectOp::create(b, wrong, less, quotient);
+  }
+
+  Value randomLeaf(Type type) {
+    switch (pick(0, 9)) {
+    case 0:
+    case 1:
+      return randomConstant(type);
+    case 2:
+      return castTo(arguments[static_cast<size_t>(pick(0, 2))], type);
+    default:
+      return castTo(loop.getInductionVars()[static_cast<size_t>(pick(0, 1))],
+                    type);
+    }
+  }
+
+  Value randomValue(Type type, int depth) {
+    if (depth == 0 || chance(10))
+      return randomLeaf(type);
+    if (!pool.empty() && chance(15))
+      return castTo(pool[static_cast<size_t>(
+                        pick(0, static_cast<int64_t>(pool.size()) - 1))],
+                    type);
+    Type inner = chance(20) ? randomType() : type;
+    Value x = randomValue(inner, depth - 1);
+    Value y = randomValue(inner, chance(50) ? 0 : depth - 1);
+    Value divisor = chance(75) ? constant(pick(1, 7), inner) : y;
+    auto create = [&]() -> Value {
+      switch (pick(0, 15)) {
+      case 0:
+      case 1:
+      case 2:
+        return arith::AddIOp::create(b, x, y);
+      case 3:
+      case 4:
+        return arith::SubIOp::create(b, x, y);
+      case 5:
+        return arith::MulIOp::create(b, x, y);
+      case 6:
+      case 7:
+        return arith::MulIOp::create(b, x, randomConstant(inner));
+      case 8:
+        return arith::MinSIOp::create(b, x, y);
+      case 9:
+        return arith::MaxSIOp::create(b, x, y);
+      case 10:
+        return arith::FloorDivSIOp::create(b, x, divisor);
+      case 11:
+        return chance(50) ? arith::DivSIOp::create(b, x, divisor).getResult()
+                          : arith::DivUIOp::create(b, x, divisor).getResult();
+      case 12:
+        return chance(50) ? arith::RemSIOp::create(b, x, divisor).getResult()
+                          : arith::RemUIOp::create(b, x, divisor).getResult();
+      default:
+        return roundDown(chance(50), x, divisor);
+      }
+    };
+    Value made = create();
+    pool.push_back(made);
+    return castTo(made, type);
+  }
+
+  /// The values of one iteration; none of those that are not defined.
+  using Env = std::map<void *, std::optional<APInt>>;
+
+  std::optional<APInt> compute(Value value, Env &env) {
+    auto known = env.find(value.getAsOpaquePointer());
+    if (known != env.end())
+      return known->second;
+    Operation *op = value.getDefiningOp();
+    std::optional<APInt> result;
+    SmallVector<Attribute> operands;
+    for (Value operand : op->getOperands()) {
+      std::optional<APInt> number = compute(operand, env);
+      // Dividing by zero is undefined.
+      if (!number)
+        return env[value.getAsOpaquePointer()] = std::nullopt;
+      operands.push_back(IntegerAttr::get(operand.getType(), *number));
+    }
+    SmallVector<OpFoldResult> folded;
+    if (succeeded(op->fold(operands, folded)) && folded.size() == 1) {
+      if (auto attr = dyn_cast<Attribute>(folded.front()))
+        result = cast<IntegerAttr>(attr).getValue();
+      else
+        result = compute(cast<Value>(folded.front()), env);
+    }
+    return env[value.getAsOpaquePointer()] = result;
+  }
+
+  /// All iterations for some arguments.
+  std::vector<Env> enumerate(ArrayRef<int64_t> values) {
+    std::vector<Env> all;
+    for (int64_t i = lower[0]; i < upper[0]; ++i)
+      for (int64_t j = lower[1]; j < upper[1]; ++j) {
+        Env env;
+        for (auto [k, at] : {std::pair{0, i}, std::pair{1, j}})
+          env[loop.getInductionVars()[k].getAsOpaquePointer()] =
+              APInt(64, at, true);
+        for (auto [argument, value] : llvm::zip(arguments, values)) {
+          unsigned width = widthOf(argument.getType());
+          env[argument.getAsOpaquePointer()] =
+              APInt(width, value, true, /*implicitTrunc=*/true);
+        }
+        all.push_back(std::move(env));
+      }
+    return all;
+  }
+
+  SmallVector<int64_t> randomArguments() {
+    SmallVector<int64_t> values;
+    for (Value argument : arguments) {
+      unsigned width = widthOf(argument.getType());
+      switch (pick(0, 5)) {
+      case 0:
+        values.push_back(llvm::minIntN(width));
+        break;
+      case 1:
+        values.push_back(llvm::maxIntN(width) - pick(0, 2));
+        break;
+      default:
+        values.push_back(pick(-3, 12));
+        break;
+      }
+    }
+    return values;
+  }
+
+  std::optional<int64_t> numberOf(Value value, Env &env) {
+    std::optional<APInt> number = compute(value, env);
+    return number ? std::optional(number->getSExtValue()) : std::nullopt;
+  }
+
+  std::mt19937_64 random{20240601};
+  OwningOpRef<ModuleOp> module;
+  ParallelForOp loop;
+  SmallVector<Value> arguments;
+  SmallVector<Value> pool;
+  SmallVector<int64_t, 2> lower, upper;
+  ImplicitLocOpBuilder b;
+};
+
+using ValueOf = llvm::function_ref<int64_t(Value)>;
+
+std::optional<int64_t> evaluate(const IndexExpr &expr, ValueOf valueOf);
+
+/// The low 64 bits of a node; none where it divides by zero.
+std::optional<int64_t> evaluate(const IndexNode &node, ValueOf valueOf) {
+  using Kind = IndexNode::Kind;
+  std::optional<int64_t> a = evaluate(node.lhs, valueOf);
+  std::optional<int64_t> b = evaluate(node.rhs, valueOf);
+  if (!a || !b)
+    return std::nullopt;
+  bool divides = node.kind == Kind::Quotient || node.kind == Kind::Remainder;
+  if (divides && (*b == 0 || (*a == INT64_MIN && *b == -1)))
+    return std::nullopt;
+  switch (node.kind) {
+  case Kind::Product:
+    return static_cast<int64_t>(static_cast<uint64_t>(*a) *
+                                static_cast<uint64_t>(*b));
+  case Kind::Min:
+    return std::min(*a, *b);
+  case Kind::Max:
+    return std::max(*a, *b);
+  case Kind::Quotient:
+    return llvm::divideFloorSigned(*a, *b);
+  case Kind::Remainder:
+    return *a - llvm::divideFloorSigned(*a, *b) * *b;
+  }
+  llvm_unreachable("all kinds are handled");
+}
+
+std::optional<int64_t> evaluate(const IndexExpr &expr, ValueOf valueOf) {
+  auto sum = static_cast<uint64_t>(expr.constant);
+  for (const auto &[atom, factor] : expr.terms) {
+    std::optional<int64_t> value = atom.getNode()
+                                       ? evaluate(*atom.getNode(), valueOf)
+                                       : valueOf(atom.getValue());
+    if (!value)
+      return std::nullopt;
+    sum += static_cast<uint64_t>(factor) * static_cast<uint64_t>(*value);
+  }
+  return llvm::SignExtend64(sum, expr.width);
+}
+
+std::string print(ModuleOp module) {
+  std::string text;
+  llvm::raw_string_ostream os(text);
+  module.print(os);
+  return text;
+}
+} // namespace
+
+TEST_F(IndexExprTest, AgreeWithEnumeration) {
+  int exact = 0, wrapped = 0, distinct = 0, equal = 0, injective = 0, apart = 0;
+  for (int round = 0; round != 4000; ++round) {
+    int64_t lower0 = chance(70) ? 0 : pick(-4, 4), lower1 = pick(-2, 2);
+    start(lower0, lower0 + pick(2, 8), lower1, lower1 + pick(1, 4));
+    pool.clear();
+    SmallVector<Value, 2> roots;
+    for (int k = 0; k != 2; ++k)
+      roots.push_back(randomValue(chance(50) ? b.getIndexType() : randomType(),
+                                  pick(1, 4)));
+    IndexBuilder builder;
+    IntegerRanges ranges;
+    SmallVector<IndexExpr> exprs = builder.get(roots);
+    bool isEqual = exprs[0] == exprs[1] && roots[0] != roots[1] &&
+                   roots[0].getType() == roots[1].getType();
+    bool isDistinct = areDistinct(exprs[0], exprs[1]);
+    SmallVector<Value> ivs(loop.getInductionVars());
+    if (upper[1] - lower[1] == 1)
+      ivs.pop_back();
+    bool isInjective = isInjectiveOver(builder, exprs, ivs);
+    ElementPlace place{roots, {}};
+    bool isApart = exprs[0].isExact() && exprs[1].isExact() &&
+                   !mayMeet(loop, place, place);
+    for (IndexExpr &expr : exprs)
+      ++(expr.isExact() ? exact : wrapped);
+    equal += isEqual, distinct += isDistinct, injective += isInjective;
+    apart += isApart;
+    for (int sample = 0; sample != 3; ++sample) {
+      std::map<std::pair<int64_t, int64_t>, int> seen;
+      for (Env &env : enumerate(randomArguments())) {
+        SmallVector<std::optional<int64_t>, 2> numbers;
+        for (auto [root, expr] : llvm::zip(roots, exprs)) {
+          numbers.push_back(numberOf(root, env));
+          if (!numbers.back())
+            continue;
+          // Leaves that are not defined are of choices that are not taken.
+          bool isDefined = expr.allOf(
+              [&](Value leaf) { return numberOf(leaf, env).has_value(); });
+          if (!isDefined)
+            continue;
+          std::optional<int64_t> value =
+              evaluate(expr, [&](Value leaf) { return *numberOf(leaf, env); });
+          ASSERT_EQ(value, numbers.back()) << print(*module);
+          ConstantIntRanges range = ranges.get(root);
+          APInt bits = *compute(root, env);
+          ASSERT_TRUE(range.smin().sle(bits) && bits.sle(range.smax()) &&
+                      range.umin().ule(bits) && bits.ule(range.umax()))
+              << print(*module);
+          IndexRange sum = builder.getRange(expr);
+          if (expr.isExact() && sum.fits(64))
+            ASSERT_TRUE(sum.low <= *value && *value <= sum.high)
+                << print(*module);
+        }
+        if (!numbers[0] || !numbers[1])
+          continue;
+        if (isEqual)
+          ASSERT_EQ(numbers[0], numbers[1]) << print(*module);
+        if (isDistinct)
+          ASSERT_NE(numbers[0], numbers[1]) << print(*module);
+        bool isNew = seen.insert({{*numbers[0], *numbers[1]}, 0}).second;
+        if (isInjective || isApart)
+          ASSERT_TRUE(isNew) << print(*module);
+      }
+    }
+  }
+  // Most of the expressions are random, so that few are injective.
+  EXPECT_GT(exact, 3000);
+  EXPECT_GT(wrapped, 300);
+  EXPECT_GT(equal, 20);
+  EXPECT_GT(distinct, 50);
+  EXPECT_GT(injective, 200);
+  EXPECT_GT(apart, 100);
+}
+
+// Digits of one number, in i32 as programs write them, tell iterations apart.
+TEST_F(IndexExprTest, DigitsDetermineTheirNumber) {
+  for (bool isConstant : {true, false}) {
+    start(0, 24, 0, 5);
+    Type i32 = b.getI32Type();
+    Value i = arith::IndexCastOp::create(b, i32, loop.getInductionVars()[0]);
+    Value j = loop.getInductionVars()[1];
+    Value m = isConstant ? constant(7, i32) : arguments[1];
+    Value quotient = roundDown(true, i, m), rest = roundDown(false, i, m);
+    IndexBuilder builder;
+    ValueRange ivs = loop.getInductionVars();
+    EXPECT_TRUE(
+        isInjectiveOver(builder, builder.get({rest, quotient, j}), ivs));
+    EXPECT_FALSE(isInjectiveOver(builder, builder.get({rest, j}), ivs));
+    EXPECT_FALSE(isInjectiveOver(builder, builder.get({quotient, j}), ivs));
+    Value joined =
+        arith::AddIOp::create(b, arith::MulIOp::create(b, quotient, m), rest);
+    IndexExpr expr = builder.get(joined);
+    EXPECT_EQ(expr.compare(builder.get(i)), 0);
+    EXPECT_EQ(expr.isExact(), isConstant);
+    SmallVector<Value> places{rest, quotient, j};
+    EXPECT_FALSE(mayMeet(loop, {places, {}}, {places, {}}));
+    places.pop_back();
+    EXPECT_TRUE(mayMeet(loop, {places, {}}, {places, {}}));
+  }
+}
+
+TEST_F(IndexExprTest, ThreeDigits) {
+  start(0, 24, 0, 1);
+  Value i = loop.getInductionVars()[0];
+  auto number = [&](int64_t value) {
+    return constant(value, b.getIndexType());
+  };
+  Value high = arith::FloorDivSIOp::create(b, i, number(12));
+  Value middle = arith::RemSIOp::create(
+      b, arith::FloorDivSIOp::create(b, i, number(3)), number(4));
+  Value low = arith::RemSIOp::create(b, i, number(3));
+  IndexBuilder builder;
+  ValueRange ivs = loop.getInductionVars().take_front();
+  EXPECT_TRUE(isInjectiveOver(builder, builder.get({high, middle, low}), ivs));
+  EXPECT_FALSE(isInjectiveOver(builder, builder.get({middle, low}), ivs));
+}
+
+// The digits of a number that is built from digits are these.
+TEST_F(IndexExprTest, DigitsOfDigits) {
+  start(0, 8, 0, 4);
+  Value i = loop.getInductionVars()[0], j = loop.getInductionVars()[1];
+  Value four = constant(4, b.getIndexType());
+  Value number = arith::AddIOp::create(b, arith::MulIOp::create(b, i, four), j);
+  IndexBuilder builder;
+  EXPECT_EQ(builder.get(arith::DivUIOp::create(b, number, four)),
+            builder.get(i));
+  EXPECT_EQ(builder.get(arith::RemSIOp::create(b, number, four)),
+            builder.get(j));
+}
+
+// A product of 32 bits takes values again; 3 has an inverse, and 4 has not.
+TEST_F(IndexExprTest, ProductsThatWrap) {
+  for (auto [factor, isInjective] : {std::pair{3, true}, std::pair{4, false}}) {
+    start(0, (int64_t(1) << 30) + 1, 0, 1);
+    Type i32 = b.getI32Type();
+    Value i = arith::IndexCastOp::create(b, i32, loop.getInductionVars()[0]);
+    Value product = arith::MulIOp::create(b, i, constant(factor, i32));
+    IndexBuilder builder;
+    IndexExpr expr = builder.get(product);
+    EXPECT_EQ(expr.width, 32u);
+    EXPECT_EQ(
+        isInjectiveOver(builder, expr, loop.getInductionVars().take_front()),
+        isInjective);
+  }
+}
+
+// Expressions stay small: the squares of squares name i exponentially often, as
+// do the sums of sums of which the depth is cut.
+TEST_F(IndexExprTest, ExpressionsStaySmall) {
+  start(0, 4, 0, 4);
+  IndexBuilder builder;
+  Value square = loop.getInductionVars()[0], sum = square;
+  for (int i = 0; i != 100; ++i) {
+    square = arith::MulIOp::create(b, square, square);
+    Value other = arith::AddIOp::create(b, square, loop.getInductionVars()[1]);
+    sum = arith::AddIOp::create(b, arith::XOrIOp::create(b, sum, other), sum);
+    EXPECT_LE(builder.get(square).getSize(), 64u);
+    EXPECT_LE(builder.get(sum).getSize(), 64u);
+  }
+  EXPECT_LE(getIndexExpr(square).getSize(), 64u);
+  EXPECT_LE(getIndexExpr(sum).getSize(), 64u);
+}
+
+// x + 1 of 32 bits, extended, is not the extended x, plus one.
+TEST_F(IndexExprTest, ExtendedSums) {
+  start(0, 4, 0, 4);
+  Type i64 = b.getI64Type();
+  Value x = arguments[1];
+  Value sum = arith::AddIOp::create(b, x, constant(1, x.getType()));
+  Value inside = arith::ExtSIOp::create(b, i64, sum);
+  Value extended = arith::ExtSIOp::create(b, i64, x);
+  Value outside = arith::AddIOp::create(b, extended, constant(1, i64));
+  EXPECT_FALSE(getIndexExpr(inside) == getIndexExpr(outside));
+  EXPECT_TRUE(areDistinct(getIndexExpr(inside), getIndexExpr(extended)));
+  EXPECT_TRUE(areDistinct(getIndexExpr(outside), getIndexExpr(extended)));
+}
