@@ -17,8 +17,6 @@
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/Dialect/Tai/IR/Layout.h"
-#include "llvm/ADT/TypeSwitch.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;
@@ -44,12 +42,6 @@ static NumberRange rangeOfType(Type type) {
   return {llvm::minIntN(width), llvm::maxIntN(width)};
 }
 
-/// The part of `range` that fits in `type`, where more would wrap around.
-static NumberRange fit(NumberRange range, Type type) {
-  NumberRange most = rangeOfType(type);
-  return range.isWithin(most) ? range : most;
-}
-
 static NumberRange addRanges(NumberRange a, NumberRange b) {
   NumberRange sum;
   if (!a.isBounded() || !b.isBounded() ||
@@ -69,10 +61,6 @@ static NumberRange scaleRange(NumberRange a, int64_t factor) {
   return product;
 }
 
-static NumberRange unite(NumberRange a, NumberRange b) {
-  return {std::min(a.low, b.low), std::max(a.high, b.high)};
-}
-
 /// The range of a / d, rounded down, or towards zero where that is the same.
 static NumberRange divideRange(NumberRange a, int64_t d) {
   return {a.low == INT64_MIN ? INT64_MIN : llvm::divideFloorSigned(a.low, d),
@@ -86,104 +74,30 @@ NumberRange IndexForms::rangeOfSum(const LinearSum &sum) const {
   return sum.hasOverflow ? NumberRange() : range;
 }
 
-NumberRange IndexForms::rangeOf(Value value) {
-  if (auto known = ranges.find(value); known != ranges.end())
-    return known->second;
-  NumberRange range = fit(computeRange(value), value.getType());
-  ranges[value] = range;
-  return range;
-}
+IndexForms::IndexForms(KernelOp kernel)
+    : kernel(kernel),
+      ranges([](Value value) -> std::optional<ConstantIntRanges> {
+        if (!isa_and_present<memref::DimOp, LengthOp>(value.getDefiningOp()))
+          return std::nullopt;
+        unsigned width = ConstantIntRanges::getStorageBitwidth(value.getType());
+        return ConstantIntRanges::fromSigned(
+            APInt::getZero(width), width > 48
+                                       ? APInt(width, kLargest)
+                                       : APInt::getSignedMaxValue(width));
+      }) {}
 
-NumberRange IndexForms::computeRange(Value value) {
+NumberRange IndexForms::rangeOf(Value value) {
   Type type = value.getType();
-  APInt constant;
-  if (matchPattern(value, m_ConstantInt(&constant))) {
-    if (type.isInteger(1))
-      return {constant.isOne(), constant.isOne()};
-    return {constant.getSExtValue(), constant.getSExtValue()};
-  }
-  NumberRange all = rangeOfType(type);
-  Operation *op = value.getDefiningOp();
-  if (!op) {
-    auto argument = cast<BlockArgument>(value);
-    Operation *parent = argument.getOwner()->getParentOp();
-    if (auto loop = dyn_cast<scf::ForOp>(parent);
-        loop && argument == loop.getInductionVar() && !loop.getUnsignedCmp())
-      return {rangeOf(loop.getLowerBound()).low,
-              addRanges(rangeOf(loop.getUpperBound()), {-1, -1}).high};
-    auto loop = dyn_cast<ParallelForOp>(parent);
-    if (!loop)
-      return all;
-    unsigned k = argument.getArgNumber();
-    if (!loop.isStructFor())
-      return {rangeOf(loop.getLowerBounds()[k]).low,
-              addRanges(rangeOf(loop.getUpperBounds()[k]), {-1, -1}).high};
-    FailureOr<FieldLayout> layout =
-        getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-    if (failed(layout) || k >= layout->shape.size())
-      return all;
-    return {layout->offset[k], layout->offset[k] + layout->shape[k] - 1};
-  }
-  auto of = [&](unsigned number) { return rangeOf(op->getOperand(number)); };
-  auto divisor = [&]() -> int64_t {
-    return getConstantIntValue(op->getOperand(1)).value_or(0);
-  };
-  return llvm::TypeSwitch<Operation *, NumberRange>(op)
-      .Case<arith::IndexCastOp, arith::ExtSIOp, arith::TruncIOp>([&](auto) {
-        // Truth values are -1 where the sign is taken along.
-        return op->getOperand(0).getType().isInteger(1) ? all
-                                                        : fit(of(0), type);
-      })
-      .Case<arith::ExtUIOp, arith::IndexCastUIOp>([&](auto) -> NumberRange {
-        unsigned width =
-            op->getOperand(0).getType().isIndex()
-                ? 64
-                : op->getOperand(0).getType().getIntOrFloatBitWidth();
-        if (of(0).low >= 0)
-          return of(0);
-        return width < 63 ? NumberRange{0, int64_t(llvm::maxUIntN(width))}
-                          : all;
-      })
-      .Case([&](arith::AddIOp) { return addRanges(of(0), of(1)); })
-      .Case([&](arith::SubIOp) {
-        return addRanges(of(0), scaleRange(of(1), -1));
-      })
-      .Case([&](arith::MulIOp) {
-        NumberRange b = of(1);
-        return b.isBounded()
-                   ? unite(scaleRange(of(0), b.low), scaleRange(of(0), b.high))
-                   : all;
-      })
-      .Case([&](arith::MinSIOp) {
-        return NumberRange{std::min(of(0).low, of(1).low),
-                           std::min(of(0).high, of(1).high)};
-      })
-      .Case([&](arith::MaxSIOp) {
-        return NumberRange{std::max(of(0).low, of(1).low),
-                           std::max(of(0).high, of(1).high)};
-      })
-      .Case<arith::RemSIOp, arith::RemUIOp>([&](auto) -> NumberRange {
-        int64_t d = divisor();
-        if (d <= 0)
-          return all;
-        bool isPositive = of(0).low >= 0 || isa<arith::RemUIOp>(op);
-        return {isPositive ? 0 : 1 - d, d - 1};
-      })
-      .Case([&](arith::FloorDivSIOp) {
-        return divisor() > 0 ? divideRange(of(0), divisor()) : all;
-      })
-      .Case<arith::DivSIOp, arith::DivUIOp>([&](auto) {
-        return divisor() > 0 && of(0).low >= 0 ? divideRange(of(0), divisor())
-                                               : all;
-      })
-      .Case([&](arith::AndIOp) -> NumberRange {
-        int64_t mask = divisor();
-        return mask > 0 ? NumberRange{0, mask} : all;
-      })
-      .Case([&](arith::SelectOp) { return unite(of(1), of(2)); })
-      .Case([&](memref::DimOp) { return NumberRange{0, kLargest}; })
-      .Case([&](LengthOp) { return NumberRange{0, kLargest}; })
-      .Default([&](Operation *) { return all; });
+  if (!type.isIntOrIndex())
+    return {};
+  ConstantIntRanges range = ranges.get(value);
+  if (range.smin().getBitWidth() > 64)
+    return {};
+  // A truth value is 0 or 1.
+  if (type.isInteger(1))
+    return {static_cast<int64_t>(range.umin().getZExtValue()),
+            static_cast<int64_t>(range.umax().getZExtValue())};
+  return {range.smin().getSExtValue(), range.smax().getSExtValue()};
 }
 
 //===----------------------------------------------------------------------===//

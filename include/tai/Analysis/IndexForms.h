@@ -15,6 +15,7 @@
 #ifndef TAI_ANALYSIS_INDEXFORMS_H
 #define TAI_ANALYSIS_INDEXFORMS_H
 
+#include "tai/Analysis/Index/IntegerRanges.h"
 #include "tai/Analysis/LinearSystem.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/DenseMap.h"
@@ -59,7 +60,7 @@ class IndexForms {
 public:
   enum class Kind { Launch, Loop, Quotient, Product, Data };
 
-  explicit IndexForms(KernelOp kernel) : kernel(kernel) {}
+  explicit IndexForms(KernelOp kernel);
 
   LinearForm formOf(Value value);
   NumberRange rangeOf(Value value);
@@ -109,12 +110,11 @@ private:
   LinearForm makeVariable(Kind kind, NumberRange range);
   /// Adds the conditions for a value of the type not to have wrapped.
   void assumeFits(LinearForm &form, Type type) const;
-  NumberRange computeRange(Value value);
 
   KernelOp kernel;
+  IntegerRanges ranges;
   std::vector<Variable> variables;
   llvm::DenseMap<Value, LinearForm> forms;
-  llvm::DenseMap<Value, NumberRange> ranges;
   llvm::DenseMap<Value, bool> launchValues;
   llvm::DenseMap<std::pair<Value, int64_t>, unsigned> extentVariables;
 };
