@@ -16,6 +16,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/Analysis/Index/IndexBuilder.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
@@ -42,16 +43,10 @@ struct Split {
 
 /// The constant c with value = iv + c, if there is one.
 static std::optional<int64_t> getOffsetFrom(Value value, Value iv) {
-  int64_t offset = 0;
-  while (value != iv) {
-    auto add = value.getDefiningOp<arith::AddIOp>();
-    llvm::APInt constant;
-    if (!add || !matchPattern(add.getRhs(), m_ConstantInt(&constant)))
-      return std::nullopt;
-    offset += constant.getSExtValue();
-    value = add.getLhs();
-  }
-  return offset;
+  IndexExpr offset = getIndexExpr(value);
+  if (!offset.isExact() || !offset.add(IndexExpr(iv), -1).isConstant())
+    return std::nullopt;
+  return offset.constant;
 }
 
 /// The loop around a marked branch, if the branch is all that it does.

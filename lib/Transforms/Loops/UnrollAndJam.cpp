@@ -19,6 +19,7 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/Index/IndexBuilder.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Transforms/Passes.h"
 
@@ -279,66 +280,43 @@ static bool isIndependent(Operation *op,
          });
 }
 
-namespace {
-/// By how much values grow from one iteration of a loop to the next.
-class Strides {
-public:
-  explicit Strides(scf::ForOp loop) : loop(loop) {}
+/// True if no index of the loop goes into the value. Each value is looked at
+/// once: an index may use one value many times over.
+static bool isUniform(Value value, scf::ForOp loop,
+                      DenseMap<Value, bool> &known) {
+  Operation *op = value.getDefiningOp();
+  if (!op || loop.isDefinedOutsideOfLoop(value))
+    return value != loop.getInductionVar();
+  if (auto found = known.find(value); found != known.end())
+    return found->second;
+  bool is = llvm::all_of(op->getOperands(), [&](Value operand) {
+    return isUniform(operand, loop, known);
+  });
+  return known[value] = is;
+}
 
-  /// Nothing if it is not always the same. Each value is looked at once: an
-  /// index may use one value many times over.
-  std::optional<int64_t> get(Value value) {
-    if (value == loop.getInductionVar())
-      return 1;
-    if (!value.getDefiningOp() || loop.isDefinedOutsideOfLoop(value))
-      return 0;
-    auto found = known.find(value);
-    if (found != known.end())
-      return found->second;
-    std::optional<int64_t> stride = compute(value.getDefiningOp());
-    known[value] = stride;
-    return stride;
-  }
-
-private:
-  std::optional<int64_t> compute(Operation *op) {
-    SmallVector<int64_t> strides;
-    for (Value operand : op->getOperands()) {
-      std::optional<int64_t> stride = get(operand);
-      if (!stride)
-        return std::nullopt;
-      strides.push_back(*stride);
-    }
-    if (llvm::all_of(strides, [](int64_t stride) { return stride == 0; }))
-      return 0;
-    llvm::APInt factor;
-    int64_t result;
-    if (isa<arith::IndexCastOp>(op))
-      return strides[0];
-    if (isa<arith::AddIOp>(op) &&
-        !llvm::AddOverflow(strides[0], strides[1], result))
-      return result;
-    if (isa<arith::MulIOp>(op) &&
-        matchPattern(op->getOperand(1), m_ConstantInt(&factor)) &&
-        !llvm::MulOverflow(strides[0], factor.getSExtValue(), result))
-      return result;
+/// By how much the index grows from one iteration to the next; none if that is
+/// not always the same.
+static std::optional<int64_t> getStride(IndexBuilder &builder, Value index,
+                                        scf::ForOp loop) {
+  DenseMap<Value, bool> known;
+  IndexExpr expr = builder.get(index);
+  int64_t stride = expr.getCoefficient(loop.getInductionVar());
+  expr.add(IndexExpr(loop.getInductionVar()), -stride);
+  if (!expr.allOf([&](Value value) { return isUniform(value, loop, known); }))
     return std::nullopt;
-  }
-
-  scf::ForOp loop;
-  DenseMap<Value, std::optional<int64_t>> known;
-};
-} // namespace
+  return stride;
+}
 
 /// Whether vectors of terms of this loop would be gathered from far apart.
 static bool readsColumns(scf::ForOp loop) {
-  Strides strides(loop);
+  IndexBuilder builder;
   return llvm::any_of(loop.getBody()->getOps<LLVM::LoadOp>(), [&](auto load) {
     auto address = load.getAddr().template getDefiningOp<LLVM::GEPOp>();
     if (!address)
       return false;
     return llvm::any_of(address.getDynamicIndices(), [&](Value index) {
-      std::optional<int64_t> stride = strides.get(index);
+      std::optional<int64_t> stride = getStride(builder, index, loop);
       return !stride || *stride > kMaxStride || *stride < -kMaxStride;
     });
   });
