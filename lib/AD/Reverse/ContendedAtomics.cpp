@@ -52,14 +52,23 @@ SmallVector<Value> mlir::tai::getElementPosition(AtomicOp atomic) {
 // Supported updates
 //===----------------------------------------------------------------------===//
 
-/// True if an index that is the same in all iterations keeps the two apart.
-static bool areKeptApart(Operation *loop, ValueRange lhs, ValueRange rhs) {
-  return lhs.size() == rhs.size() &&
-         llvm::any_of(llvm::zip(lhs, rhs), [&](auto pair) {
-           auto [a, b] = pair;
-           return isKnownBefore(loop, a) && isKnownBefore(loop, b) &&
-                  areProvablyDistinct(a, b);
-         });
+/// True if an index of the element or of the component that is the same in all
+/// iterations keeps the two apart.
+static bool areKeptApart(Operation *loop, DifferentiableAccessInterface lhs,
+                         DifferentiableAccessInterface rhs) {
+  auto isSame = [&](const IndexExpr &index) {
+    return index.allOf([&](Value value) { return isKnownBefore(loop, value); });
+  };
+  auto areApart = [&](ValueRange a, ValueRange b) {
+    SmallVector<IndexExpr> first = getIndexExprs(a), second = getIndexExprs(b);
+    return first.size() == second.size() &&
+           llvm::any_of(llvm::zip(first, second), [&](auto pair) {
+             auto &[x, y] = pair;
+             return isSame(x) && isSame(y) && areDistinct(x, y);
+           });
+  };
+  return areApart(lhs.getAccessIndices(), rhs.getAccessIndices()) ||
+         areApart(lhs.getAccessComponents(), rhs.getAccessComponents());
 }
 
 // Refuses accesses that would make the element depend on the order of
@@ -89,7 +98,9 @@ LogicalResult ContendedAtomics::check(FunctionOpInterface kernel,
     bool isInside = loop->isProperAncestor(other);
     auto same = dyn_cast<AtomicOp>(other.getOperation());
     if ((isInside && same && same.getKind() == atomic.getKind()) ||
-        areKeptApart(loop, atomic.getIndices(), other.getAccessIndices()))
+        areKeptApart(loop,
+                     cast<DifferentiableAccessInterface>(atomic.getOperation()),
+                     other))
       return WalkResult::advance();
     bool isRead = other.getAccessKind() == AccessKind::Read;
     if (isRead && !isInside &&

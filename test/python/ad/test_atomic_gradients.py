@@ -257,6 +257,30 @@ def test_vectors(mode, dtype):
     close(x.grad.to_numpy(), expected, dtype)
 
 
+def test_components_that_are_updated_in_different_ways(mode, dtype):
+    x, loss = real(dtype, N), real(dtype)
+    v = ti.Vector.field(2, getattr(ti, dtype), shape=(), needs_grad=True)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            ti.atomic_max(v[None][0], x[i])
+            v[None][1] += x[i] * x[i]
+
+    @ti.kernel
+    def total():
+        loss[None] += 2 * v[None][0] + 3 * v[None][1]
+
+    values = np.array([3, 1, -2, 5, 4, 2, 1, -3, 0.5, 7, 2, -6.0])
+    x.from_numpy(values)
+    v.fill(-100)
+    with ti.ad.Tape(loss):
+        run()
+        total()
+    close(v.to_numpy(), np.array([7, np.sum(values**2) - 100]), dtype)
+    close(x.grad.to_numpy(), 6 * values + 2 * (values == 7), dtype)
+
+
 def test_elements_of_their_own(mode, dtype):
     x, y, loss = real(dtype, N), real(dtype, N), real(dtype)
 
