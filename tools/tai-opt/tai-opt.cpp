@@ -10,6 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "common/OutputFile.h"
 #include "common/Upstream.h"
 #include "mlir/IR/DialectRegistry.h"
 #include "mlir/Tools/mlir-opt/MlirOptMain.h"
@@ -24,6 +25,7 @@ int main(int argc, char **argv) {
   mlir::tai::registerAll(registry);
   mlir::tai::registerUpstreamPasses();
   mlir::tai::registerAllPasses();
-  return mlir::asMainReturnCode(
-      mlir::MlirOptMain(argc, argv, "tai optimizer driver\n", registry));
+  return mlir::tai::runWithOutput(argc, argv, [&](int argc, char **argv) {
+    return mlir::MlirOptMain(argc, argv, "tai optimizer driver\n", registry);
+  });
 }

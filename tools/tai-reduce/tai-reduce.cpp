@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "common/OutputFile.h"
 #include "common/Upstream.h"
 #include "mlir/IR/MLIRContext.h"
 #include "mlir/Tools/mlir-reduce/MlirReduceMain.h"
@@ -20,5 +21,7 @@ int main(int argc, char **argv) {
   mlir::tai::registerUpstreamDialects(registry);
   mlir::tai::registerAll(registry);
   mlir::MLIRContext context(registry);
-  return mlir::failed(mlir::mlirReduceMain(argc, argv, context));
+  return mlir::tai::runWithOutput(argc, argv, [&](int argc, char **argv) {
+    return mlir::mlirReduceMain(argc, argv, context);
+  });
 }

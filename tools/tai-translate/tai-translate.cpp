@@ -13,6 +13,7 @@
 
 #include "DeviceCode.h"
 #include "ModuleFiles.h"
+#include "common/OutputFile.h"
 #include "common/Upstream.h"
 #include "mlir/Tools/mlir-translate/MlirTranslateMain.h"
 #include "tai/Dialect/Tai/IR/TextLimits.h"
@@ -23,6 +24,7 @@ int main(int argc, char **argv) {
   mlir::tai::registerUpstreamTranslations();
   mlir::tai::registerDeviceCodeTranslations();
   mlir::tai::registerModuleFileTranslations();
-  return mlir::failed(
-      mlir::mlirTranslateMain(argc, argv, "tai translation driver"));
+  return mlir::tai::runWithOutput(argc, argv, [](int argc, char **argv) {
+    return mlir::mlirTranslateMain(argc, argv, "tai translation driver");
+  });
 }
