@@ -231,6 +231,10 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
   replaceReturn(ret, loc, frame, builder, runtime);
 
   upgradeFormerChecks(host);
+  // Before parts of the program become functions of their own: addresses and
+  // locals are pointers then, which these functions get.
+  if (failed(lowerLeafOps(host, lowering)))
+    return failure();
   SmallVector<Operation *> ops;
   host.walk([&](Operation *op) {
     if (isa<LaunchOp, TapeOp, CheckGradientOp, CheckCloseOp, RandomOp,
@@ -264,8 +268,6 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
     if (failed(result))
       return failure();
   }
-  if (failed(lowerLeafOps(host, lowering)))
-    return failure();
 
   builder.setInsertionPointToEnd(entry);
   Value status = runtime.tai_rt_failed(builder, loc, frame);
