@@ -34,3 +34,61 @@ tai.kernel @nested() {
   }
   tai.return
 }
+
+// -----
+
+tai.kernel @assertion(%c: i1) {
+  // expected-error @+2 {{'cf.assert' op is not lowered in code of tai}}
+  // expected-note @+1 {{write 'tai.assert'}}
+  cf.assert %c, "message"
+  tai.return
+}
+
+// -----
+
+tai.kernel @thread() {
+  // expected-error @+2 {{'gpu.thread_id' op is not lowered in code of tai}}
+  // expected-note @+1 {{write 'tai.parallel_for'; the lowering chooses blocks and threads}}
+  %0 = gpu.thread_id x
+  tai.return
+}
+
+// -----
+
+tai.kernel @print(%v: vector<4xf32>) {
+  // expected-error @+2 {{'vector.print' op is not lowered in code of tai}}
+  // expected-note @+1 {{write 'tai.print'}}
+  vector.print %v : vector<4xf32>
+  tai.return
+}
+
+// -----
+
+// The op is named, and not the one in its region.
+tai.kernel @fill(%m: memref<4xf32>, %v: f32) {
+  // expected-error @+2 {{'linalg.fill' op is not lowered by this pipeline}}
+  // expected-note @+1 {{'linalg'}}
+  linalg.fill ins(%v : f32) outs(%m : memref<4xf32>)
+  tai.return
+}
+
+// -----
+
+tai.kernel @narrow(%v: f32) -> f32 {
+  // expected-error @+2 {{'arith.truncf' op has a result of type 'f8E5M2', which is not lowered in code of tai}}
+  // expected-note @+1 {{use f16, bf16, f32 or f64}}
+  %0 = arith.truncf %v : f32 to f8E5M2
+  %1 = arith.extf %0 : f8E5M2 to f32
+  tai.return %1 : f32
+}
+
+// -----
+
+memref.global "private" constant @numbers : memref<4xf32> = dense<1.0>
+tai.kernel @global(%i: index) -> f32 {
+  // expected-error @+2 {{'memref.get_global' op is not lowered in code of tai}}
+  // expected-note @+1 {{pass the array as an argument, or put the numbers into a field}}
+  %m = memref.get_global @numbers : memref<4xf32>
+  %0 = memref.load %m[%i] : memref<4xf32>
+  tai.return %0 : f32
+}

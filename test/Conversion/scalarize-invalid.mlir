@@ -14,3 +14,13 @@ tai.kernel @bitcast(%a: vector<2xf32>) {
   %0 = vector.bitcast %a : vector<2xf32> to vector<1xf64>
   tai.return
 }
+
+// -----
+
+tai.kernel @array_of_vectors(%i: index) -> f64 {
+  // expected-error @+1 {{'memref.alloca' op makes an array of vectors, which is not lowered; make one of numbers with more dimensions}}
+  %m = memref.alloca() : memref<4xvector<2xf64>>
+  %v = memref.load %m[%i] : memref<4xvector<2xf64>>
+  %0 = vector.extract %v[0] : f64 from vector<2xf64>
+  tai.return %0 : f64
+}

@@ -14,6 +14,7 @@
 #include "PrintField.h"
 #include "mlir/Bytecode/BytecodeReader.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Parser/Parser.h"
 #include "mlir/Pass/PassManager.h"
 #include "mlir/Tools/Plugins/DialectPlugin.h"
@@ -166,7 +167,8 @@ static OwningOpRef<ModuleOp> parse(Session &session, const Options &given) {
   return module;
 }
 
-/// A module with one kernel and the functions and kernels that it names.
+/// A module with one kernel and the functions, kernels and global arrays that
+/// it names.
 static OwningOpRef<ModuleOp> extract(ModuleOp file, KernelOp kernel) {
   llvm::SetVector<Operation *> needed;
   needed.insert(kernel);
@@ -174,7 +176,7 @@ static OwningOpRef<ModuleOp> extract(ModuleOp file, KernelOp kernel) {
     needed[i]->walk([&](Operation *op) {
       op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {
         Operation *named = file.lookupSymbol(symbol.getRootReference());
-        if (isa_and_nonnull<KernelOp, func::FuncOp>(named))
+        if (isa_and_nonnull<KernelOp, func::FuncOp, memref::GlobalOp>(named))
           needed.insert(named);
       });
     });

@@ -24,7 +24,9 @@
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/Math/Transforms/Passes.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
@@ -326,8 +328,9 @@ static LogicalResult
 checkLowered(ModuleOp module,
              llvm::function_ref<LogicalResult(Operation *)> check) {
   for (Operation *root : collectWithCallees(module)) {
-    WalkResult result =
-        root->walk([&](Operation *op) { return WalkResult(check(op)); });
+    // From the outside: an op is named before the ops that it holds.
+    WalkResult result = root->walk<WalkOrder::PreOrder>(
+        [&](Operation *op) { return WalkResult(check(op)); });
     if (result.wasInterrupted())
       return failure();
   }
@@ -409,39 +412,87 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
   }
 };
 
-/// True for the dialects that the passes before and in this file lower, with
-/// the remains of those of a device.
+/// True for the dialects that the passes before and in this file lower.
 bool isLowered(StringRef dialect) {
-  return llvm::is_contained({"arith", "builtin", "cf", "func", "gpu", "llvm",
-                             "math", "memref", "nvvm", "scf", "tai",
-                             "tai_check", "ub", "vector"},
+  return llvm::is_contained({"arith", "builtin", "cf", "func", "llvm", "math",
+                             "memref", "scf", "tai", "tai_check", "ub",
+                             "vector"},
                             dialect);
+}
+
+/// The remedy for an op of such a dialect that is not lowered, or for one of a
+/// device; otherwise empty.
+StringRef findRemedy(Operation *op) {
+  if (isa<scf::ParallelOp, scf::ForallOp>(op))
+    return "write 'tai.parallel_for' at the top level of a kernel for "
+           "iterations that run in parallel, or 'scf.for' for those that run "
+           "in order ('scf-forall-to-for' and "
+           "'scf-parallel-for-to-nested-fors' make it)";
+  if (isa<cf::AssertOp>(op))
+    return "write 'tai.assert'";
+  if (isa<vector::PrintOp, gpu::PrintfOp>(op))
+    return "write 'tai.print'";
+  if (isa<vector::VectorScaleOp, vector::ScalableExtractOp,
+          vector::ScalableInsertOp>(op))
+    return "use vectors of a fixed length";
+  if (isa<math::IPowIOp>(op))
+    return "multiply in a loop, or write 'math.fpowi' for floats";
+  if (isa<arith::ScalingExtFOp, arith::ScalingTruncFOp>(op))
+    return "multiply by the scale";
+  if (isa<memref::AllocaScopeOp>(op))
+    return "leave the scope out; 'memref.alloca' makes one array for the "
+           "kernel, wherever it stands";
+  if (isa<memref::GetGlobalOp>(op))
+    return "pass the array as an argument, or put the numbers into a field";
+  if (isa_and_present<gpu::GPUDialect, NVVM::NVVMDialect>(op->getDialect()))
+    return "write 'tai.parallel_for'; the lowering chooses blocks and threads, "
+           "and copies data to the device";
+  return {};
+}
+
+/// The first type of a result that no number of tai has, or null.
+Type findUnknownFloat(Operation *op) {
+  for (Type type : op->getResultTypes()) {
+    Type element = getElementTypeOrSelf(type);
+    if (isa<FloatType>(element) &&
+        !isa<Float16Type, BFloat16Type, Float32Type, Float64Type, Float80Type,
+             Float128Type>(element))
+      return element;
+  }
+  return {};
+}
+
+LogicalResult checkLowerable(Operation *op) {
+  // Code of a device, made of kernels before.
+  bool isOnDevice =
+      isa<gpu::GPUModuleOp>(op) || op->getParentOfType<gpu::GPUModuleOp>();
+  StringRef remedy = findRemedy(op);
+  if (!remedy.empty() && !isOnDevice &&
+      op->getParentOfType<FunctionOpInterface>()) {
+    op->emitOpError("is not lowered in code of tai").attachNote() << remedy;
+    return failure();
+  }
+  if (Type type = findUnknownFloat(op)) {
+    op->emitOpError("has a result of type ")
+            .append(type, ", which is not lowered in code of tai")
+            .attachNote()
+        << "use f16, bf16, f32 or f64";
+    return failure();
+  }
+  StringRef dialect = op->getName().getDialectNamespace();
+  if (isLowered(dialect) || dialect == "gpu" || dialect == "nvvm")
+    return success();
+  op->emitOpError("is not lowered by this pipeline").attachNote()
+      << "run the passes that turn the dialect '" << dialect
+      << "' into those of arith, math, scf, memref, vector and func before";
+  return failure();
 }
 
 struct CheckLowerable : tai::impl::CheckLowerableBase<CheckLowerable> {
   using Base::Base;
 
   void runOnOperation() override {
-    LogicalResult result =
-        checkLowered(getOperation(), [](Operation *op) -> LogicalResult {
-          if (isa<scf::ParallelOp, scf::ForallOp>(op)) {
-            op->emitOpError("is not lowered in code of tai").attachNote()
-                << "write 'tai.parallel_for' at the top level of a kernel for "
-                   "iterations that run in parallel, or 'scf.for' for those "
-                   "that run in order ('scf-forall-to-for' and "
-                   "'scf-parallel-for-to-nested-fors' make it)";
-            return failure();
-          }
-          StringRef dialect = op->getName().getDialectNamespace();
-          if (isLowered(dialect))
-            return success();
-          op->emitOpError("is not lowered by this pipeline").attachNote()
-              << "run the passes that turn the dialect '" << dialect
-              << "' into those of arith, math, scf, memref, vector and func "
-                 "before";
-          return failure();
-        });
-    if (failed(result))
+    if (failed(checkLowered(getOperation(), checkLowerable)))
       return signalPassFailure();
     markAllAnalysesPreserved();
   }
@@ -458,11 +509,19 @@ struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
         return success();
       return op->emitOpError("was not lowered to the LLVM dialect");
     };
+    // The op that needs a cast tells more than the cast.
+    auto checkOthers = [&](Operation *op) {
+      return isa<UnrealizedConversionCastOp>(op) ? success() : check(op);
+    };
+    auto checkAll = [&](llvm::function_ref<LogicalResult(Operation *)> check) {
+      if (!all)
+        return checkLowered(getOperation(), check);
+      WalkResult result = getOperation().walk(
+          [&](Operation *op) { return WalkResult(check(op)); });
+      return failure(result.wasInterrupted());
+    };
     bool isLowered =
-        all ? !getOperation()
-                   .walk([&](Operation *op) { return WalkResult(check(op)); })
-                   .wasInterrupted()
-            : succeeded(checkLowered(getOperation(), check));
+        succeeded(checkAll(checkOthers)) && succeeded(checkAll(check));
     if (!isLowered)
       return signalPassFailure();
     // The last pass: nothing asks any more.

@@ -347,6 +347,12 @@ LogicalResult Scalarizer::process(Operation *op) {
     auto local = dyn_cast<LocalType>(value.getType());
     return local && isa<VectorType>(local.getElementType());
   };
+  // Arguments are flattened; arrays that the function makes are not.
+  for (Type type : op->getResultTypes())
+    if (auto array = dyn_cast<BaseMemRefType>(type);
+        array && isa<VectorType>(array.getElementType()))
+      return op->emitOpError("makes an array of vectors, which is not lowered; "
+                             "make one of numbers with more dimensions");
   if (llvm::none_of(op->getOperands(), isVector) &&
       llvm::none_of(op->getResults(), isVector) &&
       llvm::none_of(op->getResults(), isVectorLocal))
