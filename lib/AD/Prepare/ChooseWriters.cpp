@@ -36,6 +36,8 @@
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Activity.h"
+#include "tai/Analysis/Index/IndexBuilder.h"
+#include "tai/Analysis/Index/IndexQueries.h"
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/Owners.h"
 #include "tai/Analysis/Races.h"
@@ -69,17 +71,17 @@ static Place getPlace(DifferentiableAccessInterface access,
                       ParallelForOp loop) {
   Place place{llvm::to_vector(access.getAccessIndices()),
               llvm::to_vector(access.getAccessComponents())};
-  auto isOfLoop = [&](const LinearIndex &form) {
+  auto isOfLoop = [&](const IndexExpr &form) {
     return llvm::any_of(loop.getInductionVars(),
-                        [&](Value iv) { return form.getCoefficient(iv) != 0; });
+                        [&](Value iv) { return form.mentions(iv); });
   };
   auto use = [&](arith::CmpIOp equal) {
     Value sides[] = {equal.getLhs(), equal.getRhs()};
-    LinearIndex forms[] = {getLinearIndex(sides[0]), getLinearIndex(sides[1])};
+    IndexExpr forms[] = {getIndexExpr(sides[0]), getIndexExpr(sides[1])};
     for (Value &index : place.indices)
       for (unsigned side : {0, 1})
         if (isOfLoop(forms[side]) && !isOfLoop(forms[1 - side]) &&
-            getLinearIndex(index) == forms[1 - side]) {
+            getIndexExpr(index) == forms[1 - side]) {
           index = sides[side];
           break;
         }

@@ -15,6 +15,8 @@
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/Matchers.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Index/IndexBuilder.h"
+#include "tai/Analysis/Index/IndexQueries.h"
 #include "llvm/ADT/MapVector.h"
 
 using namespace mlir;
@@ -50,12 +52,12 @@ LogicalResult mlir::tai::checkLoopsWithoutOrder(FunctionOpInterface function,
         storages[getStorageKey(access)].push_back(access);
     });
     for (auto &[key, stores] : storages) {
-      SmallVector<LinearIndex> indices =
-          getLinearIndices(stores.front().getAccessIndices());
-      SmallVector<LinearIndex> common;
+      SmallVector<IndexExpr> indices =
+          getIndexExprs(stores.front().getAccessIndices());
+      SmallVector<IndexExpr> common;
       for (size_t i = 0; i != indices.size(); ++i)
         if (llvm::all_of(stores, [&](auto store) {
-              return getLinearIndex(store.getAccessIndices()[i]) == indices[i];
+              return getIndexExpr(store.getAccessIndices()[i]) == indices[i];
             }))
           common.push_back(indices[i]);
       bool isActive = llvm::any_of(

@@ -49,8 +49,10 @@ bool Guards::isInside(FlatSymbolRefAttr field, ValueRange indices) const {
     return true;
   FieldOp ours = lookupField(visited, visited.getFieldAttr());
   FieldOp theirs = lookupField(visited, field);
-  FailureOr<FieldLayout> from = ours ? getFieldLayout(ours) : failure();
-  FailureOr<FieldLayout> to = theirs ? getFieldLayout(theirs) : failure();
+  if (!ours || !theirs)
+    return false;
+  FailureOr<FieldLayout> from = getFieldLayout(ours);
+  FailureOr<FieldLayout> to = getFieldLayout(theirs);
   return succeeded(from) && succeeded(to) && from->shape == to->shape &&
          from->offset == to->offset;
 }
