@@ -146,4 +146,22 @@ def names_of_module(module: str) -> dict[str, str]:
     if listed is None:
         listed = [name for name in defined if not name.startswith("_")]
     full = {name: f"tai.{module}.{name}" for name in defined} | imported
-    return {name: full.get(name, "") for name in listed}
+    return {name: full[name] if name in full and is_visible(full[name]) else "" for name in listed}
+
+
+def is_visible(full: str) -> bool:
+    """Whether griffe sees the definition: not of names that are assigned several at once."""
+    *parts, name = full.split(".")[1:]
+    path = PACKAGE.joinpath(*parts)
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    for node in ast.parse(file.read_text()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
+            return True
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            if any(ast.unparse(target) == name for target in targets):
+                return True
+        if isinstance(node, ast.ImportFrom):
+            if any((alias.asname or alias.name) == name for alias in node.names):
+                return True
+    return False

@@ -50,6 +50,7 @@ def test_definitions_are_where_the_reference_looks(module):
     for name, full in names.items():
         if not full:
             continue
+        assert api.is_visible(full) or not module, full
         parts = full.split(".")
         source = "/".join(parts[1:-1])
         files = [api.PACKAGE / f"{source}.py", api.PACKAGE / source / "__init__.py"]
@@ -58,6 +59,18 @@ def test_definitions_are_where_the_reference_looks(module):
             owner = importlib.import_module(".".join(parts[:-1]))
             public = operator.attrgetter(f"{module}.{name}" if module else name)(ti)
             assert getattr(owner, parts[-1]) is public, full
+
+
+def test_names_that_griffe_does_not_see():
+    assert api.is_visible("tai._impl.base.dtypes.cast")
+    assert not api.is_visible("tai._impl.base.dtypes.float16")
+    assert api.names_of_module("types")["float16"] == ""
+
+
+def test_entries_of_the_pages_are_seen():
+    names = api.names_of_package()
+    listed = [name for page in api.PAGES for name in names_of(page)]
+    assert not [name for name in listed if not api.is_visible(names[name])]
 
 
 def test_lists_for_python_markdown():
