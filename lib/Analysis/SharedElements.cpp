@@ -118,8 +118,7 @@ private:
                either && !holds) {
       add(either.getLhs(), false);
       add(either.getRhs(), false);
-    } else if (auto [first, second] = getConjunction(condition, holds);
-               first) {
+    } else if (auto [first, second] = getConjunction(condition, holds); first) {
       add(first, holds);
       add(second, holds);
     } else if (auto flip = condition.getDefiningOp<arith::XOrIOp>();

@@ -255,9 +255,10 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
       return success();
     }
     if (isa<memref::AtomicRMWOp>(op)) {
-      emitError(op, "this product, minimum or maximum of an element of an array "
-                    "has no gradient, because several iterations may combine "
-                    "into one element")
+      emitError(op,
+                "this product, minimum or maximum of an element of an array "
+                "has no gradient, because several iterations may combine "
+                "into one element")
               .attachNote()
           << "combine into a field that has a gradient instead of the array";
       return failure();

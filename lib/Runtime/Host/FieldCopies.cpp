@@ -15,7 +15,7 @@
 #include "tai/Runtime/Host/FieldCopies.h"
 #include "../Mirror/Mirror.h"
 #include "../Storage/Scalars.h"
-#include "tai/Runtime/Threads/Safepoint.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <array>
 #include <cstring>
@@ -31,6 +31,34 @@ static Status gone(const Field &field) {
                          "field '" + field.name() + "' is gone: its tree '" +
                              field.tree().name() + "' has been destroyed");
 }
+
+//===----------------------------------------------------------------------===//
+// Safepoints of many small copies
+//===----------------------------------------------------------------------===//
+
+template <typename Look> Status CopySafepoints::call(const Look &look) {
+  isInHandler = true;
+  bool goesOn = look();
+  isInHandler = false;
+  return goesOn ? Status::success() : FieldCopies::failAsInterrupted();
+}
+
+Status CopySafepoints::begin(int64_t bytes) {
+  isLong = bytes >= 2 * bytesPerSafepoint;
+  return isLong ? call([] { return safepoint::look(); }) : Status::success();
+}
+
+Status CopySafepoints::pass() {
+  return isLong ? call([&] { return watch.look(); }) : Status::success();
+}
+
+Status CopySafepoints::checkHandler() const {
+  return isInHandler ? failAsInterruptedWork() : Status::success();
+}
+
+//===----------------------------------------------------------------------===//
+// Copies
+//===----------------------------------------------------------------------===//
 
 namespace {
 /// Part of a row: element k is at base + offsets[k], or at base + k * step
@@ -118,8 +146,12 @@ bool FieldCopies::forEachRow(const Field &field, Data *data,
       if (!watch.look() && canStop)
         isStopped.store(true, std::memory_order_relaxed);
     }
-  } job{&visit, field.numElements(),           parts,
-        isLong, interrupts == Interrupts::Stop, {},
+  } job{&visit,
+        field.numElements(),
+        parts,
+        isLong,
+        interrupts == Interrupts::Stop,
+        {},
         {}};
   // The clock may stand still; the first safepoint starts it.
   if (isLong && !safepoint::look() && job.canStop)
@@ -206,8 +238,7 @@ Status FieldCopies::copyOut(const Field &field, void *array) const {
       });
     }
   };
-  bool isWhole =
-      forEachRow(field, field.readable(), Interrupts::Stop, copyRow);
+  bool isWhole = forEachRow(field, field.readable(), Interrupts::Stop, copyRow);
   return isWhole ? devices.takeFailure() : failAsInterrupted();
 }
 

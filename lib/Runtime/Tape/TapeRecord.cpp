@@ -273,8 +273,7 @@ Status Tape::recordWrite(const HostWrite &write) {
     status = parts->memory.beforeWrite(field, write.index, index);
   if (!status)
     return status;
-  bool isWhole =
-      parts->services.perform(write, FieldCopies::Interrupts::Stop);
+  bool isWhole = parts->services.perform(write, FieldCopies::Interrupts::Stop);
   parts->memory.settle();
   if (!isWhole)
     return FieldCopies::failAsInterrupted();

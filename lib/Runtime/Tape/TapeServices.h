@@ -118,9 +118,9 @@ public:
   /// A unique number for marks of analyses.
   uint64_t nextMark() const { return runtime.recordings().nextStamp(); }
   /// False if it was interrupted.
-  bool perform(
-      const HostWrite &write,
-      FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait) const {
+  bool perform(const HostWrite &write,
+               FieldCopies::Interrupts interrupts =
+                   FieldCopies::Interrupts::Wait) const {
     return runtime.perform(write, interrupts);
   }
   Status activateFor(const HostWrite &write) const {

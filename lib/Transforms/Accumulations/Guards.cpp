@@ -64,8 +64,8 @@ bool Guards::canRunAlways(Operation *op, Operation *before) const {
   auto read = dyn_cast<DifferentiableAccessInterface>(op);
   if (!read || read.getAccessKind() != AccessKind::Read)
     return false;
-  // A field without dimensions, the element that the loop visits, and what is
-  // read anyhow.
+  // Fields without dimensions, the element that the loop visits, and elements
+  // that the loop reads in any case.
   FlatSymbolRefAttr field = read.getAccessedStorage().field;
   if (field && read.getAccessComponents().empty() &&
       (read.getAccessIndices().empty() ||
@@ -119,12 +119,12 @@ void Guards::joinAround(Operation *store) {
     if (!outer)
       return;
     outer.getConditionMutable().assign(join(outer.getCondition()));
-    bool isAlone = inner && op == inner && outer->getNumResults() == 0 &&
-                   !outer.elseBlock() && inner->getNumResults() == 0 &&
-                   !inner.elseBlock() &&
-                   std::next(inner->getIterator()) ==
-                       outer.thenYield()->getIterator() &&
-                   canRunAlways(*outer.thenBlock(), inner);
+    bool isAlone =
+        inner && op == inner && outer->getNumResults() == 0 &&
+        !outer.elseBlock() && inner->getNumResults() == 0 &&
+        !inner.elseBlock() &&
+        std::next(inner->getIterator()) == outer.thenYield()->getIterator() &&
+        canRunAlways(*outer.thenBlock(), inner);
     if (!isAlone) {
       op = inner = outer;
       continue;

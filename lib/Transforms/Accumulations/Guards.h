@@ -19,7 +19,7 @@ namespace mlir::tai {
 
 /// Joins the conditions around `store` into one, as far as their second parts
 /// can be computed where the first ones do not hold: they have no effect, and
-/// what they load is inside its storage. `accesses` are those of the loop.
+/// their loads stay inside their storages. `accesses` are those of the loop.
 void joinGuards(DifferentiableAccessInterface store, ParallelForOp loop,
                 const SameIteration &same,
                 ArrayRef<DifferentiableAccessInterface> accesses);

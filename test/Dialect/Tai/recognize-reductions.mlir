@@ -100,7 +100,7 @@ tai.kernel @conditional() {
 // CHECK-LABEL: tai.kernel @several_conditions
 // CHECK: tai.parallel_for
 // CHECK: %[[A:.*]] = tai.load @x[%{{.*}}] : f32
-// CHECK: %[[P:.*]] = arith.cmpf ogt, %[[A]], %{{.*}}
+// CHECK: %[[P:.*]] = arith.cmpf ogt, %{{.*}}, %{{.*}}
 // CHECK: scf.if %[[P]] {
 // CHECK-NEXT: tai.atomic min %[[A]], @o[]
 // CHECK: tai.parallel_for

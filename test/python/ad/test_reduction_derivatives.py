@@ -305,7 +305,7 @@ ARRAY = ti.types.ndarray(dtype=ti.f64, ndim=1, needs_grad=True)
 
 @pytest.mark.parametrize("form", ["product", "maximum", "minimum"])
 def test_arrays_of_the_caller_are_refused_with_a_remedy(form):
-    """The remedy of the message, a field, is what the programs above use."""
+    """The message names a field as the remedy; the programs above use one."""
     s = Scene()
 
     @ti.kernel

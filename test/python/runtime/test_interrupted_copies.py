@@ -9,6 +9,7 @@ import signal
 import numpy as np
 import pytest
 import tai as ti
+
 from interrupts import check_usable
 
 # 512 MB of f32; the clock of safepoints ticks every 20 ms.

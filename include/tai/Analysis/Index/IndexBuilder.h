@@ -55,7 +55,7 @@ private:
 
   IntegerRanges ranges;
   llvm::DenseMap<Value, IndexExpr> known;
-  /// Those that the depth ended early, on the way to one value.
+  /// Expressions that the depth ended early, on the way to one value.
   llvm::DenseMap<Value, IndexExpr> cut;
   bool isCut = false;
 };

@@ -7,7 +7,7 @@
 //
 // Index arithmetic in one form: a sum of atoms times constants. An atom is a
 // value of the program, or a quotient, remainder, product, minimum or maximum
-// of such sums. See docs/decisions/0056-index-expressions.md.
+// of such sums. See docs/decisions/0057-index-expressions.md.
 //
 // Integers of a fixed width wrap around, sums do not. An expression says how
 // many low bits of its sum the value is made of: 64 where the arithmetic is

@@ -15,6 +15,7 @@
 #define TAI_RUNTIME_HOST_FIELDCOPIES_H
 
 #include "tai/Runtime/Mirror/DeviceHost.h"
+#include "tai/Runtime/Threads/Safepoint.h"
 #include "tai/Runtime/Threads/Workers.h"
 
 namespace mlir::tai::runtime {
@@ -61,6 +62,24 @@ private:
 
   Workers &workers;
   DeviceHost &devices;
+};
+
+/// The safepoints of work that copies many small pieces and must not begin
+/// again in a handler.
+class CopySafepoints {
+public:
+  /// Passes the first one, which starts the clock, if there are so many bytes.
+  /// Fails if the host interrupts the work.
+  Status begin(int64_t bytes);
+  Status pass();
+  /// Fails in a handler that has interrupted the work.
+  Status checkHandler() const;
+
+private:
+  template <typename Look> Status call(const Look &look);
+
+  safepoint::Watch watch;
+  bool isLong = false, isInHandler = false;
 };
 
 } // namespace mlir::tai::runtime

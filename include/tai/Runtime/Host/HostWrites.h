@@ -63,9 +63,9 @@ public:
   Status change(const HostWrite &write);
   Status activateFor(const HostWrite &write);
   /// False if it was interrupted.
-  bool perform(
-      const HostWrite &write,
-      FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait);
+  bool
+  perform(const HostWrite &write,
+          FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait);
 
 private:
   Status activateNonzero(Field &field, const void *array);

@@ -327,9 +327,9 @@ public:
     return Launcher::failureOf(launch, kernel);
   }
   Status change(const HostWrite &write) { return hostWrites.change(write); }
-  bool perform(
-      const HostWrite &write,
-      FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait) {
+  bool
+  perform(const HostWrite &write,
+          FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait) {
     return hostWrites.perform(write, interrupts);
   }
   Status activateFor(const HostWrite &write) {

@@ -8,7 +8,6 @@
 #include "TapeMemory.h"
 #include "../../Mirror/Mirror.h"
 #include "../TapeServices.h"
-#include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <cstring>
 #include <set>
@@ -131,8 +130,8 @@ bool TapeMemory::isRead(const Field &field) const {
 
 Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
                                 uint32_t record, bool isPart) {
-  if (isInterrupted)
-    return failAsInterruptedWork();
+  if (Status status = safepoints.checkHandler(); !status)
+    return status;
   if (checkpoints) {
     checkpoints->reach(record);
     lost |= !isPart && !changedParts.empty();
@@ -179,8 +178,8 @@ void TapeMemory::afterPart(const KernelUses &uses, const uint64_t *args) {
 
 Status TapeMemory::beforeWrite(const FieldPtr &field, const int64_t *index,
                                uint32_t record) {
-  if (isInterrupted)
-    return failAsInterruptedWork();
+  if (Status status = safepoints.checkHandler(); !status)
+    return status;
   Track &track = trackOf(field, std::nullopt);
   int dimension = track.slabs.dimension();
   int64_t slab = -1;
@@ -232,11 +231,8 @@ Status TapeMemory::save(const Candidate &candidate) {
   track.everSaved = true;
   if (track.slabs.byCell())
     growing.push_back(candidate);
-  // The clock may stand still; the first safepoint starts it.
-  isLong = track.field->hostBytes() >= 2 * FieldCopies::bytesPerSafepoint;
-  if (isLong)
-    if (Status status = passSafepoint(/*isFirst=*/true); !status)
-      return status;
+  if (Status status = safepoints.begin(track.field->hostBytes()); !status)
+    return status;
   return track.forEachRun(
       candidate.slab,
       [&](int64_t cell) { return track.savedAt[cell] <= candidate.stamp; },
@@ -245,20 +241,14 @@ Status TapeMemory::save(const Candidate &candidate) {
       });
 }
 
-Status TapeMemory::passSafepoint(bool isFirst) {
-  isInterrupted = true;
-  bool goesOn = isFirst ? safepoint::look() : watch.look();
-  isInterrupted = false;
-  return goesOn ? Status::success() : FieldCopies::failAsInterrupted();
-}
-
 Status TapeMemory::addPiece(const Candidate &candidate, int64_t cell,
                             int64_t endCell) {
   Track &track = *candidate.track;
   Piece piece{&track, candidate.record, candidate.before, cell, endCell, {}};
-  Status status = isLong ? passSafepoint(/*isFirst=*/false) : Status::success();
+  Status status = safepoints.pass();
   if (status)
-    status = piece.allocate(runtime, saved + (checkpoints ? checkpoints->bytes() : 0));
+    status = piece.allocate(runtime,
+                            saved + (checkpoints ? checkpoints->bytes() : 0));
   if (!status)
     return status;
   stampSaved(candidate, cell, endCell);

@@ -18,7 +18,6 @@
 #define TAI_LIB_RUNTIME_TAPE_MEMORY_TAPEMEMORY_H
 
 #include "Checkpoints.h"
-#include "tai/Runtime/Threads/Safepoint.h"
 #include <map>
 
 namespace mlir::tai::runtime {
@@ -172,8 +171,6 @@ private:
   size_t firstCandidate(uint32_t record) const;
   Status save(const Candidate &candidate);
   Status addPiece(const Candidate &candidate, int64_t cell, int64_t endCell);
-  /// A safepoint of a long save. Fails if the host has interrupted it.
-  Status passSafepoint(bool isFirst);
   void stampSaved(const Candidate &candidate, int64_t cell, int64_t endCell);
   /// Saves zeros for cells that the record has activated.
   void keepZeros();
@@ -200,11 +197,8 @@ private:
   std::vector<Piece> pieces;
   /// Pieces from here on have not been compared yet.
   size_t unsettled = 0;
-  /// Set while the handler of a safepoint runs in the middle of a save.
-  bool isInterrupted = false;
-  /// Whether the running save passes safepoints.
-  bool isLong = false;
-  safepoint::Watch watch;
+  /// Passed by the save that runs.
+  CopySafepoints safepoints;
   /// For the running record: copies of sparse fields.
   std::vector<Candidate> growing;
   /// Next candidate of a forward replay.
