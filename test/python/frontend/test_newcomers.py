@@ -116,7 +116,7 @@ b = m[0].T
 b = m[0].inv()
 b = m[0][0]; c = b[3]
 b = m[0].det()
-b = v[0] == v[1] and x[0] > 0
+b = v[0] and x[0] > 0
 b = ti.Matrix([[1, 2], [3]])
 v[0] = [1.0, 2.0]
 x[0] = v[0]
@@ -176,7 +176,7 @@ b = c = d
 for i in range(x): pass
 for i in range(2.0): pass
 for i in range(0, 1, 0.1): pass
-for i in range(k[0], 5, k[1]): x[i] = 1
+for i in range(k[0], 5, x[1]): x[i] = 1
 for i in range(3, step=2): pass
 for i in 10: pass
 for i in N: x[i] = 1
@@ -199,7 +199,7 @@ for i in range(3): yield i
 if ti.static(x[0] > 1): pass
 assert x[0] > 0, x[0]
 assert v[0] == v[1]
-print('%f' % x[0])
+print('%q' % x[0])
 print(x[0], file=3)
 print(f'{x[0]:>d}')
 ti.sync()

@@ -12,8 +12,8 @@ import tai as ti
 
 from interrupts import check_usable
 
-# 512 MB of f32; the clock of safepoints ticks every 20 ms.
-SIZE = 1 << 27
+# 1 GB of f32, which takes far longer than the 20 ms between the ticks of safepoints.
+SIZE = 1 << 28
 
 
 @pytest.fixture

@@ -350,7 +350,7 @@ def _find_amplification(report: HealthReport, loss: Any, place: Any) -> None:
     if loss is None or report.findings:
         return
     known = differentiable_fields()
-    size = abs(float(loss[None]))
+    size = abs(float(loss.to_numpy().item()))
     for row in report.rows:
         f = known.get(row.symbol)
         if f is None or f is loss:
