@@ -27,7 +27,6 @@ ONE_RUN_DOES = {
         "test_what_cannot_be_a_variable": NO_KERNEL,
         "test_values_with_a_gradient_are_no_constants": NO_KERNEL,
         "test_matrices_are_not_computed_with_in_python": NO_KERNEL,
-        "test_functions_of_numpy_are_refused": NO_KERNEL,
     },
     "test_array_gradients": {
         "test_the_gradient_cannot_be_replaced": NO_KERNEL,
