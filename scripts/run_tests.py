@@ -80,7 +80,7 @@ def call(command: list[object], environment: dict[str, str] | None = None) -> in
 
 
 def sample_of_lit() -> list[Path]:
-    """Of each folder with lit tests the first, and each fourth of the others."""
+    """The first lit test of each folder, and each fourth of the others."""
     folders: dict[Path, list[Path]] = {}
     for path in sorted((ROOT / "test").rglob("*")):
         parts = path.relative_to(ROOT / "test").parts

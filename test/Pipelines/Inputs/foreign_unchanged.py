@@ -52,7 +52,7 @@ def main() -> None:
     assert len(passes) > 45 and set(COMPLETE[:3]) <= set(passes), passes
     with open(FOREIGN) as file:
         foreign = file.read()
-    # As large as what is simplified by itself.
+    # As large as the bodies that tai-simplify-huge-bodies takes.
     huge = ["  func.func @huge(%a0: f64) -> f64 {", "    %one = arith.constant 1.0 : f64"]
     huge += [f"    %a{i + 1} = arith.mulf %a{i}, %one : f64" for i in range(3000)]
     huge += ["    return %a3000 : f64", "  }", "}", ""]

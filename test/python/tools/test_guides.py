@@ -1,6 +1,6 @@
 """The programs of guides that have no test of their own run as they stand.
 
-A comment behind a `print` is what it prints.
+A comment behind a `print` is the line that it prints.
 """
 
 import re

@@ -27,7 +27,7 @@ def test_message(message, program, tmp_path, monkeypatch):
             error = str(raised)
     shown = "\n".join([error or "", *(str(warning.message) for warning in found)])
     assert re.search(re.escape(message).replace("…", ".*"), shown), shown
-    # Those that are no errors are said to be warnings.
+    # The page calls a message that is no error a warning.
     text = PAGE.read_text().split(f"### {message}\n", 1)[1].split("```\n", 1)[1]
     assert text.strip().startswith("A warning.") == (error is None)
 

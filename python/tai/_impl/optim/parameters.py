@@ -122,6 +122,10 @@ class Parameter:
         array = self.value if which == "value" else self.value.grad
         return array.array.reshape(-1)
 
+    def field(self, which: str = "value") -> Any:
+        """A field, its gradient, or its dual."""
+        return self.value if which == "value" else getattr(self.value, which)
+
     def first_not_finite(self) -> str:
         """Names the first element whose gradient is NaN or infinite, or is empty."""
         found = self.value.grad.to_numpy()
@@ -215,8 +219,7 @@ class Flat:
             if p.is_array:
                 k.gather_array(vector, start, p.flat(which))
             else:
-                source = p.value if which == "value" else getattr(p.value, which)
-                k.gather(vector, start, source, p.offset, p.inner)
+                k.gather(vector, start, p.field(which), p.offset, p.inner)
 
     def scatter(self, vector: Any, which: str) -> None:
         """The values, gradients or duals of the parameters = vector."""
@@ -225,5 +228,4 @@ class Flat:
             if p.is_array:
                 k.scatter_array(vector, start, p.flat(which))
             else:
-                target = p.value if which == "value" else getattr(p.value, which)
-                k.scatter(vector, start, target, p.offset, p.inner)
+                k.scatter(vector, start, p.field(which), p.offset, p.inner)

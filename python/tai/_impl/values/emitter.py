@@ -80,7 +80,7 @@ class Emitter:
         self.stopped: set[int] = set()
         # The arms of selects that are being emitted: conditions, and which way they must go.
         self.arms: list[tuple[Any, bool]] = []
-        # Of a kernel of a batch: its worlds, see `frontend.worlds`.
+        # The worlds of a kernel of a batch, see `frontend.worlds`.
         self.worlds: Any = None
 
     # Types
