@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import house
 import lock_discipline
 import measured_commits
 import prose
@@ -106,6 +107,14 @@ def rooms_of_sources(_fix: bool) -> str:
     return "\n".join(rooms.check())
 
 
+def house_rules(fix: bool) -> str:
+    """Passes have tests in their rooms; the counts of each subject's places do not rise."""
+    if fix:
+        house.lower_bars()
+        return ""
+    return "\n".join(house.check())
+
+
 def python_lock(_fix: bool) -> str:
     """The extension module takes Python's lock back after each call of libtai."""
     return "\n".join(lock_discipline.check())
@@ -157,6 +166,7 @@ CHECKS: dict[str, Callable[[bool], str]] = {
     "Python rooms": python_rooms,
     "Python types": python_types,
     "rooms": rooms_of_sources,
+    "house": house_rules,
     "Python's lock": python_lock,
     "prose": plain_prose,
     "measured commits": commits_of_results,

@@ -1,6 +1,6 @@
 """lit configuration: which files are tests, and which tools they call.
 
-To run one test: `build/bin/tai-lit test/Dialect/Tai/IR/ops.mlir`.
+To run one test: `build/bin/tai-lit test/Dialect/Tai/ops.mlir`.
 """
 
 # `config` and `lit_config` are given by lit.

@@ -150,7 +150,7 @@ static FailureOr<KeyedAccess> getAccess(ParallelForOp loop, Operation *op) {
     return KeyedAccess(store.getLocal().getAsOpaquePointer(), access);
   }
   if (op->hasTrait<OpTrait::HasRecursiveMemoryEffects>() ||
-      isMemoryEffectFree(op) || isa<TaiDialect>(op->getDialect()) ||
+      isMemoryEffectFree(op) || isa_and_present<TaiDialect>(op->getDialect()) ||
       isa<memref::AllocOp, memref::AllocaOp, memref::DeallocOp>(op))
     return none;
   return failure();
