@@ -14,11 +14,10 @@
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "mlir/IR/Matchers.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
-#include "tai/Analysis/IndexDigits.h"
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -33,22 +32,14 @@ bool mlir::tai::isSerialLoop(Operation *op) {
   return !parallel || parallel.getSerialize();
 }
 
-static std::optional<int64_t> getConstant(Value value) {
-  APInt constant;
-  if (!matchPattern(value, m_ConstantInt(&constant)) ||
-      constant.getSignificantBits() > 64)
-    return std::nullopt;
-  return constant.getSExtValue();
-}
-
 /// True for an index of a loop whose bounds are constants: it has all values of
 /// its range.
 static bool hasConstantBounds(Value value) {
   Operation *loop = getLoopOf(value);
   if (auto serial = dyn_cast_if_present<scf::ForOp>(loop))
     return value == serial.getInductionVar() &&
-           getConstant(serial.getLowerBound()) &&
-           getConstant(serial.getUpperBound());
+           getConstantIntValue(serial.getLowerBound()) &&
+           getConstantIntValue(serial.getUpperBound());
   auto parallel = dyn_cast_if_present<ParallelForOp>(loop);
   return parallel && getConstantBox(parallel);
 }
@@ -79,8 +70,7 @@ struct Later {
 
 /// The form in terms of the values with which a loop `scf.while` begins an
 /// iteration: its second region is given values of the first one.
-static IndexExpr getForm(IndexBuilder &builder, Value value) {
-  IndexExpr form = builder.get(value);
+static IndexExpr getForm(IndexBuilder &builder, IndexExpr form) {
   for (unsigned round = 0; round != 4; ++round) {
     IndexExpr next =
         form.substitute([&](Value term) -> std::optional<IndexExpr> {
@@ -153,27 +143,22 @@ static bool areApart(IndexBuilder &builder, ValueRange first, ValueRange second,
                      Block *common, const Later &later) {
   return llvm::any_of(llvm::zip(first, second), [&](auto pair) {
     auto [lhs, rhs] = pair;
-    return areApart(builder, getForm(builder, lhs), getForm(builder, rhs),
-                    common, later);
+    return areApart(builder, getForm(builder, builder.get(lhs)),
+                    getForm(builder, builder.get(rhs)), common, later);
   });
 }
 
-/// True if no two iterations of `loop` have all indices in common, because both
-/// lists are the same expressions, which tell iterations apart.
+/// True if two iterations of `loop` with equal indices are the same one.
 static bool tellApart(IndexBuilder &builder, Operation *loop, ValueRange first,
                       ValueRange second) {
-  std::optional<SmallVector<Value>> ivs;
-  if (isa<scf::ForOp, ParallelForOp>(loop))
-    ivs = cast<LoopLikeOpInterface>(loop).getLoopInductionVars();
+  if (!isa<scf::ForOp, ParallelForOp>(loop) || first.size() != second.size())
+    return false;
+  auto ivs = cast<LoopLikeOpInterface>(loop).getLoopInductionVars();
   if (!ivs || ivs->empty())
     return false;
-  SmallVector<IndexExpr> common;
-  for (auto [lhs, rhs] : llvm::zip(first, second)) {
-    IndexExpr expr = builder.get(lhs);
-    if (lhs == rhs || expr == builder.get(rhs))
-      common.push_back(expr);
-  }
-  return !common.empty() && isInjectiveOver(builder, common, *ivs);
+  IterationEquations equations(builder, loop);
+  equations.add(first, second);
+  return equations.solve(*ivs);
 }
 
 /// The ways in which an iteration of `loop` can be later than another.
@@ -191,7 +176,7 @@ static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
   if (auto serial = dyn_cast<scf::ForOp>(loop)) {
     // Steps are positive.
     int64_t step =
-        std::max<int64_t>(getConstant(serial.getStep()).value_or(1), 1);
+        std::max<int64_t>(getConstantIntValue(serial.getStep()).value_or(1), 1);
     later.moving.emplace_back(serial.getInductionVar(), step);
     if (!setMost(serial.getInductionVar(), step))
       return ways;
@@ -208,7 +193,7 @@ static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
     for (auto [argument, next] : llvm::zip(whileOp.getBeforeArguments(),
                                            whileOp.getYieldOp().getOperands()))
       if (argument.getType().isIntOrIndex()) {
-        IndexExpr form = getForm(builder, next);
+        IndexExpr form = getForm(builder, builder.get(next));
         if (form.width < 32 || form.terms.size() != 1 ||
             form.getCoefficient(argument) != 1)
           continue;
@@ -229,29 +214,25 @@ bool mlir::tai::mayMeet(ParallelForOp loop, ElementPlace first,
                         ElementPlace second) {
   Block *body = &loop.getBody().front();
   IndexBuilder builder;
-  auto areApartIn = [&](ValueRange a, ValueRange b, const Later &later) {
-    return a.size() == b.size() && areApart(builder, a, b, body, later);
-  };
-  if (first.indices.size() == second.indices.size() &&
-      tellApart(builder, loop, first.indices, second.indices))
+  IterationEquations equations(builder, loop);
+  if (first.indices.size() == second.indices.size())
+    equations.add(first.indices, second.indices);
+  if (first.components.size() == second.components.size())
+    equations.add(first.components, second.components);
+  SmallVector<Value> ivs(loop.getInductionVars());
+  if (equations.solve(ivs) && !ivs.empty())
     return false;
-  auto numbers = findNumbersOfDigits(first.indices, second.indices, loop);
-  auto areNumbersApart = [&](const Later &later, bool isSwapped) {
-    return llvm::any_of(numbers, [&](auto &pair) {
-      IndexExpr a = getForm(builder, pair.first);
-      IndexExpr b = getForm(builder, pair.second);
-      return isSwapped ? areApart(builder, b, a, body, later)
-                       : areApart(builder, a, b, body, later);
-    });
-  };
   return llvm::any_of(getWays(builder, loop), [&](Later &later) {
     later.inRange = true;
-    auto mayAlias = [&](const ElementPlace &a, const ElementPlace &b) {
-      return !areApartIn(a.indices, b.indices, later) &&
-             !areApartIn(a.components, b.components, later);
+    auto mayHold = [&](bool isSwapped) {
+      return llvm::none_of(equations.get(), [&](const auto &equation) {
+        IndexExpr a = getForm(builder, equation.first);
+        IndexExpr b = getForm(builder, equation.second);
+        return areApart(builder, isSwapped ? b : a, isSwapped ? a : b, body,
+                        later);
+      });
     };
-    return (mayAlias(first, second) && !areNumbersApart(later, false)) ||
-           (mayAlias(second, first) && !areNumbersApart(later, true));
+    return mayHold(false) || mayHold(true);
   });
 }
 
@@ -295,9 +276,8 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
          !(scope && loop == scope->getParentOp());
        loop = loop->getParentOp())
     if (isSerialLoop(loop) &&
-        !(first.getAccessIndices().size() == second.getAccessIndices().size() &&
-          tellApart(builder, loop, first.getAccessIndices(),
-                    second.getAccessIndices())) &&
+        !tellApart(builder, loop, first.getAccessIndices(),
+                   second.getAccessIndices()) &&
         llvm::any_of(getWays(builder, loop), mayAlias))
       return true;
   return false;

@@ -120,6 +120,7 @@ tai.kernel @border(%n: index) {
 // Digits of a number determine it. These are those of Python, rounded down.
 // CHECK-NOT: tai.kernel @digits.0
 // CHECK-NOT: tai.kernel @quotient_and_rest.0
+// CHECK-NOT: tai.kernel @two_numbers.0
 tai.kernel @digits() {
   %c4 = arith.constant 4 : index
   %c8 = arith.constant 8 : index
@@ -150,10 +151,28 @@ tai.kernel @quotient_and_rest(%m: index) {
   }
   tai.return
 }
+tai.kernel @two_numbers() {
+  %c0 = arith.constant 0 : index
+  %c8 = arith.constant 8 : index
+  %c32 = arith.constant 32 : index
+  tai.parallel_for (%i) = (%c0) to (%c32) {
+    %0 = tai.load @x[%i] : f32
+    %q = arith.floordivsi %i, %c8 : index
+    %r = arith.remsi %i, %c8 : index
+    tai.store %0, @square[%q, %r] : f32
+    %other = arith.addi %i, %c32 : index
+    %oq = arith.floordivsi %other, %c8 : index
+    %or = arith.remsi %other, %c8 : index
+    tai.store %0, @square[%oq, %or] : f32
+  }
+  tai.return
+}
 
-// Some digits do not, nor a quotient and a remainder of different divisions.
+// Some digits do not, nor a quotient and a remainder of different divisions; and
+// the numbers of two stores must not meet.
 // CHECK-LABEL: tai.kernel @gap.0(
 // CHECK-LABEL: tai.kernel @mixed.0(
+// CHECK-LABEL: tai.kernel @near_numbers.0(
 tai.kernel @gap() {
   %c4 = arith.constant 4 : index
   %c8 = arith.constant 8 : index
@@ -171,6 +190,23 @@ tai.kernel @mixed(%m: index, %n: index) {
     %q = arith.divsi %i, %m : index
     %r = arith.remsi %i, %n : index
     tai.store %0, @square[%q, %r] : f32
+  }
+  tai.return
+}
+tai.kernel @near_numbers() {
+  %c0 = arith.constant 0 : index
+  %c8 = arith.constant 8 : index
+  %c20 = arith.constant 20 : index
+  %c32 = arith.constant 32 : index
+  tai.parallel_for (%i) = (%c0) to (%c32) {
+    %0 = tai.load @x[%i] : f32
+    %q = arith.floordivsi %i, %c8 : index
+    %r = arith.remsi %i, %c8 : index
+    tai.store %0, @square[%q, %r] : f32
+    %other = arith.addi %i, %c20 : index
+    %oq = arith.floordivsi %other, %c8 : index
+    %or = arith.remsi %other, %c8 : index
+    tai.store %0, @square[%oq, %or] : f32
   }
   tai.return
 }

@@ -7,6 +7,7 @@
 
 #include "tai/Analysis/Index/IndexBuilder.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/IR/Matchers.h"
 #include "llvm/Support/MathExtras.h"
 
@@ -81,14 +82,18 @@ IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
     return {std::min(a.low, b.low), std::min(a.high, b.high)};
   case Kind::Max:
     return {std::max(a.low, b.low), std::max(a.high, b.high)};
-  case Kind::Quotient: {
+  case Kind::Quotient:
+  case Kind::TruncatedQuotient: {
     if (b.low <= 0) {
       // No quotient is farther from zero than the dividend and minus one.
       __int128 most = std::max({a.high, -a.low, static_cast<__int128>(1)});
       return {-most, most};
     }
-    __int128 ends[] = {divideDown(a.low, b.low), divideDown(a.low, b.high),
-                       divideDown(a.high, b.low), divideDown(a.high, b.high)};
+    auto divide = [&](__int128 x, __int128 y) {
+      return node->kind == Kind::Quotient ? divideDown(x, y) : x / y;
+    };
+    __int128 ends[] = {divide(a.low, b.low), divide(a.low, b.high),
+                       divide(a.high, b.low), divide(a.high, b.high)};
     return {*std::min_element(ends, ends + 4),
             *std::max_element(ends, ends + 4)};
   }
@@ -98,6 +103,12 @@ IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
     if (a.low >= 0 && b.low > 0)
       range.high = std::min(range.high, a.high);
     return range;
+  }
+  case Kind::TruncatedRemainder: {
+    // The divisor is not zero where there is a remainder.
+    __int128 most = std::max({b.high, -b.low, static_cast<__int128>(1)}) - 1;
+    return {a.low < 0 ? std::max(a.low, -most) : 0,
+            a.high > 0 ? std::min(a.high, most) : 0};
   }
   }
   llvm_unreachable("all kinds are handled");
@@ -158,12 +169,18 @@ IndexExpr IndexBuilder::getRemainder(const IndexExpr &lhs,
   return IndexExpr(IndexNode{Kind::Remainder, lhs, rhs});
 }
 
+IndexExpr IndexBuilder::getQuotientOf(const IndexNode &rest) {
+  if (rest.kind == Kind::Remainder)
+    return getQuotient(rest.lhs, rest.rhs);
+  return IndexExpr(IndexNode{Kind::TruncatedQuotient, rest.lhs, rest.rhs});
+}
+
 IndexExpr IndexBuilder::joinDigits(IndexExpr expr) {
   for (const auto &[atom, factor] : expr.terms) {
     const IndexNode *node = atom.getNode();
-    if (!node || node->kind != Kind::Remainder)
+    if (!node || !node->isRemainder())
       continue;
-    IndexExpr quotient = getQuotient(node->lhs, node->rhs);
+    IndexExpr quotient = getQuotientOf(*node);
     IndexExpr multiple;
     if (node->rhs.isConstant())
       multiple.add(quotient, node->rhs.constant);
@@ -190,11 +207,6 @@ IndexExpr IndexBuilder::joinDigits(IndexExpr expr) {
 // Operations
 //===----------------------------------------------------------------------===//
 
-/// True if the value is determined modulo two to the width of its type.
-static bool isWhole(const IndexExpr &expr, Value value) {
-  return expr.width >= getWidth(value.getType());
-}
-
 IndexExpr IndexBuilder::limit(IndexExpr expr, Type type,
                               llvm::function_ref<bool()> fits) {
   unsigned width = getWidth(type);
@@ -215,11 +227,7 @@ std::optional<IndexExpr> IndexBuilder::buildSum(Operation *op, unsigned depth) {
     return std::nullopt;
   Value lhs = op->getOperand(0), rhs = op->getOperand(1);
   int64_t sign = add ? 1 : -1;
-  IndexExpr a = build(lhs, depth), b = build(rhs, depth);
-  if (!isWhole(a, lhs))
-    a = IndexExpr(lhs);
-  if (!isWhole(b, rhs))
-    b = IndexExpr(rhs);
+  IndexExpr a = buildWhole(lhs, depth), b = buildWhole(rhs, depth);
   auto fits = [&] {
     if (add ? neverWraps(add) : neverWraps(sub))
       return true;
@@ -237,9 +245,7 @@ std::optional<IndexExpr> IndexBuilder::buildProduct(Operation *op,
   if (!mul)
     return std::nullopt;
   Value lhs = mul.getLhs(), rhs = mul.getRhs();
-  IndexExpr a = build(lhs, depth), b = build(rhs, depth);
-  if (!isWhole(a, lhs) || !isWhole(b, rhs))
-    return std::nullopt;
+  IndexExpr a = buildWhole(lhs, depth), b = buildWhole(rhs, depth);
   if (a.isConstant())
     std::swap(a, b);
   IndexExpr product;
@@ -294,19 +300,23 @@ std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
   if (!isQuotient && !isa<arith::RemSIOp, arith::RemUIOp>(op))
     return std::nullopt;
   Value lhs = op->getOperand(0), rhs = op->getOperand(1);
-  IndexExpr a = build(lhs, depth), b = build(rhs, depth);
-  if (!a.isExact() || !b.isExact() || (b.isConstant() && b.constant == 0))
+  IndexExpr a = buildExact(lhs, depth), b = buildExact(rhs, depth);
+  if (b.isConstant() && b.constant == 0)
     return std::nullopt;
   IndexRange divisor = getSignedRange(rhs);
-  // Rounding towards zero is rounding down for numbers of one sign.
-  if (!isFloor && (getSignedRange(lhs).low < 0 || divisor.low < 0))
-    return std::nullopt;
   // The one quotient that wraps is that of the least number and -1.
   if (divisor.low <= -1 && divisor.high >= -1 &&
       !multiplyRanges(getSignedRange(lhs), {-1, -1})
            .fits(getWidth(lhs.getType())))
     return std::nullopt;
-  return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
+  // Rounding towards zero is rounding down for numbers of one sign.
+  if (isFloor || (getSignedRange(lhs).low >= 0 && divisor.low >= 0))
+    return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
+  if (isa<arith::DivUIOp, arith::RemUIOp>(op))
+    return std::nullopt;
+  return IndexExpr(
+      IndexNode{isQuotient ? Kind::TruncatedQuotient : Kind::TruncatedRemainder,
+                std::move(a), std::move(b)});
 }
 
 /// True if `condition` says that `rest`, a remainder that is rounded towards
@@ -381,8 +391,8 @@ std::optional<IndexExpr> IndexBuilder::buildSelect(Operation *op,
   }
   if (!rest || !saysSignsDiffer(select.getCondition(), rest, rhs))
     return std::nullopt;
-  IndexExpr a = build(lhs, depth), b = build(rhs, depth);
-  if (!a.isExact() || !b.isExact() || (b.isConstant() && b.constant == 0))
+  IndexExpr a = buildExact(lhs, depth), b = buildExact(rhs, depth);
+  if (b.isConstant() && b.constant == 0)
     return std::nullopt;
   // The least number divided by -1 is no number.
   return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
@@ -393,12 +403,19 @@ std::optional<IndexExpr> IndexBuilder::buildExtreme(Operation *op,
   bool isMin = isa<arith::MinSIOp>(op);
   if (!isMin && !isa<arith::MaxSIOp>(op))
     return std::nullopt;
-  IndexExpr a = build(op->getOperand(0), depth);
-  IndexExpr b = build(op->getOperand(1), depth);
-  if (!a.isExact() || !b.isExact())
-    return std::nullopt;
-  return IndexExpr(
-      IndexNode{isMin ? Kind::Min : Kind::Max, std::move(a), std::move(b)});
+  return IndexExpr(IndexNode{isMin ? Kind::Min : Kind::Max,
+                             buildExact(op->getOperand(0), depth),
+                             buildExact(op->getOperand(1), depth)});
+}
+
+IndexExpr IndexBuilder::buildWhole(Value value, unsigned depth) {
+  IndexExpr expr = build(value, depth);
+  return expr.width >= getWidth(value.getType()) ? expr : IndexExpr(value);
+}
+
+IndexExpr IndexBuilder::buildExact(Value value, unsigned depth) {
+  IndexExpr expr = build(value, depth);
+  return expr.isExact() ? expr : IndexExpr(value);
 }
 
 IndexExpr IndexBuilder::build(Value value, unsigned depth) {
@@ -408,7 +425,8 @@ IndexExpr IndexBuilder::build(Value value, unsigned depth) {
     return IndexExpr(constant.getSExtValue());
   Operation *op = value.getDefiningOp();
   Type type = value.getType();
-  if (!op || !type.isIntOrIndex() || type.isInteger(1) || getWidth(type) > 64)
+  if (!op || !type.isIntOrIndex() || type.isInteger(1) || getWidth(type) > 64 ||
+      (scope && !scope->isProperAncestor(op)))
     return IndexExpr(value);
   if (auto found = known.find(value); found != known.end())
     return found->second;
@@ -450,4 +468,24 @@ IndexExpr mlir::tai::getIndexExpr(Value value) {
 
 SmallVector<IndexExpr> mlir::tai::getIndexExprs(ValueRange values) {
   return IndexBuilder().get(values);
+}
+
+static void addSummands(Value index, SmallVectorImpl<IndexSummand> &summands) {
+  if (auto cast = index.getDefiningOp<arith::IndexCastOp>())
+    return addSummands(cast.getIn(), summands);
+  if (auto add = index.getDefiningOp<arith::AddIOp>()) {
+    addSummands(add.getLhs(), summands);
+    return addSummands(add.getRhs(), summands);
+  }
+  IndexSummand summand{index, index};
+  if (auto product = index.getDefiningOp<arith::MulIOp>())
+    if (auto factor = getConstantIntValue(product.getRhs()))
+      summand = {index, product.getLhs(), *factor};
+  summands.push_back(summand);
+}
+
+SmallVector<IndexSummand> mlir::tai::getSummands(Value index) {
+  SmallVector<IndexSummand> summands;
+  addSummands(index, summands);
+  return summands;
 }

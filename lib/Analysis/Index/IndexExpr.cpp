@@ -17,9 +17,7 @@ using namespace mlir::tai;
 
 /// Operations that commute have the lesser operand first.
 static IndexNode sortOperands(IndexNode node) {
-  using Kind = IndexNode::Kind;
-  if (node.kind != Kind::Quotient && node.kind != Kind::Remainder &&
-      node.rhs.compare(node.lhs) < 0)
+  if (!node.isDivision() && node.rhs.compare(node.lhs) < 0)
     std::swap(node.lhs, node.rhs);
   return node;
 }

@@ -76,120 +76,104 @@ bool mlir::tai::areDistinct(const IndexExpr &lhs, const IndexExpr &rhs) {
 }
 
 //===----------------------------------------------------------------------===//
-// Injectivity
+// Equations
 //===----------------------------------------------------------------------===//
 
-namespace {
-/// Finds the unknowns that are the same in two iterations if all of a list of
-/// expressions are.
-class Solver {
-public:
-  Solver(IndexBuilder &builder, ArrayRef<IndexExpr> indices, ValueRange ivs)
-      : builder(builder), equations(indices), ivs(ivs) {
-    loop = cast<BlockArgument>(ivs.front()).getOwner()->getParentOp();
-    if (auto like = dyn_cast_if_present<LoopLikeOpInterface>(loop))
-      if (auto all = like.getLoopInductionVars())
-        llvm::append_range(others, *all);
-    llvm::erase_if(others,
-                   [&](Value iv) { return llvm::is_contained(ivs, iv); });
-  }
+void IterationEquations::add(const IndexExpr &first, const IndexExpr &second) {
+  std::pair equation(first, second);
+  if (!llvm::is_contained(equations, equation))
+    equations.push_back(std::move(equation));
+}
 
-  bool solve() {
-    bool changed = true;
-    while (changed) {
-      changed = false;
-      // Dividends are added behind.
-      for (size_t i = 0; i != equations.size(); ++i)
-        changed |= solveOne(i);
-      changed |= joinDigits();
-      if (llvm::all_of(ivs, [&](Value iv) { return isKnown(iv); }))
-        return true;
-    }
-    return false;
-  }
+void IterationEquations::add(ValueRange first, ValueRange second) {
+  for (auto [a, b] : llvm::zip_equal(first, second))
+    add(builder.get(a), builder.get(b));
+}
 
-private:
-  /// True for a value that is the same in both iterations.
-  bool isKnown(Value value) const {
-    if (solved(IndexAtom(value)) || llvm::is_contained(others, value))
-      return true;
-    return !loop || !loop->isAncestor(value.getParentBlock()->getParentOp());
-  }
+bool IterationEquations::solve(ValueRange values) {
+  size_t steps;
+  do {
+    steps = equations.size() + solutions.size();
+    // Dividends are added behind.
+    for (size_t i = 0; i != equations.size(); ++i)
+      solveOne(equations[i].first, equations[i].second);
+    joinDigits();
+  } while (steps != equations.size() + solutions.size());
+  return llvm::all_of(
+      values, [&](const IndexAtom &value) { return isSame(value, value); });
+}
 
-  bool solved(const IndexAtom &atom) const {
-    return llvm::is_contained(solutions, atom);
-  }
-
-  bool isKnown(const IndexAtom &atom) const {
-    return solved(atom) ||
-           atom.allOf([&](Value value) { return isKnown(value); });
-  }
-
-  /// The difference of an unknown in two iterations.
-  IndexRange getDifference(const IndexAtom &atom) {
-    IndexRange range = builder.getRange(atom);
-    __int128 most = range.high - range.low;
-    if (atom.getValue() && llvm::is_contained(ivs, atom.getValue()))
-      most = std::min<__int128>(most, kMostIterations);
-    return {-most, most};
-  }
-
-  bool solveOne(size_t number) {
-    const std::pair<IndexAtom, int64_t> *unknown = nullptr;
-    for (const auto &term : equations[number].terms) {
-      if (isKnown(term.first))
-        continue;
-      if (unknown)
-        return false;
-      unknown = &term;
-    }
-    if (!unknown)
-      return false;
-    unsigned width = equations[number].width;
-    if (width == 64 && std::abs(unknown->second) == 1) {
-      solutions.push_back(unknown->first);
-      return true;
-    }
-    // Only the difference zero gives equal low bits: positive ones do not.
-    IndexDifference difference;
-    IndexRange range = getDifference(unknown->first);
-    range.low = 1;
-    difference.addUnknown(unknown->second, range);
-    if (range.high >= 1 && difference.canBeZero(width))
-      return false;
-    solutions.push_back(unknown->first);
+bool IterationEquations::isSame(const IndexAtom &first,
+                                const IndexAtom &second) const {
+  if (llvm::is_contained(solutions, std::pair(first, second)))
     return true;
-  }
+  const IndexNode *a = first.getNode(), *b = second.getNode();
+  if (a && b)
+    return a->kind == b->kind && isSame(a->lhs, b->lhs) &&
+           isSame(a->rhs, b->rhs);
+  Value value = first.getValue();
+  return value && value == second.getValue() &&
+         (llvm::is_contained(same, value) ||
+          !loop->isAncestor(value.getParentBlock()->getParentOp()));
+}
 
-  /// The quotient and the remainder of one division determine the dividend.
-  bool joinDigits() {
-    SmallVector<IndexExpr> found;
-    for (const IndexAtom &atom : solutions) {
-      const IndexNode *node = atom.getNode();
-      if (!node || node->kind != IndexNode::Kind::Remainder ||
-          !isKnown(node->rhs))
-        continue;
-      if (isKnown(builder.getQuotient(node->lhs, node->rhs)) &&
-          !llvm::is_contained(equations, node->lhs))
-        found.push_back(node->lhs);
-    }
-    llvm::append_range(equations, found);
-    return !found.empty();
-  }
+bool IterationEquations::isSame(IndexExpr first, IndexExpr second) const {
+  cancel(first, second);
+  return first.isConstant() && second.isConstant() &&
+         first.constant == second.constant;
+}
 
-  bool isKnown(const IndexExpr &expr) const {
-    return llvm::all_of(expr.terms,
-                        [&](const auto &term) { return isKnown(term.first); });
-  }
+/// Takes the terms that are the same away from both sums.
+void IterationEquations::cancel(IndexExpr &first, IndexExpr &second) const {
+  llvm::erase_if(first.terms, [&](const auto &term) {
+    auto *at = llvm::find_if(second.terms, [&](const auto &other) {
+      return term.second == other.second && isSame(term.first, other.first);
+    });
+    if (at == second.terms.end())
+      return false;
+    second.terms.erase(at);
+    return true;
+  });
+}
 
-  IndexBuilder &builder;
-  SmallVector<IndexExpr> equations;
-  ValueRange ivs;
-  Operation *loop;
-  SmallVector<Value> others;
-  SmallVector<IndexAtom> solutions;
-};
-} // namespace
+/// Finds the one unknown of an equation. By value: solutions add equations.
+void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
+  cancel(first, second);
+  if (first.terms.size() != 1 || second.terms.size() != 1 ||
+      first.constant != second.constant ||
+      first.terms.front().second != second.terms.front().second)
+    return;
+  const auto &[a, factor] = first.terms.front();
+  const IndexAtom &b = second.terms.front().first;
+  unsigned width = std::min(first.width, second.width);
+  if (width != 64 || std::abs(factor) != 1) {
+    // Only the difference zero gives equal low bits: no other one does.
+    IndexRange lhs = builder.getRange(a), rhs = builder.getRange(b);
+    __int128 most = std::max(lhs.high - rhs.low, rhs.high - lhs.low);
+    auto iv = dyn_cast_if_present<BlockArgument>(a.getValue());
+    if (iv && a == b && iv.getOwner()->getParentOp() == loop)
+      most = std::min<__int128>(most, kMostIterations);
+    IndexDifference difference;
+    difference.addUnknown(factor, {1, most});
+    if (most >= 1 && difference.canBeZero(width))
+      return;
+  }
+  solutions.emplace_back(a, b);
+  // An expression that may wrap is a term where it is divided or extended.
+  if (a.getValue() && b.getValue())
+    add(a.getValue(), b.getValue());
+}
+
+/// The quotient and the remainder of one division determine the dividend.
+void IterationEquations::joinDigits() {
+  for (const auto &[first, second] : solutions) {
+    const IndexNode *a = first.getNode(), *b = second.getNode();
+    if (a && b && a->isRemainder() && b->kind == a->kind &&
+        isSame(a->rhs, b->rhs) &&
+        isSame(builder.getQuotientOf(*a), builder.getQuotientOf(*b)))
+      add(a->lhs, b->lhs);
+  }
+}
 
 bool mlir::tai::isInjectiveOver(ArrayRef<IndexExpr> indices, ValueRange ivs) {
   IndexBuilder builder;
@@ -198,5 +182,16 @@ bool mlir::tai::isInjectiveOver(ArrayRef<IndexExpr> indices, ValueRange ivs) {
 
 bool mlir::tai::isInjectiveOver(IndexBuilder &builder,
                                 ArrayRef<IndexExpr> indices, ValueRange ivs) {
-  return ivs.empty() || Solver(builder, indices, ivs).solve();
+  if (ivs.empty())
+    return true;
+  Operation *loop = cast<BlockArgument>(ivs.front()).getOwner()->getParentOp();
+  SmallVector<Value> others;
+  if (auto like = dyn_cast_if_present<LoopLikeOpInterface>(loop))
+    if (auto all = like.getLoopInductionVars())
+      others = *all;
+  llvm::erase_if(others, [&](Value iv) { return llvm::is_contained(ivs, iv); });
+  IterationEquations equations(builder, loop, others);
+  for (const IndexExpr &index : indices)
+    equations.add(index, index);
+  return equations.solve(ivs);
 }

@@ -280,8 +280,7 @@ std::optional<int64_t> evaluate(const IndexNode &node, ValueOf valueOf) {
   std::optional<int64_t> b = evaluate(node.rhs, valueOf);
   if (!a || !b)
     return std::nullopt;
-  bool divides = node.kind == Kind::Quotient || node.kind == Kind::Remainder;
-  if (divides && (*b == 0 || (*a == INT64_MIN && *b == -1)))
+  if (node.isDivision() && (*b == 0 || (*a == INT64_MIN && *b == -1)))
     return std::nullopt;
   switch (node.kind) {
   case Kind::Product:
@@ -295,6 +294,10 @@ std::optional<int64_t> evaluate(const IndexNode &node, ValueOf valueOf) {
     return llvm::divideFloorSigned(*a, *b);
   case Kind::Remainder:
     return *a - llvm::divideFloorSigned(*a, *b) * *b;
+  case Kind::TruncatedQuotient:
+    return *a / *b;
+  case Kind::TruncatedRemainder:
+    return *a % *b;
   }
   llvm_unreachable("all kinds are handled");
 }
@@ -419,6 +422,75 @@ TEST_F(IndexExprTest, DigitsDetermineTheirNumber) {
     places.pop_back();
     EXPECT_TRUE(mayMeet(loop, {places, {}}, {places, {}}));
   }
+}
+
+// Two numbers with the same digits are the same number, whether all digits are
+// there, and whether the arithmetic of the numbers may wrap.
+TEST_F(IndexExprTest, DigitsOfTwoNumbers) {
+  int apart = 0, together = 0;
+  for (int round = 0; round != 1500; ++round) {
+    int64_t lower0 = chance(60) ? 0 : pick(-9, 3), lower1 = pick(-1, 1);
+    start(lower0, lower0 + pick(2, 11), lower1, lower1 + pick(1, 3));
+    Type types[] = {b.getI16Type(), b.getI32Type(), b.getI64Type(),
+                    b.getIndexType()};
+    Type type = types[pick(0, 3)];
+    auto ofLoop = [&](size_t k) {
+      Value iv = loop.getInductionVars()[k];
+      return type.isIndex() ? iv : arith::IndexCastOp::create(b, type, iv);
+    };
+    auto multiply = [&](Value value, int64_t factor) -> Value {
+      return arith::MulIOp::create(b, value, constant(factor, type));
+    };
+    Value shared = arith::AddIOp::create(b, multiply(ofLoop(0), pick(-1, 3)),
+                                         multiply(ofLoop(1), pick(-2, 3)));
+    if (chance(30))
+      shared = arith::AddIOp::create(b, shared, castTo(arguments[0], type));
+    int64_t distance = chance(40) ? 0 : pick(-3, 3);
+    Value numbers[] = {
+        shared, arith::AddIOp::create(b, shared, constant(distance, type))};
+    Value low =
+        chance(70) ? constant(pick(1, 6), type) : castTo(arguments[1], type);
+    Value high = constant(pick(1, 4), type);
+    bool isFloor = chance(75), isLong = chance(40);
+    int64_t dropped = chance(80) ? -1 : pick(0, isLong ? 2 : 1);
+    SmallVector<Value> digits[2];
+    for (int k = 0; k != 2; ++k) {
+      auto divide = [&](bool isQuotient) -> Value {
+        if (isFloor)
+          return roundDown(isQuotient, numbers[k], low);
+        return isQuotient
+                   ? arith::DivSIOp::create(b, numbers[k], low).getResult()
+                   : arith::RemSIOp::create(b, numbers[k], low).getResult();
+      };
+      Value quotient = divide(true);
+      digits[k] = {divide(false)};
+      if (isLong)
+        digits[k].push_back(roundDown(false, quotient, high));
+      digits[k].push_back(isLong ? roundDown(true, quotient, high) : quotient);
+      if (dropped >= 0)
+        digits[k].erase(digits[k].begin() + dropped);
+    }
+    bool isApart = !mayMeet(loop, {digits[0], {}}, {digits[1], {}});
+    bool meets = false;
+    for (int sample = 0; sample != 3; ++sample) {
+      SmallVector<int64_t> values{pick(-4, 9), pick(-5, 5), 0};
+      std::vector<Env> envs = enumerate(values);
+      for (size_t x = 0; x != envs.size(); ++x)
+        for (size_t y = 0; y != envs.size(); ++y) {
+          auto isEqual = [&](auto pair) {
+            auto [first, second] = pair;
+            auto number = numberOf(first, envs[x]);
+            return number && number == numberOf(second, envs[y]);
+          };
+          meets |=
+              x != y && llvm::all_of(llvm::zip(digits[0], digits[1]), isEqual);
+        }
+    }
+    ASSERT_FALSE(isApart && meets) << print(*module);
+    apart += isApart, together += meets;
+  }
+  EXPECT_GT(apart, 300);
+  EXPECT_GT(together, 300);
 }
 
 TEST_F(IndexExprTest, ThreeDigits) {

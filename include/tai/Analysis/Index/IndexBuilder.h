@@ -21,6 +21,9 @@ namespace mlir::tai {
 
 class IndexBuilder {
 public:
+  /// With a scope, values from outside of it are terms.
+  explicit IndexBuilder(Operation *scope = nullptr) : scope(scope) {}
+
   /// The expression of an integer or index value.
   IndexExpr get(Value value);
   SmallVector<IndexExpr> get(ValueRange values);
@@ -32,9 +35,15 @@ public:
   /// ⌊lhs / rhs⌋ and the rest, for exact sums.
   IndexExpr getQuotient(const IndexExpr &lhs, const IndexExpr &rhs);
   IndexExpr getRemainder(const IndexExpr &lhs, const IndexExpr &rhs);
+  /// The quotient of the division of which `rest` is the remainder.
+  IndexExpr getQuotientOf(const IndexNode &rest);
 
 private:
   IndexExpr build(Value value, unsigned depth);
+  /// The same, or the value as a term if its expression does not determine all
+  /// bits of its type, or may wrap.
+  IndexExpr buildWhole(Value value, unsigned depth);
+  IndexExpr buildExact(Value value, unsigned depth);
   std::optional<IndexExpr> buildSum(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildProduct(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildCast(Operation *op, unsigned depth);
@@ -53,6 +62,7 @@ private:
   /// the dividend.
   IndexExpr joinDigits(IndexExpr expr);
 
+  Operation *scope;
   IntegerRanges ranges;
   llvm::DenseMap<Value, IndexExpr> known;
   /// Expressions that the depth ended early, on the way to one value.
@@ -63,6 +73,15 @@ private:
 /// The same, by a builder of its own.
 IndexExpr getIndexExpr(Value value);
 SmallVector<IndexExpr> getIndexExprs(ValueRange values);
+
+/// A summand of an index, and the value that it is a constant multiple of.
+struct IndexSummand {
+  Value whole, value;
+  int64_t factor = 1;
+};
+
+/// The summands of an index, as the program adds them.
+SmallVector<IndexSummand> getSummands(Value index);
 
 } // namespace mlir::tai
 

@@ -93,12 +93,26 @@ struct IndexExpr {
   int compare(const IndexExpr &other) const;
 };
 
-/// An operation on two sums as integers, rounded down, with the remainder of
-/// the sign of the divisor.
+/// An operation on two sums as integers. Quotients are rounded down, truncated
+/// ones towards zero; remainders have the sign of the divisor, truncated ones
+/// that of the dividend.
 struct IndexNode {
-  enum class Kind { Quotient, Remainder, Product, Min, Max };
+  enum class Kind {
+    Quotient,
+    Remainder,
+    TruncatedQuotient,
+    TruncatedRemainder,
+    Product,
+    Min,
+    Max
+  };
   Kind kind;
   IndexExpr lhs, rhs;
+
+  bool isRemainder() const {
+    return kind == Kind::Remainder || kind == Kind::TruncatedRemainder;
+  }
+  bool isDivision() const { return kind < Kind::Product; }
   unsigned size = lhs.getSize() + rhs.getSize();
 };
 

@@ -38,6 +38,36 @@ private:
 /// them.
 bool areDistinct(const IndexExpr &lhs, const IndexExpr &rhs);
 
+/// Pairs of expressions that are equal, the first in one iteration of a loop
+/// and the second in another one, and the equations that follow from them:
+/// digits determine their number. Values from outside of the loop are the same
+/// in both iterations, as are those of `same`.
+class IterationEquations {
+public:
+  IterationEquations(IndexBuilder &builder, Operation *loop,
+                     ArrayRef<Value> same = {})
+      : builder(builder), loop(loop), same(same) {}
+
+  void add(const IndexExpr &first, const IndexExpr &second);
+  void add(ValueRange first, ValueRange second);
+  /// Adds all that follows. True if the values are the same in both iterations.
+  bool solve(ValueRange values);
+  ArrayRef<std::pair<IndexExpr, IndexExpr>> get() const { return equations; }
+
+private:
+  bool isSame(const IndexAtom &first, const IndexAtom &second) const;
+  bool isSame(IndexExpr first, IndexExpr second) const;
+  void cancel(IndexExpr &first, IndexExpr &second) const;
+  void solveOne(IndexExpr first, IndexExpr second);
+  void joinDigits();
+
+  IndexBuilder &builder;
+  Operation *loop;
+  SmallVector<Value> same;
+  SmallVector<std::pair<IndexExpr, IndexExpr>, 4> equations;
+  SmallVector<std::pair<IndexAtom, IndexAtom>> solutions;
+};
+
 /// True if different values of `ivs`, induction variables of one loop, give
 /// different values of at least one of `indices`. Its other induction variables
 /// and all values from outside of the loop count as fixed.
