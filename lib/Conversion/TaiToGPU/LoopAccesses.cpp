@@ -15,7 +15,7 @@
 #include "LoopAccesses.h"
 #include "Offload.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "mlir/IR/Matchers.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
@@ -28,14 +28,6 @@ using runtime::DeviceAccess;
 /// The analysis of a longer list would take too long.
 static constexpr size_t kMostAccesses = 96;
 
-std::optional<int64_t> tai::getWholeConstant(Value value) {
-  APInt constant;
-  if (!matchPattern(value, m_ConstantInt(&constant)) ||
-      constant.getSignificantBits() > 64)
-    return std::nullopt;
-  return constant.getSExtValue();
-}
-
 static int64_t getSize(Type type) {
   return isa<LLVM::LLVMPointerType>(type) || type.isIndex()
              ? 8
@@ -43,7 +35,8 @@ static int64_t getSize(Type type) {
 }
 
 LoopAccesses::LoopAccesses(ParallelForOp loop, bool deterministic)
-    : loop(loop), deterministic(deterministic), box(getConstantBox(loop)) {
+    : loop(loop), expressions(loop), deterministic(deterministic),
+      box(getConstantBox(loop)) {
   // Numbers of iterations are counted from there on.
   constexpr int64_t most = int64_t(1) << 31;
   if (box)
@@ -126,9 +119,9 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
   if (auto serial = dyn_cast<scf::ForOp>(parent)) {
     if (iv != serial.getInductionVar())
       return std::nullopt;
-    lower = getWholeConstant(serial.getLowerBound());
-    upper = getWholeConstant(serial.getUpperBound());
-    step = getWholeConstant(serial.getStep()).value_or(0);
+    lower = getConstantIntValue(serial.getLowerBound());
+    upper = getConstantIntValue(serial.getUpperBound());
+    step = getConstantIntValue(serial.getStep()).value_or(0);
     // Bounds that are compared without a sign may have any order.
     if (serial.getUnsignedCmp() && lower && upper && (*lower < 0 || *upper < 0))
       return std::nullopt;
@@ -144,98 +137,61 @@ static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
   return std::pair(llvm::divideCeilSigned(*upper - *lower, step), *lower);
 }
 
-bool LoopAccesses::addTerm(Address &address, Value value, int64_t scale,
-                           unsigned depth) {
+bool LoopAccesses::addTerms(Address &address, Value value, int64_t scale) {
+  IndexExpr expr = expressions.get(value);
+  // Sums in 8 or 16 bits wrap around.
+  if (expr.width < 32)
+    return false;
   DeviceAccess &access = address.access;
-  if (std::optional<int64_t> constant = getWholeConstant(value)) {
-    access.offset += scale * *constant;
-    return true;
-  }
-  if (loop.isDefinedOutsideOfLoop(value)) {
-    Operation *definition = value.getDefiningOp();
-    if ((definition && definition->hasAttr(kDeviceSlotAttrName)) ||
-        !value.getType().isIntOrIndex())
+  access.offset += scale * expr.constant;
+  for (const auto &[atom, factor] : expr.terms) {
+    Value term = atom.getValue();
+    if (!term || factor <= -(int64_t(1) << 31) || factor >= int64_t(1) << 31)
       return false;
-    address.terms.push_back({value, scale});
-    return true;
-  }
-  if (auto argument = dyn_cast<BlockArgument>(value)) {
-    if (argument.getOwner() == &loop.getBody().front()) {
+    if (!expr.isExact() && std::abs(factor) > 1)
+      access.unit = access.unit == 0 ? std::abs(scale)
+                                     : std::min(access.unit, std::abs(scale));
+    int64_t stride = scale * factor;
+    if (loop.isDefinedOutsideOfLoop(term)) {
+      Operation *definition = term.getDefiningOp();
+      if ((definition && definition->hasAttr(kDeviceSlotAttrName)) ||
+          !term.getType().isIntOrIndex())
+        return false;
+      address.terms.push_back({term, stride});
+      continue;
+    }
+    auto argument = dyn_cast<BlockArgument>(term);
+    if (argument && argument.getOwner() == &loop.getBody().front()) {
       if (!box)
         return false;
       unsigned d = argument.getArgNumber();
-      access.offset += scale * box->lower[d];
-      access.strides[d] += scale;
-      return true;
-    }
-    int64_t step = 0;
-    auto trips = getTrips(argument, step);
-    if (!trips)
+      access.offset += stride * box->lower[d];
+      access.strides[d] += stride;
+    } else if (argument) {
+      int64_t step = 0;
+      auto trips = getTrips(argument, step);
+      if (!trips)
+        return false;
+      access.offset += stride * trips->second;
+      widen(address, trips->first, stride * step);
+    } else if (term == value || !addTerms(address, term, stride)) {
+      // Others are sums that may wrap, which the program extends.
       return false;
-    access.offset += scale * trips->second;
-    widen(address, trips->first, scale * step);
-    return true;
+    }
   }
-  Operation *op = value.getDefiningOp();
-  if (depth == 0)
-    return false;
-  // Sums in 8 or 16 bits wrap around.
-  if (!isa<arith::ExtSIOp>(op) && !value.getType().isIndex() &&
-      value.getType().getIntOrFloatBitWidth() < 32)
-    return false;
-  auto addBoth = [&](int64_t sign) {
-    return addTerm(address, op->getOperand(0), scale, depth - 1) &&
-           addTerm(address, op->getOperand(1), sign * scale, depth - 1);
-  };
-  if (isa<arith::AddIOp>(op))
-    return addBoth(1);
-  if (isa<arith::SubIOp>(op))
-    return addBoth(-1);
-  if (isa<arith::IndexCastOp, arith::ExtSIOp>(op))
-    return addTerm(address, op->getOperand(0), scale, depth - 1);
-  if (isa<arith::MulIOp>(op))
-    for (unsigned i : {0, 1})
-      if (std::optional<int64_t> factor =
-              getWholeConstant(op->getOperand(1 - i))) {
-        if (std::abs(*factor) >= int64_t(1) << 31)
-          return false;
-        if (std::abs(*factor) > 1 && !value.getType().isIndex() &&
-            !value.getType().isInteger(64)) {
-          if (value.getType().getIntOrFloatBitWidth() < 32)
-            return false;
-          access.unit = access.unit == 0
-                            ? std::abs(scale)
-                            : std::min(access.unit, std::abs(scale));
-        }
-        return addTerm(address, op->getOperand(i), scale * *factor, depth - 1);
-      }
-  return false;
-}
-
-/// The parts of a sum.
-void tai::collectParts(Value sum, SmallVectorImpl<Value> &parts) {
-  if (auto cast = sum.getDefiningOp<arith::IndexCastOp>())
-    return collectParts(cast.getIn(), parts);
-  auto add = sum.getDefiningOp<arith::AddIOp>();
-  if (!add)
-    return parts.push_back(sum);
-  collectParts(add.getLhs(), parts);
-  collectParts(add.getRhs(), parts);
+  return true;
 }
 
 bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
                             ArrayRef<int64_t> digits) {
-  constexpr unsigned depth = 24;
   Address attempt = address;
-  if (addTerm(attempt, index, size, depth)) {
+  if (addTerms(attempt, index, size)) {
     address = std::move(attempt);
     return true;
   }
   // For each digit that is no sum of the known, only its range is known.
   // Digits of larger strides are products; the remainder is the digit of the
   // smallest.
-  SmallVector<Value> parts;
-  collectParts(index, parts);
   SmallVector<int64_t> strides, extents, begins;
   for (size_t i = 0; i + 2 < digits.size(); i += 3) {
     strides.push_back(digits[i]);
@@ -246,18 +202,13 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
     wide.access.offset += begins[digit] * strides[digit];
     widen(wide, extents[digit], strides[digit]);
   };
-  auto findDigit = [&](Value part) -> size_t {
-    auto product = part.getDefiningOp<arith::MulIOp>();
-    std::optional<int64_t> factor =
-        product ? getWholeConstant(product.getRhs()) : std::nullopt;
-    return factor ? llvm::find(strides, *factor * size) - strides.begin()
-                  : strides.size();
-  };
   attempt = address;
   llvm::SmallDenseSet<size_t> seen;
   SmallVector<Value> rest;
-  for (Value part : parts) {
-    size_t digit = findDigit(part);
+  for (auto [part, value, factor] : getSummands(index)) {
+    size_t digit = part == value
+                       ? strides.size()
+                       : llvm::find(strides, factor * size) - strides.begin();
     if (digit == strides.size()) {
       rest.push_back(part);
       continue;
@@ -265,14 +216,14 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
     if (!seen.insert(digit).second)
       return false;
     Address with = attempt;
-    if (addTerm(with, part, size, depth))
+    if (addTerms(with, part, size))
       attempt = std::move(with);
     else
       widenBy(attempt, digit);
   }
   Address with = attempt;
-  if (llvm::all_of(
-          rest, [&](Value part) { return addTerm(with, part, size, depth); })) {
+  if (llvm::all_of(rest,
+                   [&](Value part) { return addTerms(with, part, size); })) {
     address = std::move(with);
     return true;
   }

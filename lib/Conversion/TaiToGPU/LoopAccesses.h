@@ -12,6 +12,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/BuiltinAttributes.h"
 #include "tai/ABI/DeviceAccesses.h"
+#include "tai/Analysis/Index/IndexBuilder.h"
 #include "tai/Analysis/LoopBox.h"
 
 namespace mlir::tai {
@@ -80,10 +81,11 @@ private:
   void foldIterations();
   bool addIndex(Address &address, Value index, int64_t size,
                 ArrayRef<int64_t> digits);
-  bool addTerm(Address &address, Value value, int64_t scale, unsigned depth);
+  bool addTerms(Address &address, Value value, int64_t scale);
   static void widen(Address &address, int64_t count, int64_t step);
 
   ParallelForOp loop;
+  IndexBuilder expressions;
   bool deterministic;
   std::optional<LoopBox> box;
   bool isKnown = true;
@@ -106,12 +108,6 @@ LLVM::LLVMFuncOp makeTileFunction(LLVM::LLVMFuncOp function,
 /// sites; without sites, erases it.
 void finishTileFunction(LLVM::LLVMFuncOp tile, LLVM::LLVMFuncOp function,
                         DenseI64ArrayAttr sites);
-
-/// An integer constant of at most 64 bits.
-std::optional<int64_t> getWholeConstant(Value value);
-
-/// Appends the summands of a sum.
-void collectParts(Value sum, SmallVectorImpl<Value> &parts);
 
 } // namespace mlir::tai
 

@@ -85,30 +85,16 @@ void LoopAccesses::addSite(Operation *op, const Address &address, Value pointer,
 /// most one goes along with each index of the loop.
 bool LoopAccesses::addRegularIndex(Site &site, Value index, int64_t size,
                                    ArrayRef<int64_t> digits) {
-  constexpr unsigned depth = 24;
-  SmallVector<Value> parts;
-  collectParts(index, parts);
   // Digits that have been met; those that say more than that they are constant
   // must come once.
   llvm::SmallDenseSet<size_t> seen;
-  for (Value part : parts) {
-    if (loop.isDefinedOutsideOfLoop(part) || getWholeConstant(part)) {
-      if (!addTerm(site.address, part, size, depth))
-        return false;
-      continue;
-    }
-    Value digit = part;
-    int64_t stride = size;
-    if (auto product = part.getDefiningOp<arith::MulIOp>())
-      if (std::optional<int64_t> factor = getWholeConstant(product.getRhs())) {
-        digit = product.getLhs();
-        stride = *factor * size;
-      }
+  for (auto [part, digit, factor] : getSummands(index)) {
+    int64_t stride = factor * size;
     SmallVector<Value> variables;
     if (!collectIndexVariables(digit, loop.getBody(), variables))
       return false;
     if (variables.empty()) {
-      if (!addTerm(site.address, part, size, depth))
+      if (!addTerms(site.address, part, size))
         return false;
       continue;
     }
