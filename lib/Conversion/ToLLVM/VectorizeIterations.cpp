@@ -18,6 +18,7 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/Index/IndexBuilder.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
 
@@ -67,6 +68,7 @@ private:
   /// By how much integers and addresses grow with each iteration, addresses in
   /// bytes. Nothing if it varies, and for floats.
   DenseMap<Value, std::optional<int64_t>> strides;
+  IndexBuilder expressions;
   /// Values of the first lane, and of all.
   IRMapping scalars;
   DenseMap<Value, Value> vectors;
@@ -93,8 +95,8 @@ std::optional<int64_t> Lanes::getStride(Value value) {
     return 1;
   if (loop.isDefinedOutsideOfLoop(value))
     return 0;
-  auto found = strides.find(value);
-  if (found != strides.end())
+  auto [found, isNew] = strides.try_emplace(value);
+  if (!isNew)
     return found->second;
   Operation *op = value.getDefiningOp();
   std::optional<int64_t> stride = op ? computeStride(op) : std::nullopt;
@@ -106,34 +108,34 @@ std::optional<int64_t> Lanes::computeStride(Operation *op) {
   if (!isPlainIntegerOp(*op) && !isa<LLVM::GEPOp, LLVM::LoadOp>(op))
     return matchPattern(op, m_Constant()) ? std::optional<int64_t>(0)
                                           : std::nullopt;
-  SmallVector<int64_t> own;
-  for (Value operand : op->getOperands()) {
-    std::optional<int64_t> stride = getStride(operand);
-    if (!stride)
-      return std::nullopt;
-    own.push_back(*stride);
-  }
-  if (llvm::all_of(own, [](int64_t stride) { return stride == 0; }))
+  if (llvm::all_of(op->getOperands(),
+                   [&](Value operand) { return getStride(operand) == 0; }))
     return 0;
-  llvm::APInt factor;
-  int64_t result;
-  if (isa<arith::IndexCastOp>(op))
-    return own[0];
-  if (isa<arith::AddIOp>(op) && !llvm::AddOverflow(own[0], own[1], result))
-    return result;
-  if (isa<arith::SubIOp>(op) && !llvm::SubOverflow(own[0], own[1], result))
-    return result;
-  if (isa<arith::MulIOp>(op) &&
-      matchPattern(op->getOperand(1), m_ConstantInt(&factor)) &&
-      !llvm::MulOverflow(own[0], factor.getSExtValue(), result))
-    return result;
   // Base and one index.
-  if (auto address = dyn_cast<LLVM::GEPOp>(op);
-      address && address.getElemType().isF32() && own.size() == 2 &&
-      !llvm::MulOverflow(own[1], int64_t(4), result) &&
-      !llvm::AddOverflow(own[0], result, result))
-    return result;
-  return std::nullopt;
+  if (auto address = dyn_cast<LLVM::GEPOp>(op)) {
+    if (!address.getElemType().isF32() || op->getNumOperands() != 2)
+      return std::nullopt;
+    std::optional<int64_t> base = getStride(op->getOperand(0));
+    std::optional<int64_t> index = getStride(op->getOperand(1));
+    int64_t bytes;
+    if (!base || !index || llvm::MulOverflow(*index, int64_t(4), bytes) ||
+        llvm::AddOverflow(*base, bytes, bytes))
+      return std::nullopt;
+    return bytes;
+  }
+  if (!op->getResult(0).getType().isIntOrIndex())
+    return std::nullopt;
+  // Indices that leave 32 bits are out of range.
+  IndexExpr expr = expressions.get(op->getResult(0));
+  Value iv = loop.getInductionVar();
+  bool isLinear = llvm::all_of(expr.terms, [&](const auto &term) {
+    return term.first.getValue() == iv || term.first.allOf([&](Value value) {
+      return value != iv && getStride(value) == 0;
+    });
+  });
+  if (!isLinear || expr.width < 32)
+    return std::nullopt;
+  return expr.getCoefficient(iv);
 }
 
 bool Lanes::isOneGroup(Operation *op) {
