@@ -61,8 +61,9 @@ PAGES = (
         "or matrix. [Derivatives](../derivatives.md) has the rule and the value at kinks of each.",
         {
             "Vectors and matrices": "Matrix Vector solve svd polar_decompose sym_eig eig",
-            "Elementary functions": "abs acos asin atan2 ceil cos exp floor log max min pow "
-            "round rsqrt sin sqrt tan tanh",
+            "Elementary functions": "abs acos acosh asin asinh atan atan2 atanh cbrt ceil copysign "
+            "cos cosh erf erfc exp floor hypot log log10 max min pow round rsqrt sin sinh sqrt tan "
+            "tanh trunc",
             "Choices and logic": "select logical_and logical_or logical_not",
             "Types and bits": "cast bit_cast bit_shr raw_div raw_mod zero one",
             "Random numbers": "random randn",

@@ -46,8 +46,9 @@ _TRANSLATED: dict[Any, Callable[..., Any]] = {
     **{
         getattr(math, name): getattr(ops, name)
         for name in (
-            "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log",
-            "sqrt", "floor", "ceil", "trunc",
+            "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh",
+            "atanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "sqrt", "cbrt",
+            "erf", "erfc", "hypot", "copysign", "floor", "ceil", "trunc",
         )
     },
 }  # fmt: skip

@@ -21,11 +21,14 @@ _ABOVE, _FROM, _UP_TO = (UNORDERED[op] for op in (">", ">=", "<="))
 _DOMAINS = {
     "log": (_ABOVE, 0.0, False, "the logarithm of {}"),
     "log2": (_ABOVE, 0.0, False, "the logarithm of {}"),
+    "log10": (_ABOVE, 0.0, False, "the logarithm of {}"),
     "log1p": (_ABOVE, -1.0, False, "the logarithm of 1 + {}"),
     "sqrt": (_FROM, 0.0, False, "the square root of {}"),
     "rsqrt": (_FROM, 0.0, False, "the square root of {}"),
     "asin": (_UP_TO, 1.0, True, "the arc sine of {}"),
     "acos": (_UP_TO, 1.0, True, "the arc cosine of {}"),
+    "acosh": (_FROM, 1.0, False, "the inverse hyperbolic cosine of {}"),
+    "atanh": (_UP_TO, 1.0, True, "the inverse hyperbolic tangent of {}"),
 }
 
 

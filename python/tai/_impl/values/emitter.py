@@ -43,8 +43,8 @@ _MATH = {
     name: f"math.{name}"
     for name in (
         "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "exp2",
-        "log", "log2", "sqrt", "rsqrt", "floor", "ceil", "round", "trunc", "erf",
-        "log1p", "expm1",
+        "log", "log2", "log10", "sqrt", "rsqrt", "cbrt", "floor", "ceil", "round", "trunc", "erf",
+        "erfc", "log1p", "expm1", "asinh", "acosh", "atanh",
     )
 }  # fmt: skip
 
@@ -742,13 +742,6 @@ class Emitter:
     def check_small(self, matrix: MatrixValue, what: str) -> None:
         if matrix.shape[0] > 4:
             raise TaiTypeError(f"{what} of a {matrix.kind_name}: at most 4×4")
-
-    def atan2(self, a: Any, b: Any) -> Any:
-        a, b, dt = self.operands(a, b)
-        a, b = self.unify(a, b, dt if dt.is_float else computed_in(dtypes.default_fp()))
-        if a.const == 0 and b.const == 0:  # MLIR's folder makes NaN of it
-            return self.splat(math.atan2(a.const, b.const), a.dt, a.shape)
-        return self.elementwise("math.atan2", [a, b], a.dt)
 
     def decompose(self, name: str, matrix: Any, results: list[tuple[int, ...]]) -> tuple:
         """The factors of a matrix, of the given shapes; for `name` see the builder."""

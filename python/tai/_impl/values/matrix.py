@@ -437,6 +437,10 @@ def _plain(value: Any) -> Any:
     return value
 
 
+# Functions of NumPy that make floats of whole numbers.
+_TO_FLOATS = {np.true_divide, np.arctan2, np.hypot, np.copysign}
+
+
 def apply(function: Any, a: Any, b: Any) -> Any:
     """`function` of NumPy on two operands, matrices or numbers, in the type of a kernel.
 
@@ -449,7 +453,7 @@ def apply(function: Any, a: Any, b: Any) -> Any:
     floats = [dtype for dtype in typed if dtype.kind == "f"]
     if floats:
         wanted = functools.reduce(np.promote_types, floats)
-    elif "f" in kinds or function is np.true_divide or function is np.arctan2:
+    elif "f" in kinds or function in _TO_FLOATS:
         wanted = state.options.default_fp.numpy
     else:
         wanted = None if typed else state.options.default_ip.numpy

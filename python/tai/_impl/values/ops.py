@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..base import dtypes, state
 from ..base.dtypes import cast as cast
+from . import of_two
 from .division import check_division
 from .matrix import Matrix, apply
 from .value import stop_gradient
@@ -46,19 +47,35 @@ def _unary(name: str, scalar: Callable[[float], float], doc: str) -> Callable[[A
     return function
 
 
-def _or_nan(function: Callable[[float], float]) -> Callable[[float], float]:
-    """As in a kernel, a number outside of the domain gives NaN or infinity, not an exception."""
+def _or_nan(
+    function: Callable[[float], float], poles: dict[float, float] | None = None, odd: bool = False
+) -> Callable[[float], float]:
+    """As in a kernel, a number outside of the domain gives NaN or infinity, not an exception.
+
+    Args:
+        function: of Python.
+        poles: the values where the function is infinite.
+        odd: where it overflows, the result has the sign of the argument.
+    """
 
     def safe(x: float) -> float:
         try:
             return function(x)
         except ValueError:
-            is_log = function is math.log or function is math.log2
-            return -math.inf if is_log and x == 0 else math.nan
+            return (poles or {}).get(x, math.nan)
         except OverflowError:
-            return math.inf
+            return math.copysign(math.inf, x) if odd else math.inf
 
     return safe
+
+
+_AT_ZERO = {0.0: -math.inf}
+
+
+def _reciprocal_root(x: float) -> float:
+    if x == 0:
+        return math.copysign(math.inf, x)
+    return 1 / math.sqrt(x) if x > 0 else math.nan
 
 
 sin = _unary("sin", _or_nan(math.sin), "Sine.")
@@ -66,19 +83,28 @@ cos = _unary("cos", _or_nan(math.cos), "Cosine.")
 tan = _unary("tan", _or_nan(math.tan), "Tangent.")
 asin = _unary("asin", _or_nan(math.asin), "Arc sine.")
 acos = _unary("acos", _or_nan(math.acos), "Arc cosine.")
-atan = _unary("atan", math.atan, "Arc tangent.")
-sinh = _unary("sinh", _or_nan(math.sinh), "Hyperbolic sine.")
+atan = _unary("atan", math.atan, "Arc tangent, between -π/2 and π/2.")
+sinh = _unary("sinh", _or_nan(math.sinh, odd=True), "Hyperbolic sine.")
 cosh = _unary("cosh", _or_nan(math.cosh), "Hyperbolic cosine.")
 tanh = _unary("tanh", math.tanh, "Hyperbolic tangent.")
+asinh = _unary("asinh", math.asinh, "Inverse of the hyperbolic sine.")
+acosh = _unary("acosh", _or_nan(math.acosh), "Inverse of the hyperbolic cosine; NaN below 1.")
+atanh = _unary(
+    "atanh", _or_nan(math.atanh, {1.0: math.inf, -1.0: -math.inf}),
+    "Inverse of the hyperbolic tangent; infinite at ±1, NaN beyond.",
+)  # fmt: skip
 exp = _unary("exp", _or_nan(math.exp), "e to the power of x.")
-log = _unary("log", _or_nan(math.log), "Natural logarithm.")
-log1p = _unary("log1p", _or_nan(math.log1p), "log(1 + x), also for small x.")
+log = _unary("log", _or_nan(math.log, _AT_ZERO), "Natural logarithm.")
+log1p = _unary("log1p", _or_nan(math.log1p, {-1.0: -math.inf}), "log(1 + x), also for small x.")
 expm1 = _unary("expm1", _or_nan(math.expm1), "exp(x) - 1, also for small x.")
 exp2 = _unary("exp2", _or_nan(lambda x: 2.0**x), "2 to the power of x.")
-log2 = _unary("log2", _or_nan(math.log2), "Logarithm to the base of 2.")
+log2 = _unary("log2", _or_nan(math.log2, _AT_ZERO), "Logarithm to the base of 2.")
+log10 = _unary("log10", _or_nan(math.log10, _AT_ZERO), "Logarithm to the base of 10.")
 sqrt = _unary("sqrt", _or_nan(math.sqrt), "Square root.")
-rsqrt = _unary("rsqrt", lambda x: 1 / math.sqrt(x) if x > 0 else math.inf, "1 / √x.")
-trunc = _unary("trunc", lambda x: float(math.trunc(x)), "The integer part, as a float.")
+rsqrt = _unary("rsqrt", _reciprocal_root, "1 / √x.")
+cbrt = _unary("cbrt", math.cbrt, "Cube root, also of negative numbers.")
+erf = _unary("erf", math.erf, "Error function, 2/√π ∫ exp(-t²) from 0 to x.")
+erfc = _unary("erfc", math.erfc, "1 - erf(x), also where that is small.")
 
 
 def _rounding(name: str, scalar: Callable[[float], float], doc: str) -> Callable[..., Any]:
@@ -93,13 +119,29 @@ def _rounding(name: str, scalar: Callable[[float], float], doc: str) -> Callable
     return function
 
 
-def _half_away(x: float) -> float:
-    return float(math.copysign(math.floor(builtins.abs(x) + 0.5), x))
+def _whole(function: Callable[[float], int]) -> Callable[[float], float]:
+    """A whole number as a float, with the sign of the argument where it is zero."""
+
+    def rounded(x: float) -> float:
+        if not math.isfinite(x):
+            return float(x)
+        return function(x) or math.copysign(0.0, x)
+
+    return lambda x: float(rounded(x))
 
 
-floor = _rounding("floor", lambda x: float(math.floor(x)), "Rounds down.")
-ceil = _rounding("ceil", lambda x: float(math.ceil(x)), "Rounds up.")
-round = _rounding("round", _half_away, "Rounds to the nearest whole number, halves away from zero.")
+def _half_away(x: float) -> int:
+    # x + 0.5 would round the largest number below 0.5 to 1.
+    whole = math.trunc(x)
+    return whole + int(math.copysign(1, x)) if builtins.abs(x - whole) >= 0.5 else whole
+
+
+floor = _rounding("floor", _whole(math.floor), "Rounds down.")
+ceil = _rounding("ceil", _whole(math.ceil), "Rounds up.")
+round = _rounding(
+    "round", _whole(_half_away), "Rounds to the nearest whole number, halves away from zero."
+)
+trunc = _rounding("trunc", _whole(math.trunc), "Rounds toward zero.")
 
 
 def abs(x: Any) -> Any:
@@ -145,10 +187,28 @@ def pow(x: Any, y: Any) -> Any:
 def atan2(y: Any, x: Any) -> Any:
     """The angle of the point (x, y)."""
     if _needs_emitter(x, y):
-        return state.emitter.atan2(y, x)
+        return of_two.atan2(state.emitter, y, x)
     if isinstance(x, Matrix) or isinstance(y, Matrix):
         return apply(np.arctan2, y, x)
     return math.atan2(y, x)
+
+
+def hypot(x: Any, y: Any) -> Any:
+    """√(x² + y²), also where the squares overflow or vanish."""
+    if _needs_emitter(x, y):
+        return of_two.hypot(state.emitter, x, y)
+    if isinstance(x, Matrix) or isinstance(y, Matrix):
+        return apply(np.hypot, x, y)
+    return math.hypot(x, y)
+
+
+def copysign(x: Any, y: Any) -> Any:
+    """|x| with the sign of y; the sign of -0.0 is negative."""
+    if _needs_emitter(x, y):
+        return of_two.copysign(state.emitter, x, y)
+    if isinstance(x, Matrix) or isinstance(y, Matrix):
+        return apply(np.copysign, x, y)
+    return math.copysign(x, y)
 
 
 def select(condition: Any, x: Any, y: Any) -> Any:
