@@ -101,7 +101,7 @@ static std::optional<IndexedAccess> getFieldAccess(FieldAccessOpInterface op) {
 static std::optional<IndexedAccess>
 getArrayAccess(Operation *op, Value array, MutableOperandRange indices) {
   auto type = cast<MemRefType>(array.getType());
-  // Others are memory of the kernel itself.
+  // An array that is no argument is memory of the kernel itself.
   if (!isa<BlockArgument>(array))
     return std::nullopt;
   IndexedAccess access{op, describeArray(type), {}, {}, {}};

@@ -138,7 +138,7 @@ static bool areApart(IndexBuilder &builder, const IndexExpr &first,
       std::min({widthOf(first), widthOf(second), later.width}));
 }
 
-/// The same of lists of values of equal length.
+/// Whether two lists of indices of equal length differ in some index.
 static bool areApart(IndexBuilder &builder, ValueRange first, ValueRange second,
                      Block *common, const Later &later) {
   return llvm::any_of(llvm::zip(first, second), [&](auto pair) {

@@ -21,8 +21,8 @@ using namespace mlir::tai;
 // Conditions
 //===----------------------------------------------------------------------===//
 
-/// True for what is left by a division, or by a mask: many numbers leave the
-/// same.
+/// True for a remainder of a division and for a masked number: many values of
+/// the operand give the same result.
 static bool isRemainder(Value value, unsigned depth = 4) {
   Operation *op = value.getDefiningOp();
   if (!op || depth == 0)

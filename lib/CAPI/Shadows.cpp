@@ -10,7 +10,7 @@
 using namespace mlir::tai;
 
 static bool isOff(TaiContext context) {
-  return !context->session.getRuntime().options().shadow;
+  return !context->session.getRuntime().options().instruments.shadow;
 }
 
 TaiStatus taiShadowRows(TaiContext context, const TaiShadowRow **rows,

@@ -101,7 +101,7 @@ ObjectCompiler::create(const CodegenOptions &options) {
   TargetOptions targetOptions;
   targetOptions.AllowFPOpFusion =
       options.contract ? FPOpFusion::Fast : FPOpFusion::Standard;
-  // Nothing unwinds through a kernel.
+  // Exceptions do not pass through kernels.
   targetOptions.ExceptionModel = ExceptionHandling::None;
   static constexpr CodeGenOptLevel levels[] = {
       CodeGenOptLevel::None, CodeGenOptLevel::Less, CodeGenOptLevel::Default,

@@ -61,7 +61,7 @@ static void copyAs(uint64_t to, uint64_t from, uint64_t bytes) {
     target[i] = source[i];
 }
 
-/// Both addresses and the size.
+/// The slots are the target, the source and the number of bytes.
 static void copy(const uint64_t *slots) {
   if ((slots[0] | slots[1] | slots[2]) % 8)
     copyAs<uint8_t>(slots[0], slots[1], slots[2]);

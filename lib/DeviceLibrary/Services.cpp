@@ -123,7 +123,7 @@ TAI_RARE void tai_rt_fail(TaiFrame *frame, int32_t failure, const char *message,
                           const uint64_t *slots) {
   TaiDeviceState &state = stateOf(frame);
   uint32_t seen = atomicRead(&state.failed);
-  // It may be refused for no reason.
+  // The exchange may fail although the word has the expected value.
   while (!seen)
     if (atomicReplace(&state.failed, seen, uint32_t(1))) {
       Content content{failure, message, where, count, kinds, shapes, slots};

@@ -67,7 +67,7 @@ TAI_RARE int32_t tai_rt_activate(TaiFrame *frame, void *tree, int32_t node,
   // In a list, the cells before it need room too.
   if (!takeRoom(frame, level, cell - wanted + 1, wanted, wanted, where))
     return 0;
-  // Others may have been quicker.
+  // Other threads may have activated the same cells.
   int64_t added = level.activate(cell);
   level.giveBack(wanted - added);
   if (added)
@@ -137,7 +137,7 @@ TAI_RARE int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
                 nullptr, nullptr, nullptr);
     return -1;
   }
-  // Others may have been quicker: then only one piece remains.
+  // If another thread has published a piece first, this one is not needed.
   if (at != next)
     level.takePieces(first + at, 1, /*isSure=*/true);
   if (at == 0)

@@ -581,7 +581,7 @@ std::optional<std::string> Compiler::print(CompileRequest request,
                                            const CompileOptions &options,
                                            Failure &failure) {
   Prepared prepared;
-  // They are told where the code is made.
+  // The compilation that makes the code reports warnings; this one drops them.
   WarningScope warnings;
   std::optional<std::string> text =
       printStage(request, stage, options, prepared, failure);

@@ -271,7 +271,7 @@ LogicalResult Compiler::compileDeviceCode(
     if (!made)
       return failInLLVM(made.takeError(), failure);
     image = std::move(*made);
-    // They are not part of the key then.
+    // Without the option, the key of the cache does not include places.
     if (!options.places)
       image->places.clear();
   }

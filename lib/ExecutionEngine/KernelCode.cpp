@@ -458,14 +458,16 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   for (const NamedAccess &access : told->reads)
     if (runtime::FieldPtr field = findField(access.field))
       plan.reads.push_back({field, access.kind, access.fixed});
-  plan.loadsStored = told->loadsStored;
-  for (const NamedAccess &access : told->stored) {
+  // A tape does not watch writes to gradients.
+  auto isWatched = [&](const NamedAccess &access) {
     runtime::FieldPtr field = findField(access.field);
-    // A tape does not watch writes to gradients.
-    if (field && !field->isAdjoint())
-      plan.stored.push_back({field, access.kind, access.fixed});
-    else
-      plan.loadsStored = false;
+    return field && !field->isAdjoint();
+  };
+  if (told->loadsStored && llvm::all_of(told->stored, isWatched)) {
+    plan.stored.emplace();
+    for (const NamedAccess &access : told->stored)
+      plan.stored->push_back(
+          {findField(access.field), access.kind, access.fixed});
   }
   for (const std::string &name : told->before)
     if (runtime::FieldPtr field = findField(name))

@@ -151,7 +151,7 @@ struct Specialization {
     Python  // Python says where adjoints are
   } tracking = Tracking::None;
   Result result;
-  /// It takes several arrays and writes to one.
+  /// The kernel takes several arrays and writes to one of them.
   bool arraysMayAlias = false;
   std::shared_ptr<Kernel> kernel;
 

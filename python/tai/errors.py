@@ -183,7 +183,7 @@ class TaiConvergenceWarning(UserWarning):
 
 
 class TaiCompilationWarning(UserWarning):
-    """Something that compiles, and is hardly meant."""
+    """A warning about code that compiles and is probably a mistake."""
 
 
 def shorten(filename: str | None) -> str:

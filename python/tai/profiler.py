@@ -247,7 +247,7 @@ def get_kernel_profiler_total_time() -> float:
 
 
 def set_kernel_profiler_toolkit(name: str = "default") -> bool:
-    """There is one toolkit."""
+    """Returns whether the toolkit exists; "default" is the only one."""
     return name == "default"
 
 

@@ -211,7 +211,7 @@ class Frames:
         return False
 
     def wait(self) -> None:
-        """There is nothing to wait for."""
+        """Returns at once: the window has no queue."""
 
 
 def fail(message: str) -> NoReturn:

@@ -27,7 +27,7 @@ namespace mlir::tai {
 
 /// One way in which an access goes out of range.
 struct Violation {
-  /// It happens if this system over launch values holds.
+  /// The access goes out of range if this system over launch values holds.
   LinearSystem launch;
   /// The first iteration in which it happens, outermost loop first: each index
   /// is the least number for which its system holds, given those before it.

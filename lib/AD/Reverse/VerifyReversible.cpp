@@ -123,7 +123,7 @@ void Verifier::checkAccess(DifferentiableAccessInterface access) {
       << "use a local variable, a field, or an array that is an argument";
 }
 
-/// Nor have ops with other effects.
+/// Refuses active values in ops with side effects that have no derivative.
 void Verifier::checkSink(Operation *op) {
   // Output and checks take any values; regions are looked into.
   if (op->getNumRegions() != 0 || isMemoryEffectFree(op) ||

@@ -60,7 +60,7 @@ bool mlir::tai::extendSharedSum(Operation *op, TangentBuilder &b) {
       hasTangent(rest[1]))
     return false;
   bool isSum = !isa<arith::SubFOp>(op);
-  // Nothing is left of s - s.
+  // s - s is zero, and so is its derivative.
   if (!rest[0] && !rest[1] && !isSum)
     return true;
   bool mayBeNonFinite = false;

@@ -96,7 +96,7 @@ static StringRef getBarrierName(int scope) {
 /// Calls a part with the parameters in its slots.
 static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
                      llvm::Value *slots, bool isCuda) {
-  // That of the emulated device takes the slots themselves.
+  // On the emulated device, a part takes the pointer to the slots.
   if (!isCuda) {
     builder.CreateCall(body, {slots});
     return;
@@ -344,7 +344,7 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
   llvm::Instruction *back = builder.CreateCondBr(
       builder.CreateICmpULT(next, builder.getInt64(segment.count)), body,
       after);
-  // It is long already.
+  // The body of the loop is long: it holds whole kernels.
   disableUnrolling(back);
   builder.SetInsertPoint(after);
 }

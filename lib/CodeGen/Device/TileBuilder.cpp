@@ -310,7 +310,7 @@ llvm::Function *TileBuilder::makeStage(const TileStage &stage) {
       const TileRow &row = chain.rows[static_cast<size_t>(number)];
       llvm::IRBuilder<> at(call);
       pointer = getOverlay(at, row, base, place, &stage.sites[site]);
-      // That of its neighbours in memory no longer holds.
+      // Only the alignment of one element is known for this pointer.
       llvm::Align alignment(static_cast<uint64_t>(row.site.access.size));
       for (llvm::User *user : call->users()) {
         if (auto *load = dyn_cast<llvm::LoadInst>(user))

@@ -65,11 +65,11 @@ static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
 /// of m it is off by the square root of m n of them, and adding the blocks up
 /// in f64 costs nothing.
 void Accumulators::Register::sumInBlocks() {
-  // Compensated ones have the digits.
-  if (!isa<FloatType>(type) || kind != AtomicKind::Add || isCompensated ||
-      ordered)
+  // A compensated sum has more digits than blocks could give it.
+  if (!isa<FloatType>(type) || kind != AtomicKind::Add ||
+      digits != Digits::Own || ordered)
     return;
-  isBlocked = true;
+  blocks = Blocks::Sums;
   totalType = Float64Type::get(type.getContext());
 }
 
@@ -89,11 +89,10 @@ static double countIterations(ParallelForOp loop) {
 
 /// Whether a loop is known to have no more iterations than a block.
 static bool isShort(ParallelForOp loop) {
-  for (auto [from, to] :
-       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds()))
-    if (!getConstantIntValue(from) || !getConstantIntValue(to))
-      return false;
-  return countIterations(loop) <= Accumulators::kBlock;
+  auto isKnown = [](Value bound) { return getConstantIntValue(bound); };
+  return llvm::all_of(loop.getLowerBounds(), isKnown) &&
+         llvm::all_of(loop.getUpperBounds(), isKnown) &&
+         countIterations(loop) <= Accumulators::kBlock;
 }
 
 Accumulators::Register::Register(const FieldInfo *field,
@@ -160,9 +159,11 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
   if (result.compensated)
     for (Register &sum : result.registers) {
       Type own = sum.field ? sum.field->scalarType : sum.localType;
-      sum.isCompensated = isa<FloatType>(own) && sum.kind == AtomicKind::Add;
-      sum.isPair = sum.isCompensated && own.isF64();
-      sum.keepsTerms = sum.isPair && PairLanes::canHold(sum.getUpdates(), loop);
+      if (!isa<FloatType>(own) || sum.kind != AtomicKind::Add)
+        continue;
+      sum.digits = own.isF64() ? Digits::Pair : Digits::Wide;
+      if (sum.isPair() && PairLanes::canHold(sum.getUpdates(), loop))
+        sum.blocks = Blocks::Terms;
     }
   if (lowering.oneOrder)
     for (Register &sum : result.registers) {
@@ -177,7 +178,7 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
       sum.sumInBlocks();
   if (!result.keepsOrder &&
       llvm::all_of(result.registers, [&](const Register &sum) {
-        return !sum.isBlocked ||
+        return !sum.isBlocked() ||
                (sum.type.isF32() && areMadeOnce(sum.getUpdates(), loop));
       }))
     result.blockLength = kWidenedBlock;
@@ -207,9 +208,10 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
     Type scalar = buffer.group.field->scalarType;
     // 16 bits stop growing after 2048 or 256 terms.
     bool is16Bits = scalar.getIntOrFloatBitWidth() == 16;
-    buffer.isWide =
-        is16Bits || (scalar.isF32() && (isLong || result.compensated));
-    buffer.isPair = scalar.isF64() && result.compensated;
+    if (is16Bits || (scalar.isF32() && (isLong || result.compensated)))
+      buffer.digits = Digits::Wide;
+    else if (scalar.isF64() && result.compensated)
+      buffer.digits = Digits::Pair;
     result.buffers.push_back(std::move(buffer));
   }
   return result;
@@ -271,7 +273,7 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
 int64_t Accumulators::getPartialSlot(size_t i) const {
   int64_t slot = 0;
   for (const Register &sum : ArrayRef(registers).take_front(i))
-    slot += sum.ordered ? 0 : sum.isPair ? 2 : 1;
+    slot += sum.ordered ? 0 : sum.isPair() ? 2 : 1;
   return slot;
 }
 
@@ -394,7 +396,7 @@ static void emitCompensatedUpdate(OpBuilder &builder, Location loc, Pair sum,
 /// Adds the sum of all iterations to its element.
 void Accumulators::emitTotal(OpBuilder &builder, Location loc,
                              const Register &sum, Pair total) {
-  if (sum.address && sum.isCompensated)
+  if (sum.address && sum.digits != Digits::Own)
     return emitCompensatedUpdate(builder, loc, total, sum.localType,
                                  sum.address, {});
   if (sum.address) {
@@ -410,7 +412,7 @@ void Accumulators::emitTotal(OpBuilder &builder, Location loc,
       emitElementOffset(builder, loc, field, zeroBased, sum.components);
   Value address = emitPointer(builder, loc, getStorageType(field.scalarType),
                               emitFieldBase(builder, loc, field), offset);
-  if (sum.isCompensated)
+  if (sum.digits != Digits::Own)
     return emitCompensatedUpdate(builder, loc, total, field.scalarType, address,
                                  lowering->fields.getScopes(field));
   Value narrowed = emitNarrowed(builder, loc, total.sum, field.scalarType);
@@ -427,7 +429,7 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
     SmallVector<Value> initial;
     for (Register &sum : registers)
       if (!sum.ordered)
-        initial.append(sum.isPair ? 2 : 1,
+        initial.append(sum.isPair() ? 2 : 1,
                        arith::ConstantOp::create(
                            builder, loc, getIdentity(sum.kind, sum.totalType)));
     auto combine = [&](OpBuilder &b, Location, Value part, ValueRange sums) {
@@ -445,7 +447,7 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
                               emitSlot(b, loc, slots, slot));
         };
         Value partial = load(at);
-        if (!sum.isPair) {
+        if (!sum.isPair()) {
           next.push_back(emitInOrder(b, loc, sum.kind, sums[at], partial));
           continue;
         }
@@ -464,7 +466,7 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
       int64_t at = getPartialSlot(i);
       emitTotal(builder, loc, sum,
                 {total.getResult(at),
-                 sum.isPair ? total.getResult(at + 1) : Value()});
+                 sum.isPair() ? total.getResult(at + 1) : Value()});
     }
   }
 
@@ -479,10 +481,10 @@ void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
     const FieldInfo &field = *buffer.group.field;
     OpBuilder &inside = buffer.isApart() ? builder : whereSeveral;
     Value kind = runtime.i32(inside, loc,
-                             buffer.isPair                    ? kSumsPairs
+                             buffer.isPair()                  ? kSumsPairs
                              : field.scalarType.isF16()       ? kSumsF16
                              : field.scalarType.isBF16()      ? kSumsBF16
-                             : buffer.isWide                  ? kSumsWide
+                             : buffer.isApart()               ? kSumsWide
                              : field.scalarType.isF64()       ? kSumsF64
                              : field.scalarType.isInteger(32) ? kSumsI32
                              : field.scalarType.isInteger(64) ? kSumsI64
@@ -524,14 +526,14 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
     Value identity = arith::ConstantOp::create(builder, loc,
                                                getIdentity(sum.kind, sum.type));
     emitSlotStore(builder, loc, identity, sum.slot);
-    if (sum.isPair) {
+    if (sum.isPair()) {
       sum.rest = emitStackSlots(builder, loc, 1);
       emitSlotStore(builder, loc, identity, sum.rest);
-      if (sum.keepsTerms)
+      if (sum.blocks == Blocks::Terms)
         sum.lanes.emplace(builder, loc,
                           sum.atomics.size() + sum.updates.size());
     }
-    if (!sum.isBlocked)
+    if (!sum.isBlocked())
       continue;
     sum.total = emitStackSlots(builder, loc, 1);
     Value zero = arith::ConstantOp::create(
@@ -572,9 +574,8 @@ static void moveBehindBranches(Operation *update, OpOperand &updated,
     moved.getThenRegion().takeBody(branch.getThenRegion());
     moved.getElseRegion().takeBody(branch.getElseRegion());
     if (moved.getElseRegion().empty()) {
-      Block &block = moved.getElseRegion().emplaceBlock();
-      OpBuilder end = OpBuilder::atBlockEnd(&block);
-      scf::YieldOp::create(end, loc);
+      builder.setInsertionPointToEnd(&moved.getElseRegion().emplaceBlock());
+      scf::YieldOp::create(builder, loc);
     }
     for (Region *region : moved.getRegions()) {
       Operation *yield = region->front().getTerminator();
@@ -617,7 +618,7 @@ void Accumulators::rewriteUpdates() {
     Value term = value.get();
     if (term.getType() != sum.type)
       term = arith::ExtFOp::create(builder, loc, sum.type, term);
-    if (sum.isPair) {
+    if (sum.isPair()) {
       if (kind == AtomicKind::Sub)
         term = LLVM::FNegOp::create(builder, loc, term);
       if (sum.lanes) {
@@ -665,8 +666,8 @@ void Accumulators::rewriteUpdates() {
           cell = math.add(
               cell, math.mul(emitDigit(builder, loc, field, digit, zeroBased),
                              cells));
-      Type scalar = buffer.isWide ? Float64Type::get(builder.getContext())
-                                  : field.scalarType;
+      Type scalar = buffer.isApart() ? Float64Type::get(builder.getContext())
+                                     : field.scalarType;
       Type storage = getStorageType(scalar);
       Value address = buffer.base;
       if (buffer.isApart() || buffer.isContiguous()) {
@@ -680,7 +681,7 @@ void Accumulators::rewriteUpdates() {
       if (!atomic.getComponents().empty())
         cell = math.add(cell, emitComponent(builder, loc, field.elementShape,
                                             atomic.getComponents()));
-      if (buffer.isPair) {
+      if (buffer.isPair()) {
         // Errors follow all sums, so that neighbours are neighbours in memory.
         address = emitPointer(builder, loc, storage, address, cell);
         Value restAt = emitPointer(builder, loc, storage, address,
@@ -705,15 +706,16 @@ void Accumulators::rewriteUpdates() {
 }
 
 bool Accumulators::keepsTerms() const {
-  return llvm::any_of(registers,
-                      [](const Register &sum) { return sum.keepsTerms; });
+  return llvm::any_of(registers, [](const Register &sum) {
+    return sum.blocks == Blocks::Terms;
+  });
 }
 
 int64_t Accumulators::getBlockLength() const {
   if (keepsTerms())
     return PairLanes::kBlock;
   bool inBlocks = llvm::any_of(
-      registers, [](const Register &sum) { return sum.isBlocked; });
+      registers, [](const Register &sum) { return sum.isBlocked(); });
   return inBlocks ? blockLength : 0;
 }
 
@@ -728,7 +730,7 @@ void Accumulators::emitBlockEnd(OpBuilder &builder, Location loc,
 
 void Accumulators::emitBlockSums(OpBuilder &builder, Location loc) {
   for (Register &sum : registers) {
-    if (!sum.isBlocked)
+    if (!sum.isBlocked())
       continue;
     Value block = emitWidened(builder, loc,
                               emitSlotLoad(builder, loc, sum.type, sum.slot),
@@ -758,8 +760,8 @@ void Accumulators::emitExit(OpBuilder &builder, Location loc) {
                     emitSlot(builder, loc, insidePartials, at));
     };
     int64_t at = getPartialSlot(i);
-    keep(sum.isBlocked ? sum.total : sum.slot, at);
-    if (sum.isPair)
+    keep(sum.isBlocked() ? sum.total : sum.slot, at);
+    if (sum.isPair())
       keep(sum.rest, at + 1);
   }
 }

@@ -78,6 +78,26 @@ public:
   void emitAfterChunks(OpBuilder &builder, Location loc, Value chunks);
 
 private:
+  /// The numbers in which a sum is kept.
+  enum class Digits {
+    /// The type of the field, or f32 for 16 bits.
+    Own,
+    /// A wider type than the field's: the sum is rounded once, when it is added
+    /// to the field.
+    Wide,
+    /// A sum of f64 with the sum of its rounding errors.
+    Pair
+  };
+  /// The sum that is formed over a block of iterations of the innermost loop.
+  enum class Blocks {
+    /// There are no blocks.
+    None,
+    /// A sum in the own type, which is added to a total in f64.
+    Sums,
+    /// The terms of a pair are stored, and added up in lanes; see PairSums.h.
+    Terms
+  };
+
   /// A sum of one component in a register.
   struct Register {
     Register(const FieldInfo *field, SmallVector<AtomicOp> atomics,
@@ -93,11 +113,8 @@ private:
     /// The type of the sum over a block, and of the totals over blocks and
     /// partitions.
     Type type, totalType;
-    bool isBlocked = false;
-    /// A compensated sum of f64: rounding errors are summed beside it.
-    bool isPair = false;
-    /// Added to the field in `totalType`, and rounded once.
-    bool isCompensated = false;
+    Digits digits = Digits::Own;
+    Blocks blocks = Blocks::None;
     // In the kernel:
     SmallVector<Value> indices, components;
     /// The address of the target of a local sum, which belongs to no field.
@@ -107,21 +124,21 @@ private:
     // In the outlined function: the sum of the block, the total of earlier
     // blocks, and the rounding error of a pair.
     Value slot, total, rest;
-    /// A pair whose terms are stored for a block of iterations; see PairSums.h.
-    bool keepsTerms = false;
+    /// For blocks of terms.
     std::optional<PairLanes> lanes;
     /// For sums in the order of all targets.
     std::optional<LaneSum> ordered;
+
+    bool isPair() const { return digits == Digits::Pair; }
+    bool isBlocked() const { return blocks == Blocks::Sums; }
   };
   /// Sums of a part of a field in a buffer.
   struct Buffer {
     AccumulationGroup group;
     FieldSlice slice;
     double updatesPerIteration;
-    /// Sums in f64 for a field of f32, in a buffer for every partition.
-    bool isWide = false;
-    /// Pairs of f64, for compensated sums of f64; also in every partition.
-    bool isPair = false;
+    /// For `Wide` and `Pair` every partition has a buffer.
+    Digits digits = Digits::Own;
     // In the kernel:
     Value target, memory, partStride, cellStride;
     // In the function of the loop:
@@ -132,13 +149,20 @@ private:
     }
     /// Bytes of a number in the buffer.
     int64_t scalarSize() const {
-      if (isPair)
-        return 2 * int64_t(sizeof(double));
-      return isWide ? int64_t(sizeof(double)) : group.field->scalarSize;
+      switch (digits) {
+      case Digits::Own:
+        return group.field->scalarSize;
+      case Digits::Wide:
+        return sizeof(double);
+      case Digits::Pair:
+        return 2 * sizeof(double);
+      }
+      llvm_unreachable("unknown digits");
     }
     /// Whether every partition has a buffer, so that none updates the field
     /// itself.
-    bool isApart() const { return isWide || isPair; }
+    bool isApart() const { return digits != Digits::Own; }
+    bool isPair() const { return digits == Digits::Pair; }
     int64_t compactStride() const {
       return group.field->numComponents * group.field->scalarSize;
     }

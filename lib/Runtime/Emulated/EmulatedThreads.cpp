@@ -102,7 +102,7 @@ private:
 
 static thread_local Block *current = nullptr;
 
-/// They stay for the next block.
+/// The fibers of finished blocks, which the next block uses again.
 static thread_local std::vector<std::unique_ptr<Fiber>> fibers;
 
 void Fiber::enter(std::jmp_buf &from, void (*start)()) {

@@ -143,7 +143,7 @@ static void *tryScratch(Launch &launch, int64_t bytes, const char *purpose) {
     int64_t rounded = std::max<int64_t>((bytes + 63) / 64 * 64, 64);
     if (char *address = launch.arena.allocate(rounded, dirty)) {
       zero(launch, address, dirty);
-      if (__builtin_expect(launch.owner().options().shadow, false))
+      if (__builtin_expect(launch.owner().options().instruments.shadow, false))
         shadow::forget(address, dirty);
       return address;
     }

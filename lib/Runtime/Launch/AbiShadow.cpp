@@ -198,7 +198,7 @@ static double update(T *address, int32_t kind, T value, double error,
   T old, result;
   __atomic_load(address, &old, __ATOMIC_RELAXED);
   Wide operand = static_cast<Wide>(value) + static_cast<Wide>(error), before;
-  // Others may update without shadows.
+  // Other threads may update the element without its shadow.
   do {
     before = shadow::read<T, Wide>(address, old);
     result = combine(old, value, kind);

@@ -245,7 +245,7 @@ static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
                          AddressOf addressOf, Add add) {
   // Compensated sums are pairs in memory, and have no shadows there; nor have
   // fields of 16 bits and of integers.
-  if (__builtin_expect(!launch.owner().options().shadow, true) ||
+  if (__builtin_expect(!launch.owner().options().instruments.shadow, true) ||
       kind == kSumsPairs || sizeOfTarget(kind) == 2 || kind == kSumsI32 ||
       kind == kSumsI64)
     return add();
@@ -283,7 +283,7 @@ static AddBuffers chooseAdd(int32_t kind) {
 /// Buffers that were added hold zeros, which the next launch need not write.
 /// Shadows, if there are any, are forgotten when memory is taken.
 static void left(Launch &launch, const void *buffers, int64_t bytes) {
-  if (!launch.owner().options().shadow && !areFew(bytes))
+  if (!launch.owner().options().instruments.shadow && !areFew(bytes))
     launch.arena.markZero(static_cast<const char *>(buffers), bytes);
 }
 

@@ -103,7 +103,7 @@ Status DeviceLaunches::load(Kernel &kernel, uint64_t epoch) {
   if (lock.isAgain())
     return lock.check();
   std::shared_ptr<DeviceCode> &code = kernel.deviceCode;
-  // Another thread may have come first.
+  // Another thread may have loaded the code meanwhile.
   if (code && code->epoch == epoch && code->image == kernel.info.image)
     return Status::success();
   kernel.prepared.state.store(0, std::memory_order_release);
@@ -210,7 +210,7 @@ void DeviceLaunches::leave(Launch &launch) {
   if (onDevice.usesState) {
     devices.get()->noteStateUsed();
     // Otherwise the next wait reports failures.
-    if (status && options.debug && !onDevice.waited) {
+    if (status && options.instruments.debug && !onDevice.waited) {
       status = devices.device()->synchronize();
       onDevice.waited = true;
     }

@@ -170,11 +170,9 @@ const AdjointPlan &Kernel::plan() {
   }
   if (adjointPlan && made->provisional)
     return *adjointPlan;
-  provisionalPlan = std::move(adjointPlan);
-  adjointPlan = std::move(made);
-  adjointReexecutes = adjointPlan->reexecutes;
-  loadsStored = adjointPlan->loadsStored;
-  alwaysZeroes = adjointPlan->zeroes;
+  // Other threads never see a kernel without its plan.
+  adjointPlan.swap(made);
+  provisionalPlan = std::move(made);
   return *adjointPlan;
 }
 

@@ -25,8 +25,8 @@ const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
 /// The list of the primal's loops over the level; null after a failure.
 const LoopLists::Entry *Launch::findGiven(SparseNode &node) {
   const LoopLists::Entry *entry = given->find(node);
-  bool differs = entry && entry->differs;
-  if (entry && entry->mayDiffer) {
+  bool differs = entry && entry->others == LoopLists::Others::Differ;
+  if (entry && entry->others == LoopLists::Others::Unknown) {
     Status status = findDifference(*given, node, differs);
     if (!status) {
       fail(std::move(status));

@@ -47,7 +47,7 @@ void Launcher::forgetTangents() { tangentFlows.reset(); }
 
 bool Launcher::runsDirectly() const {
   return fusesLaunches && !parts.devices.isThere() &&
-         !parts.recordings.isForward() && !parts.options.profiler;
+         !parts.recordings.isForward() && !parts.options.instruments.profiler;
 }
 
 inline bool Launcher::isReady(const Kernel &kernel) const {
@@ -235,7 +235,7 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
       for (const SparseNode *level : kernel.loopLevels)
         launch.loops.add(*level, none);
     code = 0;
-  } else if (__builtin_expect(parts.options.profiler, false))
+  } else if (__builtin_expect(parts.options.instruments.profiler, false))
     code = runTimed(launch, kernel, function);
   else
     code = function(&launch);
@@ -390,7 +390,7 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
   Kernel *adjoint = nullptr;
   bool canZero = kernel.hasZeroingAdjoint();
   status = kernel.resolveAdjoint(
-      adjoint, kernel.alwaysZeroes || (canZero && !kernel.overwritten.empty()));
+      adjoint, plan.zeroes || (canZero && !kernel.overwritten.empty()));
   if (!status)
     return status;
   LoopLists loops;

@@ -55,7 +55,7 @@ inline Launch *Launcher::take() {
       launch->thread.store(self, std::memory_order_relaxed);
       return launch;
     }
-    // Nothing is to fail where one is given back.
+    // Returning a launch must not allocate: reserve its place now.
     freeLaunches.reserve(launches.size() + 1);
     launches.push_back(std::make_unique<Launch>(owner));
     Launch *made = launches.back().get();

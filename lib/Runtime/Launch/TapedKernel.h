@@ -65,12 +65,16 @@ struct TapedKernel {
     return *kernel.adjointPlan;
   }
   static bool adjointReexecutes(const Kernel &kernel) {
-    return kernel.adjointReexecutes;
+    return kernel.adjointPlan && kernel.adjointPlan->reexecutes;
   }
-  static bool loadsStored(const Kernel &kernel) { return kernel.loadsStored; }
+  static bool loadsStored(const Kernel &kernel) {
+    return kernel.adjointPlan && kernel.adjointPlan->stored;
+  }
   /// The adjoint always zeroes the adjoints of the elements that the kernel
   /// overwrites.
-  static bool alwaysZeroes(const Kernel &kernel) { return kernel.alwaysZeroes; }
+  static bool alwaysZeroes(const Kernel &kernel) {
+    return kernel.adjointPlan && kernel.adjointPlan->zeroes;
+  }
 
   /// A variant of the adjoint if it is known, and whether it has been
   /// requested.

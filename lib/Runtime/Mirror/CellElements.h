@@ -63,7 +63,7 @@ public:
 
   /// True if all elements of a cell have the same index along the dimension.
   bool separates(int dimension) const;
-  /// That index, from zero.
+  /// The index that all elements of a cell have, counted from zero.
   int64_t position(int64_t cell, int dimension) const;
 
 private:

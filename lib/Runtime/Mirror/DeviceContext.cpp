@@ -271,10 +271,10 @@ DeviceLaunch::~DeviceLaunch() {
     context->free(block);
 }
 
-Status DeviceLaunch::scratch(int64_t bytes, DevicePtr &memory) {
+Status DeviceLaunch::scratch(int64_t bytes, DevicePtr &result) {
   constexpr int64_t smallestBlock = 1 << 20;
   const char zero = 0;
-  usesMemory = true;
+  memory = std::max(memory, Memory::Temporary);
   bytes = std::max<int64_t>((bytes + 255) / 256 * 256, 256);
   if (collection != context->numCollections()) {
     collection = context->numCollections();
@@ -308,35 +308,36 @@ Status DeviceLaunch::scratch(int64_t bytes, DevicePtr &memory) {
       return status;
     start = used = 0;
   }
-  memory = block + static_cast<DevicePtr>(used);
+  result = block + static_cast<DevicePtr>(used);
   used += bytes;
   return Status::success();
 }
 
 Status DeviceLaunch::array(void *host, int64_t bytes, bool written,
-                           DevicePtr &memory) {
+                           DevicePtr &result) {
   Device &device = context->get();
-  // Nothing is nowhere; that of other libraries has no address.
+  // An empty array has no copy. An array of another library in device memory
+  // is used in place.
   if (bytes == 0 || device.isDeviceMemory(host)) {
-    memory = reinterpret_cast<DevicePtr>(host);
+    result = reinterpret_cast<DevicePtr>(host);
     if (bytes > 0 && context->queue().mayKeep())
-      usesMemory = usesOthers = true;
+      memory = Memory::Others;
     return Status::success();
   }
-  usesMemory = true;
-  // One that is given twice is one.
+  memory = std::max(memory, Memory::Temporary);
+  // An array that is passed twice has one copy.
   for (Array &known : arrays)
     if (known.host == host && known.bytes >= bytes) {
       known.written |= written;
-      memory = known.memory;
+      result = known.memory;
       return Status::success();
     }
   Status status = context->allocate(std::max<int64_t>(bytes, 1),
-                                    "arrays given to kernels", memory);
+                                    "arrays given to kernels", result);
   if (!status)
     return status;
-  arrays.push_back({host, memory, bytes, written});
-  return device.copyIn(memory, host, bytes);
+  arrays.push_back({host, result, bytes, written});
+  return device.copyIn(result, host, bytes);
 }
 
 Status DeviceLaunch::finish() {
@@ -349,13 +350,13 @@ Status DeviceLaunch::finish() {
     context->free(array.memory);
   }
   arrays.clear();
-  for (DevicePtr memory : outgrown)
-    context->free(memory);
+  for (DevicePtr smaller : outgrown)
+    context->free(smaller);
   outgrown.clear();
   start = used;
-  // An owner of the memory does not ask for kept launches.
-  if (usesOthers && status)
+  // The other library reads its memory without a request to run kept launches.
+  if (memory == Memory::Others && status)
     status = context->queue().settle();
-  usesMemory = usesOthers = false;
+  memory = Memory::Trees;
   return status;
 }

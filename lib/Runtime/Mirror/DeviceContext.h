@@ -206,9 +206,9 @@ struct DeviceLaunch {
 
   /// Zeroed scratch memory, from a block that is zeroed again, in order with
   /// launches, when it is used up.
-  Status scratch(int64_t bytes, DevicePtr &memory);
+  Status scratch(int64_t bytes, DevicePtr &result);
   /// Device memory with a copy of the caller's array.
-  Status array(void *host, int64_t bytes, bool written, DevicePtr &memory);
+  Status array(void *host, int64_t bytes, bool written, DevicePtr &result);
   /// The tree that has this base on the device, or null.
   Mirror *mirrorOf(const void *base) const {
     for (size_t i = 0; code && i < code->bases.size(); ++i)
@@ -219,7 +219,7 @@ struct DeviceLaunch {
   /// Copies written arrays back, and frees temporary memory.
   Status finish();
   /// Whether a queued launch needs no further steps.
-  bool isFinished() const { return !usesState && !usesMemory; }
+  bool isFinished() const { return !usesState && memory == Memory::Trees; }
 
   std::shared_ptr<DeviceContext> context;
   const DeviceCode *code = nullptr;
@@ -227,12 +227,18 @@ struct DeviceLaunch {
   bool usesState = false;
   /// The device has been synchronised since the last work was queued.
   bool waited = false;
-  /// It uses scratch memory or arrays.
-  bool usesMemory = false;
-  /// It uses device memory of another library.
-  bool usesOthers = false;
 
 private:
+  /// The memory that it uses; each includes those before.
+  enum class Memory {
+    Trees,
+    /// Scratch memory, and copies of the caller's arrays.
+    Temporary,
+    /// Device memory of another library.
+    Others
+  };
+  Memory memory = Memory::Trees;
+
   struct Array {
     void *host;
     DevicePtr memory;

@@ -74,7 +74,7 @@ Status WatchedDevice::find(DeviceModule &module, const std::string &name,
   entry.item = profiler->find(ProfileKind::Device, name, place);
   entry.label = labelOf(name, place);
   Section::Entry section(timing);
-  // Another function may have had the address.
+  // Replaces the entry of a freed function that had the same address.
   entries[function] = std::move(entry);
   return status;
 }

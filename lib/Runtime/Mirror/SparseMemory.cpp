@@ -312,7 +312,7 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
   if (entry.isAgain() || !base || isFetching || kept.size() == mostStates ||
       !canKeepActivity())
     return false;
-  // Nothing was launched that could have done anything.
+  // No launch since the last snapshot can have changed activity.
   if (!kept.empty() && keptGeneration == state.generation)
     return true;
   bool isThere = false;

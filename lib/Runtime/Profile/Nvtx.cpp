@@ -94,7 +94,7 @@ const Nvtx *Nvtx::get() {
   const char *given = std::getenv("NVTX_INJECTION64_PATH");
   std::string injection = given ? given : "";
   std::unique_ptr<Nvtx> &known = tools[injection];
-  // One that is not there may come.
+  // A tool that could not be loaded is tried again at the next call.
   if (!known) {
     auto tool = std::make_unique<Nvtx>();
     if (tool->load(injection.c_str()))

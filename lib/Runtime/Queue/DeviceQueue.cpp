@@ -105,10 +105,10 @@ Status DeviceQueue::launch(DeviceFunction &function, const LaunchShape &shape,
                            const uint64_t *slots, int count) {
   auto &wrapped = static_cast<Function &>(function);
   if (__builtin_expect(collecting == 0, true)) {
-    if (__builtin_expect(isRunning, false))
+    if (__builtin_expect(runDepth.has_value(), false))
       if (Status status = checkHandler(); !status)
         return status;
-    if (__builtin_expect(records, false))
+    if (__builtin_expect(isRecording(), false))
       return launchRecorded(wrapped, shape, slots, count);
     if (__builtin_expect(watches, false) && keep(wrapped, shape, slots, count))
       return Status::success();
@@ -207,9 +207,9 @@ Status DeviceQueue::synchronize() {
 void DeviceQueue::free(DevicePtr memory) {
   // The collected work may use it. A recording goes on: a thread that frees
   // memory kept by a tape need not wait.
-  if (!records)
+  if (!isRecording())
     (void)settle();
-  if (collected->empty() && prefix->empty() && !isRunning)
+  if (collected->empty() && prefix->empty() && !runDepth)
     device->free(memory);
   else
     released.push_back(memory);
@@ -243,7 +243,7 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
 }
 
 Status DeviceQueue::checkHandler() const {
-  return isRunning && safepoint::handlerDepth() > runDepth
+  return runDepth && safepoint::handlerDepth() > *runDepth
              ? failAsInterruptedWork()
              : Status::success();
 }
@@ -252,12 +252,11 @@ Status DeviceQueue::flush(bool isWhole) {
   Status status = checkHandler();
   if (!status || (collected->empty() && prefix->empty()))
     return status;
-  bool wasRunning = std::exchange(isRunning, true);
-  unsigned outerDepth = std::exchange(runDepth, safepoint::handlerDepth());
+  std::optional<unsigned> outerDepth = runDepth;
+  runDepth = safepoint::handlerDepth();
   status = runCollected(isWhole);
-  isRunning = wasRunning;
   runDepth = outerDepth;
-  if (isRunning)
+  if (runDepth)
     return status;
   // Memory that handlers have given up.
   if (collected->empty() && prefix->empty())
@@ -269,7 +268,7 @@ Status DeviceQueue::flush(bool isWhole) {
 
 Status DeviceQueue::runCollected(bool isWhole) {
   isKeeping = false;
-  // Nothing of this may be collected in its turn.
+  // The members are emptied first, since running steps may queue work.
   Sequence sequence = std::move(*collected), before = std::move(*prefix);
   *collected = Sequence();
   *prefix = Sequence();
@@ -290,9 +289,9 @@ Status DeviceQueue::runCollected(bool isWhole) {
     int64_t start = recorded->hasRun() ? RecordedLaunches::now() : 0;
     status =
         program->run(before, same, mode, {makeProgram, startProgram, choices});
-    hasProgram = program->isPrepared();
+    collection.hasProgram = program->isPrepared();
     if (recorded->hasRun()) {
-      outcome.isPrepared = hasProgram;
+      outcome.isPrepared = collection.hasProgram;
       outcome.steps = program->sequence.steps.size();
       outcome.hostNs = RecordedLaunches::now() - start;
       program->tellTimes(outcome.chosenMs, outcome.graphMs);

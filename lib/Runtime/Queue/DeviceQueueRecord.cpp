@@ -27,24 +27,24 @@ using namespace mlir::tai::runtime;
 void DeviceQueue::beginCollecting(bool replay) {
   if (collecting++ > 0 || !checkHandler())
     return;
-  hasProgram = false;
+  collection.hasProgram = false;
   failure = Status::success();
-  isReplay = replay;
+  collection.isReplay = replay;
   // A recording that goes on behind the sweep of another tape begins anew.
-  if (records && !isGathering())
+  if (isRecording() && !isGathering())
     (void)recorded->interrupt(/*isEnd=*/true);
   if (isGathering()) {
     bool isWhole = recorded->interrupt(/*isEnd=*/true);
-    if (hasRecorded)
-      records = hasRecorded = false;
+    if (recording == Recording::AwaitsSweep)
+      recording = Recording::None;
     // The recorded work goes on with its sweep.
     if (isWhole) {
-      isReplay = true;
+      collection.isReplay = true;
       return;
     }
     failure = flush(/*isWhole=*/false);
   }
-  if (isReplay && watches) {
+  if (collection.isReplay && watches) {
     prefixes->begin();
   } else {
     (void)noteOther();
@@ -65,7 +65,7 @@ Status DeviceQueue::endCollecting() {
     return status;
   }
   status = flush(/*isWhole=*/true);
-  watches = isReplay && hasProgram && !records;
+  watches = collection.isReplay && collection.hasProgram && !isRecording();
   prefixes->end(watches);
   Status before = std::move(failure);
   failure = Status::success();
@@ -75,10 +75,10 @@ Status DeviceQueue::endCollecting() {
 bool DeviceQueue::noteOther() {
   if (watches)
     prefixes->interrupt();
-  if (!records || collecting > 0)
+  if (!isRecording() || collecting > 0)
     return false;
-  if (hasRecorded)
-    records = hasRecorded = false;
+  if (recording == Recording::AwaitsSweep)
+    recording = Recording::None;
   return recorded->interrupt();
 }
 
@@ -87,14 +87,14 @@ bool DeviceQueue::noteOther() {
 //===----------------------------------------------------------------------===//
 
 bool DeviceQueue::isGathering() const {
-  return records && recorded->isCollecting();
+  return isRecording() && recorded->isCollecting();
 }
 
 Status DeviceQueue::beginRecording() {
   if (collecting > 0 || oneByOne || mode == ProgramMode::Launches)
     return Status::success();
   Status status;
-  if (hasRecorded)
+  if (recording == Recording::AwaitsSweep)
     status = flush();
   recorded->begin();
   // Launches between recordings become part of the second one.
@@ -103,27 +103,27 @@ Status DeviceQueue::beginRecording() {
   else if (watches)
     prefixes->interrupt();
   watches = false;
-  records = true;
+  recording = Recording::Open;
   return status;
 }
 
 Status DeviceQueue::endRecording(bool isSwept) {
-  if (!records)
+  if (!isRecording())
     return Status::success();
   Status status;
   if (collecting > 0) {
     recorded->end();
   } else if (isSwept && recorded->isWhole()) {
-    hasRecorded = true;
+    recording = Recording::AwaitsSweep;
     return status;
   } else if (isGathering()) {
     status = flush();
-    watches = hasProgram;
+    watches = collection.hasProgram;
     prefixes->end(watches);
   } else {
     recorded->end();
   }
-  records = false;
+  recording = Recording::None;
   return status;
 }
 
@@ -131,7 +131,8 @@ Status DeviceQueue::launchRecorded(Function &function, const LaunchShape &shape,
                                    const uint64_t *slots, int count) {
   Status status;
   // Its sweep does not come, or raw memory is in use.
-  if (hasRecorded || numShared.load(std::memory_order_relaxed) > 0) {
+  if (recording == Recording::AwaitsSweep ||
+      numShared.load(std::memory_order_relaxed) > 0) {
     status = flush();
     if (status)
       status = launchNow(function, shape, slots, count);
@@ -162,7 +163,7 @@ Status DeviceQueue::copyKept(const DeviceRows &to, DevicePtr from,
     return Status::success();
   }
   Status status;
-  if (!records)
+  if (!isRecording())
     status = settle();
   else if (isKeeping)
     status = flush(/*isWhole=*/false);
@@ -227,7 +228,7 @@ void DeviceQueue::forget(Module &module) {
     return;
   }
   (void)settle();
-  // Another function may have its address later on.
+  // Programs hold addresses of functions, which later functions may get.
   for (auto program = programs.begin(); program != programs.end();)
     program = program->second->uses(module) ? programs.erase(program)
                                             : std::next(program);

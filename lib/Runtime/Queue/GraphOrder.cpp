@@ -13,7 +13,7 @@ using namespace mlir::tai::runtime;
 
 DeviceQueue::GraphOrder::GraphOrder(const Sequence &sequence)
     : sequence(sequence) {
-  // So many steps are looked at.
+  // The maximum number of comparisons of steps.
   size_t left = 4096;
   order.reserve(sequence.steps.size());
   for (uint32_t i = 0; i < sequence.steps.size(); ++i) {

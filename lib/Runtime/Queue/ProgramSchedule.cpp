@@ -24,7 +24,7 @@ using namespace mlir::tai::runtime;
 // Memory of a step
 //===----------------------------------------------------------------------===//
 
-/// Neighbours in memory as one digit. Digits of one are left out.
+/// Merges dimensions that are adjacent in memory; drops those of extent 1.
 static Footprint::Map makeMap(const std::vector<int64_t> &extents,
                               const std::vector<int64_t> &strides) {
   Footprint::Map map;
@@ -193,7 +193,7 @@ StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
   StepRelation most = a.isSingle && b.isSingle ? StepRelation::SameThread
                                                : StepRelation::Barrier;
   StepRelation result = StepRelation::None;
-  // True if that is all that they can be to each other.
+  // Raises `result`; returns true once it is `most`, which ends the search.
   auto compare = [&](const std::vector<StepMemory::Piece> &ones,
                      const std::vector<StepMemory::Piece> &others) {
     for (const StepMemory::Piece &one : ones)

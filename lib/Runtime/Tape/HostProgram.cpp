@@ -368,7 +368,7 @@ private:
       std::vector<double> part(values.size());
       for (size_t k = begin; k < end; ++k)
         part[written[k]] = direction[written[k]];
-      // Both directions, or nothing is known of the group.
+      // A group is judged by both directions; one alone proves nothing.
       if (budget < 2)
         break;
       bool matters = false;

@@ -105,7 +105,7 @@ void LostGradients::find(const TapeServices &services,
                          const TapeRecording &recording,
                          const std::vector<Field *> &live,
                          std::vector<std::string> &notes) const {
-  // The same kernels have been looked at: another iteration.
+  // An iteration of a loop records the same kernels; they are checked once.
   size_t known = hash(recording, haveSuspectArrays(recording.kernels()));
   for (const Field *field : live)
     known = known * 31 + std::hash<const void *>()(field);

@@ -101,12 +101,21 @@ bool storesSlab(const Access &access) {
 
 /// The facts that launches of a kernel after the first look at.
 struct Repeated {
+  enum class Effect {
+    /// The access stores nothing.
+    None,
+    StoresElements,
+    /// It stores all elements at its fixed index, in all launches.
+    StoresSlab
+  };
   struct Use {
     size_t used;
     const Access *access;
-    bool stores;
-    bool isSlab;
+    Effect effect;
+    /// Whether its elements depend on arguments.
     bool varies;
+
+    bool stores() const { return effect != Effect::None; }
   };
   /// The accesses whose places depend on arguments.
   std::vector<Use> uses;
@@ -155,7 +164,7 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
       Used &entry = used[use.used];
       int64_t position = entry.locate(*use.access, args);
       bool isOwed = use.access->boxes && !isUnknown;
-      again |= use.stores && ((canZero && !isOwed) || entry.has(position));
+      again |= use.stores() && ((canZero && !isOwed) || entry.has(position));
       positions.push_back(position);
     };
     auto [entry, isFirst] = known.try_emplace(kernel);
@@ -164,12 +173,14 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
       for (const Access &access : kernel->summary()) {
         if (!access.field->adjoint())
           continue;
-        bool stores = access.kind == AccessKind::Write;
+        auto effect = Repeated::Effect::None;
+        if (access.kind == AccessKind::Write)
+          effect = storesSlab(access) ? Repeated::Effect::StoresSlab
+                                      : Repeated::Effect::StoresElements;
         size_t index = lookup(access);
         bool varies = access.fixed && !access.fixed->terms.empty() &&
                       access.fixed->dimension == used[index].dimension;
-        repeated.uses.push_back(
-            {index, &access, stores, stores && storesSlab(access), varies});
+        repeated.uses.push_back({index, &access, effect, varies});
       }
     }
     again |= repeated.storesAgain;
@@ -179,13 +190,14 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
     for (size_t k = 0; k < positions.size(); ++k) {
       const Repeated::Use &use = repeated.uses[k];
       Used &entry = used[use.used];
-      if (use.stores && use.access->boxes && !again)
-        entry.owe(*use.access, use.isSlab, positions[k], args);
+      if (use.stores() && use.access->boxes && !again)
+        entry.owe(*use.access, use.effect == Repeated::Effect::StoresSlab,
+                  positions[k], args);
       entry.add(positions[k]);
     }
     if (isFirst) {
       auto isDone = [&](const Repeated::Use &use) {
-        repeated.storesAgain |= use.stores && !use.varies;
+        repeated.storesAgain |= use.stores() && !use.varies;
         return !use.varies;
       };
       repeated.uses.erase(

@@ -244,7 +244,7 @@ Status Rematerialiser::sweep() {
   return status;
 }
 
-/// From snapshot to snapshot.
+/// Reverses the records between each two snapshots, the last ones first.
 Status Rematerialiser::reverseAll(Launch &launch) {
   int64_t kept =
       checkpoints->getPolicy().kind == CheckpointPolicy::Kind::Binomial

@@ -59,7 +59,7 @@ private:
   Status checkActivity(Kernel &kernel, size_t index) const;
 
   TapeServices services;
-  /// Only passed on, for launches of host functions.
+  /// The tape, which host functions get for their launches.
   Tape &tape;
   const TapeRecording &recording;
   TapePlan &plan;

@@ -47,7 +47,7 @@ Status SweepSeeds::add(FieldPtr loss, TapeHolds &holds) {
   if (has(*loss))
     return Status::failure(StatusCode::Usage,
                            "the loss '" + loss->name() + "' is given twice");
-  // It is set to zero, and then added to.
+  // The sweep sets the adjoint of the loss, and then adds to it.
   FieldPtr adjoint = TapedField::adjoint(*loss);
   Status status = services.checkHold(*loss, HoldKind::Write);
   if (status)

@@ -29,7 +29,7 @@ Tape::~Tape() {
   try {
     end();
   } catch (...) {
-    // It has ended for others.
+    // A destructor cannot report the failure; the tape has ended all the same.
   }
   releaseFields();
   parts->services.remove(*this);

@@ -36,7 +36,7 @@ static std::string explainStored(const Kernel &kernel, bool loads) {
     return "; computes again what it stored";
   std::string text = "; loads what it stored";
   std::vector<const Field *> named;
-  for (const Access &access : TapedKernel::adjointPlan(kernel).stored) {
+  for (const Access &access : *TapedKernel::adjointPlan(kernel).stored) {
     if (std::find(named.begin(), named.end(), access.field.get()) !=
         named.end())
       continue;

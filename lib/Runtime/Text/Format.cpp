@@ -114,7 +114,7 @@ std::string mlir::tai::runtime::formatValues(const char *format, int32_t count,
     at += std::max<size_t>(size, 1);
   }
   spec.reset();
-  // Values without a place of their own are not lost.
+  // Values beyond the last placeholder are appended.
   while (next < count) {
     if (!text.empty())
       text += ' ';

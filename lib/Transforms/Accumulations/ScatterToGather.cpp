@@ -462,7 +462,7 @@ static Value emitIsVisited(OpBuilder &builder, LoopBox &box,
   SmallVector<Value> indices;
   for (BlockArgument iv : box.ivs())
     indices.push_back(mapping.lookup(iv));
-  // The innermost sparse level says it.
+  // A cell is active if its cell of the innermost sparse level is.
   int64_t up = 1;
   for (const PathLevel &level : llvm::reverse(visited->path.levels)) {
     if (level.type.isSparse())

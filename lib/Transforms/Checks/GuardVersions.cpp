@@ -71,7 +71,7 @@ scf::IfOp tai::createVersions(Operation *begin, Value condition,
     op->moveBefore(yield);
   for (Operation *op : tail)
     op->moveBefore(yield);
-  // Partial derivatives that guards test, and the ops behind the test.
+  // Ops that only one of the blocks uses move into it.
   sinkInto(guarded, branch);
   sinkInto(fast, branch);
   return branch;

@@ -28,7 +28,7 @@ struct VerifyInlinable : tai::impl::VerifyInlinableBase<VerifyInlinable> {
 
   void runOnOperation() override {
     markAllAnalysesPreserved();
-    // Nothing is inlined for tai here.
+    // Pipelines inline calls only in modules that hold ops of tai.
     if (llvm::none_of(*getOperation().getBody(),
                       [](Operation &op) { return tai::belongsToTai(&op); }))
       return;

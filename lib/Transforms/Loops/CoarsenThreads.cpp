@@ -341,7 +341,7 @@ void StripBuilder::clone(Operation &op, IRMapping &element) {
 void StripBuilder::cloneBlock(Block &block) {
   for (Operation &op : block.without_terminator()) {
     auto branch = dyn_cast<scf::IfOp>(op);
-    // There may be no other branch.
+    // A branch whose condition is constant in each copy has one live arm.
     if (branch && llvm::all_of(elements, [&](IRMapping &element) {
           return getConstantIntValue(
                      element.lookupOrDefault(branch.getCondition()))

@@ -139,7 +139,7 @@ private:
     });
   }
 
-  /// Both sides, then a choice.
+  /// Emits both arms of the branch, and selects their results.
   void flatten(scf::IfOp branch) {
     emit(*branch.thenBlock());
     emit(*branch.elseBlock());

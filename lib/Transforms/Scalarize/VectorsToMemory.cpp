@@ -280,7 +280,7 @@ void VectorReplacer::replaceRead(const Access &access) {
   op.erase();
 }
 
-/// One that is not there changes nothing.
+/// Replaces an insertion by a store; an index out of range stores nothing.
 void VectorReplacer::replaceWrite(const Access &access) {
   auto op = cast<vector::InsertOp>(access.op);
   ImplicitLocOpBuilder b(op.getLoc(), op);
@@ -310,7 +310,7 @@ void VectorReplacer::replaceOther(const Access &access) {
   }
 }
 
-/// Uses a tensor or a buffer in the place of a vector that some other op makes.
+/// Replaces a vector by a tensor or a buffer of its components, for its users.
 void VectorReplacer::replaceDefinition(Value vector) {
   ImplicitLocOpBuilder b(vector.getLoc(), vector.getContext());
   b.setInsertionPointAfterValue(vector);

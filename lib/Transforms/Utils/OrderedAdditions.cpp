@@ -190,8 +190,8 @@ bool Checker::visit(Operation *op) {
     return visitField(access);
   if (isa<memref::LoadOp, memref::StoreOp, memref::AtomicRMWOp>(op))
     return visitArray(op);
-  // Memory of the iteration, and lists of active cells, which nothing here
-  // changes.
+  // These access memory of one iteration, or lists of active cells, which no
+  // op in the loop changes.
   if (isa<memref::AllocaOp, AllocaOp, LocalLoadOp, LocalStoreOp, LLVM::LoadOp>(
           op))
     return true;
@@ -231,7 +231,7 @@ bool Checker::isFree(const PlaceAccesses &place) {
             isInjective(loop, write.indices));
   };
   for (const Access &update : place.updates) {
-    // It may have to make its cell active first.
+    // An update of a sparse field may have to activate its cell.
     if (update.isSparse)
       return false;
     for (const auto *others : {&place.reads, &place.writes})

@@ -228,7 +228,7 @@ def old_values(dtype):
 
 
 def arrays(dtype):
-    """Additions to arrays of the caller."""
+    """A case in which the kernel adds to arrays of the caller."""
     kind = numbers(1, dtype).dtype
     x, sums = numbers(N, dtype), np.zeros(19, kind)
 

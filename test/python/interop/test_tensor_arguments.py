@@ -36,7 +36,7 @@ def test_only_the_first_call_runs_python(library, slow_calls):
         x.add_(1)
         axpy(2.0, x, y)
     assert library.numpy(y).tolist() == [30, 40, 50]
-    # Another extent, and a part that starts elsewhere.
+    # Tensors of another extent, and views that begin behind the first element.
     axpy(1.0, library.tensor(np.ones(7)), library.tensor(np.ones(7)))
     z = library.tensor(np.arange(6.0))
     axpy(1.0, z[1:3], y[1:])

@@ -149,7 +149,7 @@ def test_levels_of_cells_alone():
     top = ti.root.pointer(ti.ij, 64)
     inner = top.bitmasked(ti.ij, 128)
     inner.dense(ti.ij, 16).place(x)
-    # Other cells of the same large ones, in lists.
+    # The cells of `top` hold lists, too.
     lists = top.dynamic(ti.k, 1024)
     lists.place(y)
     far = 64 * 128 * 16

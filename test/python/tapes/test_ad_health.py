@@ -67,7 +67,7 @@ def test_chaos_is_flagged(n):
     finding = next(f for f in report.findings if f.kind == "growth")
     assert finding.kernel == "step"
     assert finding.filename == __file__
-    # Fields with a time axis: a row is about the step's own part.
+    # The field has a time axis: each row of the report is the norm of one step's slab.
     assert [row.record for row in report.rows[:3]] == [n, n - 1, n - 2]
     assert report.rows[0].norm == 1.0
 

@@ -38,7 +38,7 @@ DEBUG INFO WARN ERROR
 
 
 def test_names_are_there():
-    """One test for all: it only sees that they exist."""
+    """Every name of the list exists and is not None."""
     missing = []
     for name in NAMES:
         try:

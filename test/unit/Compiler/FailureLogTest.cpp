@@ -23,7 +23,7 @@ TEST(FailureLog, KeepsTheLastOfEachThread) {
     EXPECT_EQ(log.getLast().message, "there");
   }).join();
   EXPECT_EQ(log.getLast().message, "here");
-  // That of another log is no answer.
+  // A log does not return the failures of other logs.
   EXPECT_EQ(FailureLog().getLast().kind, FailureKind::None);
 }
 

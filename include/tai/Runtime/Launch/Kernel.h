@@ -134,10 +134,9 @@ struct AdjointPlan {
   std::vector<FieldPtr> activity = {};
   /// Its loops over sparse fields.
   std::vector<ZeroAdjoints> flags = {};
-  /// There is a variant that loads stored outputs. It also reads `stored`, and
-  /// is valid if nothing has changed these since the launch.
-  bool loadsStored = false;
-  std::vector<Access> stored = {};
+  /// If there is a variant that loads stored outputs: the accesses that it has
+  /// beside `reads`. It is valid if nothing has changed these since the launch.
+  std::optional<std::vector<Access>> stored = std::nullopt;
   /// Array arguments whose elements it reads, by the slots of their pointers.
   std::vector<int64_t> arrays = {};
 };
@@ -255,7 +254,7 @@ public:
   /// is nothing to differentiate. Thread-safe.
   Status resolveAdjoint(Kernel *&adjoint, bool zeroes = false);
   /// The same for the variants that load stored outputs; null if there is none.
-  /// Requires plan().loadsStored.
+  /// Requires plan().stored.
   Status resolveStoredAdjoint(Kernel *&adjoint, bool zeroes);
 
   /// The memory accesses of the adjoint. Thread-safe.
@@ -331,9 +330,6 @@ private:
   /// Why planning failed: an adjoint without a plan is not launched.
   Status planFailure;
   std::optional<KernelFlows> valueFlows;
-  bool adjointReexecutes = false;
-  bool loadsStored = false;
-  bool alwaysZeroes = false;
   KernelPtr tangent;
   bool tangentAsked = false;
 
@@ -371,7 +367,7 @@ private:
   LoopLists lastLoops;
   /// Stamp of the last tape that recorded this kernel.
   uint64_t tapeStamp = 0;
-  /// That tape's data about it.
+  /// The data of that tape about this kernel.
   const void *tapeUses = nullptr;
 };
 

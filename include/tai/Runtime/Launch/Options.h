@@ -13,16 +13,22 @@
 
 namespace mlir::tai::runtime {
 
+/// Instruments that watch launches without a change of their results.
+struct Instruments {
+  /// A launch on a device waits for its end, and reports the failures of its
+  /// kernel itself.
+  bool debug = false;
+  bool profiler = false;
+  /// Kernels run with shadow values; see ShadowLog.h.
+  bool shadow = false;
+};
+
 struct Options {
   /// Worker threads; 0 = as many as the process may use.
   int threads = 0;
   /// Partitions of reductions do not depend on the number of threads.
   bool deterministic = false;
-  /// Only stored for queries; the runtime itself always checks.
-  bool debug = false;
-  bool profiler = false;
-  /// Kernels run with shadow values; see ShadowLog.h.
-  bool shadow = false;
+  Instruments instruments;
   uint64_t seed = 0;
   /// Maximum of bytes for trees and scratch memory; 0 = the memory of the
   /// machine (or of its control group).

@@ -51,7 +51,7 @@ public:
                          deviceHost, skipCounts}) {
     trees.setMirrors(&deviceHost);
     tapes.setLaunches(&launches.running());
-    if (opts.profiler)
+    if (opts.instruments.profiler)
       state.beginSpecial();
   }
   Runtime(const Runtime &) = delete;
@@ -89,20 +89,22 @@ public:
     opts.deterministic = on;
     workerThreads.setDeterministic(on);
   }
-  void setDebug(bool on) { opts.debug = on; }
+  void setDebug(bool on) { opts.instruments.debug = on; }
   /// Fails if the address space for shadows cannot be reserved.
   Status setShadow(bool on) {
-    opts.shadow = on;
+    opts.instruments.shadow = on;
     return on ? shadow::reserve() : Status::success();
   }
   void setProfiler(bool on) {
-    if (on != opts.profiler)
+    if (on != opts.instruments.profiler)
       on ? state.beginSpecial() : state.endSpecial();
-    opts.profiler = on;
+    opts.instruments.profiler = on;
     deviceHost.setProfiler(on);
   }
   /// Whether device code should include source locations.
-  bool wantsPlaces() const { return opts.profiler || deviceHost.wantsPlaces(); }
+  bool wantsPlaces() const {
+    return opts.instruments.profiler || deviceHost.wantsPlaces();
+  }
   void setSkips(SkipSet skips) {
     opts.skips = skips;
     // Invalidates prepared launches.

@@ -20,6 +20,7 @@
 #include "tai/Runtime/Queue/ProgramTiles.h"
 #include <atomic>
 #include <functional>
+#include <optional>
 #include <unordered_map>
 
 namespace mlir::tai::runtime {
@@ -149,13 +150,14 @@ public:
   void keepChoices(KeptChoices kept) { choices = std::move(kept); }
   void setMode(ProgramMode wanted) {
     (void)settle();
-    records = false;
+    recording = Recording::None;
     mode = wanted;
   }
   /// Queues all work step by step, so that each step can be timed.
   void setOneByOne(bool on) {
     (void)settle();
-    records &= !on;
+    if (on)
+      recording = Recording::None;
     oneByOne = on;
     launcher = on || !unwatched ? device.get() : unwatched;
   }
@@ -179,7 +181,7 @@ public:
   void beginCollecting(bool isReplay = false);
   /// Whether work is or may be collected; recorded work gives the same result
   /// either way.
-  bool isCollecting() const { return collecting > 0 || records; }
+  bool isCollecting() const { return collecting > 0 || isRecording(); }
   Status endCollecting();
   /// Bracket the recording of a tape. Launches that probably repeat those of an
   /// earlier recording are collected until it ends or other work interrupts it
@@ -195,11 +197,11 @@ public:
   /// deferred until other work comes: adjacent ones are merged, and those
   /// before a sequence become part of it.
   Status settle() {
-    if (isRunning)
+    if (runDepth)
       if (Status status = checkHandler(); !status)
         return status;
-    if (__builtin_expect((!isKeeping && !watches && !records) || collecting > 0,
-                         true))
+    if (__builtin_expect(
+            (!isKeeping && !watches && !isRecording()) || collecting > 0, true))
       return Status::success();
     return flush();
   }
@@ -210,13 +212,13 @@ public:
   /// Whether launches are deferred; whether they may be; whether the next ones
   /// probably will.
   bool keepsLaunches() const;
-  bool mayKeep() const { return watches || records; }
+  bool mayKeep() const { return watches || isRecording(); }
   bool expectsLaunches() const;
 
   /// For a timed launch, which cannot wait for the end of the sequence: queues
   /// the collected work; launchNow then queues the launch.
   Status interrupt() {
-    if (isRunning)
+    if (runDepth)
       if (Status status = checkHandler(); !status)
         return status;
     (void)noteOther();
@@ -276,6 +278,8 @@ public:
   void setStopWord(DevicePtr word) override { device->setStopWord(word); }
 
 private:
+  bool isRecording() const { return recording != Recording::None; }
+
   struct Function;
   struct Module;
   struct Step;
@@ -294,7 +298,7 @@ private:
   /// Queues the collected work; a complete sequence may become a program.
   Status flush(bool isWhole);
   Status flush() {
-    if (isRunning)
+    if (runDepth)
       if (Status status = checkHandler(); !status)
         return status;
     bool isWhole = noteOther();
@@ -322,8 +326,14 @@ private:
   bool isKeeping = false;
   /// Whether launches may be deferred.
   bool watches = false;
-  /// Whether a tape records, and whether its recording waits for its sweep.
-  bool records = false, hasRecorded = false;
+  /// The recording of a tape.
+  enum class Recording {
+    None,
+    Open,
+    /// It has ended, and its reverse sweep follows.
+    AwaitsSweep
+  };
+  Recording recording = Recording::None;
   bool oneByOne = false;
   ProgramMode mode = ProgramMode::Automatic;
   ProgramMaker makeProgram;
@@ -335,15 +345,18 @@ private:
   std::unique_ptr<Sequence> prefix;
   std::unique_ptr<SequencePrefixes> prefixes;
   std::unique_ptr<RecordedLaunches> recorded;
-  /// Whether the collection is a replay, and whether the last one had a
-  /// program.
-  bool isReplay = false, hasProgram = false;
+  /// The open collection, or the last one.
+  struct Collection {
+    bool isReplay = false;
+    /// Whether its sequence ran as a program.
+    bool hasProgram = false;
+  };
+  Collection collection;
   /// The failure of a call that could not return it.
   Status failure;
   std::vector<DevicePtr> released;
-  /// Whether it runs, and in how many handlers.
-  bool isRunning = false;
-  unsigned runDepth = 0;
+  /// While the collected work runs: the number of handlers around it.
+  std::optional<unsigned> runDepth;
   /// Code that was given up meanwhile.
   std::vector<std::unique_ptr<Module>> retired;
   std::unordered_multimap<uint64_t, std::unique_ptr<Program>> programs;

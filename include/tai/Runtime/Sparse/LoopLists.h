@@ -24,34 +24,43 @@ using DeviceCellsPtr = std::shared_ptr<const DeviceCells>;
 
 class LoopLists {
 public:
+  /// How the cells compare with those of the launch's other loops over the same
+  /// level.
+  enum class Others {
+    /// There is no other loop, or all of them visited the same cells.
+    Same,
+    /// Another loop visited different cells.
+    Differ,
+    /// Not known yet, because the lists are on a device.
+    Unknown
+  };
+
   struct Entry {
     const SparseNode *node;
     /// Exactly one of these is set.
     ActiveListPtr list;
     DeviceCellsPtr onDevice;
-    /// Another loop of the launch over the same level visited different cells.
-    bool differs = false;
-    /// This is not known yet, because the lists are on a device.
-    bool mayDiffer = false;
+    Others others = Others::Same;
   };
 
   void add(const SparseNode &node, ActiveListPtr list) {
-    bool differs = false;
+    Others others = Others::Same;
     for (Entry &entry : entries) {
-      if (entry.node != &node || entry.list == list)
+      if (entry.node != &node || entry.list == list ||
+          (entry.list && entry.list->cells == list->cells))
         continue;
-      bool isOther = !entry.list || entry.list->cells != list->cells;
-      entry.differs |= isOther;
-      differs |= isOther;
+      others = Others::Differ;
+      if (entry.others == Others::Same)
+        entry.others = Others::Differ;
     }
-    entries.push_back({&node, std::move(list), nullptr, differs});
+    entries.push_back({&node, std::move(list), nullptr, others});
   }
   void add(const SparseNode &node, DeviceCellsPtr list) {
-    bool mayDiffer = false;
+    Others others = Others::Same;
     for (Entry &entry : entries)
       if (entry.node == &node && entry.onDevice != list)
-        entry.mayDiffer = mayDiffer = true;
-    entries.push_back({&node, nullptr, std::move(list), false, mayDiffer});
+        entry.others = others = Others::Unknown;
+    entries.push_back({&node, nullptr, std::move(list), others});
   }
   const Entry *find(const SparseNode &node) const {
     for (const Entry &entry : entries)
@@ -63,7 +72,8 @@ public:
   /// Adds the currently active cells, for a launch whose own lists are not
   /// known.
   void addUnknown(const SparseNode &node, ActiveListPtr list, bool differs) {
-    entries.push_back({&node, std::move(list), nullptr, differs});
+    entries.push_back({&node, std::move(list), nullptr,
+                       differs ? Others::Differ : Others::Same});
   }
   bool empty() const { return entries.empty(); }
   /// Conservative: true for lists on a device.

@@ -89,7 +89,7 @@ struct RecordHealth {
 struct FieldOverwrite {
   int64_t record;
   const Field *field;
-  int64_t earlier; // the last such record before it
+  int64_t earlier; // the last record before it that stores to the field
 };
 
 } // namespace mlir::tai::runtime

@@ -154,7 +154,7 @@ static LogicalResult refuseUnknown(Operation *op, StringRef name) {
   return diag;
 }
 
-/// Asks for a gradient: of a function that has one.
+/// The attribute asks for a gradient; verifies that the function can have one.
 static LogicalResult verifyDifferentiate(Operation *op) {
   StringRef name = op->getName().getStringRef();
   auto function = cast<FunctionOpInterface>(op);

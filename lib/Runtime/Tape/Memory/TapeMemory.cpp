@@ -104,7 +104,7 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   for (const Access &access : plan.reads)
     if (!access.field->isAdjoint() && access.field->valid())
       add(uses->reads, makeUse(access));
-  for (const Access &access : plan.stored)
+  for (const Access &access : plan.stored.value_or(std::vector<Access>()))
     if (access.field->valid())
       add(uses->stored, makeUse(access));
   mergeSlabs(uses->reads);

@@ -175,7 +175,7 @@ class RoundingEmitter(Emitter):
         if all(operand.const is not None for operand in operands):
             return result
         if result.dt is dtypes.f64:
-            # The same result, rounded to f32.
+            # The result is compared with itself, rounded to f32.
             wide = result
             narrow = self._convert(self._convert(result, dtypes.f32), dtypes.f64)
         else:

@@ -184,7 +184,7 @@ class Tape(native.WithBlock):
             field.fill(0)
 
     def _forget(self) -> None:
-        """Nothing is recorded any more."""
+        """Ends the recording: later launches are not taped."""
         native.set_tape(None)
         tracked.end()
         state.of_thread.tape = None

@@ -199,7 +199,7 @@ def _rebuild(
 
 
 def _is_named(f: Any, name: str) -> bool:
-    """Whether a field has a name; one that was made again has a number behind it."""
+    """Whether a field has a name. A later field of the same name has a number at its end."""
     stem, _, number = owner_of(f).name.rpartition("_")
     return owner_of(f).name == name or (stem == name and number.isdigit())
 

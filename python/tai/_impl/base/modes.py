@@ -171,7 +171,7 @@ def modes_of(own: dict[str, Any], options: Any) -> dict[str, Any]:
 
 
 def attribute_of(modes: dict[str, Any]) -> str:
-    """They as the attribute of IR."""
+    """The modes as an attribute of IR."""
     texts = []
     for name, word in modes.items():
         shown = "f32" if word in _STORAGE else word

@@ -206,5 +206,5 @@ class PLYWriter:
         self.export(self._name_of(series_num, path))
 
     def export_frame_ascii(self, series_num: int, path: str) -> None:
-        """The same as text."""
+        """Writes frame `series_num` as a text file."""
         self.export_ascii(self._name_of(series_num, path))

@@ -148,7 +148,7 @@ class ScalarField(Field):
                 f"field '{self.name}' is not there, as its tree was refused: {root.refused}"
             )
         if root is program.root or any(root is other for other in program.laid_out):
-            # Another thread may be at it: then this waits.
+            # If another thread is laying out the tree, this call waits for it.
             materialize(program)
         elif not root.allocated:
             raise TaiRuntimeError(

@@ -37,7 +37,7 @@ class Variable:
 
 
 class Place:
-    """Something that can be loaded and stored.
+    """A variable, element or component, which can be loaded and stored.
 
     Attributes:
         dt, shape: the type of its value. A loaded value has the type that it is computed in (f32

@@ -84,7 +84,7 @@ class StructResult:
         return found
 
     def unpack(self, vector: Any, is_followed: bool) -> Struct:
-        """The struct in Python.
+        """Makes the struct of Python from its numbers.
 
         Args:
             vector: of its numbers, with a gradient or tangent under a tape or in forward mode.

@@ -79,7 +79,7 @@ class System:
         while True:
             residual = self.compute_residual()
             if not math.isfinite(residual):
-                # Nothing can be made of such a start.
+                # A start that is not finite is replaced by zero, once.
                 if done == 0 and last == math.inf:
                     self.x.fill(0)
                     last = residual

@@ -206,7 +206,7 @@ class SparseMatrix:
 
     def __setitem__(self, indices: tuple[int, int], value: float) -> None:
         with warnings.catch_warnings():
-            # That it is slow.
+            # scipy warns that changing single entries is slow.
             warnings.simplefilter("ignore")
             self._matrix[indices] = value
         origins.note_computed(self, value)

@@ -475,7 +475,7 @@ class TapeArrays:
     def find(self, array: np.ndarray, has_gradient: bool) -> str | None:
         """The argument of a launch that forbids Python's access to the array now, if any.
 
-        Launches that have had copies of a constant array do not.
+        A launch that got a copy of a constant array forbids nothing.
         """
         for frozen in self._frozen.values():
             if has_gradient and overlap(frozen.held.array, array):

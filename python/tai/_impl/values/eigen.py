@@ -44,7 +44,7 @@ def eig(a: Any, dt: Any = None) -> Any:
     leans = half >= 0
     first = _choose(leans, [far, a10], [a01, far])
     second = _choose(leans, [a01, -far], [-far, a10])
-    # Both rows are zero, or one entry is left.
+    # For far = 0, both rows are zero or have one entry, and an axis is an eigenvector.
     apart = far > 0
     axes = [one, zero], [zero, one]
     first = _choose(apart, first, _choose(a10 == 0, *axes))

@@ -389,7 +389,7 @@ class Emitter:
         return MatrixValue(self, handle, value.dt, shape)
 
     def operands(self, a: Any, b: Any) -> tuple[Value, Value, DataType]:
-        """Both as values, plain numbers in the type that the two are computed in."""
+        """Two operands as values, and their common type, which plain numbers take."""
         weak_a, weak_b = not isinstance(a, Value), not isinstance(b, Value)
         number = (bool, int, float, np.generic)
         if weak_a and isinstance(a, number) and not weak_b:
@@ -406,7 +406,7 @@ class Emitter:
         return self.cast(a, dt), self.cast(b, dt)
 
     def unify(self, a: Any, b: Any, dt: DataType | None = None) -> tuple[Any, Any]:
-        """Both in one type and one shape."""
+        """Casts and broadcasts two operands to one type and one shape."""
         a, b, common = self.operands(a, b)
         dt = dt or common
         a, b = self.cast(a, dt), self.cast(b, dt)

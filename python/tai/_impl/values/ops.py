@@ -470,7 +470,7 @@ def loop_unique(value: Any, covers: Any = None) -> Any:
     return value
 
 
-# Only the compiler gives these a meaning.
+# Operations of kernels; the functions below are their names in Python, and raise.
 
 
 def _place_operation(name: str, doc: str, hint: str | None = None) -> Callable[..., Any]:
