@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup check
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup check
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -89,6 +89,9 @@ tidy: build ## clang-tidy over changed sources and headers (ARGS=--all); needs c
 
 portable: setup ## make dist/tai-portable-*.tar.xz, which needs no LLVM to run
 	@scripts/portable.sh $(JOBS)
+
+deb: build ## make Debian packages in dist/, for machines with LLVM and MLIR 22
+	@cd $(BUILD) && SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct)} cpack -G DEB
 
 wheel: setup ## make wheels of all CPythons that are found, an sdist, an SBOM (ARGS=--download)
 	@scripts/portable.sh $(JOBS)

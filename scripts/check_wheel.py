@@ -25,7 +25,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 MOST_BYTES = 60_000_000
 MUST_HAVE = [
-    r"tai/__init__\.py", r"tai/build\.json", r"tai/lib/libtai\.so", r"tai/bin/tai-opt",
+    r"tai/__init__\.py", r"tai/build\.json", r"tai/lib/libtai\.so\.\d+\.\d+", r"tai/bin/tai-opt",
     r"tai/licenses/LICENSE\.llvm", r"tai/licenses/LICENSE\.pybind11",
     r"tai-[^/]*\.dist-info/licenses/LICENSE", r"tai-[^/]*\.dist-info/sboms/tai\.cdx\.json",
 ]  # fmt: skip

@@ -10,7 +10,7 @@ packages=(
   zlib1g-dev libzstd-dev libcurl4-openssl-dev libedit-dev libxml2-dev
   # the build, the tests; oneTBB for the benchmarks' hand-written programs; SLEEF, the vector
   # functions of loops
-  libtbb-dev libsleef3 ninja-build cmake ccache libgtest-dev clang-format-22
+  libtbb-dev libsleef3 ninja-build cmake ccache libgtest-dev clang-format-22 pkgconf
   # the run time of sanitizers, for PRESET=asan and ti.init(sanitize="address")
   libclang-rt-22-dev
   python3 python3-venv python3-dev xz-utils ca-certificates

@@ -147,11 +147,9 @@ class Stage:
         """Makes the folder; returns a description of its contents."""
         origin = self._unpack()
         if self.options.tree_python:
-            for name in ("tai", "src"):
-                source = ROOT / "python" / name
-                ignored = shutil.ignore_patterns("__pycache__", "*.so")
-                target = self.root / "python" / name
-                shutil.copytree(source, target, dirs_exist_ok=True, ignore=ignored)
+            ignored = shutil.ignore_patterns("__pycache__", "*.so")
+            target = self.root / "python/tai"
+            shutil.copytree(ROOT / "python/tai", target, dirs_exist_ok=True, ignore=ignored)
             origin += ", Python from the checkout"
         for name in TREE:
             source, target = ROOT / name, self.root / name
@@ -187,13 +185,13 @@ class Stage:
         compiler = next(filter(shutil.which, ("c++", "g++", "clang++", "clang++-22")), None)
         if not compiler:
             raise SystemExit("test-gpu: there is no C++ compiler")
-        includes = ["-I", self.root / "include", *self._upstream()]
+        includes = ["-I", self.root / "include", "-I", ROOT / "include", *self._upstream()]
         asked = [sys.executable, "-m", "pybind11", "--includes"]
         done = subprocess.run(asked, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise SystemExit("test-gpu: this Python has no pybind11")
         flags = ["-std=c++17", "-O2", "-fPIC", "-fvisibility=hidden", *done.stdout.split()]
-        source, objects, running = self.root / "python/src", [], []
+        source, objects, running = ROOT / "python/src", [], []
         for file in sorted(source.glob("*.cpp")):
             objects.append(self.options.work / f"{file.stem}.o")
             command = [compiler, *flags, *includes, "-c", file, "-o", objects[-1]]

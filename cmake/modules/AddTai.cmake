@@ -206,6 +206,19 @@ function(tai_objects property result)
   set(${result} "${libraries}" PARENT_SCOPE)
 endfunction()
 
+# tai_hide_upstream(<target>): of the symbols, those of tai and of MLIR's C API stay
+# visible. The others are copies of templates of LLVM and of the C++ library.
+function(tai_hide_upstream target)
+  # The run times of sanitizers and of coverage look for symbols of their own.
+  if(LLVM_USE_SANITIZER OR TAI_SANITIZE OR TAI_COVERAGE)
+    return()
+  endif()
+  set(script "${PROJECT_SOURCE_DIR}/cmake/libtai.exports")
+  target_link_options(${target} PRIVATE
+    "-Wl,--version-script=${script}" -Wl,--undefined-version)
+  set_property(TARGET ${target} APPEND PROPERTY LINK_DEPENDS "${script}")
+endfunction()
+
 # add_tai_shared_library(): libtai, from every add_tai_library() before it.
 function(add_tai_shared_library)
   tai_objects(TAI_LIBRARIES objects)
@@ -218,7 +231,16 @@ function(add_tai_shared_library)
     list(REVERSE objects)
   endif()
   add_library(tai SHARED ${objects})
-  set_target_properties(tai PROPERTIES LINKER_LANGUAGE CXX)
+  # Minor versions may break the ABI: test/CAPI/abi lists what a version promises.
+  set_target_properties(tai PROPERTIES LINKER_LANGUAGE CXX
+    SOVERSION "${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR}")
+  set(namelink)
+  if(SKBUILD)
+    # A wheel holds no links.
+    set(namelink NAMELINK_SKIP)
+  else()
+    set_target_properties(tai PROPERTIES VERSION "${PROJECT_VERSION}")
+  endif()
   get_property(libs GLOBAL PROPERTY TAI_LINK_LIBS)
   list(REMOVE_DUPLICATES libs)
   target_link_libraries(tai PRIVATE
@@ -227,8 +249,10 @@ function(add_tai_shared_library)
     tai_link_upstream(tai PRIVATE)
   else()
     tai_link_upstream(tai PUBLIC)
+    tai_hide_upstream(tai)
   endif()
-  install(TARGETS tai EXPORT TaiTargets LIBRARY COMPONENT library)
+  install(TARGETS tai EXPORT TaiTargets
+    LIBRARY COMPONENT library NAMELINK_COMPONENT headers ${namelink})
 endfunction()
 
 # add_tai_tool(<name> [sources] [LINK_LIBS libs] [DEPENDS targets])

@@ -27,6 +27,7 @@
 
 #include "mlir-c/IR.h"
 #include "mlir-c/Support.h"
+#include "tai-c/Version.h"
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -63,6 +64,10 @@ typedef enum TaiStatus {
 
 /// The version of tai, as in Python: "0.2.0", or "0.2.0.dev0" between releases.
 TAI_EXPORT const char *taiVersion(void);
+
+/// The same as a number: TAI_VERSION_NUMBER of the headers that libtai was
+/// built with. See tai-c/Version.h.
+TAI_EXPORT int taiVersionNumber(void);
 
 /// The version of the LLVM and MLIR that libtai was built with.
 TAI_EXPORT const char *taiLLVMVersion(void);
@@ -239,7 +244,7 @@ TAI_EXPORT void taiFieldRelease(TaiField field);
 TAI_EXPORT bool taiContextHasKernel(TaiContext context, const char *name);
 
 /// The number of objects in a context, to detect leaks.
-typedef struct {
+typedef struct TaiContextObjects {
   int64_t trees;
   int64_t fields;
   int64_t declarations; // trees and fields as IR
@@ -634,5 +639,7 @@ TAI_EXPORT TaiStatus taiProfilerClearSkips(TaiContext context);
 #ifdef __cplusplus
 }
 #endif
+
+#include "tai-c/Sizes.h"
 
 #endif // TAI_C_TAI_H

@@ -21,7 +21,9 @@ static StringRef toRef(const char *text) { return text ? text : ""; }
 // Context
 //===----------------------------------------------------------------------===//
 
-const char *taiVersion(void) { return TAI_VERSION; }
+const char *taiVersion(void) { return TAI_VERSION_STRING; }
+
+int taiVersionNumber(void) { return TAI_VERSION_NUMBER; }
 
 const char *taiLLVMVersion(void) { return LLVM_VERSION_STRING; }
 

@@ -8,6 +8,8 @@
 #ifndef TAI_LIB_CAPI_IMPL_H
 #define TAI_LIB_CAPI_IMPL_H
 
+// The plain functions are defined here, without the macros of tai-c/Sizes.h.
+#define TAI_PLAIN_FUNCTIONS
 #include "tai-c/Tai.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Tape/Tape.h"
@@ -54,6 +56,8 @@ struct TaiContextImpl {
   std::vector<TaiTraceEvent> traceEvents;
   std::vector<TaiSkipRow> skipRows;
   std::string lostTangents;
+  /// Rows of another size than ours, until the next call that gives some.
+  std::vector<uint64_t> sizedRows;
 
   /// The status of a call of the session.
   TaiStatus status(llvm::LogicalResult result) {

@@ -13,11 +13,12 @@
 
 #include "mlir/Tools/Plugins/DialectPlugin.h"
 #include "mlir/Tools/Plugins/PassPlugin.h"
+#include "tai-c/Version.h"
 #include "tai/InitAll.h"
 
 extern "C" LLVM_ATTRIBUTE_WEAK mlir::DialectPluginLibraryInfo
 mlirGetDialectPluginInfo() {
-  return {MLIR_PLUGIN_API_VERSION, "tai", TAI_VERSION,
+  return {MLIR_PLUGIN_API_VERSION, "tai", TAI_VERSION_STRING,
           [](mlir::DialectRegistry *registry) {
             mlir::tai::registerAll(*registry);
           }};
@@ -25,6 +26,6 @@ mlirGetDialectPluginInfo() {
 
 extern "C" LLVM_ATTRIBUTE_WEAK mlir::PassPluginLibraryInfo
 mlirGetPassPluginInfo() {
-  return {MLIR_PLUGIN_API_VERSION, "tai", TAI_VERSION,
+  return {MLIR_PLUGIN_API_VERSION, "tai", TAI_VERSION_STRING,
           mlir::tai::registerAllPasses};
 }

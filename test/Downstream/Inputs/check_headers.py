@@ -55,10 +55,23 @@ def check(header: pathlib.Path) -> str:
     return f"{name}:\n{result.stderr[:1000]}" if result.returncode else ""
 
 
+def check_as_c(header: pathlib.Path) -> str:
+    """The errors of a C99 file that includes this header twice, and no other."""
+    name = header.relative_to(include)
+    command = [compiler.replace("clang++", "clang"), "-std=c99", "-Wall", "-Wextra", "-Wpedantic"]
+    command += ["-Werror", f"-I{include}", "-isystem", llvm, "-fsyntax-only", "-x", "c", "-"]
+    text = f'#include "{name}"\n' * 2
+    result = subprocess.run(command, input=text, capture_output=True, text=True)
+    return f"{name}, in C:\n{result.stderr[:1000]}" if result.returncode else ""
+
+
 with concurrent.futures.ThreadPoolExecutor(2) as pool:
     covered = {find_first(header) for header in headers}
     number, parts = map(int, part.split("/"))
     roots = [header for header in headers if header not in covered][number - 1 :: parts]
     failures = [text for text in pool.map(check, roots) if text]
+    headers_of_c = [*sorted(include.glob("tai-c/*.h")), include / "tai/ABI/Abi.h"]
+    assert len(headers_of_c) > 3, headers_of_c
+    failures += filter(None, pool.map(check_as_c, headers_of_c if number == 1 else []))
 print("\n".join(failures))
 sys.exit(bool(failures))

@@ -32,7 +32,7 @@ def test_info_names_versions_and_machine():
     found = ti.info()
     assert found.version == ti.__version__
     assert found.llvm.startswith("22.")
-    assert Path(found.libtai).name == "libtai.so" and Path(found.libtai).exists()
+    assert Path(found.libtai).name.startswith("libtai.so.") and Path(found.libtai).exists()
     assert found.python.endswith(".".join(map(str, sys.version_info[:3])))
     assert found.cache == ""
     assert found.arch == "cpu" or "TI_ARCH" in os.environ or found.arch == "cuda"

@@ -56,7 +56,7 @@ def make(folder: Path, names: dict[str, bytes], python: str = "311") -> Path:
 COMPLETE = {
     name: name.encode()
     for name in [
-        "tai/__init__.py", "tai/build.json", "tai/lib/libtai.so", "tai/bin/tai-opt",
+        "tai/__init__.py", "tai/build.json", "tai/lib/libtai.so.1.0", "tai/bin/tai-opt",
         "tai/licenses/LICENSE.llvm", "tai/licenses/LICENSE.pybind11",
         "tai-1.0.dist-info/licenses/LICENSE", "tai-1.0.dist-info/sboms/tai.cdx.json",
         "tai/_core.cpython-311-x86_64-linux-gnu.so", "tai-1.0.dist-info/METADATA",
