@@ -62,13 +62,15 @@ def index_arithmetic() -> list[str]:
     ]
 
 
+MODES = "deterministic isDeterministic compensated isCompensated oneOrder hasOneOrder keepsTerms"
+
+
 def modes_of_sums() -> list[str]:
     """Sources outside of the rooms of reductions that ask how a sum is to be computed.
 
     The dialect defines the modes, the C API passes them on, the interpreter computes with them.
     """
-    words = "deterministic isDeterministic compensated isCompensated isWide wide isPair keepsTerms"
-    match = re.compile(rf"\b(?:{'|'.join(words.split())}|Deterministic|Compensated|Wide|Pair)\b")
+    match = re.compile(rf"\b(?:{'|'.join(MODES.split())})\b")
     exempt = ("lib/Interpreter/", "lib/CAPI/", "lib/Dialect/")
     return [
         name
@@ -161,8 +163,8 @@ class Rule:
 
 
 BARS = [
-    Rule("sources that take index arithmetic apart", index_arithmetic, bar=8, goal=3),
-    Rule("sources that ask for a mode of sums", modes_of_sums, bar=58, goal=6),
+    Rule("sources that take index arithmetic apart", index_arithmetic, bar=5, goal=3),
+    Rule("sources that ask for a mode of sums", modes_of_sums, bar=31, goal=6),
     Rule("structs with more than three booleans", flag_structs, bar=4, goal=0),
     Rule("passes without a test in the folder of their room", passes_without_test, bar=0, goal=0),
 ]

@@ -1,4 +1,4 @@
-"""atan, the hyperbolic functions and their inverses, cbrt, erf, erfc, log10, trunc, hypot, copysign:
+"""atan, hyperbolic functions and their inverses, cbrt, erf, erfc, log10, trunc, hypot, copysign:
 values and gradients against mpmath, at ordinary numbers and at the ends of domains and types."""
 
 import math
