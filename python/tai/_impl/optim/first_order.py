@@ -91,9 +91,9 @@ class Optimizer:
         for p in self._parameters:
             largest = _LARGEST[p.dtype.name]
             if p.is_array:
-                k.count_array(p.flat("grad"), self._counts, largest)
+                k.of_arrays.count(p.flat("grad"), self._counts, largest)
             else:
-                k.count(p.value.grad, self._counts, largest)
+                k.of_fields.count(p.value.grad, self._counts, largest)
         self._update()
         if self.nonfinite == "raise":
             self._check()
@@ -239,9 +239,9 @@ class SGD(Optimizer):
             if p.is_array:
                 # Without momentum the kernel does not touch its memory.
                 mean = memory["mean"].array.reshape(-1) if memory else p.flat("grad")
-                k.sgd_array(p.flat(), p.flat("grad"), mean, *rest)
+                k.of_arrays.sgd(p.flat(), p.flat("grad"), mean, *rest)
             else:
-                k.sgd(p.value, p.value.grad, memory.get("mean", p.value.grad), *rest)
+                k.of_fields.sgd(p.value, p.value.grad, memory.get("mean", p.value.grad), *rest)
 
 
 class Adam(Optimizer):
@@ -291,6 +291,6 @@ class Adam(Optimizer):
             rest = (self._counts, self._factors, *self.betas, self.lr, self.eps, limit)
             if p.is_array:
                 mean, root = (memory[what].array.reshape(-1) for what in self._memories)
-                k.adam_array(p.flat(), p.flat("grad"), mean, root, *rest)
+                k.of_arrays.adam(p.flat(), p.flat("grad"), mean, root, *rest)
             else:
-                k.adam(p.value, p.value.grad, memory["mean"], memory["root"], *rest)
+                k.of_fields.adam(p.value, p.value.grad, memory["mean"], memory["root"], *rest)

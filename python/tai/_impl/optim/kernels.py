@@ -4,7 +4,7 @@ Steps look at all gradients first: if one is NaN or infinite, nothing changes. T
 a number on the device, so no step waits for the host.
 """
 
-from __future__ import annotations
+# Annotations are evaluated, since those of `make_steps` are its arguments.
 
 import functools
 from typing import Any
@@ -88,20 +88,48 @@ def get_kernels() -> Any:
             result = result * x.shape[d] + (at[d] - offset[d])
         return result
 
-    class Kernels:
-        @staticmethod
-        @kernel
-        def count(g: template(), counts: template(), largest: f64):
-            for at in grouped(g):
-                if not is_finite(g[at], largest):
-                    counts[FOUND] += 1
+    def make_steps(data):
+        """Kernels on parameters: on fields for `template`, on arrays for `ndarray`."""
 
-        @staticmethod
-        @kernel
-        def count_array(g: ndarray(), counts: template(), largest: f64):
-            for i in range(g.shape[0]):
-                if not is_finite(g[i], largest):
-                    counts[FOUND] += 1
+        class Steps:
+            @staticmethod
+            @kernel
+            def count(g: data(), counts: template(), largest: f64):
+                for at in grouped(g):
+                    if not is_finite(g[at], largest):
+                        counts[FOUND] += 1
+
+            @staticmethod
+            @kernel
+            def adam(
+                x: data(), g: data(), m: data(), s: data(), counts: template(),
+                factors: template(), beta1: f64, beta2: f64, rate: f64, epsilon: f64,
+                largest: f64,
+            ):  # fmt: skip
+                for at in grouped(x):
+                    if counts[IS_BAD] == 0:
+                        adam(
+                            x, g, m, s, at, counts, factors, m.dtype, beta1, beta2, rate, epsilon,
+                            largest,
+                        )  # fmt: skip
+
+            @staticmethod
+            @kernel
+            def sgd(
+                x: data(), g: data(), m: data(), counts: template(), momentum: f64,
+                rate: f64, nesterov: template(), has_memory: template(), largest: f64,
+            ):  # fmt: skip
+                for at in grouped(x):
+                    if counts[IS_BAD] == 0:
+                        sgd(
+                            x, g, m, at, counts, g.dtype, cast(momentum, g.dtype),
+                            cast(rate, g.dtype), nesterov, has_memory, largest,
+                        )  # fmt: skip
+
+        return Steps
+
+    class Kernels:
+        of_fields, of_arrays = make_steps(template), make_steps(ndarray)
 
         @staticmethod
         @kernel
@@ -116,58 +144,6 @@ def get_kernels() -> Any:
                 counts[STEPS] += 1
                 factors[0] = 1 - beta1 ** cast(counts[STEPS], f64)
                 factors[1] = sqrt(1 - beta2 ** cast(counts[STEPS], f64))
-
-        @staticmethod
-        @kernel
-        def adam(
-            x: template(), g: template(), m: template(), s: template(), counts: template(),
-            factors: template(), beta1: f64, beta2: f64, rate: f64, epsilon: f64, largest: f64,
-        ):  # fmt: skip
-            for at in grouped(x):
-                if counts[IS_BAD] == 0:
-                    adam(
-                        x, g, m, s, at, counts, factors, m.dtype, beta1, beta2, rate, epsilon,
-                        largest,
-                    )  # fmt: skip
-
-        @staticmethod
-        @kernel
-        def adam_array(
-            x: ndarray(), g: ndarray(), m: ndarray(), s: ndarray(), counts: template(),
-            factors: template(), beta1: f64, beta2: f64, rate: f64, epsilon: f64, largest: f64,
-        ):  # fmt: skip
-            for at in range(x.shape[0]):
-                if counts[IS_BAD] == 0:
-                    adam(
-                        x, g, m, s, at, counts, factors, m.dtype, beta1, beta2, rate, epsilon,
-                        largest,
-                    )  # fmt: skip
-
-        @staticmethod
-        @kernel
-        def sgd(
-            x: template(), g: template(), m: template(), counts: template(), momentum: f64,
-            rate: f64, nesterov: template(), has_memory: template(), largest: f64,
-        ):  # fmt: skip
-            for at in grouped(x):
-                if counts[IS_BAD] == 0:
-                    sgd(
-                        x, g, m, at, counts, g.dtype, cast(momentum, g.dtype),
-                        cast(rate, g.dtype), nesterov, has_memory, largest,
-                    )  # fmt: skip
-
-        @staticmethod
-        @kernel
-        def sgd_array(
-            x: ndarray(), g: ndarray(), m: ndarray(), counts: template(), momentum: f64,
-            rate: f64, nesterov: template(), has_memory: template(), largest: f64,
-        ):  # fmt: skip
-            for at in range(x.shape[0]):
-                if counts[IS_BAD] == 0:
-                    sgd(
-                        x, g, m, at, counts, g.dtype, cast(momentum, g.dtype),
-                        cast(rate, g.dtype), nesterov, has_memory, largest,
-                    )  # fmt: skip
 
         # One vector of all parameters
 
