@@ -9,8 +9,10 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,20 +38,23 @@ class Build:
     def __init__(self, copy: Path):
         self.copy, self.build = copy, copy / "build"
         self.count = len(json.loads((copy / "mutants.json").read_text()))
-        self.seen = copy / "seen"
-        self.cache = copy / "cache"
+
+    def seen(self) -> Path:
+        """The file of the mutants that a test of this thread reaches."""
+        return self.copy / f"seen-{threading.get_ident()}"
 
     def environment(self, mutant: int | None) -> dict[str, str]:
         """Compiled code of one mutant is not that of another: the cache starts empty."""
-        shutil.rmtree(self.cache, ignore_errors=True)
+        cache = self.copy / f"cache-{threading.get_ident()}"
+        shutil.rmtree(cache, ignore_errors=True)
         variables = os.environ | {
-            "TAI_MUTANT_CACHE": str(self.cache), "TAI_CACHE_DIR": str(self.cache),
+            "TAI_MUTANT_CACHE": str(cache), "TAI_CACHE_DIR": str(cache),
             "PYTHONPATH": os.pathsep.join([str(self.copy / "python"), str(Path(__file__).parent)]),
             "TAI_BUILD_DIR": str(self.build), "TAI_VERIFY_EACH": "1",
         }  # fmt: skip
         if mutant is None:
-            self.seen.write_bytes(bytes(self.count))
-            return variables | {"TAI_MUTANT_SEEN": str(self.seen)}
+            self.seen().write_bytes(bytes(self.count))
+            return variables | {"TAI_MUTANT_SEEN": str(self.seen())}
         return variables | {"TAI_MUTANT": str(mutant)}
 
     def run(self, command: list[object], environment: dict[str, str], limit: float) -> int | None:
@@ -121,22 +126,26 @@ class Build:
                 names.append(suite + word.strip())
         return names
 
-    def reach(self, kind: str, notes: Path) -> None:
+    def reach(self, kind: str, notes: Path, jobs: int) -> None:
         """Runs each test by itself, and notes its mutants."""
-        with notes.open("a") as file:
-            for name in self.names_of(kind):
-                begun = time.monotonic()
-                status = self.run(self.command(kind, [name]), self.environment(None), 300)
-                row = {"kind": kind, "test": name, "seconds": time.monotonic() - begun,
-                       "passed": status == 0,
-                       "numbers": list(numbers_in(self.seen.read_bytes()))}  # fmt: skip
+
+        def run(name: str) -> dict[str, object]:
+            begun = time.monotonic()
+            status = self.run(self.command(kind, [name]), self.environment(None), 300)
+            return {"kind": kind, "test": name, "seconds": time.monotonic() - begun,
+                    "passed": status == 0,
+                    "numbers": list(numbers_in(self.seen().read_bytes()))}  # fmt: skip
+
+        with notes.open("a") as file, ThreadPoolExecutor(jobs) as pool:
+            for row in pool.map(run, self.names_of(kind)):
                 file.write(json.dumps(row) + "\n")
                 file.flush()
 
-    def reach_pytest(self, files: list[str], notes: Path) -> None:
+    def reach_pytest(self, files: list[str], notes: Path, jobs: int) -> None:
         environment = self.environment(None) | {"TAI_MUTANT_NOTES": str(notes)}
         command = self.pytest(files)
         command.remove("-x")
+        command += ["-n", str(jobs)] if jobs > 1 else []
         self.run([*command, "-p", "seen_plugin"], environment, 7200)
 
 

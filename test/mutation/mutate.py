@@ -26,6 +26,7 @@ import random
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -102,12 +103,13 @@ def reach(args: argparse.Namespace) -> None:
 
     build = cpp_tests.Build(args.copy)
     for kind in args.kinds:
+        for old in args.copy.glob(f"reach-{kind}*.jsonl"):
+            old.unlink()
         notes = args.copy / f"reach-{kind}.jsonl"
-        notes.unlink(missing_ok=True)
         if kind == "pytest":
-            build.reach_pytest(args.files, notes)
+            build.reach_pytest(args.files, notes, args.jobs)
         else:
-            build.reach(kind, notes)
+            build.reach(kind, notes, args.jobs)
 
 
 def run_cpp(args: argparse.Namespace) -> None:
@@ -115,19 +117,22 @@ def run_cpp(args: argparse.Namespace) -> None:
     import cpp_tests
 
     build = cpp_tests.Build(args.copy)
-    kinds = ("lit", "gtest", "pytest")
-    reached = cpp_tests.Reached([args.copy / f"reach-{kind}.jsonl" for kind in kinds])
+    reached = cpp_tests.Reached(sorted(args.copy.glob("reach-*.jsonl")))
     known = read_rows(args.out)
     every = cpp_mutants.read_mutants(args.copy)
     for room in ROOMS:
         found = [one for one in every if one.file.startswith(f"lib/{room}/")]
         sample = random.Random(args.seed).sample(found, min(args.count, len(found)))
-        for mutant in sample:
-            if mutant.name not in known:
-                row = cpp_tests.judge(build, reached, mutant.number, args.budget)
-                row |= {"name": mutant.name, "part": f"lib/{room}", "all": len(found),
-                        "seed": args.seed, "number": mutant.number}  # fmt: skip
-                note(args.out, row)
+        unknown = [mutant for mutant in sample if mutant.name not in known]
+        common = {"part": f"lib/{room}", "all": len(found), "seed": args.seed}
+
+        def judge(mutant: cpp_mutants.Mutant, common: dict[str, Any] = common) -> dict[str, Any]:
+            row = cpp_tests.judge(build, reached, mutant.number, args.budget)
+            return row | common | {"name": mutant.name, "number": mutant.number}
+
+        with ThreadPoolExecutor(args.jobs) as pool:
+            for done in as_completed(pool.submit(judge, mutant) for mutant in unknown):
+                note(args.out, done.result())
 
 
 def explanations() -> dict[str, str]:
@@ -203,6 +208,7 @@ def main() -> int:
     sampled(cpp, "mutants-cpp.jsonl")
     for sub in (command("prepare", prepare), command("reach", reach), cpp):
         sub.add_argument("--copy", type=Path, default=COPY, help="the tree with all mutants")
+        sub.add_argument("--jobs", type=int, default=1, help="tests at a time")
     options = commands.choices["reach"]
     options.add_argument("--kinds", nargs="+", default=["lit", "gtest", "pytest"])
     options.add_argument("--files", nargs="+", default=["test/python/ad", "test/python/tapes"])
