@@ -10,6 +10,7 @@
 #include "mlir/Interfaces/LoopLikeInterface.h"
 #include "llvm/ADT/STLExtras.h"
 #include "llvm/ADT/bit.h"
+#include "llvm/Support/MathExtras.h"
 #include <numeric>
 
 using namespace mlir;
@@ -139,6 +140,8 @@ void IterationEquations::cancel(IndexExpr &first, IndexExpr &second) const {
 /// Finds the one unknown of an equation. By value: solutions add equations.
 void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
   cancel(first, second);
+  if (first.terms.size() > 1 && second.terms.size() > 1)
+    splitDigits(first, second);
   if (first.terms.size() != 1 || second.terms.size() != 1 ||
       first.constant != second.constant ||
       first.terms.front().second != second.terms.front().second)
@@ -162,6 +165,28 @@ void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
   // An expression that may wrap is a term where it is divided or extended.
   if (a.getValue() && b.getValue())
     add(a.getValue(), b.getValue());
+}
+
+/// Equal numbers have equal digits, which are other unknowns where a factor is
+/// larger than the sum of the terms below it.
+void IterationEquations::splitDigits(IndexExpr first, IndexExpr second) {
+  unsigned width = std::min(first.width, second.width);
+  IndexRange a = builder.getRange(first), b = builder.getRange(second);
+  // The sums must be equal, and not only their low bits.
+  __int128 most = std::max(a.high - b.low, b.high - a.low);
+  if (most >= static_cast<__int128>(1) << width ||
+      llvm::SubOverflow(first.constant, second.constant, first.constant))
+    return;
+  first.width = second.width = 64;
+  second.constant = 0;
+  for (const auto &[atom, factor] : first.terms) {
+    auto high = factor > 1 ? builder.split(first, factor) : std::nullopt;
+    auto other = high ? builder.split(second, factor) : std::nullopt;
+    if (!other)
+      continue;
+    add(high->first, other->first);
+    add(high->second, other->second);
+  }
 }
 
 /// The quotient and the remainder of one division determine the dividend.

@@ -35,6 +35,9 @@ public:
   /// ⌊lhs / rhs⌋ and the rest, for exact sums.
   IndexExpr getQuotient(const IndexExpr &lhs, const IndexExpr &rhs);
   IndexExpr getRemainder(const IndexExpr &lhs, const IndexExpr &rhs);
+  /// Splits `expr` into `divisor` times a sum and a rest from 0 to divisor - 1.
+  std::optional<std::pair<IndexExpr, IndexExpr>> split(const IndexExpr &expr,
+                                                       int64_t divisor);
   /// The quotient of the division of which `rest` is the remainder.
   IndexExpr getQuotientOf(const IndexNode &rest);
 
@@ -54,9 +57,6 @@ private:
   /// of the ranges. `fits` asks whether it does so without wrapping.
   IndexExpr limit(IndexExpr expr, Type type, llvm::function_ref<bool()> fits);
   IndexRange getSignedRange(Value value);
-  /// Splits `expr` into `divisor` times a sum and a rest from 0 to divisor - 1.
-  std::optional<std::pair<IndexExpr, IndexExpr>> split(const IndexExpr &expr,
-                                                       int64_t divisor);
 
   /// Replaces q d + r, of the quotient and the remainder of one division, by
   /// the dividend.

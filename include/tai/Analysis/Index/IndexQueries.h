@@ -60,6 +60,7 @@ private:
   void cancel(IndexExpr &first, IndexExpr &second) const;
   void solveOne(IndexExpr first, IndexExpr second);
   void joinDigits();
+  void splitDigits(IndexExpr first, IndexExpr second);
 
   IndexBuilder &builder;
   Operation *loop;
