@@ -120,17 +120,21 @@ void CarriedValues::findClosedForm(unsigned index) {
   }
 }
 
-/// True if the result and all other operands of the step give the operand
+/// The step by `op`, if its result and all other operands give the operand
 /// exactly.
-static bool isInvertible(CarriedStep step) {
-  Operation *op = step.op;
-  if (isa<arith::AddIOp, arith::SubIOp, arith::XOrIOp, arith::NegFOp>(op))
-    return op->getNumOperands() == 1 || op->getOperand(0) != op->getOperand(1);
+static std::optional<CarriedStep> getInvertibleStep(Operation *op,
+                                                    unsigned operand) {
+  if (isa<arith::AddIOp, arith::SubIOp, arith::XOrIOp, arith::NegFOp>(op)) {
+    if (op->getNumOperands() == 2 && op->getOperand(0) == op->getOperand(1))
+      return std::nullopt;
+    return CarriedStep{op, operand};
+  }
   APInt factor;
-  return isa<arith::MulIOp>(op) &&
-         matchPattern(op->getOperand(1 - step.operand),
-                      m_ConstantInt(&factor)) &&
-         factor[0];
+  if (isa<arith::MulIOp>(op) &&
+      matchPattern(op->getOperand(1 - operand), m_ConstantInt(&factor)) &&
+      factor[0])
+    return CarriedStep{op, operand, factor};
+  return std::nullopt;
 }
 
 /// Solves the equation of carried value `source` for an unknown one.
@@ -162,9 +166,11 @@ bool CarriedValues::invert(unsigned source, ArrayRef<bool> known) {
         return false;
       unknown = i;
     }
-    if (!unknown || !isInvertible({op, *unknown}))
+    std::optional<CarriedStep> step =
+        unknown ? getInvertibleStep(op, *unknown) : std::nullopt;
+    if (!step)
       return false;
-    steps.push_back({op, *unknown});
+    steps.push_back(std::move(*step));
     value = op->getOperand(*unknown);
   }
 }

@@ -15,7 +15,9 @@
 #define TAI_ANALYSIS_CARRIEDVALUES_H
 
 #include "mlir/IR/Operation.h"
+#include "llvm/ADT/APInt.h"
 #include "llvm/ADT/DenseSet.h"
+#include <optional>
 
 namespace mlir::tai {
 
@@ -34,6 +36,8 @@ enum class CarriedKind {
 struct CarriedStep {
   Operation *op;
   unsigned operand;
+  /// The odd constant of a product.
+  std::optional<llvm::APInt> factor = std::nullopt;
 };
 
 struct CarriedValue {

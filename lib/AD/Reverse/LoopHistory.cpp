@@ -163,7 +163,7 @@ Value LoopHistory::getEarly(Frame &frame, Value value) {
 
 Value LoopHistory::createClosedForm(Frame &frame, const CarriedValue &value,
                                     unsigned index) {
-  auto [op, operand] = value.steps.front();
+  const auto &[op, operand, factor] = value.steps.front();
   Value init = b.getPrimal(isa<scf::ForOp>(loop)
                                ? cast<scf::ForOp>(loop).getInitArgs()[index]
                                : cast<scf::WhileOp>(loop).getInits()[index]);
@@ -205,9 +205,9 @@ static APInt invertOdd(const APInt &value) {
 
 Value LoopHistory::createInverse(Frame &frame, const CarriedValue &value) {
   Value result = getNext(value.source);
-  for (auto [op, operand] : llvm::reverse(value.steps)) {
+  for (const auto &[op, operand, factor] : llvm::reverse(value.steps)) {
     Value other;
-    if (op->getNumOperands() == 2)
+    if (op->getNumOperands() == 2 && !factor)
       other = getEarly(frame, op->getOperand(1 - operand));
     b.setInsertionPoint(frame.recomputeBegin);
     if (isa<arith::AddIOp>(op)) {
@@ -218,11 +218,9 @@ Value LoopHistory::createInverse(Frame &frame, const CarriedValue &value) {
                    : arith::SubIOp::create(b, other, result).getResult();
     } else if (isa<arith::XOrIOp>(op)) {
       result = arith::XOrIOp::create(b, result, other);
-    } else if (isa<arith::MulIOp>(op)) {
-      APInt factor;
-      matchPattern(other, m_ConstantInt(&factor));
+    } else if (factor) {
       TypedAttr attr = b.getIntegerAttr(getElementTypeOrSelf(result.getType()),
-                                        invertOdd(factor));
+                                        invertOdd(*factor));
       if (auto vector = dyn_cast<VectorType>(result.getType()))
         attr = DenseElementsAttr::get(vector, Attribute(attr));
       result =
