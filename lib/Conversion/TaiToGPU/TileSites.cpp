@@ -17,7 +17,7 @@
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
-#include "tai/Analysis/IndexShift.h"
+#include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 
 using namespace mlir;

@@ -33,7 +33,7 @@
 #include "mlir/IR/IRMapping.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
-#include "tai/Analysis/IndexShift.h"
+#include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Passes.h"

@@ -13,8 +13,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Analysis/IndexBounds.h"
-#include "tai/Analysis/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"

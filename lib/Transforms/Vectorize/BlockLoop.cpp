@@ -9,7 +9,7 @@
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/Analysis/IndexShift.h"
+#include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 
 using namespace mlir;

@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Analysis/IndexShift.h"
+#include "tai/Analysis/Index/IndexShift.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/IR/Matchers.h"
+#include "mlir/Interfaces/InferIntRangeInterface.h"
 #include "llvm/ADT/DenseMap.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/TypeSwitch.h"
@@ -20,14 +21,21 @@ using namespace mlir::tai;
 /// more than a millisecond, and symbolic forms serve such programs.
 static constexpr int64_t kMaxEvaluations = 1 << 16;
 
+/// Width of the integers of `type`; index counts as 64 bits.
+static unsigned getWidth(Type type) {
+  return type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
+}
+
+static bool isWord(Type type) {
+  return type.isIntOrIndex() && getWidth(type) <= 64;
+}
+
 /// True for the operations that `evaluateOp` follows.
 static bool isIntegerArithmetic(Operation *op) {
-  return isa<arith::IndexCastOp, arith::ExtSIOp, arith::ExtUIOp,
-             arith::TruncIOp, arith::AddIOp, arith::SubIOp, arith::MulIOp,
-             arith::DivSIOp, arith::RemSIOp, arith::FloorDivSIOp,
-             arith::RemUIOp, arith::DivUIOp, arith::MinSIOp, arith::MaxSIOp,
-             arith::CmpIOp, arith::SelectOp, arith::AndIOp, arith::OrIOp,
-             arith::XOrIOp>(op);
+  return isa<arith::ArithDialect>(op->getDialect()) &&
+         isa<InferIntRangeInterface>(op) &&
+         llvm::all_of(op->getOperandTypes(), isWord) &&
+         llvm::all_of(op->getResultTypes(), isWord) && op->getNumResults() == 1;
 }
 
 bool tai::collectIndexVariables(Value index, Region &scope,
@@ -51,24 +59,6 @@ bool tai::collectIndexVariables(Value index, Region &scope,
     llvm::append_range(pending, op->getOperands());
   }
   return true;
-}
-
-/// Width of the integers of `type`; index counts as 64 bits.
-static unsigned getWidth(Type type) {
-  return type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
-}
-
-/// The low bits of `value` as a signed number of the type's width.
-static int64_t wrapTo(Type type, int64_t value) {
-  return llvm::SignExtend64(static_cast<uint64_t>(value), getWidth(type));
-}
-
-static int64_t unsignedOf(Type type, int64_t value) {
-  unsigned width = getWidth(type);
-  return width == 64
-             ? value
-             : static_cast<int64_t>(static_cast<uint64_t>(value) &
-                                    llvm::maskTrailingOnes<uint64_t>(width));
 }
 
 static bool compare(arith::CmpIPredicate predicate, int64_t a, int64_t b) {
@@ -98,53 +88,51 @@ static bool compare(arith::CmpIPredicate predicate, int64_t a, int64_t b) {
   llvm_unreachable("all predicates are handled");
 }
 
-/// The result of a binary operation in wide arithmetic, before it is wrapped
-/// to the width of its type.
-static std::optional<int64_t> evaluateBinary(Operation *op, int64_t a,
-                                             int64_t b) {
-  using Wide = uint64_t; // wraps without undefined behaviour
-  bool divides = isa<arith::DivSIOp, arith::RemSIOp, arith::FloorDivSIOp,
-                     arith::DivUIOp, arith::RemUIOp>(op);
-  if (divides && (b == 0 || (b == -1 && a == INT64_MIN)))
-    return std::nullopt;
-  Type type = op->getOperand(0).getType();
+/// The result of an operation on constants: the range that upstream infers.
+static std::optional<int64_t> inferResult(Operation *op,
+                                          ArrayRef<int64_t> operands) {
+  SmallVector<ConstantIntRanges> ranges;
+  for (auto [operand, number] : llvm::zip(op->getOperands(), operands))
+    ranges.push_back(ConstantIntRanges::constant(
+        APInt(getWidth(operand.getType()), number, /*isSigned=*/true)));
+  std::optional<APInt> result;
+  cast<InferIntRangeInterface>(op).inferResultRanges(
+      ranges, [&](Value, const ConstantIntRanges &range) {
+        result = range.getConstantValue();
+      });
+  return result ? std::optional(result->getSExtValue()) : std::nullopt;
+}
+
+/// The same, at once for the operations that most indices are made of.
+static std::optional<int64_t> evaluateOp(Operation *op,
+                                         ArrayRef<int64_t> operands) {
+  Type type = op->getResult(0).getType();
+  int64_t a = operands.front(), b = operands.back();
+  auto ua = static_cast<uint64_t>(a), ub = static_cast<uint64_t>(b);
+  auto wrap = [&](uint64_t value) {
+    return llvm::SignExtend64(value, getWidth(type));
+  };
   return llvm::TypeSwitch<Operation *, std::optional<int64_t>>(op)
-      .Case([&](arith::AddIOp) { return int64_t(Wide(a) + Wide(b)); })
-      .Case([&](arith::SubIOp) { return int64_t(Wide(a) - Wide(b)); })
-      .Case([&](arith::MulIOp) { return int64_t(Wide(a) * Wide(b)); })
-      .Case([&](arith::DivSIOp) { return a / b; })
-      .Case([&](arith::RemSIOp) { return a % b; })
-      .Case([&](arith::FloorDivSIOp) { return llvm::divideFloorSigned(a, b); })
-      .Case([&](arith::DivUIOp) {
-        return int64_t(Wide(unsignedOf(type, a)) / Wide(unsignedOf(type, b)));
-      })
-      .Case([&](arith::RemUIOp) {
-        return int64_t(Wide(unsignedOf(type, a)) % Wide(unsignedOf(type, b)));
-      })
+      .Case<arith::IndexCastOp, arith::ExtSIOp, arith::TruncIOp>(
+          [&](auto) { return wrap(ua); })
+      .Case([&](arith::SelectOp) { return a ? operands[1] : b; })
+      .Case([&](arith::AddIOp) { return wrap(ua + ub); })
+      .Case([&](arith::SubIOp) { return wrap(ua - ub); })
+      .Case([&](arith::MulIOp) { return wrap(ua * ub); })
       .Case([&](arith::MinSIOp) { return std::min(a, b); })
       .Case([&](arith::MaxSIOp) { return std::max(a, b); })
       .Case([&](arith::AndIOp) { return a & b; })
       .Case([&](arith::OrIOp) { return a | b; })
-      .Case([&](arith::XOrIOp) { return a ^ b; })
       .Case([&](arith::CmpIOp cmp) {
         return int64_t(compare(cmp.getPredicate(), a, b) ? -1 : 0);
       })
-      .Default([](Operation *) { return std::nullopt; });
-}
-
-static std::optional<int64_t> evaluateOp(Operation *op,
-                                         ArrayRef<int64_t> operands) {
-  Type type = op->getResult(0).getType();
-  if (isa<arith::SelectOp>(op))
-    return operands[0] ? operands[1] : operands[2];
-  if (isa<arith::IndexCastOp, arith::ExtSIOp, arith::TruncIOp>(op))
-    return wrapTo(type, operands[0]);
-  if (isa<arith::ExtUIOp>(op))
-    return unsignedOf(op->getOperand(0).getType(), operands[0]);
-  std::optional<int64_t> result = evaluateBinary(op, operands[0], operands[1]);
-  if (result)
-    *result = wrapTo(type, *result);
-  return result;
+      .Case<arith::DivSIOp, arith::RemSIOp>(
+          [&](auto division) -> std::optional<int64_t> {
+            if (b == 0 || b == -1)
+              return inferResult(division, operands);
+            return isa<arith::DivSIOp>(op) ? a / b : a % b;
+          })
+      .Default([&](Operation *other) { return inferResult(other, operands); });
 }
 
 namespace {
@@ -193,7 +181,7 @@ private:
       return true;
     }
     Operation *op = value.getDefiningOp();
-    if (!op || !isIntegerArithmetic(op) || !value.getType().isIntOrIndex())
+    if (!op || !isIntegerArithmetic(op))
       return false;
     Step step{op, {}, 0};
     for (Value operand : op->getOperands()) {

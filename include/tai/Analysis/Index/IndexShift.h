@@ -11,8 +11,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_ANALYSIS_INDEXSHIFT_H
-#define TAI_ANALYSIS_INDEXSHIFT_H
+#ifndef TAI_ANALYSIS_INDEX_INDEXSHIFT_H
+#define TAI_ANALYSIS_INDEX_INDEXSHIFT_H
 
 #include "mlir/IR/Value.h"
 #include <optional>
@@ -59,4 +59,4 @@ std::optional<IndexShift> getIndexShift(Value index, Value variable,
 
 } // namespace mlir::tai
 
-#endif // TAI_ANALYSIS_INDEXSHIFT_H
+#endif // TAI_ANALYSIS_INDEX_INDEXSHIFT_H
