@@ -21,20 +21,14 @@ using namespace mlir::tai;
 // Conditions
 //===----------------------------------------------------------------------===//
 
-/// True for a remainder of a division and for a masked number: many values of
-/// the operand give the same result.
-static bool isRemainder(Value value, unsigned depth = 4) {
-  Operation *op = value.getDefiningOp();
-  if (!op || depth == 0)
-    return false;
-  if (isa<arith::RemSIOp, arith::RemUIOp, arith::AndIOp>(op))
-    return true;
-  // Python's remainder has the sign of the divisor.
-  return isa<arith::SelectOp, arith::AddIOp, arith::SubIOp, arith::IndexCastOp,
-             arith::ExtSIOp, arith::ExtUIOp, arith::TruncIOp>(op) &&
-         llvm::any_of(op->getOperands(), [&](Value operand) {
-           return isRemainder(operand, depth - 1);
-         });
+/// True if a remainder is part of the expression: many values of its dividend
+/// give the same result.
+static bool hasRemainder(const IndexExpr &expr) {
+  return llvm::any_of(expr.terms, [](const auto &term) {
+    const IndexNode *node = term.first.getNode();
+    return node && (node->isRemainder() || hasRemainder(node->lhs) ||
+                    hasRemainder(node->rhs));
+  });
 }
 
 /// The two conditions of `first and second` where the second one is computed in
@@ -162,8 +156,8 @@ private:
     Value lhs = compare.getLhs(), rhs = compare.getRhs();
     switch (predicate) {
     case Predicate::eq:
-      isEquality |= !isRemainder(lhs) && !isRemainder(rhs);
       zeros.push_back(difference(lhs, rhs));
+      isEquality |= !hasRemainder(zeros.back());
       break;
     case Predicate::slt:
       addBound(Less, lhs, rhs);

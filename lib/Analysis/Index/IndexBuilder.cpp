@@ -319,6 +319,55 @@ std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
                 std::move(a), std::move(b)});
 }
 
+/// Shifts by constants, constant masks of low or high bits, and the union of
+/// bits that do not overlap.
+std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
+                                                 unsigned depth) {
+  if (!isa<arith::ShLIOp, arith::ShRSIOp, arith::ShRUIOp, arith::AndIOp,
+           arith::OrIOp>(op))
+    return std::nullopt;
+  Value lhs = op->getOperand(0), rhs = op->getOperand(1);
+  Type type = lhs.getType();
+  if (isa<arith::OrIOp>(op)) {
+    IndexExpr a = buildExact(lhs, depth), b = buildExact(rhs, depth);
+    for (auto [high, low] : {std::pair(&a, &b), std::pair(&b, &a)}) {
+      auto bits = static_cast<uint64_t>(high->constant);
+      for (const auto &[atom, factor] : high->terms)
+        bits |= static_cast<uint64_t>(factor);
+      IndexRange range = getRange(*low);
+      if (range.low >= 0 && range.high < static_cast<__int128>(1)
+                                             << llvm::countr_zero(bits))
+        return joinDigits(a.add(b));
+    }
+    return std::nullopt;
+  }
+  std::optional<int64_t> number = getConstantIntValue(rhs);
+  if (!number)
+    return std::nullopt;
+  if (isa<arith::AndIOp>(op)) {
+    int64_t mask = *number < 0 ? ~*number : *number;
+    if (mask == INT64_MAX || (mask & (mask + 1)) != 0)
+      return std::nullopt;
+    IndexExpr all = buildExact(lhs, depth);
+    IndexExpr low = getRemainder(all, IndexExpr(mask + 1));
+    return *number < 0 ? all.add(low, -1) : low;
+  }
+  if (*number < 0 || *number >= getWidth(type) || *number == 63)
+    return std::nullopt;
+  int64_t power = int64_t(1) << *number;
+  if (auto shift = dyn_cast<arith::ShLIOp>(op)) {
+    IndexExpr product = IndexExpr().add(buildWhole(lhs, depth), power);
+    return limit(std::move(product), type, [&] {
+      return neverWraps(shift) ||
+             multiplyRanges(getSignedRange(lhs), {power, power})
+                 .fits(getWidth(type));
+    });
+  }
+  if (isa<arith::ShRUIOp>(op) && getSignedRange(lhs).low < 0)
+    return std::nullopt;
+  return getQuotient(buildExact(lhs, depth), IndexExpr(power));
+}
+
 /// True if `condition` says that `rest`, a remainder that is rounded towards
 /// zero, and `divisor` have different signs.
 static bool saysSignsDiffer(Value condition, Value rest, Value divisor) {
@@ -442,7 +491,8 @@ IndexExpr IndexBuilder::build(Value value, unsigned depth) {
   std::optional<IndexExpr> expr;
   for (auto rule : {&IndexBuilder::buildCast, &IndexBuilder::buildSum,
                     &IndexBuilder::buildProduct, &IndexBuilder::buildDivision,
-                    &IndexBuilder::buildSelect, &IndexBuilder::buildExtreme})
+                    &IndexBuilder::buildBits, &IndexBuilder::buildSelect,
+                    &IndexBuilder::buildExtreme})
     if ((expr = (this->*rule)(op, depth - 1)))
       break;
   if (!expr || expr->getSize() > kMostSize)

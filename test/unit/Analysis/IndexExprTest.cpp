@@ -18,6 +18,7 @@
 #include "mlir/IR/Matchers.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/Analysis/Index/IndexQueries.h"
+#include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/Support/MathExtras.h"
@@ -107,6 +108,12 @@ protected:
         llvm::SignExtend64(static_cast<uint64_t>(value), widthOf(type)), type);
   }
 
+  /// Ones below a bit, or from it on; some other numbers.
+  Value randomMask(Type type) {
+    int64_t ones = (int64_t(1) << pick(0, 5)) - 1;
+    return constant(chance(20) ? pick(-9, 9) : chance(30) ? ~ones : ones, type);
+  }
+
   /// Python's quotient or remainder, as the frontend writes it.
   Value roundDown(bool isQuotient, Value x, Value y) {
     using Predicate = arith::CmpIPredicate;
@@ -156,7 +163,18 @@ protected:
     Value y = randomValue(inner, chance(50) ? 0 : depth - 1);
     Value divisor = chance(75) ? constant(pick(1, 7), inner) : y;
     auto create = [&]() -> Value {
-      switch (pick(0, 15)) {
+      switch (pick(0, 19)) {
+      case 16:
+        return arith::AndIOp::create(b, x, randomMask(inner));
+      case 17:
+        return arith::ShLIOp::create(b, x, constant(pick(0, 4), inner));
+      case 18:
+        return chance(70) ? arith::ShRSIOp::create(b, x, divisor).getResult()
+                          : arith::ShRUIOp::create(b, x, divisor).getResult();
+      case 19:
+        return arith::OrIOp::create(
+            b, arith::ShLIOp::create(b, x, constant(pick(0, 4), inner)),
+            chance(50) ? arith::AndIOp::create(b, y, randomMask(inner)) : y);
       case 0:
       case 1:
       case 2:
@@ -325,6 +343,7 @@ std::string print(ModuleOp module) {
 
 TEST_F(IndexExprTest, AgreeWithEnumeration) {
   int exact = 0, wrapped = 0, distinct = 0, equal = 0, injective = 0, apart = 0;
+  int evaluated = 0;
   for (int round = 0; round != 4000; ++round) {
     int64_t lower0 = chance(70) ? 0 : pick(-4, 4), lower1 = pick(-2, 2);
     start(lower0, lower0 + pick(2, 8), lower1, lower1 + pick(1, 4));
@@ -358,6 +377,11 @@ TEST_F(IndexExprTest, AgreeWithEnumeration) {
           numbers.push_back(numberOf(root, env));
           if (!numbers.back())
             continue;
+          Value i = loop.getInductionVars()[0];
+          if (auto found = evaluateIndex(root, i, *numberOf(i, env))) {
+            ASSERT_EQ(found, numbers.back()) << print(*module);
+            ++evaluated;
+          }
           // Leaves that are not defined are of choices that are not taken.
           bool isDefined = expr.allOf(
               [&](Value leaf) { return numberOf(leaf, env).has_value(); });
@@ -395,6 +419,7 @@ TEST_F(IndexExprTest, AgreeWithEnumeration) {
   EXPECT_GT(distinct, 50);
   EXPECT_GT(injective, 200);
   EXPECT_GT(apart, 100);
+  EXPECT_GT(evaluated, 10000);
 }
 
 // Digits of one number, in i32 as programs write them, tell iterations apart.
@@ -520,6 +545,33 @@ TEST_F(IndexExprTest, DigitsOfDigits) {
             builder.get(i));
   EXPECT_EQ(builder.get(arith::RemSIOp::create(b, number, four)),
             builder.get(j));
+}
+
+// Masks and shifts are digits, and a union of digits is their number.
+TEST_F(IndexExprTest, DigitsOfBits) {
+  start(0, 24, 0, 4);
+  Value i = loop.getInductionVars()[0], j = loop.getInductionVars()[1];
+  auto number = [&](int64_t value) {
+    return constant(value, b.getIndexType());
+  };
+  IndexBuilder builder;
+  Value high = arith::ShRSIOp::create(b, i, number(2));
+  Value low = arith::AndIOp::create(b, i, number(3));
+  ValueRange ivs = loop.getInductionVars();
+  EXPECT_TRUE(isInjectiveOver(builder, builder.get({high, low, j}), ivs));
+  EXPECT_FALSE(isInjectiveOver(builder, builder.get({low, j}), ivs));
+  Value joined =
+      arith::OrIOp::create(b, low, arith::ShLIOp::create(b, high, number(2)));
+  EXPECT_EQ(builder.get(joined), builder.get(i));
+  Value both =
+      arith::OrIOp::create(b, arith::ShLIOp::create(b, i, number(2)), j);
+  EXPECT_TRUE(isInjectiveOver(builder, builder.get(both), ivs));
+  // 2 i and j overlap.
+  Value mixed =
+      arith::OrIOp::create(b, arith::ShLIOp::create(b, i, number(1)), j);
+  EXPECT_FALSE(isInjectiveOver(builder, builder.get(mixed), ivs));
+  EXPECT_EQ(builder.get(arith::AndIOp::create(b, both, number(-4))),
+            builder.get(arith::ShLIOp::create(b, i, number(2))));
 }
 
 // A product of 32 bits takes values again; 3 has an inverse, and 4 has not.

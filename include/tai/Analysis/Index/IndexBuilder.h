@@ -51,6 +51,7 @@ private:
   std::optional<IndexExpr> buildProduct(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildCast(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildDivision(Operation *op, unsigned depth);
+  std::optional<IndexExpr> buildBits(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildSelect(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildExtreme(Operation *op, unsigned depth);
   /// The low bits of `expr`, which an op of type `type` computes from operands
