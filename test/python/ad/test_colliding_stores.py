@@ -374,6 +374,34 @@ def test_a_gradient_without_a_tape_is_refused(context):
     assert x.grad.to_numpy().tolist() == [0, 3] * 4
 
 
+@pytest.mark.parametrize("form", ["bits", "flat"])
+def test_indices_made_of_two_numbers_do_not_collide(context, form):
+    """Masks and shifts are digits; a sum of digits names one pair of loop indices. Gradients of
+    such stores need no tape."""
+    context(default_fp=ti.f64)
+    x = ti.field(ti.f64, shape=(6, 8), needs_grad=True)
+    y = ti.field(ti.f64, shape=(6, 8), needs_grad=True)
+    flat = ti.field(ti.f64, shape=64, needs_grad=True)
+
+    @ti.kernel
+    def store():
+        for i, j in x:
+            if ti.static(form == "bits"):
+                y[i, (j >> 2 << 2) | (j & 3)] = x[i, j]
+                flat[(i << 3) | j] = 3 * x[i, j]
+            else:
+                flat[i * 8 + j] = 3 * x[i, j]
+
+    store()
+    weights = np.random.default_rng(1).random(112)
+    flat.grad.from_numpy(weights[:64])
+    y.grad.from_numpy(weights[64:].reshape(6, 8))
+    store.grad()
+    expected = 3 * weights[:48] + (weights[64:] if form == "bits" else 0)
+    np.testing.assert_allclose(x.grad.to_numpy(), expected.reshape(6, 8))
+    assert (flat.grad.to_numpy()[:48] == 0).all()
+
+
 def test_digits_of_a_loop_index_do_not_collide(context):
     """Nor do elements at a border: their gradients need no tape."""
     context(default_fp=ti.f64)
