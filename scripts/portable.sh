@@ -30,6 +30,8 @@ for file in "$root"/lib/*.so* "$root"/bin/* "$root"/python/tai/_core*.so; do
   fi
 done
 "$root/bin/tai-opt" --version >/dev/null
+# Projects in C build and run with it; projects in C++ are told what they need.
+python3 scripts/check_package.py "$root"
 
 # The same bytes again, whoever packs it: times are those of the commit.
 epoch=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || echo 0)}
