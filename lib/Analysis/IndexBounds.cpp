@@ -11,7 +11,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// More loops have too many corners.
+/// The maximum of loops: a nest of n loops has 2^n corners to check.
 static constexpr size_t kMaxLoops = 3;
 
 bool tai::checksIndices(Operation *op) {

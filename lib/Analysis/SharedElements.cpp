@@ -142,7 +142,7 @@ private:
     auto difference = [&](Value lhs, Value rhs) {
       return builder.get(lhs).add(builder.get(rhs), -1);
     };
-    // Numbers that have wrapped are in no order.
+    // The order of numbers says nothing once arithmetic has wrapped.
     auto addBound = [&](Bound bound, Value less, Value more) {
       for (Value side : {less, more}) {
         IndexExpr expr = builder.get(side);

@@ -149,9 +149,9 @@ LogicalResult Session::setModes(const ContextModes &wanted) {
     compileOptions.deterministic = isDeterministic;
     rt->setDeterministic(isDeterministic);
   }
-  // Loops are cut differently for other numbers of threads, and fusion may
-  // depend on the end of a vectorised loop. Shadows are of single
-  // operations.
+  // Another number of threads divides loops differently, and whether an
+  // addition is fused may depend on the end of a vectorised loop. Shadow values
+  // are computed for each operation alone.
   compileOptions.codegen.contract =
       !isDeterministic && !modes.isStrict() && !modes.shadow;
   return success();

@@ -24,7 +24,7 @@ def check(text, name, spread, special, seed):
     at = [numbers.randrange(spread) for _ in range(COUNT)]
     v, w = ([draw(numbers, code) for _ in range(COUNT)] for code in "fd")
     a, d = ([draw(numbers, code) for _ in range(CELLS)] for code in "fd")
-    # Most large numbers cancel.
+    # Most large numbers have a partner of the other sign.
     for numbers_of in (v, w):
         for i in range(0, COUNT // 2, 2):
             numbers_of[COUNT - 1 - i] = -numbers_of[i]

@@ -332,7 +332,7 @@ class Runner:
             return
         self.module.collect(out, a)
         expect(f"visits of {spec.name}", out[0], len(visited))
-        # In any order: take that of the program, if it is one of the new values.
+        # Iterations run in any order: any of the new values may remain.
         place = level.places[0]
         field = self.of(place.of)
         if place.of.is_split:

@@ -151,7 +151,7 @@ void TileBuilder::forEachCell(const TileHalo &halo, CellEmitter emit) {
     emit(cell);
   at->addIncoming(builder.CreateNSWAdd(at, threads), builder.GetInsertBlock());
   llvm::Instruction *back = builder.CreateBr(head);
-  // Most threads have few cells.
+  // Most threads visit few cells: unrolling would not pay.
   disableUnrolling(back);
   builder.SetInsertPoint(after);
 }

@@ -39,7 +39,7 @@ public:
   /// The names of one function's forms; an empty one is missing.
   struct Forms {
     std::string scalar;
-    /// By the number of lanes.
+    /// The vector forms, each with its number of lanes.
     llvm::SmallVector<std::pair<unsigned, std::string>, 3> vectors;
   };
 

@@ -25,7 +25,7 @@ using namespace mlir::tai;
 using runtime::DeviceAccess;
 using runtime::TileSite;
 
-/// More than this is no stencil.
+/// A loop with more accesses than this is not taken for a stencil.
 static constexpr size_t kMostSites = 64;
 /// Tiles have at most so many dimensions.
 static constexpr size_t kMostDimensions = 3;

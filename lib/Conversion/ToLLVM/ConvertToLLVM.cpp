@@ -268,7 +268,7 @@ void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
   populateMathToLLVMConversionPatterns(converter, patterns,
                                        /*approximateLog1p=*/false);
   populateExpansionFixes(patterns);
-  // Before those of upstream.
+  // These patterns take precedence over those of upstream.
   patterns.add<LowerIndexSwitch>(patterns.getContext(), /*benefit=*/2);
   patterns.add<CastFloat<arith::FPToSIOp, LLVM::FPToSIOp>,
                CastFloat<arith::FPToUIOp, LLVM::FPToUIOp>>(

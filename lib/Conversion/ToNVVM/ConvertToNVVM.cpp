@@ -107,7 +107,7 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     LLVMTypeConverter converter(context, options);
     RewritePatternSet patterns(context);
     populateSharedToLLVM(converter, patterns);
-    // Before those of libdevice.
+    // These patterns take precedence over calls of libdevice.
     if (accurate)
       populateAccurateMath(patterns, /*benefit=*/20, /*onDevice=*/true);
     if (emulated) {
@@ -118,7 +118,7 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
       populateMathToLibmConversionPatterns(patterns, /*benefit=*/0);
     } else {
       configureGpuToNVVMTypeConverter(converter);
-      // Before those of libdevice.
+      // These patterns take precedence over calls of libdevice.
       populateFastDeviceMath(patterns, /*benefit=*/15);
       // Before the intrinsics of LLVM, which the backend cannot select.
       populateGpuToNVVMConversionPatterns(converter, patterns, /*benefit=*/10);

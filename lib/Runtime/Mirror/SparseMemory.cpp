@@ -175,7 +175,7 @@ void SparseMirror::uploadActivity(const SparseNode &node,
   context.note(std::move(status));
 }
 
-/// As values that are filled in.
+/// Sends changed words by fills, one for each word.
 Status SparseMirror::sendWords(const SparseNode &node,
                                const std::vector<int64_t> &changed) {
   int64_t unit = node.info().isList ? int64_t(sizeof(int32_t)) : wordBytes;

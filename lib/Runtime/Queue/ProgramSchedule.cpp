@@ -198,7 +198,7 @@ StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
                      const std::vector<StepMemory::Piece> &others) {
     for (const StepMemory::Piece &one : ones)
       for (const StepMemory::Piece &other : others) {
-        // Most lie far apart.
+        // Most pieces lie far apart.
         if (one.end <= other.begin || other.end <= one.begin)
           continue;
         result = std::max(result, std::min(most, ::getRelation(one, other)));

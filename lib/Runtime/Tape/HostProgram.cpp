@@ -216,7 +216,7 @@ public:
     Status status = runtime.beginTape(loss, true, launch.host->tape);
     if (!status)
       return report(launch, std::move(status));
-    // The start of all evaluations.
+    // Each evaluation begins with these values of the fields.
     before = save();
     if (region(&launch, closure) != 0 || launch.hasFailed())
       return 1;

@@ -48,6 +48,6 @@ def descend(n: int, **modes) -> tuple[float, np.ndarray]:
 def test_long_loops_flush_and_are_polled(n, threads):
     loss, gradient = descend(n, ftz=True, cpu_max_num_threads=threads)
     expected, slopes = descend(n, cpu_max_num_threads=threads)
-    # Nothing here is denormal.
+    # No number of these programs is denormal, so that flushing changes no result.
     assert loss == pytest.approx(expected, rel=1e-5)
     np.testing.assert_allclose(gradient, slopes, rtol=1e-3, atol=1e-5 * np.abs(slopes).max())

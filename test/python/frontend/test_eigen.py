@@ -53,7 +53,7 @@ def test_cases_and_random_matrices(dt, tolerance):
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1, rtol=tolerance)
     expected = np.linalg.eigvals(matrices)
     for found, known in zip(values, expected, strict=True):
-        # Both orders: those of complex pairs are NumPy's own.
+        # NumPy may list a complex pair in the other order.
         size = np.abs(known).max() + np.finfo(float).tiny
         distance = min(np.abs(found - known).max(), np.abs(found - known[::-1]).max())
         assert distance <= 8 * tolerance * size

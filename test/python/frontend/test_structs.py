@@ -502,7 +502,7 @@ class Taker:
 
 
 def test_a_method_gives_a_member_to_one_of_an_argument():
-    """Only the call tells which member it is."""
+    """The type of the member is known from the call alone."""
 
     @ti.kernel
     def run(q: ti.i32) -> ti.types.vector(2, ti.i32):

@@ -364,7 +364,7 @@ def test_a_gradient_that_finds_no_memory_on_the_device(name):
         assert "test_devices.py:" in message
         # The program goes on, and its memory has been given back.
         assert gradient(200) == (1200.0, 1.0)
-    # Nothing is taken for nothing.
+    # A loop without iterations allocates nothing.
     assert gradient(0) == (0.0, 1.0)
 
 

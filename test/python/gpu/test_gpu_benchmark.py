@@ -41,7 +41,7 @@ def test_all_programs_run(tmp_path):
 
 
 def test_a_program_that_fails_does_not_stop_the_others(tmp_path):
-    # No time is left for anything.
+    # The limit of 0.6 seconds is too short for any program.
     done = measure(["--out", tmp_path, "--only", "smoke,launch", "--minutes", "0.01"])
     assert done.returncode == 1
     text = (tmp_path / "gpu-try.md").read_text()

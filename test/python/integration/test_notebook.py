@@ -13,7 +13,7 @@ NOTEBOOKS = Path(__file__).resolve().parents[3] / "examples/notebooks"
 
 @pytest.fixture(autouse=True)
 def folders(tmp_path, monkeypatch):
-    """Nothing of the user's own set-up."""
+    """Empty folders in the place of the user's set-up of Jupyter."""
     for name in ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR"):
         monkeypatch.setenv(name, str(tmp_path / name))
 

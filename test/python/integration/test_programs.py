@@ -25,7 +25,7 @@ PROGRAMS = Path(__file__).parents[1] / "programs"
 def run(name, *arguments, cwd=PROGRAMS):
     """The report of the program when it runs on its own."""
     environment = dict(os.environ, PYTHONWARNINGS="error::SyntaxWarning")
-    # Whatever target they ask for.
+    # Programs run on the CPU, also those that ask for a GPU.
     environment.setdefault("TI_ARCH", "cpu")
     done = subprocess.run(
         [*layouts.command(), str(PROGRAMS / f"{name}.py"), *map(str, arguments)],

@@ -100,7 +100,7 @@ def test_the_best_is_kept(tmp_path):
     studio.take_best(x=toy.x)
     best = toy.x.to_numpy()
     assert best[0] == table(tmp_path / "toy.losses.csv")["first"][3] > 0
-    # It survives a resumed run that is no better.
+    # A resumed run with larger losses keeps the former best.
     toy = Toy(parse(tmp_path, "--resume", "--iterations", 6))
     toy.iteration = lambda number: {"loss": 9.0, "first": 0.0}
     toy.optimise()

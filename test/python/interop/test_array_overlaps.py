@@ -32,7 +32,7 @@ def total(a: ti.types.ndarray(), b: ti.types.ndarray()) -> ti.f64:
 
 
 def test_an_array_that_is_only_read_is_not_written_back():
-    """Whatever the kernel calls does to it."""
+    """The array may be passed to functions, which read it as well."""
 
     @ti.func
     def third(a, i):

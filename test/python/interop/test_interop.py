@@ -219,7 +219,7 @@ def test_gradients_that_others_write_are_cleared(arch):
 
 def test_arrays_of_others_are_taken_as_they_are(arch):
     class Wrapped:
-        """Only what DLPack asks for."""
+        """An array with the two methods of DLPack and no others."""
 
         def __init__(self, array):
             self.array_, self.dtype, self.ndim = array, array.dtype, array.ndim

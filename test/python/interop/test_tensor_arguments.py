@@ -75,7 +75,7 @@ def test_kernels_that_run_forward_make_no_gradient(library, slow_calls):
         square(x, y)
     assert library.numpy(y).tolist() == [0, 1, 4]
     assert x.grad is None and y.grad is None
-    # With and without are two kernels.
+    # Tensors with and without a gradient need two compilations.
     square(x.detach(), y.detach())
     square(x, y)
     assert slow_calls == ["square", "square"]

@@ -152,7 +152,7 @@ def test_a_tensor_that_is_written_again(library):
 
 
 def test_long_sequences_are_replayed_as_one(library):
-    """Launches of tensors, launches of fields and copies, of which one becomes one piece."""
+    """Launches on tensors and fields, and copies, replay as one sequence."""
     n, steps = 50, 12
     x = ti.field(ti.f64, shape=(steps + 1, n), needs_grad=True)
     a, loss = array(library, np.linspace(0.5, 1.5, n)), scalar_loss()

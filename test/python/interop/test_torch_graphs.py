@@ -74,7 +74,7 @@ COMPUTED = {
 @pytest.mark.parametrize("how", COMPUTED)
 def test_a_tape_refuses_what_torch_computed(how):
     w = leaf()
-    # Also after launches that were right.
+    # The second time, the kernel has been launched before.
     for _ in range(2):
         y, loss = zeros().requires_grad_(), scalar_loss()
         with ti.ad.Tape(loss):
@@ -144,7 +144,7 @@ def test_a_launch_that_cuts_a_graph_is_said():
         assert part in message
     assert said(run) == []
 
-    # Another line, when the kernel has been compiled.
+    # A second call, of the compiled kernel, is reported at its own line.
     (other,) = said(lambda: square(2 * w, y))
     assert other[1] != line
 

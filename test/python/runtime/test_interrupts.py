@@ -152,7 +152,7 @@ def test_a_signal_while_the_launcher_asks_an_argument_is_not_lost():
 
 
 def test_a_time_limit_while_the_launcher_asks_an_argument_is_not_lost():
-    """Whatever its handler raises."""
+    """The exception of the signal handler reaches the caller."""
 
     class Stop(Exception):
         pass
@@ -269,7 +269,7 @@ def test_a_compilation_is_interrupted():
             threading.Event().wait()
     finally:
         signal.signal(signal.SIGALRM, before)
-    # It takes seconds, so it was still being compiled.
+    # Compilation takes seconds, so the signal came while it ran.
     assert not ended
     check_usable()
 
@@ -323,7 +323,7 @@ def test_a_handler_that_raises_in_the_front_end():
     x = ti.field(ti.f64, shape=3)
 
     class Stop(Exception):
-        """Such as that of a time limit."""
+        """The exception of a handler, as a time limit raises it."""
 
     def stop(*_):
         raise Stop

@@ -210,7 +210,7 @@ def test_a_handler_launches_what_is_being_compiled():
                 s += ti.sin(x[k] * i) * ti.exp(x[k] - i)
             x[k] = s
 
-    # Only the compiler proper is left.
+    # The front end has run; the call has only to make machine code.
     large._specialize(large._get_signature().bind((), {}))
     refused = []
 

@@ -355,7 +355,7 @@ def test_a_thread_that_changes_what_a_tape_uses():
         use(x, loss)
         in_threads(by_kernel, by_hand)
     assert x.grad[1] == 2.0
-    # It is free again.
+    # Without a tape, other threads may write to `w` again.
     in_threads(change)
     assert w[1] == 9.0
 

@@ -146,7 +146,7 @@ def test_inverses_at_scales(n, size, dtype, bound, mode):
 
 
 def test_inverse_of_singular_matrices():
-    """Nothing that is finite, however small they are."""
+    """The inverse has no finite entries, also for tiny matrices."""
     matrices = np.zeros((4, 3, 3))
     matrices[1, 0, 0] = matrices[2, 0, 0] = 1e-200
     matrices[2, 1, 1] = 1e-200

@@ -331,7 +331,7 @@ def test_budgets_that_are_too_small():
         ti.ad.Tape(model.loss, memory_budget=100),
     ):
         model.run(5)
-    # Nothing is broken by that.
+    # After the error, the next tape gives right gradients.
     model.start()
     with ti.ad.Tape(model.loss):
         model.run(5)

@@ -247,7 +247,7 @@ def test_it_is_said_once_with_the_line(name):
     assert "gradient" in message and "constant" in message
 
 
-# Nothing is lost in these.
+# These programs lose no gradient.
 
 
 def right_printed(s):

@@ -101,7 +101,7 @@ def test_what_a_field_would_lose():
     with ti.ad.Tape(loss, precision=True) as tape:
         run()
     errors = next(f for f in tape.precision_report().fields if f.name == "x").errors
-    # That of one set of numbers may cancel.
+    # The error of one set of numbers may cancel; take the mean of several.
     squares = []
     for seed in range(10):
         run.x.from_numpy(numbers(seed))

@@ -53,7 +53,7 @@ def test_python_mutants_are_single_changes_of_code_that_python_runs(tmp_path):
         ("a is None", "(a is not None)"), ("a + 1", "(a - 1)"), ("a == 2", "(a != 2)"),
         ('print(f"{a + 1}")', "pass"),
     }  # fmt: skip
-    # Neither kernels, annotations, texts nor errors.
+    # Kernels, annotations, texts and errors are not mutated.
     assert not any("x < 1" in b or "0 < 1" in b or b in ("LIMIT", "3") for b, _ in changes)
     for one in found:
         text = one.apply(PACKAGE.encode()).decode()

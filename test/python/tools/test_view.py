@@ -101,7 +101,7 @@ def test_a_window(window, tmp_path):
     film = [np.full((30, 40, 3), k, np.uint8) for k in range(3)]
     ti.tools.write_gif(film, str(tmp_path / "film.gif"), framerate=100)
     np.testing.assert_array_equal(window._image.get_array(), film[2])
-    # Another size is another picture.
+    # A frame of another size replaces the picture.
     window.show(np.zeros((8, 9, 3), np.uint8))
     assert window._image.get_array().shape == (8, 9, 3)
     window._figure.canvas.callbacks.process("close_event", None)

@@ -43,7 +43,7 @@ def test_active_elements(kind, n, offset):
     zero_based = where - np.array(offset or (0, 0, 0))
     dense[tuple(zero_based.T)] = values
     np.testing.assert_array_equal(dense, expected)
-    # They are those of the active blocks.
+    # The voxels of the volume are those of the active blocks.
     blocks = {tuple(cell) for cell in (zero_based // 2).tolist()}
     assert blocks == {tuple(cell) for cell in level.active_cells().tolist()}
 

@@ -98,7 +98,7 @@ TEST(CAPIAdjoints, MissingOnesAreRefused) {
   EXPECT_STREQ(taiContextLastError(context).message,
                "kernel 'scaled_sum' takes 7 argument slots, but got 3; the "
                "last 4 are for the adjoints of its arguments and results");
-  // Nothing is recorded, so nothing need be known.
+  // A suspended tape records nothing, and needs no slots of adjoints.
   context.ok(taiTapeSuspend(tape));
   context.ok(taiKernelLaunch(kernel, arguments.slots, 3, &result));
   context.ok(taiTapeResume(tape));

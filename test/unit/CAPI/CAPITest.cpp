@@ -356,7 +356,7 @@ TEST(CAPIErrors, Fields) {
   auto add = [&](const char *text) {
     return taiContextAddField(context, text, &field);
   };
-  // Before its tree is placed.
+  // The field names a tree that does not exist yet.
   EXPECT_EQ(add("tai.field @x = @later[\"x\"] : f64, rank 1"), TAI_ERROR_USAGE);
   EXPECT_TRUE(contains(context.message(), "later")) << context.message();
   EXPECT_EQ(add("tai.field @x = @t[\"z\"] : f64, rank 1"), TAI_ERROR_TYPE);

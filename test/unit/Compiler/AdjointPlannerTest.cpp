@@ -194,7 +194,7 @@ TEST_F(AdjointPlannerTest, RecordsDraws) {
   EXPECT_TRUE(again.holdsRecorded(loop));
   EXPECT_TRUE(again.isRecorded(Value(loop.getRegionIterArg(0))));
   EXPECT_FALSE(again.isRecorded(Value(loop.getInductionVar())));
-  // Nothing is written again.
+  // The plan writes no recorded value a second time.
   EXPECT_FALSE(again.hasRewritten());
   fits = settle(planner, demands);
   ASSERT_TRUE(succeeded(fits));

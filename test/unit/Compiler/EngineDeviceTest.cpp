@@ -169,7 +169,7 @@ TEST_F(EngineDevice, ImagesAreCached) {
   EXPECT_FALSE(made.image->key.empty());
   EXPECT_EQ(made.image->key, kept.image->key);
   EXPECT_NE(made.image->bytes.find(".target sm_80"), std::string::npos);
-  // Another device is another entry.
+  // Each kind and target of a device has its own entry of the cache.
   EXPECT_FALSE(compileOnce(emulated).fromCache);
   cuda.deviceTarget = "sm_90";
   EXPECT_FALSE(compileOnce(cuda).fromCache);

@@ -110,7 +110,7 @@ TEST(GroupLoads, DivisionsAndRootsArePassed) {
   };
   EXPECT_EQ(divided("  %d = fdiv float 1.0, %a\n"), "LLDS");
   EXPECT_EQ(divided("  %d = call float @llvm.sqrt.f32(float %a)\n"), "LLDS");
-  // These are no branches: nothing needs to move.
+  // An approximate division has no branch: the loads stay where they are.
   EXPECT_EQ(divided("  %d = fdiv afn float 1.0, %a\n"), "LDLS");
   // An address that depends on the quotient waits for it.
   EXPECT_EQ(order("  %a = load float, ptr %x\n  %d = fdiv float 1.0, %a\n"

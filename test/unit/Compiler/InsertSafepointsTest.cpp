@@ -179,7 +179,7 @@ TEST(Safepoint, AsksTheHostOnceATick) {
   safepoint::request();
   EXPECT_TRUE(watch.look());
   EXPECT_GE(asked, 1);
-  // The clock goes now: waiting for it ends.
+  // The watch looks at the clock again after a while, so this loop ends.
   while (asked < 2)
     (void)watch.look();
   asked = 2;

@@ -167,7 +167,7 @@ TEST(ManyLoops, PartsHaveFewLoops) {
 
 TEST(ManyLoops, OtherFunctionsStay) {
   LLVMContext context;
-  // With the loop around them.
+  // 199 loops and the one around them: too few to be divided.
   std::unique_ptr<Module> module = parse(getText(199), context);
   EXPECT_FALSE(divideManyLoops(*module));
   EXPECT_EQ(module->size(), 1u);

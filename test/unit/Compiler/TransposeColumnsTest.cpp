@@ -167,7 +167,7 @@ TEST(TransposeColumns, OverlappingRowsKeepTheirOrder) {
   for (int n : {3, 2, 1, 0})
     body += gather(n) + scatter(n);
   EXPECT_EQ(order(body, rows), "G1 C1 G1 C1 G1 C1 G1 C1");
-  // Nor are those whose distance nobody knows.
+  // Columns at an unknown distance are not combined.
   EXPECT_EQ(order(body, "  %rows = getelementptr i8, <8 x ptr> %any, i64 16\n"),
             "G1 C1 G1 C1 G1 C1 G1 C1");
 }

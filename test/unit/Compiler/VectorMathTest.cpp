@@ -106,7 +106,7 @@ template <typename T> std::vector<T> makeArguments(double least, double most) {
     // Of all sizes.
     x.push_back(std::ldexp(value, -int(random() % 100)));
   }
-  // Then special numbers, in the midst of ordinary ones.
+  // Special numbers stand among ordinary ones, in the same vector.
   using Limits = std::numeric_limits<T>;
   T special[] = {0,
                  -T(0),

@@ -137,7 +137,7 @@ TEST(WidenSumsTest, SingleNumbersAreAddedInF64) {
   EXPECT_EQ(counts.roundings, 1) << counts.text;
 }
 
-/// So many sums of single numbers in one loop.
+/// A loop that forms `count` sums of f32.
 std::string sums(int count) {
   std::string phis, adds;
   for (int k = 0; k < count; ++k) {

@@ -82,7 +82,7 @@ protected:
     unsetenv("TAI_CUDA_DRIVER");
     unsetenv("TAI_FAKE_CUDA");
   }
-  /// In the place of a folder.
+  /// Keeps the choices in memory, where a session has a folder.
   KeptChoices keep() {
     return {[this](const std::string &key) -> std::optional<std::string> {
               auto found = kept.find(key);
@@ -148,7 +148,7 @@ TEST_F(BlockSizes, StayBelowTheLimit) {
   program.runtime.setMostBlockThreads(128);
   EXPECT_EQ(program.launch(12800, 0).second, 32);
   EXPECT_EQ(program.launch(12800, 1).second, 128);
-  // Nor do trials go beyond it.
+  // Trials do not exceed the maximum.
   for (int i = 0; i < kEnough; ++i)
     EXPECT_LE(program.launch(kLarge, 2).second, 128);
 }
@@ -172,11 +172,11 @@ TEST_F(BlockSizes, StayForTheNextProcess) {
   EXPECT_EQ(next.threads(kLarge, kEnough), std::vector<double>(kEnough, 512));
   EXPECT_EQ(next.launch(kLarge / 2 + 1000).second, 512);
   EXPECT_EQ(kept.size(), 1u);
-  // Others have trials of their own.
+  // Launches of another size have trials of their own.
   EXPECT_EQ(next.threads(2 * kLarge, 3), (std::vector<double>{256, 256, 64}));
   EXPECT_EQ(next.threads(2 * kLarge, kEnough).back(), 512);
   EXPECT_EQ(kept.size(), 2u);
-  // So do other kernels.
+  // Other kernels have trials of their own.
   Program other({}, "other");
   other.runtime.keepBlockSizes(keep());
   EXPECT_EQ(other.threads(kLarge, 3), (std::vector<double>{256, 256, 64}));
@@ -187,7 +187,7 @@ TEST_F(BlockSizes, StayForTheNextProcess) {
   EXPECT_EQ(narrow.threads(kLarge, 3), (std::vector<double>{128, 128, 64}));
 }
 
-// That the usual size is best is known, too.
+// The result that the usual size is best is kept, too.
 TEST_F(BlockSizes, StayWhereNothingIsGained) {
   setenv("TAI_FAKE_CUDA", "", 1);
   for (bool first : {true, false}) {

@@ -312,7 +312,7 @@ TEST_F(DeviceLibrary, SaysWhereTheHeapIsUsedUp) {
   setDeviceHeapBytes(4096);
   void *one = allocate(frame, 3000, "{} are too much", "a.py:3:4");
   ASSERT_NE(one, nullptr);
-  // Nothing is taken for nothing.
+  // An allocation of no bytes succeeds and takes no memory.
   void *none = allocate(frame, 0, "{} are too much", "");
   EXPECT_NE(none, nullptr);
   EXPECT_TRUE(read().failure.ok());

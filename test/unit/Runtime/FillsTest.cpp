@@ -331,7 +331,7 @@ TEST_F(QueuedFills, BetweenLaunchesMoveToTheFront) {
     EXPECT_EQ(counter("nodes"), 5);
     EXPECT_EQ(counter("overlapping"), overlaps ? 4 : 0);
     check();
-    // Without another in front.
+    // No fill stands in front of these launches.
     replay([&] {
       launch(0);
       launch(8);
@@ -476,7 +476,7 @@ TEST_F(QueuedFills, RunBesideLaunchesThatDoNotTouchTheirMemory) {
     auto work = [&] {
       fill(0, 100, 1);
       fill(1000, large, 2.5);
-      // Another value at an end of the same memory.
+      // Another value at an end of the memory that was just filled.
       fill(1004, 2, 3);
       for (int64_t i = 0; i < 40; ++i)
         launch(i == 30 ? touched : i % 10 * 8);

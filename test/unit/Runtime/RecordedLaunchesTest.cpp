@@ -51,7 +51,7 @@ protected:
     EXPECT_OK(queue->endRecording(/*isSwept=*/true));
     sweep();
   }
-  /// Until nothing is tried any more.
+  /// Repeats a step until all trials have ended.
   template <typename Step> void learn(const Step &step) {
     for (int i = 0; i < 14; ++i)
       step();
@@ -277,7 +277,7 @@ TEST_F(RecordedAgain, RecordingsOfSeveralLengths) {
   for (int i = 0; i < 9; ++i)
     iterate(i / 4.0, i % 3 == 0 ? 4 : i % 3 == 1 ? 6 : 9);
   EXPECT_EQ(submissions() - before, 9);
-  // One that ends where none has ended.
+  // A sequence whose end is in the midst of all former ones.
   iterate(0.5, 5);
   expectAsOneByOne();
 }
@@ -440,7 +440,7 @@ TEST_F(RecordedPays, WhereTheDeviceIsQuickerThanTheHostLaunches) {
 TEST_F(RecordedPays, NotWhereTheDeviceTakesLong) {
   iterate(0);
   iterate(0);
-  // Nothing is known while ways are tried.
+  // Without a measured time (-1), sequences go on being collected.
   for (int i = 0; i < 6; ++i)
     EXPECT_TRUE(iterate(-1)) << i;
   for (int i = 0; i < 3; ++i)

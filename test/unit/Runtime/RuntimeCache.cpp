@@ -243,7 +243,7 @@ TEST_F(RuntimeCache, WaitsForNothingInTheFolder) {
       bind(server, reinterpret_cast<sockaddr *>(&address), sizeof(address)), 0);
   expectReplaced("socket");
   close(server);
-  // So where the lock should be.
+  // A FIFO in the place of the lock is replaced, too.
   std::string lock = folder + "/.lock-" + CacheStore::fileName("k");
   ASSERT_EQ(mkfifo(lock.c_str(), 0600), 0);
   (void)store.claim("k");

@@ -374,7 +374,7 @@ static void checkTape(Runtime &runtime, const FieldPtr &x,
     EXPECT_OK(runtime.launch(changes, &n, 1, nullptr));
     double first = get(*x, {4});
     EXPECT_OK(tape->backward());
-    // With the x of that time.
+    // The sweep has used the values that x had during the recording.
     double sum = get(*loss);
     EXPECT_EQ(get(*x->adjoint(), {0}), sum);
     EXPECT_EQ(get(*x, {4}), first);
@@ -594,7 +594,7 @@ TEST_F(RuntimeCuda, MovesRows) {
                                 imageOf({"scale"}, DeviceKind::Cuda, "// PTX"),
                                 {{a, AccessKind::Write}}, 2);
     uint64_t args[] = {0, slotOf(2.0)};
-    // Nothing but a change on the device.
+    // Launches a kernel that changes the field on the device.
     auto touch = [&] {
       args[0] = 1;
       args[1] = slotOf(1.0);

@@ -654,7 +654,7 @@ TEST(RuntimeHost, FindsWrongGradients) {
   EXPECT_NE(status.message().find("the gradient of 'loss' by 'x' disagrees"),
             std::string::npos)
       << status.message();
-  // One that is NaN fails too.
+  // A gradient that is NaN fails, too.
   program.kernels["step"] = scene.pair(
       "step", scene.x, scene.y, AccessKind::Write, sine,
       [](TaiFrame *frame) {

@@ -131,6 +131,13 @@ enum class ProgramMode {
   Aside
 };
 
+/// Work that is collected between two calls, to run as one sequence.
+struct CollectedWork {
+  bool isReplay = false;
+  /// Whether its sequence ran as a program.
+  bool hasProgram = false;
+};
+
 class DeviceQueue final : public Device {
 public:
   /// `unwatched`: the device that `device` wraps, to which launches may be
@@ -346,12 +353,7 @@ private:
   std::unique_ptr<SequencePrefixes> prefixes;
   std::unique_ptr<RecordedLaunches> recorded;
   /// The open collection, or the last one.
-  struct Collection {
-    bool isReplay = false;
-    /// Whether its sequence ran as a program.
-    bool hasProgram = false;
-  };
-  Collection collection;
+  CollectedWork collection;
   /// The failure of a call that could not return it.
   Status failure;
   std::vector<DevicePtr> released;

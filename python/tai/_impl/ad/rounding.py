@@ -273,7 +273,7 @@ def begin(program: Program, not_finite: dict[str, str]) -> Probes:
 
 
 def end(program: Program) -> None:
-    """From now on they have none."""
+    """Ends the estimate: kernels that are launched from now on have no probes."""
     state.of_thread.rounding = None
     _forget_launches(program)
 

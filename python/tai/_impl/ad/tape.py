@@ -341,7 +341,7 @@ class Tape(native.WithBlock):
         block are repeated. Gradients are cleared before the reverse sweep.
         """
         self._need_record()
-        # Before anything is cleared.
+        # The check comes before gradients are cleared.
         if state.tape is not None:
             raise TaiRuntimeError(
                 "a tape cannot be replayed while another one records",

@@ -51,8 +51,8 @@ class Specialization:
         self.followed: list[int] = []
         self.result_pool: Any = None
         arrays = any(spec.kind == "array" for spec in specs)
-        # Under a tape, someone must look at the arrays, and Python say where adjoints of results
-        # are: numbers as in the launcher.
+        # The work under a tape, by the numbers of `tracking` in Launcher.cpp: 1, arrays are
+        # followed; 2, Python says where the adjoint of a result is.
         self.tracking = 2 if result is not None and result.has_gradient else int(arrays)
 
     def fits(self, specs: list[ArgumentSpec]) -> bool:

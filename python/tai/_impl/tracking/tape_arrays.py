@@ -86,7 +86,7 @@ def overlaps_itself(array: Any) -> bool:
         return False
     part = array
     while part.ndim:
-        # Elements that differ in this index first are as far apart as one at 0 and one behind it.
+        # Compares the part at index 0 of this dimension with all parts behind it.
         if overlap(part[:1], part[1:]):
             return True
         part = part[0]

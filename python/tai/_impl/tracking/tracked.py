@@ -488,7 +488,7 @@ class TapeValues:
         return gradient, buffer
 
     def begin_work(self, losses: tuple, forward: bool) -> None:
-        """Before a sweep; see `ValueSweep`."""
+        """Prepares a sweep; see `ValueSweep`."""
         if self.worker is not state.thread:
             taken, self._taken = self._taken, []
             self.worker = state.thread
