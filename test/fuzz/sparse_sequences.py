@@ -332,7 +332,7 @@ class Runner:
             return
         self.module.collect(out, a)
         expect(f"visits of {spec.name}", out[0], len(visited))
-        # Iterations run in any order: any of the new values may remain.
+        # Appends come in any order: if the values are the expected ones, take their order.
         place = level.places[0]
         field = self.of(place.of)
         if place.of.is_split:
