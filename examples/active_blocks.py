@@ -14,6 +14,7 @@ The picture shows the wave with the blocks of both levels drawn around it.
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -54,7 +55,7 @@ def spark():
 
 
 @ti.func
-def at(field: ti.template, i, j):
+def at(field: ti.template, i: int, j: int):
     """Walls reflect; a cell of an inactive block is zero, and stays inactive."""
     return field.u[ti.min(ti.max(i, 0), N - 1), ti.min(ti.max(j, 0), N - 1)]
 
@@ -113,7 +114,7 @@ def rest():
             ti.deactivate(coarse, [ci, cj])
 
 
-def blocks_of(level):
+def blocks_of(level: ti.SNode) -> Any:
     """The active blocks of a level."""
     if args.dense:
         return np.stack(np.meshgrid(*map(np.arange, level.shape), indexing="ij"), -1).reshape(-1, 2)
@@ -141,7 +142,8 @@ def draw():
 
 def main():
     spark()
-    frames, most, visited = [], 0, 0
+    frames: list[Any] = []
+    most, visited = 0, 0
     took = 0.0
     for number in ti.tools.Progress(range(args.steps // 2), "active_blocks"):
         if number % max(1, args.steps // 80) == 0:

@@ -13,6 +13,7 @@ that is conserved; the coefficient of restitution is 0.8 in its program, and her
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -51,7 +52,7 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
-def at(t):
+def at(t: int):
     """The slot of a time."""
     return 0 if ti.static(args.in_place) else t
 
@@ -116,7 +117,7 @@ def gradient():
     return loss[None], cue.grad.to_numpy(), push.grad.to_numpy()
 
 
-def iteration(number):
+def iteration(_: int):
     value, by_place, by_speed = gradient()
     cue.from_numpy(cue.to_numpy() - args.rate * by_place)
     push.from_numpy(push.to_numpy() - args.rate * by_speed)
@@ -133,10 +134,12 @@ def optimise():
     return studio.optimise(args, iteration, cue=cue, push=push)
 
 
-def scan(part):
+def scan(part: float) -> tuple[Any, Any, Any]:
     """Loss and its derivative by the angle of the push, over a part of a half circle."""
-    angles = ((np.arange(args.samples) + 0.5) / args.samples - 0.5) * math.pi * part
-    losses, slopes = [], []
+    count: int = args.samples
+    angles = ((np.arange(count) + 0.5) / count - 0.5) * math.pi * part
+    losses: list[float] = []
+    slopes: list[float] = []
     for angle in ti.tools.Progress(angles, f"scan {part}"):
         push[None] = 0.3 * math.cos(angle), 0.3 * math.sin(angle)
         value, _, (by_vx, by_vy) = gradient()
@@ -145,7 +148,7 @@ def scan(part):
     return np.degrees(angles), np.array(losses), np.array(slopes)
 
 
-def show_scan(part):
+def show_scan(part: float):
     angles, losses, slopes = scan(part)
     flat = np.abs(losses - math.dist(RACK[-1], POCKET) ** 2) < 1e-6
     best = losses.argmin()
@@ -180,7 +183,7 @@ def film():
             yield x.to_numpy()[0 if args.in_place else t]
 
 
-def draw(gui, points):
+def draw(gui: ti.GUI, points: Any):
     gui.circle(POCKET, radius=22, color=studio.SOFT)
     gui.circles(points, radius=RADIUS * 480, color=studio.BLUE)
     gui.circle(points[0], radius=RADIUS * 480, color=studio.INK)

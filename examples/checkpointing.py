@@ -15,6 +15,7 @@ its velocity at the start. The reverse sweep needs states of the forward pass:
 """
 
 import time
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -52,7 +53,7 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
-def around(position):
+def around(position: Any):
     """The first of the nine nodes around a particle, its place from there, and the weights.
 
     The nodes are of the grid also where too large a rate has thrown the particle out of it.
@@ -66,7 +67,7 @@ def around(position):
 class Block:
     """The block, with as many slots and grids as a scheme keeps."""
 
-    def __init__(self, scheme):
+    def __init__(self, scheme: str):
         self.scheme = scheme
         self.slots = {"stored": STEPS, "grid": STEPS, "segments": SEGMENT + 1}.get(scheme, 1)
         self.grids = STEPS - 1 if scheme == "stored" else 1
@@ -137,13 +138,13 @@ class Block:
     def grid_to_particles(self, s: ti.i32, g: ti.i32):
         for p in range(N):
             base, fx, w = around(self.x[s, p])
-            v, C = ti.Vector.zero(float, 2), ti.Matrix.zero(float, 2, 2)
+            v, new_C = ti.Vector.zero(float, 2), ti.Matrix.zero(float, 2, 2)
             for i, j in ti.static(ti.ndrange(3, 3)):
                 share = w[i][0] * w[j][1] * self.velocity[g, base[0] + i, base[1] + j]
                 v += share
-                C += share.outer_product(ti.Vector([i, j]))
+                new_C += share.outer_product(ti.Vector([i, j]))
             self.v[s + self.ahead, p] = v
-            self.C[s + self.ahead, p] = 4 / DX * (C - v.outer_product(fx))
+            self.C[s + self.ahead, p] = 4 / DX * (new_C - v.outer_product(fx))
             self.x[s + self.ahead, p] = self.x[s, p] + DT * v
 
     @ti.kernel
@@ -151,7 +152,7 @@ class Block:
         for p in range(N):
             middle[None] += self.x[s, p] / N
 
-    def step(self, s, g):
+    def step(self, s: int, g: int):
         self.clear_grid(g)
         self.particles_to_grid(s, g)
         self.update_grid(g)
@@ -159,7 +160,7 @@ class Block:
 
     # One grid, by hand.
 
-    def step_in_reverse(self, s):
+    def step_in_reverse(self, s: int):
         """Fills the grid as it was, then goes back through the step."""
         self.clear_grid(0)
         self.clear_grid_gradient()
@@ -179,13 +180,13 @@ class Block:
 
     # Segments, by hand: a segment begins in slot 0, and its end goes back there.
 
-    def segment(self, number):
+    def segment(self, number: int):
         self.keep(number)
         for s in range(self.length(number)):
             self.step(s, 0)
         self.carry(self.length(number))
 
-    def segment_in_reverse(self, number):
+    def segment_in_reverse(self, number: int):
         """Runs the segment again, then goes back through its steps."""
         length = self.length(number)
         self.restore(number)
@@ -195,7 +196,7 @@ class Block:
         for s in reversed(range(length)):
             self.step_in_reverse(s)
 
-    def length(self, number):
+    def length(self, number: int):
         return min(SEGMENT, STEPS - 1 - number * SEGMENT)
 
     @ti.kernel
@@ -287,10 +288,10 @@ def compare():
         print(f"{scheme:9}{memory}, {seconds:6.2f} s, loss {loss[None]:.6f}, gradient {slope}")
 
 
-def optimise(block):
+def optimise(block: Block):
     """Gradient descent on the velocity; returns the losses."""
 
-    def iteration(_):
+    def iteration(_: int):
         block.gradient()
         slope = np.array(push.grad[None])
         push[None] = np.array(push[None]) - args.rate * slope

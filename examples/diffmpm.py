@@ -47,7 +47,8 @@ N_MUSCLES = 4
 
 def build_robot():
     """Positions of the particles and their muscles; two particles per cell and axis."""
-    positions, muscles = [], []
+    positions: list[tuple[float, float]] = []
+    muscles: list[int] = []
     for (x0, y0, width, height), muscle in BODY:
         n, m = 2 * int(width / DX), 2 * int(height / DX)
         for i in range(n):
@@ -185,7 +186,7 @@ def descend(rate: float):
 
 
 @ti.ad.grad_replaced
-def advance(t):
+def advance(t: int):
     clear_grid()
     actuate(t)
     particles_to_grid(t)
@@ -194,7 +195,7 @@ def advance(t):
 
 
 @ti.ad.grad_for(advance)
-def advance_gradient(t):
+def advance_gradient(t: int):
     """Fills the grid again as it was in step t, then goes back through the step."""
     clear_grid()
     clear_grid_gradient()
@@ -227,7 +228,7 @@ def set_up():
 def optimise():
     """Gradient descent on the weights of the waves; returns the losses."""
 
-    def iteration(_):
+    def iteration(_: int):
         with ti.ad.Tape(loss):
             forward()
         norms = [np.linalg.norm(learned.grad.to_numpy()) for learned in (weights, bias)]
@@ -244,7 +245,7 @@ def animate():
     forward()
     positions, pulls = x.to_numpy(), actuation.to_numpy()
 
-    def draw(gui, t):
+    def draw(gui: ti.GUI, t: int):
         pull = np.where(muscle_of >= 0, pulls[min(t, STEPS - 2), muscle_of], 0.0)
         gui.line((0, 2 * DX * BOUND), (1, 2 * DX * BOUND), radius=1, color=studio.SOFT)
         gui.circles(positions[t] * [1.0, 2.0], radius=1.6, color=studio.signed(2 * pull))

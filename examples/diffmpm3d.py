@@ -13,12 +13,14 @@ of a step first repeats what filled the grid: `grad_replaced` and `grad_for`.
 
 import math
 import random
+from argparse import Namespace
+from typing import Any
 
 import numpy as np
 import tai as ti
 
 import studio
-from splatter import Splatter
+from splatter import Place, Splatter
 
 N_GRID = 64
 DX = 1 / N_GRID
@@ -35,29 +37,31 @@ SOLID_MASS, LIQUID_MASS = 1.0, 4.0
 class Scene:
     """Boxes of particles, three to a cell and axis."""
 
-    def __init__(self, density=3):
-        self.position, self.muscle, self.solid = [], [], []
+    def __init__(self, density: float = 3):
+        self.position: list[list[float]] = []
+        self.muscle: list[int] = []
+        self.solid: list[bool] = []
         self.density = density
 
-    def box(self, corner, size, muscle=-1):
+    def box(self, corner: Place, size: Place, muscle: int = -1):
         """An elastic box; its muscle, -1 for none."""
         counts = [int(self.density * side / DX) for side in size]
         for cell in np.ndindex(*counts):
             where = [(c + 0.5) * side / n for c, side, n in zip(cell, size, counts, strict=True)]
             self._add(corner, where, muscle, solid=True)
 
-    def pool(self, corner, size):
+    def pool(self, corner: Place, size: Place):
         """Liquid, at random places in a box."""
         for _ in range(math.prod(int(self.density * side / DX) for side in size)):
             self._add(corner, [random.random() * side for side in size], -1, solid=False)
 
-    def _add(self, corner, where, muscle, solid):
+    def _add(self, corner: Place, where: list[float], muscle: int, solid: bool):
         offset = (0.1, 0.05, 0.3)
         self.position.append([c + w + o for c, w, o in zip(corner, where, offset, strict=True)])
         self.muscle.append(muscle)
         self.solid.append(solid)
 
-    def robot(self, block):
+    def robot(self, block: float):
         """Four legs of four muscles each, and three boxes between them, without."""
         for leg in range(4):
             x, z = 2 * block * (leg // 2), 2 * block * (leg % 2)
@@ -69,7 +73,7 @@ class Scene:
 
 
 @ti.func
-def around(position):
+def around(position: Any):
     """The first of the 27 nodes around a particle, and the particle's place from there.
 
     The nodes are of the grid also where too large a rate has thrown the particle out of it.
@@ -79,7 +83,7 @@ def around(position):
 
 
 @ti.func
-def splines(fx):
+def splines(fx: Any):
     """Weights of the three nodes along each axis: quadratic B-splines."""
     return [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1) ** 2, 0.5 * (fx - 0.5) ** 2]
 
@@ -88,7 +92,7 @@ def splines(fx):
 class Simulation:
     """The fields of a scene, and its steps forward and in reverse."""
 
-    def __init__(self, scene, steps):
+    def __init__(self, scene: Scene, steps: int):
         self.steps, self.count = steps, len(scene.position)
         self.muscles = max(scene.muscle) + 1
         self.solids = sum(scene.solid)
@@ -114,9 +118,9 @@ class Simulation:
     @ti.kernel
     def load(
         self,
-        position: ti.types.ndarray(dtype=ti.f64),
-        muscle: ti.types.ndarray(dtype=ti.i64),
-        solid: ti.types.ndarray(dtype=ti.u1),
+        position: ti.types.ndarray,
+        muscle: ti.types.ndarray,
+        solid: ti.types.ndarray,
     ):
         for p in range(self.count):
             self.x[0, p] = ti.Vector([position[p, 0], position[p, 1], position[p, 2]])
@@ -152,27 +156,27 @@ class Simulation:
         for p in range(self.count):
             base, fx = around(self.x[t, p])
             w = splines(fx)
-            F = (ti.Matrix.identity(float, 3) + DT * self.C[t, p]) @ self.F[t, p]
-            J = F.determinant()
+            new_F = (ti.Matrix.identity(float, 3) + DT * self.C[t, p]) @ self.F[t, p]
+            J = new_F.determinant()
             stress = ti.Matrix.zero(float, 3, 3)
             mass = 0.0
             if self.solid[p] == 1:  # neo-Hookean, and the pull of the muscle along z
                 mass = SOLID_MASS
-                stress = STIFFNESS * F @ F.transpose()
+                stress = STIFFNESS * new_F @ new_F.transpose()
                 pressure = STIFFNESS * (ti.log(J) - 1)
                 for d in ti.static(range(3)):
                     stress[d, d] += pressure
                 if self.muscle[p] >= 0:
-                    along = ti.Vector([F[0, 2], F[1, 2], F[2, 2]])
+                    along = ti.Vector([new_F[0, 2], new_F[1, 2], new_F[2, 2]])
                     pull = STRENGTH * self.actuation[t, self.muscle[p]]
                     stress += pull * along.outer_product(along)
             else:  # liquid forgets its shape, and keeps its volume
                 mass = LIQUID_MASS
                 root = ti.sqrt(J)
-                F = ti.Matrix([[root, 0.0, 0.0], [0.0, root, 0.0], [0.0, 0.0, 1.0]])
+                new_F = ti.Matrix([[root, 0.0, 0.0], [0.0, root, 0.0], [0.0, 0.0, 1.0]])
                 for d in ti.static(range(3)):
                     stress[d, d] = STIFFNESS * (J - 1)
-            self.F[t + 1, p] = F
+            self.F[t + 1, p] = new_F
             affine = -DT * 4 / DX * stress + mass * DX * self.C[t, p]
             corner = mass * self.v[t, p] - affine @ fx  # the momentum for the first node
             for i, j, k in ti.static(ti.ndrange(3, 3, 3)):
@@ -199,14 +203,14 @@ class Simulation:
         for p in range(self.count):
             base, fx = around(self.x[t, p])
             w = splines(fx)
-            v, C = ti.Vector.zero(float, 3), ti.Matrix.zero(float, 3, 3)
+            v, new_C = ti.Vector.zero(float, 3), ti.Matrix.zero(float, 3, 3)
             for i, j, k in ti.static(ti.ndrange(3, 3, 3)):
                 offset = ti.Vector([i, j, k])
                 share = w[i][0] * w[j][1] * w[k][2] * self.velocity[base + offset]
                 v += share
-                C += share.outer_product(offset)
+                new_C += share.outer_product(offset)
             self.v[t + 1, p] = v
-            self.C[t + 1, p] = 4 / DX * (C - v.outer_product(fx))
+            self.C[t + 1, p] = 4 / DX * (new_C - v.outer_product(fx))
             self.x[t + 1, p] = self.x[t, p] + DT * v
 
     @ti.kernel
@@ -224,7 +228,7 @@ class Simulation:
             self.bias[i] -= rate * self.bias.grad[i]
 
     @ti.ad.grad_replaced
-    def advance(self, t):
+    def advance(self, t: int):
         self.clear_grid()
         self.actuate(t)
         self.particles_to_grid(t)
@@ -232,7 +236,7 @@ class Simulation:
         self.grid_to_particles(t)
 
     @ti.ad.grad_for(advance)
-    def advance_gradient(self, t):
+    def advance_gradient(self, t: int):
         """Fills the grid again as it was in step t, then goes back through the step."""
         self.clear_grid()
         self.clear_grid_gradient()
@@ -250,7 +254,7 @@ class Simulation:
         self.compute_loss()
 
 
-def options(doc, name, iterations, rate):
+def options(doc: str | None, name: str, iterations: int, rate: float) -> studio.Options:
     parser = studio.options(
         doc, name, iterations=iterations, steps=512, rate=rate, quick={"iterations": 2, "steps": 32}
     )
@@ -261,7 +265,7 @@ def options(doc, name, iterations, rate):
     return parser
 
 
-def learn(args, simulation):
+def learn(args: Namespace, simulation: Simulation):
     """Gradient descent on the waves."""
     i, j = np.arange(simulation.muscles)[:, None], np.arange(N_WAVES)
     np.random.seed(args.seed)
@@ -271,7 +275,7 @@ def learn(args, simulation):
     simulation.weights.from_numpy(0.01 * start)
     weights, bias = simulation.weights, simulation.bias
 
-    def iteration(_):
+    def iteration(_: int):
         with ti.ad.Tape(simulation.loss):
             simulation.forward()
         norms = [np.linalg.norm(learned.grad.to_numpy()) for learned in (weights, bias)]
@@ -282,7 +286,7 @@ def learn(args, simulation):
     studio.plot_losses(args, losses)
 
 
-def animate(args, simulation):
+def animate(args: Namespace, simulation: Simulation):
     """The result as a movie; muscles are red when they pull and blue when they push."""
     if not args.picture:
         return
@@ -291,7 +295,7 @@ def animate(args, simulation):
     muscle, solid = simulation.muscle.to_numpy(), simulation.solid.to_numpy()
     splatter = Splatter()
     colours = np.empty((simulation.count, 4), np.float32)
-    frames = []
+    frames: list[Any] = []
     for t in range(0, args.steps, 8):
         pull = np.where(muscle >= 0, pulls[min(t, args.steps - 2), muscle], 0.0)
         rgb = ti.hex_to_rgb(np.where(solid == 1, studio.signed(1.5 * pull), studio.BLUE))

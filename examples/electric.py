@@ -18,6 +18,8 @@ program asks for 200 000 iterations.)
 
 import math
 import random
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -35,9 +37,12 @@ args = options.parse_args()
 if args.steps % 2:
     options.error("--steps: the path has two halves, so their number is even")
 
-STEPS, DT = args.steps, 0.03
-ELECTRODES = [(0.1, 0.1), (0.1, 0.9), (0.9, 0.9), (0.9, 0.1)]
-ELECTRODES += [(0.5, 0.9), (0.5, 0.1), (0.1, 0.5), (0.9, 0.5)]
+STEPS: int = args.steps
+DT = 0.03
+ELECTRODES = [
+    (0.1, 0.1), (0.1, 0.9), (0.9, 0.9), (0.9, 0.1),
+    (0.5, 0.9), (0.5, 0.1), (0.1, 0.5), (0.9, 0.5),
+]  # fmt: skip
 N, N_HIDDEN, N_INPUTS = len(ELECTRODES), 64, 8
 CHARGE, DECAY = 1e-3, math.exp(-0.2 * DT)
 SEES_OLD = args.controller == "published"
@@ -137,13 +142,13 @@ def reread():
         hidden_layer.grad(t)
 
 
-def paths(generator):
+def paths(generator: random.Random) -> Iterator[Any]:
     """Without end: three points, a straight line from each to the next."""
     while True:
         yield np.array([[0.2 + 0.6 * generator.random() for _ in range(2)] for _ in range(3)])
 
 
-def set_path(path):
+def set_path(path: Any):
     """Sets the goal of each slot, and puts the ball at the first one."""
     half = STEPS // 2
     share = (np.arange(STEPS) % half / half)[:, None]
@@ -153,7 +158,7 @@ def set_path(path):
     x[0], v[0] = path[0], (0.0, 0.0)
 
 
-def path_of(number):
+def path_of(number: int):
     """The path of an iteration; those of iterations before are drawn and forgotten."""
     return next(path for index, path in numbered_paths if index == number + 1)
 
@@ -174,7 +179,7 @@ def set_up():
     forward()
 
 
-def iteration(number):
+def iteration(number: int):
     set_path(path_of(number))
     by_tape() if args.gradient == "tape" else reread()
     lengths = {f"|d{n}|": np.linalg.norm(w.grad.to_numpy()) for n, w in WEIGHTS.items()}
@@ -182,7 +187,7 @@ def iteration(number):
     return {"loss": loss[None]} | lengths
 
 
-def slopes(gradient, seen):
+def slopes(gradient: Callable[[], None], seen: tuple[Any, Any]):
     """The loss of the first path and its gradients, where the network sees the first states."""
     for field, values in zip((x, v), seen):
         field.from_numpy(values)
@@ -198,7 +203,7 @@ def check():
     way = [generator.standard_normal(w.shape) for w in WEIGHTS.values()]
     centre = [w.to_numpy() for w in WEIGHTS.values()]
     size = 1e-6 if args.double else 1e-3
-    losses = []
+    losses: list[float] = []
     for sign in (1, -1, 0):
         for w, c, d in zip(WEIGHTS.values(), centre, way):
             w.from_numpy(c + sign * size * d)
@@ -214,7 +219,7 @@ def optimise():
     return studio.optimise(args, iteration, **WEIGHTS, x=x, v=v)
 
 
-def draw(gui, t):
+def draw(gui: ti.GUI, t: int):
     """Electrodes are red when they push and blue when they pull; the goal is golden."""
     places, goals, charges = x.to_numpy(), goal.to_numpy(), charge.to_numpy()
     gui.circles(goals[::8], radius=1.5, color=studio.SOFT)

@@ -16,6 +16,7 @@ the same number of scenes.
 import os
 import statistics
 import time
+from typing import Any
 
 import studio
 
@@ -111,7 +112,7 @@ class Ensemble(torch.autograd.Function):
     tape = None
 
     @staticmethod
-    def forward(ctx, given):
+    def forward(ctx: Any, given: Any):
         weights.from_torch(given)
         if Ensemble.tape is None:
             with ti.ad.Tape(loss) as Ensemble.tape:
@@ -127,11 +128,11 @@ class Ensemble(torch.autograd.Function):
         return loss.to_torch(device=given.device)
 
     @staticmethod
-    def backward(ctx, bar):
+    def backward(ctx: Any, bar: Any):
         return bar * ctx.gradient
 
 
-def iterate(controller, optimiser, together: bool) -> torch.Tensor:
+def iterate(controller: Any, optimiser: Any, together: bool) -> Any:
     """One step of descent on the mean over all processes, or on this one's own; the loss."""
     optimiser.zero_grad()
     cost = Ensemble.apply(controller)
@@ -145,11 +146,11 @@ def iterate(controller, optimiser, together: bool) -> torch.Tensor:
     return both[-1]
 
 
-def timed(controller, together: bool) -> float:
+def timed(controller: Any, together: bool) -> float:
     """Median seconds of an iteration, on a copy of the controller."""
     trial = controller.detach().clone().requires_grad_()
     optimiser = torch.optim.Adam([trial], lr=args.rate)
-    seconds = []
+    seconds: list[float] = []
     for _ in range(12):
         begin = time.perf_counter()
         cost = iterate(trial, optimiser, together)

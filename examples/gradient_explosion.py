@@ -13,6 +13,8 @@ Without damping it flies off, unless the gradient is clipped.
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import tai as ti
 
@@ -57,7 +59,7 @@ def miss(t: int):
     loss[None] = (x[t] - 1) ** 2
 
 
-def gradient(length, measure):
+def gradient(length: int, measure: Callable[[int], None]):
     """The loss after so many slots, and its derivatives by the push and by the decay."""
     with ti.ad.Tape(loss):
         for t in range(1, length):
@@ -66,10 +68,10 @@ def gradient(length, measure):
     return loss[None], push.grad[None], decay.grad[None]
 
 
-def descend(alpha, clip):
+def descend(alpha: float, clip: float) -> list[float]:
     """The losses of a descent that begins without a push; it ends early if it flies off."""
     decay[None], push[None] = math.exp(-DT * alpha), 0.0
-    losses = []
+    losses: list[float] = []
     while len(losses) < args.iterations and (not losses or losses[-1] < 1e6):
         value, slope, _ = gradient(args.steps, miss)
         push[None] -= args.rate * max(-clip, min(clip, slope))
@@ -78,7 +80,8 @@ def descend(alpha, clip):
 
 
 def show_growth():
-    columns, curves = {"N": lengths}, {}
+    columns: dict[str, Any] = {"N": lengths}
+    curves: dict[str, Any] = {}
     for alpha in ALPHAS:
         decay[None], push[None] = math.exp(-DT * alpha), 1.0
         rows = [gradient(length, way) for length in lengths]
@@ -88,12 +91,12 @@ def show_growth():
         print(f"alpha {alpha:<3g} way {rows[-1][0]:.6g} after {lengths[-1]} slots", end="; ")
         print(f"by push {rows[-1][1]:.6g}, by decay {rows[-1][2]:.6g}")
     studio.table(args, "growth", **columns)
-    axes = {"x": "time slots N", "y": "derivative of the way by the push"}
+    axes: dict[str, Any] = {"x": "time slots N", "y": "derivative of the way by the push"}
     studio.plot(args, "growth", curves, **axes, log=True)
 
 
 def show_descent():
-    curves = {}
+    curves: dict[str, Any] = {}
     for alpha in (0.0, 10.0):
         for clip in (math.inf, args.clip):
             name = f"alpha {alpha:g}, " + ("not clipped" if clip == math.inf else f"clip {clip:g}")

@@ -12,6 +12,8 @@ that is iterated until nothing changes (ti.ad.implicit), and through each of its
 """
 
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -45,7 +47,7 @@ loss = ti.field(ti.f64, shape=(), needs_grad=True)
 
 
 @ti.func
-def pull(p: ti.template, i):
+def pull(p: ti.template, i: int):
     """The force of spring i on its left joint."""
     d = p[i + 1] - p[i]
     length = d.norm() + 1e-12
@@ -53,7 +55,7 @@ def pull(p: ti.template, i):
 
 
 @ti.func
-def imbalance(p: ti.template, i):
+def imbalance(p: ti.template, i: int):
     """Inertia less forces, of joint i; a nailed one stays where it is."""
     out = p[i] - last[i]
     if 0 < i < N:
@@ -113,14 +115,14 @@ def start():
     loss[None] = 0
 
 
-def swing(step, look):
+def swing(step: Callable[[], None], look: Callable[[int], None]):
     for t in range(STEPS):
         step()
         remember()
         look(t)
 
 
-def gradient(step):
+def gradient(step: Callable[[], None]):
     start()
     with ti.ad.Tape(loss) as tape:
         swing(step, compare)
@@ -132,16 +134,17 @@ def record_truth():
     worn = np.zeros(N)
     worn[[N // 4, 2 * N // 3]] = np.log(0.5)
     log_k.from_numpy(worn)
-    positions = []
+    positions: list[Any] = []
     start()
     swing(by_newton, lambda t: positions.append(x.to_numpy()))
     seen.from_numpy(np.array(positions))
     return worn
 
 
-def find():
+def find() -> tuple[Any, list[float]]:
     """Adam on the logarithm of the stiffness; returns the losses."""
-    guess, mean, square, losses = np.zeros(N), 0.0, 0.0, []
+    guess, mean, square = np.zeros(N), 0.0, 0.0
+    losses: list[float] = []
     bar = ti.tools.Progress(range(1, args.iterations + 1), "rope")
     for number in bar:
         log_k.from_numpy(guess)

@@ -10,6 +10,8 @@ between them again. The same can be done by hand, with a function that brings it
     python examples/in_place_springs.py --by hand
 """
 
+from typing import Any
+
 import numpy as np
 import tai as ti
 
@@ -96,22 +98,22 @@ def start():
 
 
 # By hand: the state at the start of each segment is kept, and nothing within it.
-kept = {}
+kept: dict[int, Any] = {}
 
 
 @ti.ad.grad_replaced
-def segment(number):
+def segment(number: int):
     kept[number] = x.to_numpy(), v.to_numpy()
     for _ in range(SEGMENT):
         step()
 
 
 @ti.ad.grad_for(segment)
-def segment_in_reverse(number):
+def segment_in_reverse(number: int):
     """Runs the segment again, keeps what its steps start from, and goes back."""
     x.from_numpy(kept[number][0])
     v.from_numpy(kept[number][1])
-    states = []
+    states: list[tuple[Any, Any]] = []
     for _ in range(SEGMENT):
         states.append((x.to_numpy(), v.to_numpy()))
         step()

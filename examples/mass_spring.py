@@ -19,6 +19,7 @@ The paper speaks of 2048 steps, its program runs 682. Each step of descent has t
 
 import math
 from argparse import BooleanOptionalAction
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -64,7 +65,7 @@ STIFFNESS, STRENGTH = (14000.0, 0.1) if args.robot == 0 else (30000.0, 0.15)
 N_WAVES, N_HIDDEN = 10, 32
 
 
-def build_robot(points, springs):
+def build_robot(points: str, springs: str):
     """Positions; pairs of points; how far each spring can change its rest length."""
     places = np.array([point.split(",") for point in points.split()], float)
     pairs = [spring.strip("*").split("-") for spring in springs.split()]
@@ -101,7 +102,7 @@ strength = ti.field(float, shape=N_SPRINGS)
 
 
 @ti.func
-def at(t):
+def at(t: int):
     """The slot of a time."""
     return 0 if ti.static(args.in_place) else t
 
@@ -190,7 +191,7 @@ def measure(t: int):
     loss[None] = -x[at(t), 0][0]
 
 
-def advance(t):
+def advance(t: int):
     if args.in_place:
         clear_impulses()
     find_centre(t - 1)
@@ -229,7 +230,7 @@ def set_up():
         w.from_numpy(scale * random.standard_normal(w.shape))
 
 
-def iteration(number):
+def iteration(_: int):
     with studio.tape(args, loss):
         forward()
     slopes = {name: w.grad.to_numpy() for name, w in WEIGHTS.items()}
@@ -258,7 +259,7 @@ def film():
 UP = [1, 2]  # the picture is twice as wide as high
 
 
-def draw(gui, frame):
+def draw(gui: ti.GUI, frame: tuple[int, Any, Any]):
     """Muscles are red when long and blue when short."""
     t, points, pulls = frame
     gui.line((0, 2 * FLOOR - 0.015), (1, 2 * FLOOR - 0.015), radius=1, color=studio.SOFT)

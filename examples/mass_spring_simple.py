@@ -101,7 +101,7 @@ def forward():
     compute_loss()
 
 
-def set_up(area):
+def set_up(area: float):
     for i, position in enumerate(POINTS):
         x[0, i] = position
         v[0, i] = (0.0, 0.0)
@@ -110,7 +110,7 @@ def set_up(area):
     target[None] = area
 
 
-def iteration(number):
+def iteration(_: int):
     with ti.ad.Tape(loss):
         forward()
     for i in range(N_SPRINGS):
@@ -122,7 +122,7 @@ def optimise():
     return studio.optimise(args, iteration, rest_length=rest_length)
 
 
-def draw(gui, t):
+def draw(gui: ti.GUI, t: int):
     """The triangle at step t; springs are red when stretched and blue when pressed."""
     points = x.to_numpy()[t]
     if args.wall:

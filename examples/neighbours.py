@@ -12,6 +12,7 @@ Neighbours are found by cells of the size of the radius. Each cell has a list of
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -46,7 +47,7 @@ lists.place(members)
 
 
 @ti.func
-def cell_of(point):
+def cell_of(point: Any):
     return ti.cast(ti.floor(point / RADIUS), ti.i32) % CELLS
 
 
@@ -59,7 +60,7 @@ def sort():
 
 
 @ti.func
-def way(p, q):
+def way(p: int, q: int):
     """From q to p, the shortest way around the square."""
     between = x[p] - x[q]
     return between - ti.round(between)
@@ -142,7 +143,9 @@ def main():
     if args.check:
         check()
     gui = ti.GUI("neighbours", res=(480, 480), background_color=studio.PAPER)
-    energies, frames, before = [], [], gap()
+    energies: list[float] = []
+    frames: list[Any] = []
+    before = gap()
     for number in ti.tools.Progress(range(args.iterations), "neighbours"):
         if number % max(1, args.iterations // 30) == 0:
             gui.circles(x.to_numpy(), radius=2.2, color=studio.BLUE)

@@ -17,6 +17,8 @@ chaotic, so that its loss hardly moves. With 160 slots it is well-behaved.)
 
 import math
 from argparse import BooleanOptionalAction
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -25,15 +27,19 @@ import studio
 
 # Bodies: centre, half size, angle in degrees. Springs: two bodies, the places on them, rest
 # length (JOINT: the places coincide), stiffness, and by how much a muscle changes its length.
+Place = tuple[float, float]
+Spring = tuple[int, int, Place, Place, float, float, float]
+Body = tuple[Place, Place, float]
+Robot = tuple[int, Sequence[Body], Sequence[Spring]]
 JOINT = -1.0
-LEG_BODIES = [
+LEG_BODIES: list[Body] = [
     ((0.319101, 0.471671), (0.02, 0.11), 10),
     ((0.319101, 0.255014), (0.02, 0.11), -10),
     ((0.38, 0.146685), (0.08, 0.02), 0),
 ]
 
 
-def leg_springs(thigh, calf, foot):
+def leg_springs(thigh: int, calf: int, foot: int) -> list[Spring]:
     return [
         (0, thigh, (0, 0.028), (0, -0.11), 0.396, 5, 0.05),
         (thigh, calf, (0, 0.11), (0, -0.11), 0.396, 20, 0.08),
@@ -45,7 +51,7 @@ def leg_springs(thigh, calf, foot):
 
 
 # The head, by which the way is measured; bodies; springs.
-ROBOTS = [
+ROBOTS: list[Robot] = [
     (
         0,
         [((0.3, 0.25), (0.15, 0.03), 0)]
@@ -90,7 +96,7 @@ GRAVITY, FLOOR, DAMPING = -9.8, 0.1, 10.0
 RESTITUTION, FRICTION = 0.0, 1.0
 GOAL = (0.9, 0.15)
 N_WAVES, N_HIDDEN = 10, 32
-HEAD, bodies, springs = ROBOTS[args.robot]
+HEAD, bodies, springs = ROBOTS[int(args.robot)]
 N, N_SPRINGS = len(bodies), len(springs)
 N_INPUTS = N_WAVES + 6 * N + 2
 DECAY = math.exp(-DT * DAMPING)
@@ -129,40 +135,40 @@ strength = ti.field(float, shape=N_SPRINGS)
 
 
 @ti.func
-def at(t):
+def at(t: int):
     """The slot of a time."""
     return 0 if ti.static(args.in_place) else t
 
 
 @ti.func
-def inverse_mass(i):
+def inverse_mass(i: int):
     return 1 / (4 * half[i][0] * half[i][1])
 
 
 @ti.func
-def inverse_inertia(i):
+def inverse_inertia(i: int):
     return 1 / (4 / 3 * half[i][0] * half[i][1] * half[i].norm_sqr())
 
 
 @ti.func
-def rotation(t, i):
+def rotation(t: int, i: int):
     c, s = ti.cos(angle[at(t), i]), ti.sin(angle[at(t), i])
     return ti.Matrix([[c, -s], [s, c]])
 
 
 @ti.func
-def velocity_at(t, i, r):
+def velocity_at(t: int, i: int, r: Any):
     return v[at(t), i] + spin[at(t), i] * ti.Vector([-r[1], r[0]])
 
 
 @ti.func
-def inverse_effective_mass(i, r, way):
+def inverse_effective_mass(i: int, r: Any, way: Any):
     """Speed that a unit impulse along `way` gives to the place at the end of r."""
     return inverse_mass(i) + r.cross(way) ** 2 * inverse_inertia(i)
 
 
 @ti.func
-def apply_impulse(t, i, r, impulse, toi):
+def apply_impulse(t: int, i: int, r: Any, impulse: Any, toi: Any):
     """An impulse at the end of r, some time into the step to t."""
     late = ti.min(ti.max(toi, 0.0), DT)
     by_speed = inverse_mass(i) * impulse
@@ -284,7 +290,7 @@ def measure(t: int):
     loss[None] = (x[at(t), HEAD] - ti.Vector(GOAL)).norm()
 
 
-def advance(t):
+def advance(t: int):
     if args.in_place:
         clear()
     gather_inputs(t - 1)
@@ -334,7 +340,7 @@ def set_up():
     w2.from_numpy(math.sqrt(2 / (N_HIDDEN + N_SPRINGS)) * random.standard_normal(w2.shape))
 
 
-def iteration(number):
+def iteration(_: int):
     with studio.tape(args, loss):
         forward()
     slopes = {name: w.grad.to_numpy() for name, w in WEIGHTS.items()}
@@ -360,11 +366,11 @@ def film():
             yield t, x.to_numpy()[slot], angle.to_numpy()[slot], pulls
 
 
-def draw(gui, frame):
+def draw(gui: ti.GUI, frame: tuple[int, Any, Any, Any]):
     """Muscles are red when long and blue when short, joints are dots."""
     t, places, angles, pulls = frame
 
-    def world(body, place):
+    def world(body: int, place: Any) -> Any:
         c, s = math.cos(angles[body]), math.sin(angles[body])
         return places[body] + np.array([[c, -s], [s, c]]) @ place
 

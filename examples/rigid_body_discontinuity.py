@@ -11,6 +11,8 @@ jump, and says nothing of it.
 body that does not exist. Here it is the only body, and `--loss` says which coordinate.)
 """
 
+from typing import Any
+
 import numpy as np
 import tai as ti
 
@@ -28,7 +30,8 @@ HALF = 0.1
 MASS, INERTIA = 4 * HALF**2, 4 / 3 * HALF**2 * 2 * HALF**2
 START, SPEED = (0.7, 0.5), (-1.0, -2.0)
 FRICTIONS = (0.0, 1.0)
-angles = 1e-3 * (np.arange(-args.samples, args.samples) + 0.5)
+SAMPLES: int = args.samples
+angles = 1e-3 * (np.arange(-SAMPLES, SAMPLES) + 0.5)
 N = len(angles)
 
 studio.start(args)
@@ -42,7 +45,7 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
-def inverse_effective_mass(r, way):
+def inverse_effective_mass(r: Any, way: Any):
     return 1 / MASS + r.cross(way) ** 2 / INERTIA
 
 
@@ -80,7 +83,7 @@ def measure(axis: ti.template):
         loss[None] += x[STEPS - 1, i][axis]
 
 
-def throw(friction):
+def throw(friction: float):
     """Where the boxes end, and the derivatives of that by spin and place at the start."""
     axis = "xy".index(args.loss)
     with ti.ad.Tape(loss):
@@ -101,17 +104,18 @@ def set_up():
 
 def main():
     set_up()
-    columns, curves = {"angle": angles}, {}
+    columns: dict[str, Any] = {"angle": angles}
+    curves: dict[str, Any] = {}
     for friction in FRICTIONS:
         name = f"friction {friction:g}"
         ends, by_spin, by_place = throw(friction)
         columns |= {name: ends, f"{name} by spin": by_spin, f"{name} by {args.loss}": by_place}
         curves[name] = angles, ends
-        left, right = ends[args.samples - 1], ends[args.samples]
+        left, right = ends[SAMPLES - 1], ends[SAMPLES]
         print(f"{name}: {args.loss} ends at {ends[0]:.5f} to {left:.5f} | jump", end=" ")
         print(f"{right - left:+.5f} | {right:.5f} to {ends[-1]:.5f}")
     studio.table(args, "ends", **columns)
-    axes = {"x": "angle at the start (rad)", "y": f"{args.loss} at the end"}
+    axes: dict[str, Any] = {"x": "angle at the start (rad)", "y": f"{args.loss} at the end"}
     studio.plot(args, "ends", curves, **axes, dots=True)
 
 

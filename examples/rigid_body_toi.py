@@ -9,6 +9,8 @@ jumps. Reversing it at the very instant of the impact mends both.
     python examples/rigid_body_toi.py
 """
 
+from typing import Any
+
 import numpy as np
 import tai as ti
 
@@ -62,7 +64,7 @@ def measure():
         loss[None] += x[STEPS - 1, i][1]
 
 
-def bounce(way):
+def bounce(way: str):
     """Heights at the end, and their derivatives by height and vertical speed at the start."""
     move = move_with_toi if way == "toi" else move_naively
     with ti.ad.Tape(loss):
@@ -83,7 +85,9 @@ def set_up():
 
 def main():
     set_up()
-    columns, far, near = {"lift": lifts}, {}, {}
+    columns: dict[str, Any] = {"lift": lifts}
+    far: dict[str, Any] = {}
+    near: dict[str, Any] = {}
     count = len(LIFTS)
     for way in WAYS:
         height, by_height, by_speed = bounce(way)
@@ -92,7 +96,7 @@ def main():
         slopes = sorted({round(float(slope), 5) for slope in by_height})
         print(f"{way:8} height {height[0]:.6f} -> {height[count - 1]:.6f}, by y {slopes}")
     studio.table(args, "heights", **columns)
-    axes = {"x": "height added at the start", "y": "height at the end"}
+    axes: dict[str, Any] = {"x": "height added at the start", "y": "height at the end"}
     studio.plot(args, "heights", far, **axes)
     studio.plot(args, "close_up", near, **axes, title="400 balls, 1e-4 apart", dots=True)
 

@@ -1,17 +1,19 @@
 """Pictures to aim at: the yin-yang sign, the sign of peace, or a file of the user's."""
 
+from pathlib import Path
+
 import numpy as np
 
 import studio
 
 
-def _plane(n):
+def _plane(n: int):
     """Coordinates of the pixels' centres, from -1/2 to 1/2: to the right and downward."""
     row, col = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
     return (col + 0.5) / n - 0.5, (row + 0.5) / n - 0.5
 
 
-def yin_yang(n):
+def yin_yang(n: int):
     """White 1 and black 0, drawn by its circles."""
     x, y = _plane(n)
     upper, lower = x**2 + (y + 0.235) ** 2, x**2 + (y - 0.235) ** 2
@@ -28,7 +30,7 @@ def yin_yang(n):
     return np.select([rule for rule, _ in rules], [value for _, value in rules], 1).astype(float)
 
 
-def peace(n):
+def peace(n: int):
     """A ring, an upright bar and two slanted ones."""
     x, y = _plane(n)
     radius, width = np.hypot(x, y), 0.0415
@@ -38,16 +40,13 @@ def peace(n):
     return (ring | (bar | slanted) & (radius < 0.41)).astype(float)
 
 
-def from_file(path, n, centred=False):
+def from_file(path: Path, n: int, centred: bool = False):
     """A picture of the user's in grey from 0 to 1, n × n; `centred` takes its mean away."""
+    image = studio.need("PIL.Image", "a picture as target", "pillow")
     try:
-        from PIL import Image
-
-        with Image.open(path) as picture:
+        with image.open(path) as picture:
             grey = picture.convert("L")
-    except ImportError:
-        studio.need("PIL", "a picture as target", "pillow")
     except OSError as error:
         studio.fail(f"--target {path}: not a picture that can be read ({error})")
     mean = np.asarray(grey).mean() / 255 if centred else 0.0
-    return np.asarray(grey.resize((n, n), Image.Resampling.BILINEAR)) / 255 - mean
+    return np.asarray(grey.resize((n, n), image.Resampling.BILINEAR)) / 255 - mean

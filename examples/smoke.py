@@ -11,6 +11,7 @@ gradient runs back through a hundred steps.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -44,7 +45,7 @@ DX = 1 / N
 SLOTS, PRESSURES, TURNS = (1, 1, 2) if args.in_place else (STEPS, STEPS * SWEEPS + 1, 1)
 
 
-def real_field(slots):
+def real_field(slots: int):
     return ti.field(float, shape=(slots, N, N), needs_grad=True)
 
 
@@ -61,24 +62,24 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
-def before(i):
+def before(i: int):
     """The cell before, around the edge."""
     return i - 1 if i > 0 else N - 1
 
 
 @ti.func
-def after(i):
+def after(i: int):
     return i + 1 if i < N - 1 else 0
 
 
 @ti.func
-def at(t):
+def at(t: int):
     """The slot of a step or sweep."""
     return 0 if ti.static(args.in_place) else t
 
 
 @ti.func
-def backtrace(q: ti.template, slot, w, i, j):
+def backtrace(q: ti.template, slot: int, w: Any, i: int, j: int):
     """The quantity q at the former place of the matter that is now in cell (i, j)
     (semi-Lagrangian)."""
     x, y = i - w[0], j - w[1]
@@ -154,7 +155,7 @@ def compute_loss(density: ti.template):
         loss[None] += (target[i, j] - density[last, i, j]) ** 2 / N**2
 
 
-def buffer_of(fields, number):
+def buffer_of(fields: list[ti.ScalarField], number: int):
     return fields[number % len(fields)]
 
 
@@ -182,7 +183,7 @@ def descend(rate: float):
         start[i, j] -= rate * start.grad[i, j]
 
 
-def iteration(_):
+def iteration(_: int):
     with studio.tape(args, loss):
         for _ in simulate():
             pass
@@ -204,7 +205,9 @@ def film():
 
 
 def main():
-    i, j = np.meshgrid(np.arange(N), np.arange(N), indexing="ij")
+    i: Any
+    j: Any
+    i, j = np.indices((N, N))
     if args.setting == "chequers":
         tile = max(1, N // 8)
         smoke_at_start.from_numpy((i // tile + j // tile) % 2)

@@ -15,6 +15,7 @@ through the same blocks.
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -44,7 +45,7 @@ REAL = ti.f64 if args.double else ti.f32
 class Ball:
     """The simulation in a room of `nodes` × `nodes`."""
 
-    def __init__(self, nodes):
+    def __init__(self, nodes: int):
         ti.init(arch=ti.cpu)
         side = np.arange(-RADIUS, RADIUS, DX / 2) + DX / 4
         grid = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
@@ -65,7 +66,7 @@ class Ball:
         self.x, self.F, self.push, self.loss, self.blocks = x, F, push, loss, blocks
 
         @ti.func
-        def weights(fx):
+        def weights(fx: Any):
             return [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1) ** 2, 0.5 * (fx - 0.5) ** 2]
 
         @ti.kernel
@@ -153,27 +154,27 @@ class Ball:
         x.from_numpy(slots)
         F.from_numpy(np.broadcast_to(np.eye(2), (STEPS, count, 2, 2)))
 
-    def gradient(self, push):
+    def gradient(self, push: Any):
         """The loss of a throw, and its derivative."""
         self.push[None] = push
         with ti.ad.Tape(self.loss):
             self.forward()
         return self.loss[None], self.push.grad.to_numpy()
 
-    def loss_of(self, push):
+    def loss_of(self, push: Any):
         self.push[None] = push
         self.forward()
         return self.loss[None]
 
 
-def measure(nodes, push):
+def measure(nodes: int, push: Any):
     """A simulation, and the cost of a step."""
     ball = Ball(nodes)
     ball.gradient(push)
     begin = time.perf_counter()
     value, slope = ball.gradient(push)
     took = (time.perf_counter() - begin) / STEPS
-    used, all_blocks = ball.blocks._num_dynamically_allocated, (-(-nodes // BLOCK)) ** 2
+    used, all_blocks = ball.blocks.peak_active, (-(-nodes // BLOCK)) ** 2
     print(
         f"room     {nodes:6d}²: {1e3 * took:.3f} ms per step and its gradient, "
         f"at most {used} of {all_blocks} blocks, loss {value:.6f}"
@@ -181,7 +182,7 @@ def measure(nodes, push):
     return ball, value, slope
 
 
-def check(ball, push, slope):
+def check(ball: Ball, push: Any, slope: Any):
     """The gradient against central differences."""
     step = 1e-6 if args.double else 1e-2
     for axis in range(2):
@@ -190,11 +191,11 @@ def check(ball, push, slope):
         print(f"check    along {'xy'[axis]}: {slope[axis]:.8f}, differences {difference:.8f}")
 
 
-def animate(ball, path):
+def animate(ball: Ball, path: Path):
     """The flight as a GIF, over the blocks that are in use."""
     width = 2.0
     gui = ti.GUI("sparse_mpm", res=(640, 320), background_color=studio.PAPER)
-    frames = []
+    frames: list[Any] = []
     for t in range(0, STEPS, max(1, STEPS // 40)):
         points = ball.x.to_numpy()[t]
         # The nodes that the particles touch, and their blocks.

@@ -9,9 +9,12 @@ occlusion), above a floor that fades into the background.
     pixels = splatter.picture(positions, colours)
 """
 
+from typing import Any
+
 import numpy as np
 import tai as ti
 
+Place = tuple[float, float, float]
 FAR = 2**62
 SUPERSAMPLING = 2
 SHADOW_TEXELS = 700
@@ -19,12 +22,12 @@ SHADOW_EXTENT = 2.2
 AMBIENT, SUN = 0.55, 0.6
 
 
-def unit(vector):
+def unit(vector: Any) -> Any:
     return np.asarray(vector, float) / np.linalg.norm(vector)
 
 
 @ti.func
-def bits(depth, p):
+def bits(depth: Any, p: int):
     """Depth and particle in one number, ordered by depth."""
     return (ti.cast(depth * 1e7, ti.i64) << 32) + p
 
@@ -43,14 +46,14 @@ class Splatter:
 
     def __init__(
         self,
-        width=640,
-        height=360,
-        radius=0.006,
-        eye=(0.0, 0.62, 1.75),
-        target=(0.35, 0.13, 0.45),
-        floor=0.047,
-        light=(-0.5, 1.0, 0.45),
-        background=(0.957, 0.945, 0.918),
+        width: int = 640,
+        height: int = 360,
+        radius: float = 0.006,
+        eye: Place = (0.0, 0.62, 1.75),
+        target: Place = (0.35, 0.13, 0.45),
+        floor: float = 0.047,
+        light: Place = (-0.5, 1.0, 0.45),
+        background: Place = (0.957, 0.945, 0.918),
     ):
         self.width, self.height = SUPERSAMPLING * width, SUPERSAMPLING * height
         self.radius, self.floor = radius, floor
@@ -71,7 +74,7 @@ class Splatter:
         self.shadow = ti.field(ti.f32, (SHADOW_TEXELS, SHADOW_TEXELS))
         self.pixels = ti.Vector.field(3, ti.f32, size)
 
-    def picture(self, positions, colours):
+    def picture(self, positions: Any, colours: Any) -> Any:
         """The particles as bytes (height, width, 3).
 
         Args:
@@ -95,7 +98,7 @@ class Splatter:
         return (255 * np.clip(coarse, 0, 1) ** (1 / 1.1)).astype(np.uint8)
 
     @ti.kernel
-    def splat(self, positions: ti.types.ndarray(dtype=ti.f32)):
+    def splat(self, positions: ti.types.ndarray):
         for p in range(positions.shape[0]):
             way = ti.Vector([positions[p, 0], positions[p, 1], positions[p, 2]]) - self.eye
             z = way.dot(self.forward)
@@ -111,7 +114,7 @@ class Splatter:
                         ti.atomic_min(self.nearest[i, j], bits(depth, p))
 
     @ti.func
-    def seen_by_sun(self, where):
+    def seen_by_sun(self, where: Any):
         """Texel and depth of a place, as the light sees it."""
         way = where - self.centre
         texels = SHADOW_TEXELS / SHADOW_EXTENT
@@ -120,7 +123,7 @@ class Splatter:
         return u, v, -way.dot(self.sun)
 
     @ti.kernel
-    def splat_shadow(self, positions: ti.types.ndarray(dtype=ti.f32)):
+    def splat_shadow(self, positions: ti.types.ndarray):
         for p in range(positions.shape[0]):
             where = ti.Vector([positions[p, 0], positions[p, 1], positions[p, 2]])
             u, v, depth = self.seen_by_sun(where)
@@ -150,17 +153,17 @@ class Splatter:
             result[i, j] = here
 
     @ti.func
-    def ray(self, i, j):
+    def ray(self, i: int, j: int):
         """The way from the eye through a pixel, of depth 1."""
         x, y = (i - 0.5 * self.width) / self.focal, (j - 0.5 * self.height) / self.focal
         return self.forward + x * self.right + y * self.up
 
     @ti.func
-    def place(self, i, j):
+    def place(self, i: int, j: int):
         return self.eye + self.depth[i, j] * self.ray(i, j)
 
     @ti.func
-    def lit(self, where):
+    def lit(self, where: Any):
         """How much of the light comes through, from 0 to 1."""
         u, v, depth = self.seen_by_sun(where)
         through, count = 0.0, 0.0
@@ -174,7 +177,7 @@ class Splatter:
         return through / count if count > 0 else 1.0
 
     @ti.func
-    def open_around(self, i, j, depth):
+    def open_around(self, i: int, j: int, depth: Any):
         """Ambient light: how many of the places around are not in front."""
         hidden = 0.0
         for k in range(24):
@@ -188,7 +191,7 @@ class Splatter:
         return 1 - 0.75 * hidden / 24
 
     @ti.kernel
-    def shade(self, colours: ti.types.ndarray(dtype=ti.f32)):
+    def shade(self, colours: ti.types.ndarray):
         for i, j in self.pixels:
             way = self.ray(i, j)
             colour = self.background

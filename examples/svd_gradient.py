@@ -10,6 +10,8 @@ wanted ones.
     python examples/svd_gradient.py --matrices 64 --sweeps 8 --iterations 200
 """
 
+from typing import Any
+
 import numpy as np
 import tai as ti
 
@@ -67,7 +69,7 @@ def iterative_svd(sweeps: ti.i32):
 
 
 @ti.func
-def quotient(a, b):
+def quotient(a: Any, b: Any):
     """a / b; where b vanishes the factors turn freely, and no derivative comes from there."""
     result = 0.0
     if abs(b) > EPSILON:
@@ -98,12 +100,12 @@ def svd_gradient():
 
 
 @ti.ad.complex_kernel
-def svd_forward(sweeps):
+def svd_forward(sweeps: int):
     iterative_svd(sweeps)
 
 
 @ti.ad.complex_kernel_grad(svd_forward)
-def svd_backward(sweeps):
+def svd_backward(sweeps: int):
     svd_gradient()
 
 
@@ -123,7 +125,7 @@ def forward():
     compute_loss()
 
 
-def turn(generator):
+def turn(generator: np.random.Generator):
     """A random rotation that is not far from the identity."""
     a = generator.standard_normal((n, 3, 3))
     u, _, vt = np.linalg.svd(np.eye(3) + 0.2 * (a - np.swapaxes(a, 1, 2)))
@@ -141,7 +143,7 @@ def main():
     with ti.ad.Tape(loss):
         forward()
     slope = float((M.grad.to_numpy() * direction).sum())
-    sides = []
+    sides: list[float] = []
     for side in (1, -1):
         M.from_numpy(start + side * step * direction)
         forward()
@@ -150,7 +152,7 @@ def main():
     difference = (sides[0] - sides[1]) / (2 * step)
     print(f"slope   {slope:.9f} by the gradient, {difference:.9f} by differences")
 
-    def iteration(_):
+    def iteration(_: int):
         with ti.ad.Tape(loss):
             forward()
         M.from_numpy(M.to_numpy() - args.rate * M.grad.to_numpy())

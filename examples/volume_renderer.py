@@ -11,6 +11,7 @@ pictures equal to those of the true body.
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -31,7 +32,8 @@ parser.add_argument("--volume", type=Path, help="a body from a file instead")
 args = parser.parse_args()
 studio.start(args)
 
-N, RES, VIEWS, SAMPLES = args.n, args.res, args.views, args.samples
+N, RES, SAMPLES = args.n, args.res, args.samples
+VIEWS: int = args.views
 STEP = 0.02
 
 density = ti.field(float, shape=(N, N, N), needs_grad=True)
@@ -41,7 +43,7 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
-def ray(view, column, row):
+def ray(view: int, column: int, row: int):
     """Where a pixel's ray begins, and its direction of length 1; (x, y, z)."""
     angle = math.pi / VIEWS * view - math.pi / 2
     c, s = ti.cos(angle), ti.sin(angle)
@@ -81,7 +83,7 @@ def descend(rate: float):
         density[voxel] = ti.max(density[voxel] - rate * density.grad[voxel], 0.0)
 
 
-def read_volume(path):
+def read_volume(path: Path):
     try:
         body = np.load(path) if path.suffix == ".npy" else np.fromfile(path, np.float32)
         return body.reshape(N, N, N)[:, ::-1].astype(np.float32)
@@ -89,14 +91,14 @@ def read_volume(path):
         studio.fail(f"--volume {path}: not {N}³ numbers ({error})")
 
 
-def make_volume():
+def make_volume() -> Any:
     """The body to be found, with axes (z, y, x)."""
     if args.volume:
         return read_volume(args.volume)
     if args.torus:  # as the published program has it: no half cell, the axis along x
-        z, y, x = np.meshgrid(*[np.arange(N) / N - 0.5] * 3, indexing="ij")
+        z, y, x = np.indices((N, N, N)) / N - 0.5
         return (((np.hypot(y, z) - 0.4) ** 2 + x**2 < 0.1**2) / 128).astype(np.float32)
-    z, y, x = np.meshgrid(*[(np.arange(N) + 0.5) / N - 0.5] * 3, indexing="ij")
+    z, y, x = (np.indices((N, N, N)) + 0.5) / N - 0.5
     body = x**2 + (1.2 * y) ** 2 + (1.1 * z) ** 2 < 0.08
     body |= (5 * (x - 0.1)) ** 2 + (2.5 * (y - 0.28)) ** 2 + (5 * z) ** 2 < 0.16
     body |= (x + 0.1) ** 2 + (y - 0.2) ** 2 + (z - 0.05) ** 2 < 0.02
@@ -104,7 +106,7 @@ def make_volume():
 
 
 def optimise():
-    def iteration(_):
+    def iteration(_: int):
         with ti.ad.Tape(loss):
             render()
             compute_loss()
@@ -119,9 +121,9 @@ def compare():
     """The pictures of the true body, and below them those of the one that was found."""
     render()
     found, true = image.to_numpy(), target.to_numpy()
-    shown = np.unique(np.linspace(0, VIEWS - 1, 4).round().astype(int))
+    shown = sorted({round(k * (VIEWS - 1) / 3) for k in range(4)})
     middle = slice(RES // 5, RES - RES // 5)
-    rows = [np.hstack(views[shown, middle, middle][:, ::-1]) for views in (true, found)]
+    rows = [np.hstack(list(views[shown, middle, middle][:, ::-1])) for views in (true, found)]
     studio.picture(args, studio.shades(np.vstack(rows), 0, true.max() or 1))
 
 

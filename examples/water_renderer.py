@@ -14,7 +14,9 @@ and checks become stripes.
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tai as ti
@@ -41,6 +43,7 @@ DX = 1 / N
 REFRACTION = 2.0  # pixels by which a slope of 1 moves the ray
 SEED = 0.001  # the classifier's gradient is made smaller by this
 MARGIN = N // 16  # the frame that the classifier does not look at
+Classifier = Callable[[Any], Any]
 PATTERNS = ["stripes", "checks", "dots", "rings"]
 
 start = ti.field(float, shape=(N, N), needs_grad=True)  # the unknown
@@ -51,7 +54,7 @@ picture = ti.Vector.field(3, float, shape=(N, N), needs_grad=True)
 
 
 @ti.func
-def at(i, j):
+def at(i: int, j: int):
     """The water's height, and zero outside of the square."""
     return height[i, j] if 0 <= i < N and 0 <= j < N else 0.0
 
@@ -105,7 +108,7 @@ def forward():
     refract()
 
 
-def draw(pattern, size, generator):
+def draw(pattern: str, size: int, generator: np.random.Generator):
     """A pattern of random colours, place, direction and fineness."""
     row, col = np.meshgrid(*[np.arange(size) / size - 0.5] * 2, indexing="ij")
     y, x = row - generator.uniform(-0.2, 0.2), col - generator.uniform(-0.2, 0.2)
@@ -125,19 +128,19 @@ def draw(pattern, size, generator):
     return back + (front - back) * share[..., None]
 
 
-def train():
+def train() -> Classifier:
     """A small network that tells the patterns apart, in pictures of 32 × 32."""
     generator = np.random.default_rng(args.seed)
     torch.manual_seed(args.seed)
     nn = torch.nn
-    layers = []
+    layers: list[Any] = []
     for inputs, outputs in ((3, 16), (16, 32), (32, 64)):
         layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)]
     net = nn.Sequential(*layers, nn.Flatten(), nn.Linear(64 * 4 * 4, len(PATTERNS)))
     adam = torch.optim.Adam(net.parameters(), 2e-3)
     right = 0.0
     for _ in ti.tools.Progress(range(args.lessons), "lessons"):
-        labels = generator.integers(len(PATTERNS), size=64)
+        labels: list[int] = generator.integers(len(PATTERNS), size=64).tolist()
         images = np.stack([draw(PATTERNS[label], 32, generator) for label in labels])
         images += generator.normal(0, 0.03, images.shape)
         scores = net(torch.tensor(images, dtype=torch.float32).permute(0, 3, 1, 2))
@@ -151,7 +154,7 @@ def train():
     return lambda images: net(nn.functional.adaptive_avg_pool2d(images, 32))
 
 
-def load_vgg():
+def load_vgg() -> Classifier:
     vision = studio.need("torchvision", "--weights")
     net = vision.models.vgg16()
     try:
@@ -175,7 +178,7 @@ def load_photo():
         studio.fail(f"--photo {args.photo}: not a picture that can be read ({error})")
 
 
-def look(classifier, label):
+def look(classifier: Any, label: int):
     """The loss of the classifier's answer, its gradient by the picture, and the probability."""
     seen = torch.tensor(picture.to_numpy(), dtype=torch.float32, requires_grad=True)
     crop = seen[MARGIN : N - MARGIN, MARGIN : N - MARGIN].permute(2, 0, 1)[None]
@@ -193,7 +196,7 @@ def main():
     photo.from_numpy(load_photo())
     classifier = load_vgg() if args.weights else train()
 
-    def iteration(_):
+    def iteration(_: int):
         with ti.ad.Tape() as tape:
             forward()
         loss, gradient, chance = look(classifier, label)

@@ -37,13 +37,13 @@ loss = ti.field(float, shape=(), needs_grad=True)
 
 
 @ti.func
-def height(t, i, j):
+def height(t: int, i: int, j: int):
     """The water's height, and zero outside of the square."""
     return u[t, i, j] if 0 <= i < N and 0 <= j < N else 0.0
 
 
 @ti.func
-def laplacian_step(t, i, j):
+def laplacian_step(t: int, i: int, j: int):
     """The increment of a step by the Laplacian, by central differences."""
     neighbours = height(t, i - 1, j) + height(t, i + 1, j)
     neighbours += height(t, i, j - 1) + height(t, i, j + 1)
@@ -114,7 +114,7 @@ def simulate():
         yield t
 
 
-def iteration(_):
+def iteration(_: int):
     with studio.tape(args, loss):
         for _ in simulate():
             pass

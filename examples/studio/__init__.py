@@ -1,4 +1,3 @@
-# ruff: noqa: F401
 """The frame of all simulators here: options, the loop of descent, pictures. No physics.
 
     options = studio.options(__doc__, "billiards", iterations=200, steps=1024, rate=0.01)
@@ -45,3 +44,39 @@ from .pictures import (
     shades,
     signed,
 )
+
+__all__ = [
+    "BLUE",
+    "GOLD",
+    "GREEN",
+    "INK",
+    "LARGEST_SEED",
+    "Options",
+    "PAPER",
+    "PLUM",
+    "RED",
+    "SERIES",
+    "SOFT",
+    "TEAL",
+    "add_states",
+    "animate",
+    "at_least",
+    "blend",
+    "css",
+    "fail",
+    "movie",
+    "need",
+    "optimise",
+    "options",
+    "picture",
+    "plain",
+    "plot",
+    "plot_losses",
+    "report_memory",
+    "shades",
+    "signed",
+    "start",
+    "table",
+    "take_best",
+    "tape",
+]

@@ -9,8 +9,9 @@ import signal
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -20,11 +21,13 @@ from .options import checkpoint, fail
 
 # Options that may differ between a run and its continuation.
 FREE = {"arch", "iterations", "movie", "out", "picture", "quick", "rate", "resume"}
+# The loss of an iteration, or its columns.
+Numbers = float | Mapping[str, Any]
 KEEP_EVERY = 10.0  # seconds between two checkpoints
-_runs = []  # the last one
+_runs: list["_Run"] = []  # the last one
 
 
-def table(args: argparse.Namespace, what: str, **columns: Iterable) -> Path:
+def table(args: argparse.Namespace, what: str, **columns: Iterable[Any]) -> Path:
     """Writes `NAME.WHAT.csv`, a column for each argument."""
     path = args.out / f"{args.name}.{what}.csv"
     with path.open("w", newline="") as file:
@@ -34,30 +37,30 @@ def table(args: argparse.Namespace, what: str, **columns: Iterable) -> Path:
     return path
 
 
-def _settings(args: argparse.Namespace) -> dict:
+def _settings(args: argparse.Namespace) -> dict[str, str]:
     return {key: str(value) for key, value in sorted(vars(args).items()) if key not in FREE}
 
 
 class _Run:
     """The state of a descent: the kept fields, and the numbers of each iteration."""
 
-    def __init__(self, args: argparse.Namespace, kept: dict):
+    def __init__(self, args: argparse.Namespace, kept: dict[str, Any]):
         self.args, self.fields = args, kept
         self.columns: dict[str, list[float]] = {}
-        self.best: dict[str, np.ndarray] = {}
+        self.best: dict[str, Any] = {}
         self.least = float("inf")
         if args.resume:
             self.load()
         self.take()
 
     def __len__(self) -> int:
-        return len(self.columns.get("seconds", ()))
+        return len(self.columns["seconds"]) if self.columns else 0
 
     def losses(self) -> list[float]:
-        return next(iter(self.columns.values()), [])
+        return [*self.columns.values()][0] if self.columns else []
 
-    def note(self, result, seconds: float) -> None:
-        row = result if isinstance(result, dict) else {"loss": result}
+    def note(self, result: Numbers, seconds: float) -> None:
+        row = dict(result) if isinstance(result, Mapping) else {"loss": result}
         for name, value in (row | {"seconds": seconds}).items():
             self.columns.setdefault(name, []).append(float(value))
         loss = self.losses()[-1]
@@ -105,7 +108,9 @@ class _Run:
         self.least = min(self.losses())
 
 
-def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[float]:
+def optimise(
+    args: argparse.Namespace, iteration: Callable[[int], Numbers], **kept: Any
+) -> list[float]:
     """Runs `iteration(number)` for each step of descent and returns the losses of all.
 
     Args:
@@ -159,7 +164,7 @@ def optimise(args: argparse.Namespace, iteration: Callable, **kept) -> list[floa
     return losses
 
 
-def take_best(**kept) -> None:
+def take_best(**kept: Any) -> None:
     """Restores the state with the least loss in the fields of `optimise`; for a film, say.
 
     Not from the checkpoint: another run in the same folder may have written its own by now.
@@ -169,7 +174,7 @@ def take_best(**kept) -> None:
 
 
 @contextlib.contextmanager
-def _handled(numbers: Iterable[int], handler: Callable):
+def _handled(numbers: Iterable[int], handler: Callable[..., Any]):
     """Signals go to the handler meanwhile; in the main thread, which alone gets them."""
     try:
         before = [(number, signal.signal(number, handler)) for number in numbers]
@@ -186,7 +191,7 @@ def _handled(numbers: Iterable[int], handler: Callable):
 def _interruptible():
     """A batch system's SIGTERM counts as Ctrl-C."""
 
-    def stop(*_):
+    def stop(*_: Any):
         raise KeyboardInterrupt
 
     return _handled([signal.SIGTERM], stop)
@@ -195,7 +200,7 @@ def _interruptible():
 @contextlib.contextmanager
 def _uninterrupted():
     """Ctrl-C and SIGTERM wait for the end of the block: an impatient second one loses nothing."""
-    came = []
+    came: list[bool] = []
     with _handled([signal.SIGINT, signal.SIGTERM], lambda *_: came.append(True)):
         yield
     if came:

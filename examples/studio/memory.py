@@ -12,7 +12,7 @@ STATES = {
     "saved": "updates in place, the tape saves what is overwritten",
     "recomputed": "updates in place, the tape keeps snapshots and runs steps again",
 }
-_tapes = []  # the last one
+_tapes: list[ti.ad.Tape] = []  # the last one
 
 
 def add_states(parser: argparse.ArgumentParser) -> None:
@@ -22,14 +22,14 @@ def add_states(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--state", choices=choices, default="slots", help=text)
 
 
-def tape(args: argparse.Namespace, loss) -> ti.ad.Tape:
+def tape(args: argparse.Namespace, loss: ti.Field) -> ti.ad.Tape:
     """The tape for one iteration."""
     recomputed = args.state == "recomputed"
     _tapes[:] = [ti.ad.Tape(loss, checkpoint="periodic" if recomputed else None)]
     return _tapes[0]
 
 
-def report_memory(args: argparse.Namespace, *state) -> None:
+def report_memory(args: argparse.Namespace, *state: ti.Field) -> None:
     """Prints the memory of the state's fields, their gradients and the tape."""
     fields = 2 * sum(field.to_numpy().nbytes for field in state)
     kept = _tapes[0].stats().peak_bytes if _tapes else 0

@@ -7,7 +7,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import tai as ti
 
@@ -25,7 +25,7 @@ def fail(message: str, code: int = 2) -> NoReturn:
     sys.exit(code)
 
 
-def need(library: str, purpose: str, package: str | None = None):
+def need(library: str, purpose: str, package: str | None = None) -> Any:
     """A library that not everybody has; without it the program ends and says how to get it."""
     try:
         return importlib.import_module(library)
@@ -35,7 +35,7 @@ def need(library: str, purpose: str, package: str | None = None):
         fail(f"{purpose} needs {library}, which is not installed: pip install {package or library}")
 
 
-def at_least(minimum: float, kind: type = int, most: float | None = None) -> Callable:
+def at_least(minimum: float, kind: type = int, most: float | None = None) -> Callable[[str], Any]:
     """The type of an option that is a number, and not too small or too large.
 
     A whole number fits the 32 bits of an argument or an index of a kernel, unless `most` is given.
@@ -43,7 +43,7 @@ def at_least(minimum: float, kind: type = int, most: float | None = None) -> Cal
     if most is None:
         most = 2**31 - 1 if kind is int else float("inf")
 
-    def number(text: str):
+    def number(text: str) -> float:
         try:
             value = kind(text)
         except ValueError:
@@ -66,12 +66,13 @@ LARGEST_SEED = 2**32 - 1
 class Options(argparse.ArgumentParser):
     """A parser with the options that all simulators have; see `options`."""
 
-    quick: dict
+    name: str
+    quick: dict[str, Any]
 
     def error(self, message: str) -> NoReturn:
         fail(f"{message} (--help lists all options)")
 
-    def parse_args(self, *given, **named):
+    def parse_args(self, *given: Any, **named: Any) -> Any:
         args = super().parse_args(*given, **named)
         if args.quick:
             self.set_defaults(**self.quick)
@@ -91,7 +92,7 @@ class Options(argparse.ArgumentParser):
 
 def options(
     doc: str | None, name: str, *, iterations: int = 0, steps: int = 0, rate: float = 0.0,
-    least_steps: int = 2, quick: dict | None = None, bare: bool = False,
+    least_steps: int = 2, quick: dict[str, Any] | None = None, bare: bool = False,
 ) -> Options:  # fmt: skip
     """The parser of an example.
 
@@ -156,9 +157,9 @@ def _check_folder(folder: Path) -> None:
         fail(f"--out {folder}: cannot write there ({why})")
 
 
-def start(args: argparse.Namespace, **more) -> None:
+def start(args: argparse.Namespace, **more: Any) -> None:
     """`ti.init` with the chosen options; `float` becomes f32 or, with --double, f64."""
-    given = {
+    given: dict[str, Any] = {
         "arch": getattr(ti, args.arch),
         "default_fp": ti.f64 if args.double else ti.f32,
         "deterministic": args.deterministic,
@@ -171,7 +172,7 @@ def start(args: argparse.Namespace, **more) -> None:
         fail(f"--arch {args.arch}: {error}")
 
 
-def _explain(kind, error, trace) -> None:
+def _explain(kind: type[BaseException], error: Any, trace: Any) -> None:
     """Too little memory, a full disk or Ctrl-C are no errors of the program: no traceback."""
     if issubclass(kind, KeyboardInterrupt):
         fail("interrupted", code=130)

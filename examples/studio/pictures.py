@@ -1,12 +1,15 @@
 """One look for all pictures: palette, plots, movies."""
 
 import argparse
+import importlib
 import io
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 import tai as ti
 
 from .options import fail, need
@@ -14,11 +17,13 @@ from .options import fail, need
 # Paper and ink, a soft grey for things that stand still, and colours for compared curves, in order.
 PAPER, INK, SOFT = 0xF4F1EA, 0x2B3A55, 0x9A9484
 BLUE, RED, GOLD, GREEN, PLUM, TEAL = 0x3E7CB1, 0xC8553D, 0xE0A458, 0x6A994E, 0x7B506F, 0x3A8F8A
+# Of colours, packed or by channel.
+Pixels = npt.NDArray[Any]
 SERIES = (BLUE, RED, GOLD, GREEN, PLUM, TEAL)
 
 
 def plot(
-    args: argparse.Namespace, what: str, curves: dict, *, x: str, y: str, title: str = "",
+    args: argparse.Namespace, what: str, curves: dict[str, Any], *, x: str, y: str, title: str = "",
     log: bool = False, dots: bool = False,
 ) -> None:  # fmt: skip
     """Writes `NAME.WHAT.png`.
@@ -34,12 +39,12 @@ def plot(
     if not args.picture:
         return
     try:
-        import matplotlib
-        from matplotlib.figure import Figure
+        matplotlib: Any = importlib.import_module("matplotlib")
+        figures: Any = importlib.import_module("matplotlib.figure")
     except ImportError:
         print(f"no plot of {what}: pip install matplotlib", file=sys.stderr)
         return
-    look = {
+    look: dict[str, Any] = {
         "axes.edgecolor": css(SOFT), "axes.facecolor": css(PAPER), "axes.labelcolor": css(INK),
         "axes.prop_cycle": matplotlib.cycler(color=[css(color) for color in SERIES]),
         "axes.spines.right": False, "axes.spines.top": False, "axes.titlecolor": css(INK),
@@ -48,15 +53,17 @@ def plot(
         "xtick.color": css(INK), "ytick.color": css(INK),
     }  # fmt: skip
     with matplotlib.rc_context(look):
-        figure = Figure(figsize=(6.4, 4), layout="constrained")
+        figure = figures.Figure(figsize=(6.4, 4), layout="constrained")
         axes = figure.subplots()
-        for name, values in curves.items():
-            if np.ndim(values) == 2 and not isinstance(values, tuple):
+        for name, given in curves.items():
+            values = cast(list[Any] | tuple[Any, Any], given)
+            if isinstance(values, tuple):
+                axes.plot(*values, "." if dots else "-", markersize=3.5, label=name)
+            elif np.ndim(values) == 2:
                 (line,) = axes.plot(np.mean(values, axis=0), label=name)
                 axes.plot(np.transpose(values), color=line.get_color(), linewidth=0.8, alpha=0.4)
-                continue
-            pair = values if isinstance(values, tuple) else (range(len(values)), values)
-            axes.plot(*pair, "." if dots else "-", markersize=3.5, label=name)
+            else:
+                axes.plot(values, "." if dots else "-", markersize=3.5, label=name)
         if x == "iteration":
             axes.xaxis.get_major_locator().set_params(integer=True)
         # Numbers that are all zero have no logarithm.
@@ -69,7 +76,7 @@ def plot(
     print(f"plot     {path.resolve()}")
 
 
-def save_figure(figure, path: Path, dpi: float) -> None:
+def save_figure(figure: Any, path: Path, dpi: float) -> None:
     """Writes a matplotlib figure as a PNG of 256 colours, a third of what matplotlib writes."""
     from PIL import Image
 
@@ -88,36 +95,38 @@ def css(color: int) -> str:
     return f"#{color:06x}"
 
 
-def blend(one: int, other: int, share) -> np.ndarray:
+def blend(one: int, other: int, share: Any) -> Pixels:
     """Colours between two, 0xRRGGBB, by shares from 0 to 1."""
     share = np.clip(np.nan_to_num(np.asarray(share, float)), 0, 1)
     pairs = zip(ti.hex_to_rgb(one), ti.hex_to_rgb(other), strict=True)
     return ti.rgb_to_hex([a + (b - a) * share for a, b in pairs])
 
 
-def signed(value) -> np.ndarray:
+def signed(value: Any) -> Pixels:
     """Blue for -1, grey for 0, red for 1, and blends between."""
     value = np.asarray(value, float)
     return np.where(value < 0, blend(SOFT, BLUE, -value), blend(SOFT, RED, value))
 
 
-def shades(values, low: float, high: float, colors=(PAPER, BLUE, INK)) -> np.ndarray:
+def shades(
+    values: Any, low: float, high: float, colors: tuple[int, ...] = (PAPER, BLUE, INK)
+) -> Pixels:
     """An array of numbers as colours from 0 to 1, (..., 3), from `low` to `high`."""
     place = np.nan_to_num((np.asarray(values, float) - low) / (high - low)).clip(0, 1)
     stops = np.linspace(0, 1, len(colors))
-    channels = np.array([ti.hex_to_rgb(color) for color in colors]).T
+    channels = zip(*map(ti.hex_to_rgb, colors), strict=True)
     return np.stack([np.interp(place, stops, channel) for channel in channels], axis=-1)
 
 
 def animate(
-    args: argparse.Namespace, draw: Callable, times: Iterable[int], res=(480, 480),
-    framerate: float = 24, what: str = "",
+    args: argparse.Namespace, draw: Callable[[ti.GUI, Any], None], times: Iterable[Any],
+    res: tuple[int, int] = (480, 480), framerate: float = 24, what: str = "",
 ) -> None:  # fmt: skip
     """A movie of what `draw(gui, t)` draws at each time; the last frame stays a while."""
     if not args.picture:
         return
     gui = ti.GUI(args.name, res=res, background_color=PAPER)
-    frames = []
+    frames: list[Any] = []
     for t in times:
         draw(gui, t)
         frames.append(np.asarray(gui.picture()))
@@ -125,7 +134,9 @@ def animate(
     movie(args, frames, framerate, what)
 
 
-def movie(args: argparse.Namespace, frames: list, framerate: float = 24, what: str = "") -> None:
+def movie(
+    args: argparse.Namespace, frames: list[Any], framerate: float = 24, what: str = ""
+) -> None:
     """Frames (arrays of bytes, rows downward) as `NAME.gif`, or what --movie says."""
     if not args.picture:
         return
@@ -151,7 +162,7 @@ def movie(args: argparse.Namespace, frames: list, framerate: float = 24, what: s
     print(f"picture  {path.resolve()}")
 
 
-def _write_mp4(path: Path, frames: list, framerate: float) -> None:
+def _write_mp4(path: Path, frames: list[Any], framerate: float) -> None:
     # The format wants even sizes.
     height, width = (extent // 2 * 2 for extent in frames[0].shape[:2])
     size, rate = (width, height), framerate
@@ -167,7 +178,7 @@ def _write_mp4(path: Path, frames: list, framerate: float) -> None:
         fail(f"cannot write {path}: {str(error).splitlines()[0]}")
 
 
-def picture(args: argparse.Namespace, image, what: str = "") -> None:
+def picture(args: argparse.Namespace, image: Any, what: str = "") -> None:
     """Writes an image (array or Pillow, rows downward) as `NAME.png`."""
     if not args.picture:
         return

@@ -458,10 +458,11 @@ def kernel(
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
-def func(function: _F, is_real_function: bool = False) -> _F:
+# Any arguments, as for kernels: a field for a `ti.template`, a vector for a list.
+def func(function: Callable[..., _R], is_real_function: bool = False) -> Callable[..., _R]:
     """Makes a function that kernels can call; it is compiled in place of each call."""
 
-def real_func(function: _F) -> _F: ...
+def real_func(function: Callable[..., _R]) -> Callable[..., _R]: ...
 def pyfunc(function: _F) -> _F:
     """As `ti.func`, and Python can call it too."""
 

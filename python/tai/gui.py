@@ -23,7 +23,7 @@ from .errors import TaiRuntimeTypeError
 _SCALE = 2
 
 
-def hex_to_rgb(color: int) -> tuple[float, float, float]:
+def hex_to_rgb(color: Any) -> tuple[Any, Any, Any]:
     """0xRRGGBB as three numbers from 0 to 1."""
     return ((color >> 16 & 255) / 255, (color >> 8 & 255) / 255, (color & 255) / 255)
 
@@ -174,7 +174,7 @@ class GUI:
         for (x, y), r, fill in zip(points.tolist(), radii.tolist(), colors, strict=True):
             self._draw.ellipse((x - r, y - r, x + r, y + r), fill=fill)
 
-    def _colors(self, color: Any, count: int, palette: Any, indices: Any) -> list:
+    def _colors(self, color: Any, count: int, palette: Any, indices: Any) -> list[Any]:
         if palette is not None:
             table = [_bytes(c) for c in palette]
             chosen = _array(indices).astype(int).ravel()

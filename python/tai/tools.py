@@ -118,7 +118,7 @@ def imshow(image: Any, title: str = "imshow") -> None:
     gui.show()
 
 
-def write_gif(frames: list, filename: str, framerate: float = 24) -> None:
+def write_gif(frames: list[Any], filename: str, framerate: float = 24) -> None:
     """Writes Pillow images or arrays (rows downward) as an animation that repeats."""
     from PIL import Image
 

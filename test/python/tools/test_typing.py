@@ -13,6 +13,7 @@ import tai as ti
 
 PROGRAM = Path(__file__).with_name("typed_program.py")
 PACKAGE = Path(ti.__file__).parent
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
 def _run(command, folder):
@@ -34,20 +35,45 @@ def test_mypy(tmp_path):
     assert '"grda"' in found.stdout and '"fieldd"' in found.stdout
 
 
-@pytest.mark.skipif(shutil.which("pyright", path=str(Path(sys.executable).parent)) is None,
-                    reason="pyright is not installed")  # fmt: skip
-def test_pyright_in_strict_mode(tmp_path):
-    shutil.copy(PROGRAM, tmp_path / "program.py")
+_needs_pyright = pytest.mark.skipif(
+    shutil.which("pyright", path=str(Path(sys.executable).parent)) is None,
+    reason="pyright is not installed: make peers",
+)
+
+
+def _strict_errors(folder, names, paths):
+    """The errors of pyright in strict mode, in copies of programs."""
     config = {
-        "include": ["program.py"], "extraPaths": [str(PACKAGE.parent)], "pythonVersion": "3.11",
+        "include": names, "extraPaths": [str(path) for path in paths], "pythonVersion": "3.11",
         "typeCheckingMode": "strict",
     }  # fmt: skip
-    (tmp_path / "pyrightconfig.json").write_text(json.dumps(config))
+    (folder / "pyrightconfig.json").write_text(json.dumps(config))
     command = [str(Path(sys.executable).with_name("pyright")), "--outputjson",
                "--pythonpath", sys.executable]  # fmt: skip
-    answer = json.loads(_run(command, tmp_path).stdout)
-    found = [d["message"] for d in answer["generalDiagnostics"] if d["severity"] == "error"]
-    assert not found, "\n".join(found)
+    answer = json.loads(_run(command, folder).stdout)
+    found = [d for d in answer["generalDiagnostics"] if d["severity"] == "error"]
+    lines = [f"{d['file']}:{d['range']['start']['line'] + 1}: {d['message']}" for d in found]
+    return answer["summary"]["filesAnalyzed"], lines
+
+
+@_needs_pyright
+def test_pyright_in_strict_mode(tmp_path):
+    shutil.copy(PROGRAM, tmp_path / "program.py")
+    count, errors = _strict_errors(tmp_path, ["program.py"], [PACKAGE.parent])
+    assert count == 1 and not errors, "\n".join(errors)
+    (tmp_path / "wrong.py").write_text("import tai as ti\nti.field(ti.f32, 3).grda\n")
+    count, errors = _strict_errors(tmp_path, ["wrong.py"], [PACKAGE.parent])
+    assert any('"grda"' in error for error in errors)
+
+
+@_needs_pyright
+@pytest.mark.slow
+def test_pyright_in_strict_mode_on_all_examples(tmp_path):
+    programs = tmp_path / "examples"
+    shutil.copytree(EXAMPLES, programs, ignore=shutil.ignore_patterns("__pycache__", "dialect"))
+    count, errors = _strict_errors(tmp_path, ["examples"], [PACKAGE.parent, programs])
+    assert count >= len(list(EXAMPLES.glob("*.py"))) > 20
+    assert not errors, "\n".join(errors)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("jedi") is None, reason="jedi is not installed")

@@ -1,5 +1,5 @@
 # Type checkers know these types; test_typing.py runs them on this file.
-from typing import assert_type
+from typing import Any, assert_type
 
 import numpy as np
 import tai as ti
@@ -31,6 +31,29 @@ def twice(a: ti.f32) -> ti.f32:
     return 2 * a
 
 
+@ti.func
+def mixed(y: ti.template, i: int, way: Any) -> Any:
+    return y[i] + way @ way * 2 - way.dot(way)
+
+
+@ti.data_oriented
+class Scene:
+    def __init__(self, n: int):
+        self.x = ti.Vector.field(2, float, shape=n)
+
+    @ti.func
+    def at(self, i: int, way: Any):
+        return self.x[i] + way
+
+    @ti.kernel
+    def run(self, n: int):
+        for i in self.x:
+            self.x[i] = self.at(i, [1.0, 2.0]) + mixed(x, i, ti.Vector([1.0, 2.0]))
+        for index in ti.grouped(ti.ndrange(n, n)):
+            for k in ti.static(range(2)):
+                self.x[index.x][k] += 0.5 * index[k]
+
+
 with ti.ad.Tape(loss) as tape:
     result = energy(1.0, 2)
 scale(x, np.ones(8, np.float32), 2.0)
@@ -48,3 +71,4 @@ for event in gui.get_events(ti.GUI.PRESS):
     print(event.key)
 w = ti.Vector([1.0, 2.0])
 print(w.norm(), ti.linalg.cg, ti.math.vec3, ti.checkpoint.save, ti.sin(1.0))
+Scene(4).run(2)

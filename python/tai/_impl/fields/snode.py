@@ -281,10 +281,15 @@ class SNode:
         return result
 
     @property
-    def _num_dynamically_allocated(self) -> int:
+    def peak_active(self) -> int:
         """The most cells of a sparse level that were active at any time."""
         context, tree, number = self._sparse()
         return context.sparse_level(tree, number)[5]
+
+    @property
+    def _num_dynamically_allocated(self) -> int:
+        """The name of `peak_active` in Taichi."""
+        return self.peak_active
 
     # Properties of levels that Taichi programs query
 

@@ -12,7 +12,15 @@ from ...errors import TaiSyntaxError, TaiTypeError
 from ..base import state, texts
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
 from . import autoreload
-from .signature import check_no_rest, defaults_of, names_of, parse_type, resolve, tuple_types
+from .signature import (
+    check_no_rest,
+    defaults_of,
+    names_of,
+    parse_type,
+    resolve,
+    says_nothing,
+    tuple_types,
+)
 
 
 class TupleType:
@@ -59,7 +67,7 @@ class FunctionInfo:
             self._kinds = {}
             for name in self.names:
                 annotation = self.function.__annotations__.get(name)
-                if annotation is None:
+                if says_nothing(annotation, self.function):
                     self._kinds[name] = None
                     continue
                 type_ = parse_type(annotation, self.function, f"parameter '{name}'")
@@ -76,12 +84,17 @@ class FunctionInfo:
     @property
     def result_type(self) -> Any:
         annotation = self.function.__annotations__.get("return")
-        if annotation is None or resolve(annotation, self.function) is None:
+        if says_nothing(annotation, self.function) or resolve(annotation, self.function) is None:
             return None
         if several := tuple_types(resolve(annotation, self.function)):
-            return TupleType([parse_type(k, self.function, "the result") for k in several])
+            return TupleType([self._part_of_result(k) for k in several])
         type_ = parse_type(annotation, self.function, "the result")
         return type_ if isinstance(type_, (ScalarType, MatrixType)) else None
+
+    def _part_of_result(self, annotation: Any) -> Any:
+        if says_nothing(annotation, self.function):
+            return None
+        return parse_type(annotation, self.function, "the result")
 
     def bind(self, args: list, kwargs: dict) -> dict[str, Any]:
         """The value of each parameter."""

@@ -94,6 +94,16 @@ def resolve(annotation: Any, function: Callable[..., Any]) -> Any:
         ) from error
 
 
+def says_nothing(annotation: Any, function: Callable[..., Any]) -> bool:
+    """Whether an annotation leaves the type open: none, `typing.Any` or `object`."""
+    return annotation is None or _is_anything(resolve(annotation, function))
+
+
+def _is_anything(annotation: Any) -> bool:
+    # By identity: annotations may be of a class whose comparison gives no bool.
+    return annotation is Any or annotation is object
+
+
 def _is_template(annotation: Any) -> bool:
     return annotation is template or isinstance(annotation, template)
 
@@ -112,6 +122,15 @@ def parse_type(annotation: Any, function: Callable[..., Any], what: str) -> Any:
         # `float` is another type in a kernel that names its precision.
         return ScalarType(annotation if state.fp is None else found)
     shown = annotation.__name__ if isinstance(annotation, type) else repr(annotation)
+    if _is_anything(annotation):
+        raise located(
+            TaiSyntaxError(
+                f"{what} of '{function.__name__}' may have any type, and a kernel has to know it",
+                "use a number type, ti.types.ndarray(), or ti.template() for a field and for a "
+                "value that is compiled in; parameters of a ti.func may be typing.Any",
+            ),
+            function,
+        )
     raise located(
         TaiSyntaxError(
             f"{what} of '{function.__name__}' has a type that kernels do not know: {shown}",
