@@ -17,7 +17,7 @@ from .options import fail, need
 # Paper and ink, a soft grey for things that stand still, and colours for compared curves, in order.
 PAPER, INK, SOFT = 0xF4F1EA, 0x2B3A55, 0x9A9484
 BLUE, RED, GOLD, GREEN, PLUM, TEAL = 0x3E7CB1, 0xC8553D, 0xE0A458, 0x6A994E, 0x7B506F, 0x3A8F8A
-# Of colours, packed or by channel.
+# Colours, packed or by channel.
 Pixels = npt.NDArray[Any]
 SERIES = (BLUE, RED, GOLD, GREEN, PLUM, TEAL)
 

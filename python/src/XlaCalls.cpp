@@ -71,11 +71,11 @@ std::vector<py::ssize_t> shapeOf(const Buffer &buffer) {
   return {buffer.extents, buffer.extents + buffer.rank};
 }
 
-py::object showOnHost(const Buffer &buffer, bool isResult) {
+py::object showOnHost(const Buffer &buffer, bool isCleared) {
   // With a base, the array does not copy.
   py::array array(dtypeOf(buffer.type), shapeOf(buffer), buffer.data,
                   py::none());
-  if (isResult)
+  if (isCleared)
     std::memset(buffer.data, 0, static_cast<size_t>(array.nbytes()));
   return std::move(array);
 }
@@ -85,13 +85,14 @@ py::object showOnDevice(const Buffer &buffer) {
                         py::cast(shapeOf(buffer)), dtypeOf(buffer.type));
 }
 
-py::list show(const Buffers &buffers, bool isOnHost, bool isResult) {
+/// Shows all buffers. On the host, sets the first `cleared` ones to zero.
+py::list show(const Buffers &buffers, bool isOnHost, int64_t cleared) {
   py::list shown;
   for (int64_t i = 0; i < buffers.count; ++i) {
     const auto &buffer = *static_cast<const Buffer *>(buffers.buffers[i]);
     if (!nameOf(buffer.type))
       throw py::type_error("kernels have no numbers of this type of XLA");
-    shown.append(isOnHost ? showOnHost(buffer, isResult)
+    shown.append(isOnHost ? showOnHost(buffer, i < cleared)
                           : showOnDevice(buffer));
   }
   return shown;
@@ -146,9 +147,10 @@ Error *call(CallFrame *frame, bool isOnHost) {
     if (!callee)
       return fail(*frame, "no kernels are registered", kInternal);
     py::handle function = callee;
-    function(readAttributes(frame->attributes),
-             show(frame->arguments, isOnHost, false),
-             show(frame->results, isOnHost, true),
+    py::dict attributes = readAttributes(frame->attributes);
+    int64_t cleared = attributes["cleared"].cast<int64_t>();
+    function(attributes, show(frame->arguments, isOnHost, 0),
+             show(frame->results, isOnHost, cleared),
              reinterpret_cast<uint64_t>(stream));
   } catch (py::error_already_set &error) {
     return fail(*frame, error.what(), kInternal);

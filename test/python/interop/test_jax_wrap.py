@@ -118,6 +118,37 @@ def test_gradients(name):
     check_grads(f, args, order=1, modes=["rev"])
 
 
+@pytest.mark.parametrize("f", [SQUARES, lambda x, s: READS(s * x)], ids=["kernel", "tape"])
+@pytest.mark.parametrize("jit", [False, True])
+def test_seeds_keep_their_values(f, jit):
+    x, seed = sample(65_537), sample(65_537, seed=1)
+    before = np.array(seed)
+
+    def pull(x, seed):
+        (gradient,) = jax.vjp(lambda x: f(x, 2.0), x)[1](seed)
+        return gradient, seed + 0
+
+    for _ in range(2):
+        gradient, after = (jax.jit(pull) if jit else pull)(x, seed)
+        np.testing.assert_array_equal(seed, before)
+        np.testing.assert_array_equal(after, before)
+    whole = jax.grad(lambda x: (f(x, 2.0) * before).sum())(x)
+    np.testing.assert_array_equal(gradient, whole)
+
+
+def test_batches_of_seeds_alone_and_of_inputs_alone():
+    x, w = sample(3), sample(2, 3, seed=1)
+    np.testing.assert_allclose(jax.jacrev(SQUARES)(x, 2.0), np.diag(4 * np.asarray(x)))
+    by_x, by_w = jax.jit(jax.jacrev(lambda x, w: TWO(x, w)[0], argnums=(0, 1)))(x, w)
+    np.testing.assert_allclose(by_x, np.sin(w))
+    np.testing.assert_allclose(by_w[1, 1], np.cos(w[1]) * np.asarray(x))
+    # The seed of a sum is the same in the whole batch; a weight is, too.
+    slope = jax.grad(lambda x, w: TWO(x, w)[0].sum())
+    xs = sample(2, 4, 3, seed=3)
+    each = jax.vmap(jax.vmap(slope, in_axes=(0, None)), in_axes=(0, None))(xs, w)
+    np.testing.assert_allclose(each, np.broadcast_to(np.sin(w).sum(0), xs.shape))
+
+
 def test_batches_give_the_values_of_single_calls():
     x, w = sample(5, 3), sample(2, 3, seed=1)
     y, z = jax.jit(jax.vmap(TWO, in_axes=(0, None)))(x, w)

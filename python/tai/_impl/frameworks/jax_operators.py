@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -23,7 +23,7 @@ from ..interop.streams import let_stream_wait, wait_for_stream
 from ..launch.kernels import Kernel
 from ..tracking import tracked
 from .parameters import check_outputs, kinds_of
-from .xla_buffers import DeviceBuffer, copy, number_of, store_number, zeros_like
+from .xla_buffers import DeviceBuffer, number_of, store_number, zeros_like
 
 _TARGET = "tai_call"
 # Executables that JAX keeps on disk belong to the process that made them.
@@ -117,11 +117,30 @@ def _called(attributes: dict, operands: list, results: list, stream: int) -> Non
         return
     operands = [DeviceBuffer(o[0], o[1], o[2], stream) for o in operands]
     results = [DeviceBuffer(r[0], r[1], r[2], stream) for r in results]
-    for result in results:
+    for result in results[: attributes["cleared"]]:
         result.clear()
     wait_for_stream(stream)
     task.run(operands, results)
     let_stream_wait(stream)
+
+
+def _batch_last(function: Callable[..., Any], count: int) -> Callable[..., Any]:
+    """A function that `vmap` calls with a batch of each of its last arguments.
+
+    A result can have the memory of an argument only if both have the dimension of the batch.
+    """
+    batched = jax.custom_batching.custom_vmap(function)
+
+    @batched.def_vmap
+    def in_batch(size: int, is_batched: list[bool], *args: Any) -> Any:
+        given, axes = list(args), [0 if one else None for one in is_batched]
+        for n in range(len(given) - count, len(given)):
+            if axes[n] is None:
+                given[n], axes[n] = jnp.broadcast_to(given[n], (size, *given[n].shape)), 0
+        answer = _batch_last(jax.vmap(function, in_axes=axes), count)(*given)
+        return answer, [True] * len(answer)
+
+    return batched
 
 
 @functools.cache
@@ -206,12 +225,28 @@ class Operator:
             _tasks.append(_Task(self, wanted, ranks))
         return np.int64(number)
 
-    def _emit(self, results: list[Any], operands: Sequence[Any], wanted: Any) -> list[Any]:
-        call = jax.ffi.ffi_call(_TARGET, results, vmap_method="expand_dims")
-        found = call(
-            *operands, task=self._task(wanted, operands), session=np.int64(_SESSION)
+    def _emit(
+        self, results: list[Any], operands: Sequence[Any], wanted: Any, cleared: int
+    ) -> list[Any]:
+        """Emits a call of XLA.
+
+        Args:
+            results: their types. The last operands lend their memory to those after `cleared`.
+            cleared: the number of the results that hold zeros as the call begins.
+        """
+        lent, before = len(results) - cleared, len(operands) - len(results)
+        call = jax.ffi.ffi_call(
+            _TARGET, results, vmap_method="expand_dims",
+            input_output_aliases={before + n: n for n in range(len(results) - lent, len(results))},
         )  # fmt: skip
-        return list(found)
+        task, session = self._task(wanted, operands), np.int64(_SESSION)
+
+        def emit(*given: Any) -> list[Any]:
+            return list(call(*given, task=task, session=session, cleared=np.int64(cleared)))
+
+        if lent:
+            emit = _batch_last(emit, lent)
+        return emit(*operands)
 
     def _result_types(self, inputs: Sequence[Any]) -> list[Any]:
         given, found = dict(zip(self.inputs, inputs, strict=True)), []
@@ -232,7 +267,8 @@ class Operator:
         return found
 
     def _call(self, *inputs: Any) -> Any:
-        found = self._emit(self._result_types(inputs), inputs, None)
+        types = self._result_types(inputs)
+        found = self._emit(types, inputs, None, len(types))
         return found[0] if len(found) == 1 else tuple(found)
 
     def _forward(self, *primals: Any) -> Any:
@@ -263,10 +299,10 @@ class Operator:
         return tuple(gradients)
 
     def _call_gradient(self, wanted: tuple[int, ...], *operands: Any) -> list[Any]:
-        # The last results are memory for the seeds, which a sweep uses up.
+        # The last results are the memory of the seeds, which a sweep uses up.
         shown = [operands[n] for n in wanted] + list(operands[len(self.inputs) :])
         types = [jax.ShapeDtypeStruct(one.shape, one.dtype) for one in shown]
-        return self._emit(types, operands, wanted)[: len(wanted)]
+        return self._emit(types, operands, wanted, len(wanted))[: len(wanted)]
 
     def _refuse(self, wanted: Any, primals: Any, tangents: Any) -> Any:
         raise TaiAutodiffError(
@@ -301,7 +337,7 @@ class Operator:
     ) -> None:
         count = len(self.inputs)
         inputs = self._values(operands[:count])
-        pairs = iter(zip(operands[count:], results[len(wanted) :], strict=True))
+        seeds = iter(results[len(wanted) :])
         numbers = []
         for number, result in zip(wanted, results, strict=False):
             if self._kinds[number] == "array":
@@ -310,25 +346,20 @@ class Operator:
                 inputs[number] = tracked.variable(inputs[number])
                 numbers.append((inputs[number], result))
         needs_tape = bool(numbers) or self._reads_outputs(operands[:count], inputs)
-        outputs, seeds = [], []
+        outputs = []
         for type_ in self._result_types(operands[:count]):
             if not np.issubdtype(type_.dtype, np.floating):
                 outputs.append(zeros_like(type_, operands[0]))
                 continue
-            bar, seed = next(pairs)
+            seed = next(seeds)
             # A gradient that does not read outputs takes any memory for them.
-            value = zeros_like(type_, operands[0]) if needs_tape else bar
+            value = zeros_like(type_, operands[0]) if needs_tape else seed
             outputs.append(_with_gradient(value, seed))
-            seeds.append((seed, bar))
         if needs_tape:
             with Tape() as tape:
                 self._launch(inputs, outputs)
-            for seed, bar in seeds:
-                copy(seed, bar)
             tape.grad()
         else:
-            for seed, bar in seeds:
-                copy(seed, bar)
             self._launch(inputs, outputs, self._function.grad)
         for value, result in numbers:
             store_number(result, value.grad)

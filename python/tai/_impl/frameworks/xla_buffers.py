@@ -83,15 +83,6 @@ def zeros_like(type_: Any, near: Any) -> Any:
     return made
 
 
-def copy(target: Any, source: Any) -> None:
-    """Copies the elements of a buffer to another one of its shape."""
-    if isinstance(target, np.ndarray):
-        target[...] = source
-        return
-    _call("cuMemcpyDtoDAsync_v2", _address(target.ctypes.data), _address(source.ctypes.data),
-          ctypes.c_size_t(target.nbytes), ctypes.c_void_p(target.queue))  # fmt: skip
-
-
 def number_of(buffer: Any) -> Any:
     """The number in a buffer without dimensions; on a GPU this waits for the stream."""
     if isinstance(buffer, np.ndarray):
