@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup check
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup check peers
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -18,6 +18,9 @@ help: ## list these commands
 
 setup: ## install system packages and make .venv (the others call it)
 	@scripts/setup.sh
+
+peers: setup ## install pyright, torch, JAX and Warp, which some tests use and else skip
+	@.venv/bin/pip install --quiet -r scripts/requirements-peers.txt
 
 build: setup ## configure and compile everything
 	@test -f $(BUILD)/build.ninja || cmake --preset $(PRESET)
