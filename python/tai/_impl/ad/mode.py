@@ -130,6 +130,27 @@ class ForwardMode(native.WithBlock):
         self._program = None
 
 
+class suspended(native.WithBlock):
+    """Launches kernels without their tangents while its block runs, if forward mode is on."""
+
+    def __init__(self) -> None:
+        self._was_on = False
+
+    def _enter(self) -> None:
+        self._was_on = state.forward
+        if self._was_on:
+            self._set(False)
+
+    def _end(self) -> None:
+        if self._was_on:
+            self._set(True)
+
+    def _set(self, on: bool) -> None:
+        get_program().context.set_option("forward_mode", "true" if on else "false")
+        state.of_thread.forward = on
+        native.set_forward_mode(on)
+
+
 def prepare(pairs: Sequence[tuple[Any, Any]], what: str) -> list[tuple[Any, np.ndarray]]:
     """The fields of the pairs, in memory, with their tangents as arrays."""
     checked = [(check_dual(field, what), tangent) for field, tangent in pairs]

@@ -116,6 +116,7 @@ class Tape(native.WithBlock):
         self._values: Any = None
         self._is_open = self._is_recording = False
         self._was_seeded = False
+        self.solves: list[Any] = []
         self._missing: _Missing | None = None
         self._check = GradCheck(grad_check) if grad_check else None
         self._watches = health
@@ -170,6 +171,8 @@ class Tape(native.WithBlock):
             self._core.check_accesses(LIMIT, not self._validates)
         state.of_thread.tape = self._core
         native.set_tape(self._core)
+        # How the solves of its block ended, in order: `ti.linalg.SolveInfo` of each.
+        self.solves = state.of_thread.solves = []
         origins.note_tape()
         self._was_seeded = was_seeded
         if self._losses and not was_seeded:

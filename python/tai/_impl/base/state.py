@@ -33,6 +33,8 @@ class _OfThread(threading.local):
     emitter: Any = None
     tape: Any = None
     forward: bool = False
+    # How the solves that the tape of the thread records have ended.
+    solves: Any = ()
     fp: Any = None
     rounding: Any = None
 

@@ -8,16 +8,11 @@ from typing import Any
 
 from ..ad.mode import ForwardMode
 from . import recorded
-from .krylov import (
-    Progress,
-    System,
-    bi_conjugate_gradients,
-    conjugate_gradients,
-    norm_of,
-    stationary,
-)
+from .krylov import bi_conjugate_gradients, conjugate_gradients, stationary
 from .operators import Operator, check_unknown, scratch
+from .recorded import Adjoint
 from .report import Caller, SolveInfo
+from .system import Progress, System, norm_of
 from .vectors import get_kernels
 
 # The number of times that Newton's method halves a step before it gives up.
@@ -82,10 +77,10 @@ def implicit(
                 return Progress(done, change, "")
         return Progress(caller.limit, change, "iterations")
 
-    def solve_adjoint(g: Any, adjoint: Any) -> Progress:
+    def solve_adjoint(g: Any, adjoint: Any) -> Adjoint:
         system = System(functools.partial(_one_minus, operator), g, adjoint, caller.tolerance,
                         caller.limit)  # fmt: skip
-        return system.solve(stationary(_add_residual))
+        return Adjoint(system.solve(stationary(_add_residual)))
 
     return recorded.run(caller, operator, solve, solve_adjoint, 1.0)
 
@@ -186,8 +181,8 @@ def newton(
             measure = norm / first
         return Progress(done, measure, reason)
 
-    def solve_adjoint(g: Any, adjoint: Any) -> Progress:
+    def solve_adjoint(g: Any, adjoint: Any) -> Adjoint:
         pull = functools.partial(recorded.pull, operator)
-        return System(pull, g, adjoint, caller.tolerance, linear.limit).solve(method)
+        return Adjoint(System(pull, g, adjoint, caller.tolerance, linear.limit).solve(method))
 
     return recorded.run(caller, operator, solve, solve_adjoint, -1.0)

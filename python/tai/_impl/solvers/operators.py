@@ -70,17 +70,24 @@ def _offset(field: Any) -> tuple[int, ...]:
     return tuple(getattr(field, "offset", ()) or (0,) * len(field.shape))
 
 
-def scratch(like: Any, role: str) -> Any:
+def scratch(like: Any, role: str, rows: int = 0, columns: int = 0) -> Any:
     """A field with the elements of another one, for the solvers of this thread alone.
 
-    Scratch fields whose role is `image` have a gradient, and a dual, too.
+    Scratch fields whose role is `image` have a gradient, and a dual, too. With `rows`, it holds
+    that many times the elements, by an index in front of theirs; with `columns`, that many rows
+    and one column more of numbers in the place of each element.
     """
     get_program()
-    key = (state.thread, role, like.dtype.name, like.shape, like.element_shape, _offset(like))
+    offset, shape, element = _offset(like), like.shape, like.element_shape
+    key = (state.thread, role, like.dtype.name, shape, element, offset, rows, columns)
     if key not in _scratch:
-        offset = _offset(like)
+        if rows:
+            offset, shape = (0, *offset), (rows, *shape)
+        if columns:
+            offset, shape = (*offset, 0, 0), (*shape, columns, columns + 1)
+            element = ()
         made: Any = make_field(
-            like.element_shape, like.dtype, like.shape, None, f"solver_{role}",
+            element, like.dtype, shape, None, f"solver_{role}",
             offset if any(offset) else None, role == "image", role in ("image", "unknown"),
         )  # fmt: skip
         made.materialize()
@@ -163,6 +170,8 @@ class Operator:
                 "ti.ad.no_grad",
             )
         for value in self.args:
+            if isinstance(value, Field):
+                continue
             if getattr(value, "grad", None) is not None and hasattr(value, "__array__"):
                 raise TaiAutodiffError(
                     f"{self.solver}: an array with a gradient is given to kernel '{self.name}'",
@@ -190,6 +199,10 @@ class Operator:
     def push(self, source: Any) -> None:
         """image.dual = J source.dual, at the present `source`; in forward mode."""
         self._run(self._linear(), source, self.image, self._plain)
+
+    def push_parameters(self, source: Any) -> None:
+        """image.dual = the tangent of all that the kernel reads; in forward mode."""
+        self._run(self._kernel, source, self.image, self.args)
 
     def _run(self, kernel: Any, source: Any, target: Any, args: tuple) -> None:
         if self._accumulates:

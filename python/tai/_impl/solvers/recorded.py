@@ -11,23 +11,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+from ..ad.mode import suspended
 from ..ad.tape import run_unrecorded
 from ..base import state
-from .krylov import Progress
 from .operators import Operator, scratch
 from .report import Caller, SolveInfo
+from .system import Progress
 from .vectors import get_kernels
+
+
+class Adjoint(NamedTuple):
+    """The end of a solve for a gradient, and the relative norm of the part of the gradient that was
+    taken away because no solution can follow it."""
+
+    progress: Progress
+    projected: float = 0.0
 
 
 def run(
     caller: Caller,
     operator: Operator,
     solve: Callable[[Any], Progress],
-    solve_adjoint: Callable[[Any, Any], Progress],
+    solve_adjoint: Callable[[Any, Any], Adjoint],
     sign: float,
     right_side: Any = None,
+    solve_tangent: Callable[[Any, Any], Progress] | None = None,
 ) -> SolveInfo:
     """Solves, and records it where a tape is open.
 
@@ -38,15 +48,20 @@ def run(
         solve_adjoint: solve_adjoint(g, λ) solves the adjoint system.
         sign: of λ where the adjoint of the kernel gets it: -1 for a residual.
         right_side: a field whose gradient gets λ, or None.
+        solve_tangent: solve_tangent(t, d) solves A d = t; for forward mode.
     """
-    info = SolveInfo()
+    info = SolveInfo(solver=caller.solver, x=operator.x)
     tape: Any = state.tape
     if tape is None:
-        progress = solve(operator.x)
+        with suspended():
+            progress = solve(operator.x)
         info.take(progress)
         caller.warn(operator, progress, "field", False)
+        if state.forward and solve_tangent is not None:
+            _take_tangent(caller, operator, solve_tangent)
         return info
     operator.check_differentiable()
+    state.of_thread.solves.append(info)
     kernels = get_kernels()
     x = operator.x
     solution = scratch(x, "solution")
@@ -66,20 +81,53 @@ def run(
         g, adjoint = scratch(x, "seed"), scratch(x, "adjoint")
         kernels.copy(g, x.grad)
         adjoint.fill(0)
-        progress = solve_adjoint(g, adjoint)
+        progress, projected = solve_adjoint(g, adjoint)
         if progress.reason == "not finite":
             # NaN goes on to where it would have gone.
             adjoint.fill(math.nan)
-        info.adjoint = SolveInfo()
+        info.adjoint = SolveInfo(solver=caller.solver, x=operator.x.grad, projected=projected)
         info.adjoint.take(progress)
         caller.warn(operator, progress, "the gradient of field", False)
-        if right_side is not None:
+        if right_side is not None and has_gradient(right_side):
             kernels.add(right_side.grad, adjoint, 1.0)
         x.grad.fill(0)
         kernels.scale(operator.image.grad, adjoint, sign)
 
     tape.record(lambda: None, backward)
     return info
+
+
+def _take_tangent(
+    caller: Caller, operator: Operator, solve_tangent: Callable[[Any, Any], Progress]
+) -> None:
+    """x.dual, of A ẋ = ḃ - Ȧ x."""
+    x = operator.x
+    dual = x.dual
+    if dual is None or dual.snode is None:
+        return  # a constant of forward mode
+    k = get_kernels()
+    point = scratch(x, "unknown")
+    with suspended():
+        k.copy(point, x)
+        point.dual.fill(0)
+    operator.push_parameters(point)
+    with suspended():
+        rest, tangent = scratch(x, "seed"), scratch(x, "adjoint")
+        k.copy(rest, operator.image.dual)
+        tangent.fill(0)
+        progress = solve_tangent(rest, tangent)
+        k.copy(dual, tangent)
+    caller.warn(operator, progress, "the tangent of field", False)
+
+
+def subtract_from_tangent(b: Any, rest: Any) -> None:
+    """rest = ḃ - rest; b without a dual is constant."""
+    k = get_kernels()
+    dual = b.dual
+    if dual is None or dual.snode is None:
+        k.scale(rest, rest, -1.0)
+    else:
+        k.subtract(rest, dual, rest, 1.0)
 
 
 def pull(operator: Operator, v: Any, result: Any) -> None:

@@ -12,14 +12,20 @@ from typing import Any
 from ...errors import TaiAutodiffError, TaiConvergenceWarning, TaiRuntimeTypeError, shorten
 from ..base import state
 from ..fields.root import name_fields
-from .krylov import Progress
 from .operators import Operator
+from .system import Progress
 
 _REASONS = {
     "iterations": "it needs more iterations",
     "indefinite": "the operator is not positive definite (p·Ap <= 0), perhaps singular",
+    "asymmetric": "the operator is not symmetric: ⟨Au, v⟩ and ⟨u, Av⟩ differ",
+    "inconsistent": "the operator is singular, or nearly, and the right-hand side is not in its "
+    "range",
+    "preconditioner": "the preconditioner is not symmetric and positive definite",
     "diverges": "the iteration diverges",
     "breakdown": "the iteration breaks down: the operator may be singular",
+    "singular": "a matrix has no inverse, or none but for rounding; its solution is zero",
+    "overflow": "the solution is too large for its type",
     "stagnates": "the residual no longer falls: it is at the rounding error of the type, or the "
     "operator is singular or not linear",
     "not finite": "what is given holds NaN or infinity",
@@ -27,8 +33,27 @@ _REASONS = {
 }
 _HINTS = {
     "iterations": "raise max_iterations or tol",
-    "indefinite": "ti.linalg.bicgstab needs no symmetry",
+    "indefinite": "ti.linalg.minres takes indefinite operators",
+    "asymmetric": "ti.linalg.gmres and bicgstab need no symmetry",
+    "inconsistent": "take the part outside of the range from it, such as its mean",
+    "diverges": "more iterations do not help; ti.linalg.gmres diverges never",
+    "breakdown": "ti.linalg.gmres, or minres for a symmetric operator, may go on",
     "stagnates": "raise tol, or use f64",
+}
+_STATUS = {
+    "": "converged",
+    "iterations": "max iterations",
+    "indefinite": "indefinite",
+    "asymmetric": "not symmetric",
+    "inconsistent": "stagnated",
+    "preconditioner": "breakdown",
+    "diverges": "diverged",
+    "breakdown": "breakdown",
+    "singular": "breakdown",
+    "overflow": "breakdown",
+    "stagnates": "stagnated",
+    "not finite": "not finite",
+    "no descent": "stagnated",
 }
 
 
@@ -37,10 +62,20 @@ class SolveInfo:
     """The result of a solver.
 
     Attributes:
+        solver: its name.
+        x: the field of the solution.
         iterations: the number of iterations.
         residual: the relative norm that `tol` bounds; see the solver.
         converged: whether the residual is at most the tolerance.
-        reason: why it is not, in words; empty if it is.
+        status: "converged", "max iterations", "stagnated", "diverged", "breakdown", "indefinite",
+            "not symmetric" or "not finite".
+        reason: why it is not converged, in words; empty if it is.
+        backward_error: of a linear system, ‖b - A x‖ / (‖A‖ ‖x‖ + ‖b‖): the least relative change
+            of A and b for which x is exact. NaN of other problems.
+        norm: ‖A‖ in it: the greatest ‖A v‖ / ‖v‖ that the solve has met, which is not greater than
+            the 2-norm. So the backward error is never reported too small.
+        projected: of the gradient of a singular system, the relative norm of the part that no
+            solution can follow, and that was taken away; 0 of others.
         adjoint: how the solve for the gradient ended, once a tape has run it.
     """
 
@@ -49,6 +84,12 @@ class SolveInfo:
     converged: bool = False
     reason: str = ""
     adjoint: SolveInfo | None = None
+    status: str = ""
+    backward_error: float = math.nan
+    norm: float = math.nan
+    projected: float = 0.0
+    solver: str = ""
+    x: Any = None
 
     def __bool__(self) -> bool:
         return self.converged
@@ -57,6 +98,8 @@ class SolveInfo:
         self.iterations, self.residual = progress.iterations, progress.residual
         self.converged = not progress.reason
         self.reason = _REASONS.get(progress.reason, progress.reason)
+        self.status = _STATUS[progress.reason]
+        self.backward_error, self.norm = progress.backward_error, progress.norm
 
 
 def _get_caller() -> FrameType:
@@ -71,18 +114,21 @@ class Caller:
     """The line of the program that called a solver.
 
     Raises:
-        TaiAutodiffError: forward mode is on.
+        TaiAutodiffError: forward mode is on, and the solver has no derivative in it.
     """
 
-    def __init__(self, solver: str, tolerance: Any, limit: Any, dtype_name: str):
+    def __init__(
+        self, solver: str, tolerance: Any, limit: Any, dtype_name: str, has_tangents: bool = False
+    ):
         frame = _get_caller()
         self.solver = solver
         self.filename, self.lineno = frame.f_code.co_filename, frame.f_lineno
         self.module = frame.f_globals.get("__name__", "")
-        if state.forward:
+        if state.forward and (not has_tangents or state.tape is not None):
             error = TaiAutodiffError(
-                f"{solver} has no derivative in forward mode yet",
-                "take the gradient by a ti.ad.Tape",
+                f"{solver} has no derivative in forward mode"
+                + (" under a tape" if has_tangents else ""),
+                "take the gradient by a ti.ad.Tape alone",
             )
             error.locate(self.filename, self.lineno, 1)
             raise error
@@ -110,15 +156,16 @@ class Caller:
         name_fields(frame.f_locals)
         name_fields(frame.f_globals)
         text = (
-            f"{self.solver}: {what} '{operator.x.name}' has not converged: residual "
-            f"{progress.residual:.1e} after {progress.iterations} iterations with kernel "
-            f"'{operator.name}' ({operator.place}), but tol is {self.tolerance:.1e}; "
+            f"{self.solver}: {what} '{operator.x.name}' has not converged "
+            f"({_STATUS[progress.reason]}): residual {progress.residual:.1e} after "
+            f"{progress.iterations} iterations with kernel '{operator.name}' ({operator.place}), "
+            f"but tol is {self.tolerance:.1e}; "
             f"{_REASONS.get(progress.reason, progress.reason)}"
         )
         if progress.reason in _HINTS:
             text += f" ({_HINTS[progress.reason]})"
         if is_recorded:
-            text += ". The gradient is that of a converged solution"
+            text += ". Its gradient will be that of a converged solution, taken at this point"
         place = f"\n  called from {shorten(self.filename)}:{self.lineno}"
         warnings.warn_explicit(
             text + place, TaiConvergenceWarning, self.filename, self.lineno, self.module

@@ -8,9 +8,10 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from ..base.dtypes import cast, f64
+from ..base.dtypes import cast, f64, i32
 from ..launch.kernels import func, kernel
-from ..values.ops import abs, atomic_max, grouped, static
+from ..values.matrix import Vector
+from ..values.ops import abs, atomic_max, grouped, select, sin, static, zero
 from ..values.types import template
 
 
@@ -38,6 +39,10 @@ def get_kernels() -> Any:
         else:
             result = cast(abs(a), f64)
         return result
+
+    @func
+    def in_row(row, at):
+        return Vector([row, *[at[d] for d in static(range(at.n))]])
 
     class Kernels:
         @staticmethod
@@ -105,6 +110,105 @@ def get_kernels() -> Any:
             # p = r + beta (p - omega q)
             for at in grouped(p):
                 p[at] = cast(r[at] + (p[at] - q[at] * omega) * beta, p.dtype)
+
+        @staticmethod
+        @kernel
+        def orthogonalize(q: template(), older: template(), factor: f64, v: template()) -> f64:
+            # q -= factor older; the product with v.
+            total = cast(0.0, f64)
+            for at in grouped(q):
+                value = cast(q[at] - older[at] * factor, q.dtype)
+                q[at] = value
+                total += product(v[at], value)
+            return total
+
+        @staticmethod
+        @kernel
+        def shift(q: template(), newer: template(), factor: f64, older: template()) -> f64:
+            # older = newer; newer = q - factor newer; the square of its norm.
+            total = cast(0.0, f64)
+            for at in grouped(q):
+                last = newer[at]
+                value = cast(q[at] - last * factor, q.dtype)
+                older[at] = last
+                newer[at] = value
+                total += product(value, value)
+            return total
+
+        @staticmethod
+        @kernel
+        def step_minres(
+            x: template(), v: template(), last: template(), w: template(), epsilon: f64,
+            delta: f64, inverse: f64, phi: f64,
+        ):  # fmt: skip
+            # last, w = w, (v - epsilon last - delta w) inverse; x += phi w
+            for at in grouped(x):
+                new = cast((v[at] - last[at] * epsilon - w[at] * delta) * inverse, w.dtype)
+                last[at] = w[at]
+                w[at] = new
+                x[at] = cast(x[at] + new * phi, x.dtype)
+
+        @staticmethod
+        @kernel
+        def dot_row(rows: template(), row: i32, q: template()) -> f64:
+            total = cast(0.0, f64)
+            for at in grouped(q):
+                total += product(rows[in_row(row, at)], q[at])
+            return total
+
+        @staticmethod
+        @kernel
+        def add_row(q: template(), rows: template(), row: i32, factor: f64):
+            for at in grouped(q):
+                q[at] = cast(q[at] + rows[in_row(row, at)] * factor, q.dtype)
+
+        @staticmethod
+        @kernel
+        def set_row(rows: template(), row: i32, q: template(), factor: f64):
+            for at in grouped(q):
+                rows[in_row(row, at)] = cast(q[at] * factor, q.dtype)
+
+        @staticmethod
+        @kernel
+        def take_row(q: template(), rows: template(), row: i32):
+            for at in grouped(q):
+                q[at] = rows[in_row(row, at)]
+
+        @staticmethod
+        @kernel
+        def make_noise(u: template()):
+            # Numbers of [-1, 1] that depend on the place alone.
+            for at in grouped(u):
+                phase = cast(0.5, f64)
+                for d in static(range(at.n)):
+                    phase = sin(12.9898 * phase + 78.233 * (at[d] + 1)) * 43758.5453
+                u[at] = zero(u[at])
+                if static(hasattr(u[at], "n")):
+                    for c in static(range(u[at].n)):
+                        for e in static(range(u[at].m)):
+                            value = cast(sin(phase + 3.7 * c + 1.3 * e), u.dtype)
+                            if static(u[at].m == 1):
+                                u[at][c] = value
+                            else:
+                                u[at][c, e] = value
+                else:
+                    u[at] = cast(sin(phase), u.dtype)
+
+        @staticmethod
+        @kernel
+        def divide(z: template(), r: template(), diagonal: template()):
+            # Where the diagonal is zero, as it is.
+            for at in grouped(z):
+                z[at] = select(diagonal[at] == 0, r[at], r[at] / diagonal[at])
+
+        @staticmethod
+        @kernel
+        def multiply(z: template(), blocks: template(), r: template(), transposed: template()):
+            for at in grouped(z):
+                if static(transposed):
+                    z[at] = blocks[at].transpose() @ r[at]
+                else:
+                    z[at] = blocks[at] @ r[at]
 
         @staticmethod
         @kernel
