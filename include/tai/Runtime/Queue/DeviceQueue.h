@@ -131,13 +131,6 @@ enum class ProgramMode {
   Aside
 };
 
-/// Work that is collected between two calls, to run as one sequence.
-struct CollectedWork {
-  bool isReplay = false;
-  /// Whether its sequence ran as a program.
-  bool hasProgram = false;
-};
-
 class DeviceQueue final : public Device {
 public:
   /// `unwatched`: the device that `device` wraps, to which launches may be
@@ -353,7 +346,12 @@ private:
   std::unique_ptr<SequencePrefixes> prefixes;
   std::unique_ptr<RecordedLaunches> recorded;
   /// The open collection, or the last one.
-  CollectedWork collection;
+  struct Collection {
+    bool isReplay = false;
+    /// Whether its sequence ran as a program.
+    bool hasProgram = false;
+  };
+  Collection collection;
   /// The failure of a call that could not return it.
   Status failure;
   std::vector<DevicePtr> released;
