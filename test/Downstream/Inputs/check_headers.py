@@ -60,7 +60,8 @@ def check_as_c(header: pathlib.Path) -> str:
     name = header.relative_to(include)
     command = [compiler.replace("clang++", "clang"), "-std=c99", "-Wall", "-Wextra", "-Wpedantic"]
     command += ["-Werror", f"-I{include}", "-isystem", llvm, "-fsyntax-only", "-x", "c", "-"]
-    text = f'#include "{name}"\n' * 2
+    # A header of macros alone leaves nothing to compile.
+    text = f'#include "{name}"\n' * 2 + "extern int declared;\n"
     result = subprocess.run(command, input=text, capture_output=True, text=True)
     return f"{name}, in C:\n{result.stderr[:1000]}" if result.returncode else ""
 
