@@ -50,6 +50,11 @@ ONE_RUN_DOES = {
         "test_code_of_huge_blocks_is_in_parts": CPU,
         "test_huge_loops_call_a_function_once_for_each_call": CPU,
     },
+    "test_linear_solvers": {
+        "test_incomplete_cholesky": CPU,
+        "test_matrices_without_an_incomplete_factor": CPU,
+        "test_on_a_device": CHOOSES,
+    },
     "test_interrupts": {ALL: "of kernels on the CPU; those of a device: test_device_interrupts"},
     "test_lazy_names": {ALL: NAMES},
     "test_matrices": {
