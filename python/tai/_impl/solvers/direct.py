@@ -18,8 +18,8 @@ from .report import Caller, SolveInfo
 from .sparse_matrix import get_scipy
 from .system import Progress
 
-# A pivot that is a smaller part of the greatest one counts as zero.
-_SINGULAR = 1e-15
+# A pivot below this many roundings for each row, of the greatest one, counts as zero.
+_SINGULAR = 4 * 2.0**-52
 # The most steps of iterative refinement.
 _REFINEMENTS = 3
 
@@ -160,6 +160,6 @@ def _factorize(solvers: Any, a: Any) -> tuple[Any, np.ndarray, np.ndarray] | Non
         except RuntimeError:
             return None
     pivots = np.abs(made.U.diagonal())
-    if not np.isfinite(pivots).all() or pivots.min() <= _SINGULAR * pivots.max():
+    if not np.isfinite(pivots).all() or pivots.min() <= _SINGULAR * len(pivots) * pivots.max():
         return None
     return made, rows, columns

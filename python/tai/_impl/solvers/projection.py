@@ -16,9 +16,8 @@ from .report import Caller
 from .system import System
 from .vectors import get_kernels
 
-# ‖A r‖ / (‖A‖ ‖r‖), below which r is in the null space: that of a system that is nearly singular is
-# not, and its gradient is not cut short.
-_IN_NULL_SPACE = {"f32": 1e-5, "f64": 1e-12}
+# ‖A r‖ / (‖A‖ ‖r‖), below which r counts as a vector of the null space.
+_IN_NULL_SPACE = {"f32": 1e-5, "f64": 1e-8}
 
 
 def project(
@@ -50,7 +49,7 @@ def project(
         pull(guess, rest)
         k.subtract(rest, g, rest, 1.0)
         is_null = _is_null(pull, rest)
-    else:
+    if not symmetric or not is_null:
         is_null = _descend(operator, pull, g, rest, caller)
     part = math.sqrt(k.dot(rest, rest)) / size
     if not is_null or not 10 * caller.tolerance < part < math.inf:
