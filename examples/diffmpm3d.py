@@ -14,6 +14,7 @@ of a step first repeats what filled the grid: `grad_replaced` and `grad_for`.
 import math
 import random
 from argparse import Namespace
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -262,6 +263,8 @@ def options(doc: str | None, name: str, iterations: int, rate: float) -> studio.
     parser.add_argument("--density", type=studio.at_least(0.8, float), default=3, help=text)
     text = "weights at the start: random, or sines that need no generator (random)"
     parser.add_argument("--start", choices=["random", "sines"], default="random", help=text)
+    text = "plays the result in a window, whose camera the mouse and W, A, S, D, E, Q move"
+    parser.add_argument("--show", action="store_true", help=text)
     return parser
 
 
@@ -288,20 +291,46 @@ def learn(args: Namespace, simulation: Simulation):
 
 def animate(args: Namespace, simulation: Simulation):
     """The result as a movie; muscles are red when they pull and blue when they push."""
-    if not args.picture:
+    if not (args.picture or args.show):
         return
     simulation.forward()
     positions, pulls = simulation.x.to_numpy(), simulation.actuation.to_numpy()
     muscle, solid = simulation.muscle.to_numpy(), simulation.solid.to_numpy()
-    splatter = Splatter()
-    colours = np.empty((simulation.count, 4), np.float32)
-    frames: list[Any] = []
-    for t in range(0, args.steps, 8):
+    gloss = np.where(solid == 1, 0.1, 0.5)
+    times = range(0, args.steps, 8)
+
+    def colours(t: int) -> np.ndarray:
         pull = np.where(muscle >= 0, pulls[min(t, args.steps - 2), muscle], 0.0)
         rgb = ti.hex_to_rgb(np.where(solid == 1, studio.signed(1.5 * pull), studio.BLUE))
-        colours[:] = np.stack([*rgb, np.where(solid == 1, 0.1, 0.5)], axis=-1)
-        frames.append(splatter.picture(positions[t], colours))
-    studio.movie(args, frames, framerate=20)
+        return np.stack([*rgb, gloss], axis=-1).astype(np.float32)
+
+    if args.picture:
+        splatter = Splatter()
+        frames = [splatter.picture(positions[t], colours(t)) for t in times]
+        studio.movie(args, frames, framerate=20)
+    if args.show:
+        show(args, positions, colours, times)
+
+
+def show(args: Namespace, positions: Any, colours: Callable[[int], Any], times: range):
+    """Plays the result again and again until the window is closed; once where no window is."""
+    window = ti.ui.Window(args.name, (960, 540), fps_limit=20, max_frames=len(times))
+    canvas, scene, camera = window.get_canvas(), ti.ui.Scene(), ti.ui.Camera()
+    canvas.set_background_color(ti.hex_to_rgb(studio.PAPER))
+    camera.position(0.0, 0.62, 1.75)
+    camera.lookat(0.35, 0.13, 0.45)
+    camera.fov(35)
+    floor = np.array([[-1, 0, -1], [-1, 0, 2], [2, 0, 2], [2, 0, -1]]) + [0, BOUND * DX, 0]
+    while window.running:
+        t = times[window.frame % len(times)]
+        camera.track_user_inputs(window, movement_speed=0.005, hold_key=ti.ui.LMB)
+        scene.set_camera(camera)
+        scene.ambient_light((0.55, 0.55, 0.55))
+        scene.point_light(pos=(-1, 3, 2), color=(0.5, 0.5, 0.5))
+        scene.particles(positions[t], 0.006, per_vertex_color=colours(t))
+        scene.mesh(floor, np.array([0, 1, 2, 0, 2, 3]), color=ti.hex_to_rgb(studio.PAPER))
+        canvas.scene(scene)
+        window.show()
 
 
 def main():

@@ -45,9 +45,10 @@ ALLOWED: dict[str, set[str]] = {
                     "_impl.solvers"},
     "_impl.frameworks": {"_impl.base", "_impl.values", "_impl.interop", "_impl.fields",
                          "_impl.tracking", "_impl.launch", "_impl.ad"},
+    "_impl.drawing": {"_impl.base"},
     "public": {"_impl", "_impl.base", "_impl.values", "_impl.interop", "_impl.fields",
                "_impl.tracking", "_impl.launch", "_impl.ad", "_impl.solvers", "_impl.optim",
-               "_impl.frameworks"},
+               "_impl.frameworks", "_impl.drawing"},
     "_impl": set(),
 }  # fmt: skip
 

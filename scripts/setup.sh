@@ -13,6 +13,8 @@ packages=(
   libtbb-dev libsleef3 ninja-build cmake ccache libgtest-dev clang-format-22 pkgconf
   # the run time of sanitizers, for PRESET=asan and ti.init(sanitize="address")
   libclang-rt-22-dev
+  # a display in memory, and OpenGL on the CPU, for the tests of windows
+  xvfb libgl1 libegl1 libgl1-mesa-dri
   python3 python3-venv python3-dev xz-utils ca-certificates
 )
 

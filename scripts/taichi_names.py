@@ -13,6 +13,7 @@ import re
 import sys
 from collections.abc import Iterator
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,22 @@ NAMES = {
         bitmasked deactivate_all dense dynamic finalize lazy_dual lazy_grad place pointer
         quant_array
     """,
+    "ti.ui": """
+        ALT BACKSPACE CAPSLOCK CTRL Camera DOWN ESCAPE LEFT LMB MMB PRESS ProjectionMode RELEASE
+        RETURN RIGHT RMB SHIFT SPACE Scene TAB UP Window make_camera
+    """,
+    "ti.ui.Window": """
+        GUI destroy fps_limit get_canvas get_cursor_pos get_depth_buffer
+        get_depth_buffer_as_numpy get_event get_events get_gui get_image_buffer_as_numpy get_scene
+        get_window_shape is_pressed running save_image show write_image
+    """,
+    "ti.ui.Camera": """
+        bottom curr_lookat curr_position curr_up fov get_projection_matrix get_view_matrix left
+        lookat position projection_mode right top track_user_inputs up z_far z_near
+    """,
+    "ti.ui.Scene": """
+        ambient_light lines mesh mesh_instance particles point_light set_camera
+    """,
     "GUI": """
         arrow arrow_field arrows button circle circles clear close contour cook_image fps_limit
         get_bool_environ get_cursor_pos get_event get_events get_image get_key_event has_key_event
@@ -131,7 +148,7 @@ REMARKS = {
     "ti.opengl": "a warning, then `ti.gpu`",
     "ti.vulkan": "a warning, then `ti.gpu`",
     "ti.real_func": "as `ti.func`: compiled into its callers; recursion is refused",
-    "ti.GUI": "draws into pictures and films; `python -m tai.view` shows them in a window",
+    "ti.GUI": "opens a window where a display is; draws into files elsewhere",
     "ti.stop_grad": "of a value; Taichi's takes a field",
     "ti.eig": "of 2×2 matrices",
     "ti.solve": "with pivots, of any small size",
@@ -152,11 +169,10 @@ MISSING = {
     "set_kernel_profiler_metrics": "use Nsight Compute, which sees kernels by name",
     "get_type": "`dtype` and `shape` say it",
     "entries methods": "`to_dict()` and `keys`",
-    "button slider label": "no widgets",
-    "contour vector_field arrow_field point_field": "draw with `lines`, `arrows` or `circles`",
     "cook_image get_bool_environ": "of Taichi's own implementation",
-    "running fps_limit": "there is no loop of a window",
     "is_tensor": "ask `ti.types` for what is meant: `is_real`, `is_integral`",
+    "write_image": "`save_image`, as in Taichi 1.7",
+    "get_depth_buffer": "`field.from_numpy(window.get_depth_buffer_as_numpy())`",
     "texture rw_texture": "read and write a field or array",
     "ref": "return what a function changes, or pass the field as `ti.template()`",
     "argpack": "pass a struct: `ti.types.struct(…)`",
@@ -198,7 +214,7 @@ def found(owner: str, name: str) -> bool:
     if owner == "ti":
         return hasattr(ti, name)
     if owner.startswith("ti."):
-        return hasattr(getattr(ti, owner.removeprefix("ti.")), name)
+        return hasattr(attrgetter(owner.removeprefix("ti."))(ti), name)
     return hasattr(samples()[owner], name)
 
 
@@ -213,7 +229,7 @@ def test_of(owner: str, name: str) -> str:
     """A test that uses the name, if there is one."""
     if owner == "ti.math":
         pattern = re.compile(rf"\b(?:tm|math)\.{re.escape(name)}\b|\"{re.escape(name)}\"")
-    elif owner.startswith("ti"):
+    elif owner.startswith("ti") and owner.count(".") < 2:
         pattern = re.compile(rf"\b{re.escape(full(owner, name))}\b")
     else:
         pattern = re.compile(rf"\.{re.escape(name)}\b")
@@ -246,7 +262,7 @@ def page() -> str:
         "name. Made by `scripts/taichi_names.py --write`, which asks the package; the last column "
         "is a test that uses the name.",
         "",
-        "Modules that are missing: `ti.ui`, `ti.simt`, `ti.graph`, `ti.aot`, `ti.experimental`. "
+        "Modules that are missing: `ti.simt`, `ti.graph`, `ti.aot`, `ti.experimental`. "
         "The error says what takes their place.",
     ]  # fmt: skip
     owner = ""

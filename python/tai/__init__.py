@@ -234,7 +234,6 @@ _NOT_YET = {
     for names, instead in {
         "Texture": "read and write a field or array",
         "Mesh MeshInstance mesh_local mesh_patch_idx": "keep a field of indices for each relation",
-        "ui": "ti.GUI draws, and `python -m tai.view` shows it in a window",
         "simt": "loops of kernels are made parallel by the compiler",
         "aot graph": "compiled kernels are cached, and tapes replay launches as one",
         "volatile_load global_thread_idx experimental DeviceCapability Format": "",
@@ -246,7 +245,7 @@ _NOT_YET = {
     for name in names.split()
 }
 _MODULES = {"ad", "algorithms", "checkpoint", "errors", "gui", "jax", "lang", "linalg", "math",
-            "optim", "profiler", "sparse", "testing", "tools", "torch", "volumes",
+            "optim", "profiler", "sparse", "testing", "tools", "torch", "ui", "volumes",
             "_lib"}  # fmt: skip
 
 

@@ -25,6 +25,7 @@ from . import testing as testing
 from . import tools as tools
 from . import torch as torch
 from . import types as types
+from . import ui as ui
 from . import volumes as volumes
 from ._impl.ad.batch import batch as batch
 from ._impl.base.log_level import is_logging_effective as is_logging_effective

@@ -1,26 +1,31 @@
-"""`ti.GUI`: draws images, which `python -m tai.view` shows in a window.
+"""`ti.GUI`: draws images, in a window where a display is.
 
 Coordinates run from 0 to 1, the second one upward. `show("frame.png")` writes an image.
-`show()` writes one per frame into the folder given by the option `frames_dir` or the environment
-variable TAI_GUI_DIR; without a folder it only counts frames, and says so once. Without a window,
-`running` becomes false after `max_frames` frames (or TAI_GUI_FRAMES; 1000 by default). Keyboard and
-mouse events come from the window of `tai.view`.
+`show()` shows a frame in the window, and writes it into the folder given by the option `frames_dir`
+or the environment variable TAI_GUI_DIR. Without a window and a folder it only counts frames, and
+says so once. Without a window, `running` becomes false after `max_frames` frames (or
+TAI_GUI_FRAMES; 1000 by default).
 """
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from functools import cache
+from typing import Any
 
 import numpy as np
 
-from ._impl.base.files import save_picture
-from .errors import TaiRuntimeTypeError
+from ._impl.drawing.arrays import numbers, pixels_of
+from ._impl.drawing.colors import color_map, rgb_bytes
+from ._impl.drawing.events import Event
+from ._impl.drawing.frames import FrameLoop
+from .errors import TaiRuntimeError, TaiRuntimeTypeError
+
+__all__ = ["GUI", "Event", "Widget", "hex_to_rgb", "rgb_to_hex"]
 
 # Shapes are drawn this many times larger and then reduced: smooth edges.
 _SCALE = 2
+# The panel of widgets: place and width in pixels.
+_PANEL = (8, 8, 170)
 
 
 def hex_to_rgb(color: Any) -> tuple[Any, Any, Any]:
@@ -44,57 +49,59 @@ def _bytes(color: Any) -> tuple[int, int, int]:
 
 
 def _array(values: Any) -> np.ndarray:
-    return np.asarray(values.to_numpy() if hasattr(values, "to_numpy") else values, float)
+    return numbers(values, float)
 
 
-def _fits(event: Event, wanted: Any) -> bool:
-    if isinstance(wanted, (list, set)):
-        return any(_fits(event, one) for one in wanted)
-    if isinstance(wanted, tuple):
-        return (event.type, event.key) == wanted
-    return wanted in (event.type, event.key)
+def _places(shape: tuple[int, ...], bound: float) -> np.ndarray:
+    """Places of the elements of a field that fills the canvas, (n * m, 2)."""
+    axes = [np.linspace(bound / n, 1 - bound / n, n) if n > 1 else np.array([0.5]) for n in shape]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
 
 
-class Event(NamedTuple):
-    """An event of a window: a key, a mouse button, the wheel, or a motion of the mouse.
+def _each(values: np.ndarray, count: int, what: str) -> np.ndarray:
+    """One value for each shape."""
+    values = values.ravel()
+    if values.size not in (1, count):
+        raise TaiRuntimeTypeError(
+            f"there are {values.size} {what} for {count} shapes", f"give one, or {count}"
+        )
+    return np.broadcast_to(values, count)
+
+
+def _tuples(colors: np.ndarray) -> list:
+    return list(map(tuple, colors.tolist()))
+
+
+class Widget:
+    """A slider, or a label with a number.
 
     Attributes:
-        type: `GUI.PRESS`, `GUI.RELEASE` or `GUI.MOTION`.
-        key: a letter, or a name as `GUI.ESCAPE`, `GUI.LMB`, `GUI.WHEEL` or `GUI.MOVE`.
-        pos: where the mouse was, from 0 to 1, the second coordinate upward.
-        modifier: those of `GUI.SHIFT`, `GUI.CTRL` and `GUI.ALT` that were held.
-        delta: of the wheel, in steps.
+        value: its number; a program may set it.
     """
 
-    type: str
-    key: str
-    pos: tuple[float, float] = (0.5, 0.5)
-    modifier: tuple[str, ...] = ()
-    delta: tuple[float, float] = (0.0, 0.0)
+    def __init__(self, text: str, value: float, minimum: float, maximum: float, step: float):
+        self.text, self.minimum, self.maximum, self.step = text, minimum, maximum, step
+        self.value = value
 
 
-class GUI:
-    """A canvas of `res` pixels.
+class GUI(FrameLoop):
+    """A canvas of `res` pixels, in a window where a display is.
 
     Args:
         name: title of the window; not drawn.
         res: width and height, or one number for both.
         background_color: 0xRRGGBB.
+        show_gui: false to draw into pictures alone.
+        fullscreen: fills the screen.
+        fast_gui: has no effect.
         frames_dir: folder for the frames of `show()`.
-        max_frames: frames after which `running` is false.
+        max_frames: frames after which `running` is false, where no window is.
+
+    Attributes:
+        frame: number of frames that were shown.
+        event: the last one that `get_event` found.
+        fps_limit: frames in a second of a window, at most; None or 0 for no limit.
     """
-
-    # Keys and events, for programs that ask.
-    ESCAPE, SPACE, RETURN, SHIFT, CTRL, ALT = "Escape", " ", "Return", "Shift", "Control", "Alt"
-    LEFT, RIGHT, UP, DOWN, TAB, EXIT = "Left", "Right", "Up", "Down", "Tab", "WMClose"
-    BACKSPACE = "BackSpace"
-    LMB, MMB, RMB, WHEEL, MOVE = "LMB", "MMB", "RMB", "Wheel", "Motion"
-    PRESS, RELEASE, MOTION = "Press", "Release", "Motion"
-
-    # Where `tai.view` shows frames: a window, or files.
-    screen: Any = None
-    # Whether the user knows where frames go.
-    _is_told = False
 
     def __init__(
         self,
@@ -110,12 +117,10 @@ class GUI:
         self.name = name
         self.res = (int(res), int(res)) if np.ndim(res) == 0 else (int(res[0]), int(res[1]))
         self.background_color = background_color
-        self.frames_dir = frames_dir or os.environ.get("TAI_GUI_DIR")
-        self.max_frames = max_frames or int(os.environ.get("TAI_GUI_FRAMES", 1000))
-        self.frame = 0
-        self.running = True
-        self.fps_limit = 60
-        self.event: Any = None
+        super().__init__(self.res, frames_dir, max_frames)
+        self._widgets: list[tuple[str, Any]] = []
+        if show_gui:
+            self._open(name, self.res, fullscreen)
         self.clear()
 
     # The canvas
@@ -133,17 +138,13 @@ class GUI:
         """Shows an array of shape res, res + (3,) or res + (4,), first index to the right."""
         from PIL import Image, ImageDraw
 
-        pixels = image.to_numpy() if hasattr(image, "to_numpy") else np.asarray(image)
+        pixels = pixels_of(image)
         if pixels.shape[:2] != self.res:
             raise TaiRuntimeTypeError(
                 f"the image has shape {pixels.shape[:2]}, but the GUI {self.res}",
                 "make the GUI with res= the shape of the image",
             )
-        if pixels.dtype != np.uint8:
-            pixels = (np.clip(np.nan_to_num(pixels.astype(float)), 0, 1) * 255).astype(np.uint8)
-        if pixels.ndim == 2:
-            pixels = np.repeat(pixels[..., None], 3, axis=2)
-        upright = np.ascontiguousarray(pixels[..., :3].swapaxes(0, 1)[::-1])
+        upright = np.ascontiguousarray(pixels.swapaxes(0, 1)[::-1])
         size = (self.res[0] * _SCALE, self.res[1] * _SCALE)
         self._image = Image.fromarray(upright).resize(size, Image.Resampling.NEAREST)
         self._draw = ImageDraw.Draw(self._image)
@@ -153,6 +154,7 @@ class GUI:
         array = np.atleast_2d(_array(positions))
         if array.shape[-1] != dimensions:
             raise TaiRuntimeTypeError(f"a position has {dimensions} coordinates: {array.shape}")
+        array = array.reshape(-1, dimensions)
         array = np.nan_to_num(array, nan=-9.0, posinf=9.0, neginf=-9.0).clip(-9.0, 9.0)
         size = np.array(self.res) * _SCALE
         return np.stack([array[:, 0] * size[0], (1 - array[:, 1]) * size[1]], axis=1)
@@ -170,19 +172,15 @@ class GUI:
         """Many discs; radius and colour may be arrays."""
         points = self._points(pos)
         colors = self._colors(color, len(points), palette, palette_indices)
-        radii = np.broadcast_to(_array(radius), len(points)) * _SCALE
-        for (x, y), r, fill in zip(points.tolist(), radii.tolist(), colors, strict=True):
+        radii = _each(_array(radius), len(points), "radii") * _SCALE
+        for (x, y), r, fill in zip(points.tolist(), radii.tolist(), _tuples(colors), strict=True):
             self._draw.ellipse((x - r, y - r, x + r, y + r), fill=fill)
 
-    def _colors(self, color: Any, count: int, palette: Any, indices: Any) -> list[Any]:
+    def _colors(self, color: Any, count: int, palette: Any, indices: Any) -> np.ndarray:
+        """The colours as bytes, (count, 3)."""
         if palette is not None:
-            table = [_bytes(c) for c in palette]
-            chosen = _array(indices).astype(int).ravel()
-            return [table[c] for c in np.broadcast_to(chosen, count)]
-        color = color.to_numpy() if hasattr(color, "to_numpy") else color
-        if np.ndim(color) == 0:
-            return [_bytes(color)] * count
-        return [_bytes(c) for c in color]
+            color = np.asarray(palette)[_array(indices).astype(int).ravel()]
+        return rgb_bytes(_each(numbers(color, np.int64), count, "colours"))
 
     def line(self, begin: Any, end: Any, radius: float = 1, color: int = 0xFFFFFF) -> None:
         """A line; the radius, half of its width, is in pixels."""
@@ -192,8 +190,8 @@ class GUI:
         """Many lines."""
         starts, ends = self._points(begin), self._points(end)
         colors = self._colors(color, len(starts), None, None)
-        widths = np.broadcast_to(_array(radius), len(starts)) * _SCALE
-        for a, b, w, fill in zip(starts, ends, widths, colors, strict=True):
+        widths = _each(_array(radius), len(starts), "radii") * _SCALE
+        for a, b, w, fill in zip(starts, ends, widths, _tuples(colors), strict=True):
             self._draw.line([*a.tolist(), *b.tolist()], fill=fill, width=max(1, round(2 * w)))
             for x, y in (a, b):
                 if w > 1:
@@ -207,7 +205,7 @@ class GUI:
         """Many filled triangles."""
         corners = [self._points(p) for p in (a, b, c)]
         colors = self._colors(color, len(corners[0]), None, None)
-        for p, q, r, fill in zip(*corners, colors, strict=True):
+        for p, q, r, fill in zip(*corners, _tuples(colors), strict=True):
             self._draw.polygon([tuple(p), tuple(q), tuple(r)], fill=fill)
 
     def rect(
@@ -227,10 +225,75 @@ class GUI:
         for sign in (-1, 1):
             self.line(tip, tip - 0.25 * way + 0.15 * sign * side, radius, color)
 
-    def arrows(self, orig: Any, direction: Any, radius: float = 1, color: int = 0xFFFFFF) -> None:
+    def arrows(self, orig: Any, direction: Any, radius: float = 1, color: Any = 0xFFFFFF) -> None:
         """Many arrows."""
-        for start, way in zip(_array(orig), _array(direction), strict=True):
-            self.arrow(start, way, radius, color)
+        starts, ways = (_array(values).reshape(-1, 2) for values in (orig, direction))
+        tips, sides = starts + ways, np.stack([-ways[:, 1], ways[:, 0]], 1)
+        colors = _each(numbers(color, np.int64), len(starts), "colours")
+        self.lines(starts, tips, radius, colors)
+        for sign in (-1, 1):
+            self.lines(tips, tips - 0.25 * ways + 0.15 * sign * sides, radius, colors)
+
+    def arrow_field(
+        self, direction: Any, radius: float = 1, color: int = 0xFFFFFF, bound: float = 0.5
+    ) -> None:
+        """An arrow at each element of a field of vectors, which fills the canvas.
+
+        Args:
+            direction: (n, m, 2), in units of the canvas.
+            bound: place of the first element, in distances of two elements, from the border.
+        """
+        ways = self._grid(direction, 2)
+        self.arrows(_places(ways.shape[:2], bound), ways, radius, color)
+
+    def point_field(self, radius: Any, color: Any = 0xFFFFFF, bound: float = 0.5) -> None:
+        """A disc at each element of a field of radii in pixels, (n, m), which fills the canvas."""
+        radii = self._grid(radius)
+        self.circles(_places(radii.shape, bound), radii.ravel(), color)
+
+    def vector_field(self, field: Any, arrow_spacing: int = 5, color: int = 0xFFFFFF) -> None:
+        """Arrows for a field of vectors (n, m, 2), the longest one as long as their distance.
+
+        Args:
+            arrow_spacing: elements from one arrow to the next.
+        """
+        ways = self._grid(field, 2)
+        step = max(int(arrow_spacing), 1)
+        places = _places(ways.shape[:2], 0.5).reshape(ways.shape)
+        start = min(step // 2, *(extent - 1 for extent in ways.shape[:2]))
+        ways, places = ways[start::step, start::step], places[start::step, start::step]
+        longest = np.linalg.norm(np.nan_to_num(ways, posinf=0, neginf=0), axis=-1).max()
+        if longest > 0:
+            scale = step / np.array(self._grid(field, 2).shape[:2]).max() / longest
+            self.arrows(places - 0.5 * scale * ways, scale * ways, 1, color)
+
+    def contour(self, field: Any, normalize: bool = False) -> None:
+        """Colours for a field of numbers (n, m), interpolated over the canvas.
+
+        Args:
+            normalize: the smallest number gets the first colour and the largest one the last;
+                otherwise 0 and 1 do.
+        """
+        from PIL import Image
+
+        values = np.nan_to_num(self._grid(field))
+        if normalize:
+            low, high = values.min(), values.max()
+            values = (values - low) / (high - low) if high > low else np.zeros_like(values)
+        fine = Image.fromarray(values.T.astype(np.float32)).resize(
+            self.res, Image.Resampling.BILINEAR
+        )
+        self.set_image(color_map(np.asarray(fine).T))
+
+    def _grid(self, values: Any, *components: int) -> np.ndarray:
+        array = _array(values)
+        if array.ndim != 2 + len(components) or array.shape[2:] != components or not array.size:
+            wanted = ", ".join(["n", "m", *map(str, components)])
+            raise TaiRuntimeTypeError(
+                f"the field has the shape ({wanted}), but got {array.shape}",
+                "take a slice, as field.to_numpy()[0]",
+            )
+        return array
 
     def text(self, content: str, pos: Any, font_size: int = 15, color: int = 0xFFFFFF) -> None:
         """A line of text; the position is its upper left corner."""
@@ -254,74 +317,57 @@ class GUI:
         return np.concatenate([pixels, np.ones((*self.res, 1), np.float32)], axis=2)
 
     def show(self, file: str | None = None) -> None:
-        """Ends a frame: writes the picture if there is a place for it, and clears the canvas."""
-        if file is None and not self.screen and not GUI._is_told:
-            GUI._is_told = True
-            where = (
-                f"frames go to the folder {self.frames_dir}"
-                if self.frames_dir
-                else "frames_dir=… or TAI_GUI_DIR names a folder for frames"
-            )
-            print(f"ti.GUI opens no window: {where}, and `python -m tai.view` shows them",
-                  file=sys.stderr)  # fmt: skip
-        if file is None and self.frames_dir:
-            os.makedirs(self.frames_dir, exist_ok=True)
-            file = os.path.join(self.frames_dir, f"{self.frame:06d}.png")
-        if file is not None:
-            folder = os.path.dirname(str(file))
-            if folder:
-                os.makedirs(folder, exist_ok=True)
-            save_picture(self.picture(), file)
-        if self.screen:
-            self.screen.show(self.picture())
-        self.frame += 1
-        is_open = self.screen.is_open if self.screen else None
-        if self.frame >= self.max_frames if is_open is None else not is_open:
-            self.running = False
+        """Ends a frame: shows it in the window, writes it to a file if there is a place for it, and
+        clears the canvas."""
+        self._lay_out()
+        picture = cache(lambda: self._with_panels(self.picture()))
+        self._show(picture, file, "ti.GUI")
+        if self._screen:
+            self._screen.show(picture())
+            self._keep_pace()
         self.clear()
 
-    def close(self) -> None:
-        """Ends the program's loop over frames."""
-        self.running = False
+    # Widgets, in a panel of the upper left corner
 
-    # Keys and mice: of the window of `tai.view`. Elsewhere there is no keyboard.
+    def slider(self, text: str, minimum: float, maximum: float, step: float = 1) -> Widget:
+        """A slider, whose `value` the mouse changes by multiples of `step`; at first `minimum`."""
+        if not minimum < maximum or not step > 0:
+            raise TaiRuntimeError(
+                f"a slider from {minimum} to {maximum} by {step} has no room",
+                "the minimum is below the maximum, and the step is above 0",
+            )
+        widget = Widget(text, minimum, minimum, maximum, step)
+        self._widgets.append(("slider", widget))
+        return widget
 
-    def get_events(self, *filters: Any) -> Iterator[Event]:
-        """Events since the last call that match a filter; others are discarded.
+    def label(self, text: str) -> Widget:
+        """A text with a number, the label's `value`."""
+        widget = Widget(text, 0, 0, 0, 0)
+        self._widgets.append(("label", widget))
+        return widget
 
-        Args:
-            filters: a type or key of events, a pair of both, or a list of these; all events, if
-                there are none.
-        """
-        for event in self.screen.events() if self.screen else ():
-            if not filters or any(_fits(event, one) for one in filters):
-                yield event
+    def button(self, text: str, event_name: str | None = None) -> str:
+        """A button; returns the key of the event, of type `GUI.PRESS`, that a click makes."""
+        name = event_name or f"WidgetButton_{text}"
+        self._widgets.append(("button", (text, name)))
+        return name
 
-    def get_event(self, *filters: Any) -> bool:
-        """Whether a matching event is pending; it becomes `event`, and later ones stay pending."""
-        found = next(self.get_events(*filters), None)
-        self.event = self.event if found is None else found
-        return found is not None
-
-    def get_key_event(self) -> Event | None:
-        """The next press or release; None if none is pending."""
-        return next(self.get_events(self.PRESS, self.RELEASE), None)
-
-    def has_key_event(self) -> bool:
-        """Whether an event is pending."""
-        return bool(self.screen and self.screen.has_events())
-
-    def is_pressed(self, *keys: Any) -> bool:
-        """Whether one of the keys and buttons is held."""
-        held = self.screen.held if self.screen else ()
-        return any(key in held for key in keys)
-
-    def get_cursor_pos(self) -> tuple[float, float]:
-        """The position of the mouse; the centre without a window."""
-        return self.screen.cursor if self.screen else (0.5, 0.5)
-
-    def __enter__(self) -> GUI:
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.close()
+    def _lay_out(self) -> None:
+        panels = self._panels
+        if self._widgets:
+            panels.begin("", *_PANEL, None)
+            for kind, widget in self._widgets:
+                if kind == "button":
+                    text, name = widget
+                    if panels.button(text):
+                        self._screen.add(Event(self.PRESS, name, self.get_cursor_pos()))
+                elif kind == "label":
+                    panels.text(f"{widget.text}  {widget.value:.6g}")
+                else:
+                    low, high, step = widget.minimum, widget.maximum, widget.step
+                    value = panels.slider(widget.text, widget.value, low, high, ".6g")
+                    if value != widget.value:
+                        value = low + round((value - low) / step) * step
+                        widget.value = min(value, high)
+            panels.end()
+        panels.finish()

@@ -99,7 +99,7 @@ ELSEWHERE = (
 # Modules with a page each; the names are those of `__all__`, or all that the module defines.
 MODULES = (
     "ad algorithms checkpoint gui jax linalg math optim profiler sparse testing tools torch types "
-    "volumes"
+    "ui volumes"
 ).split()
 
 

@@ -74,6 +74,9 @@ def pytest_runtest_teardown(item, nextitem):
 
 
 def pytest_configure(config):
+    # Windows are opened by tests with a display of their own (xvfb.py), and by no others.
+    os.environ.pop("DISPLAY", None)
+    os.environ.pop("WAYLAND_DISPLAY", None)
     # The verifiers of MLIR and LLVM check the IR after each pass.
     os.environ.setdefault("TAI_VERIFY_EACH", "1")
     arch = config.getoption("--arch")

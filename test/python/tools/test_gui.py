@@ -38,6 +38,130 @@ def test_many_circles():
     assert gui.get_image().min() == 1
 
 
+def test_many_discs():
+    """A thousand at once, partly outside, of several sizes: the same pixels as one by one."""
+    random = np.random.default_rng(1)
+    places = random.uniform(-0.2, 1.2, (1000, 2))
+    radii = random.choice([0.0, 0.4, 1, 2.2, 9, 40.5], 1000)
+    colors = random.integers(0, 0xFFFFFF, 1000)
+    at_once, in_turn = ti.GUI(res=(120, 90)), ti.GUI(res=(120, 90))
+    at_once.circles(places, radii, colors)
+    for place, radius, color in zip(places, radii, colors, strict=True):
+        in_turn.circle(place, color, radius)
+    assert at_once.get_image().std() > 0.1
+    np.testing.assert_array_equal(at_once.get_image(), in_turn.get_image())
+
+
+def test_kinds_of_arrays():
+    """Fields, arrays and tensors of any shape are drawn as the NumPy array of their values."""
+    values = np.random.default_rng(2).random((6, 7, 2), np.float32)
+    colors = np.arange(42, dtype=np.int32).reshape(6, 7) * 99_991
+    field = ti.Vector.field(2, ti.f32, shape=(6, 7))
+    array = ti.Vector.ndarray(2, ti.f32, (6, 7)) if hasattr(ti.Vector, "ndarray") else values
+    shades = ti.field(ti.i32, shape=(6, 7))
+    field.from_numpy(values), shades.from_numpy(colors)
+    if array is not values:
+        array.from_numpy(values)
+    pictures = []
+    for places in (values, values.tolist(), field, array, values.astype(np.float64)):
+        gui = ti.GUI(res=64)
+        gui.circles(places, 3, shades)
+        pictures.append(gui.get_image())
+    for picture in pictures:
+        np.testing.assert_array_equal(picture, pictures[0])
+    assert pictures[0].std() > 0.05
+
+
+def test_places_that_are_no_numbers():
+    gui = ti.GUI(res=32)
+    gui.circles(np.full((100, 2), np.nan), 2)
+    gui.circles(np.full((100, 2), np.inf), 2)
+    gui.circles(np.zeros((0, 2)), 2)
+    assert gui.get_image()[..., :3].max() == 0
+    with pytest.raises(ti.TaiRuntimeTypeError, match="2 coordinates"):
+        gui.circles(np.zeros((9, 3)), 2)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="3 colours for 9 shapes"):
+        gui.circles(np.zeros((9, 2)), 2, [1, 2, 3])
+    with pytest.raises(ti.TaiRuntimeTypeError, match="no numbers"):
+        gui.circles(gui, 2)
+
+
+def test_fields_of_points_and_arrows():
+    gui = ti.GUI(res=90)
+    radii = np.zeros((3, 3))
+    radii[0, 2] = 9
+    gui.point_field(radii, 0xFF0000)  # at (1/6, 5/6)
+    image = gui.get_image()
+    area = (image[..., 0] > 0.5).sum()
+    assert image[15, 75, 0] == 1 and area == pytest.approx(81 * np.pi, rel=0.1)
+    gui.clear()
+    ways = np.zeros((3, 3, 2))
+    ways[1, 1] = (0.3, 0)
+    gui.arrow_field(ways, radius=1, color=0x00FF00)
+    image = gui.get_image()[..., 1]
+    assert image[45:72, 45].min() > 0.4 and image[76:, :].max() == 0 and image[:43].max() < 1
+
+
+def test_vector_field():
+    """The longest arrow is as long as the distance of two, and its middle is at its element."""
+    gui = ti.GUI(res=100)
+    ways = np.zeros((10, 10, 2), np.float32)
+    ways[2, 2], ways[7, 7] = (0, 8), (4, 0)
+    field = ti.Vector.field(2, ti.f32, shape=(10, 10))
+    field.from_numpy(ways)
+    gui.vector_field(field, arrow_spacing=5, color=0xFF0000)
+    image = gui.get_image()[..., 0]
+    assert image[25, 2:46].min() > 0.4 and image[25, 52:].max() == 0
+    assert image[64:86, 75].min() > 0.4 and image[90:, 75].max() == 0 and image[:60, 75].max() == 0
+    gui.clear()
+    gui.vector_field(np.zeros((4, 4, 2)))  # without a direction
+    gui.vector_field(np.full((4, 4, 2), np.nan))
+    assert gui.get_image()[..., :3].max() == 0
+    with pytest.raises(ti.TaiRuntimeTypeError, match=r"\(n, m, 2\), but got \(4, 4\)"):
+        gui.vector_field(np.zeros((4, 4)))
+
+
+def test_contour():
+    gui = ti.GUI(res=(80, 40))
+    values = ti.field(ti.f32, shape=(4, 2))
+    values.from_numpy(np.repeat(np.arange(4.0, dtype=np.float32)[:, None], 2, 1) * 10)
+    gui.contour(values, normalize=True)
+    low, high = gui.get_image()[0, 20, :3], gui.get_image()[-1, 20, :3]
+    assert np.abs(low - ti.hex_to_rgb(0x440154)).max() < 0.01
+    assert np.abs(high - ti.hex_to_rgb(0xFDE725)).max() < 0.01
+    greens = gui.get_image()[:, 20, 1]
+    assert (np.diff(greens) >= 0).all() and len(set(greens.tolist())) > 30  # interpolated
+    gui.contour(np.full((3, 3), 7.0), normalize=True)  # all equal
+    gui.contour(np.full((3, 3), np.nan))
+    assert np.abs(gui.get_image()[5, 5, :3] - ti.hex_to_rgb(0x440154)).max() < 0.01
+    with pytest.raises(ti.TaiRuntimeTypeError, match="slice"):
+        gui.contour(np.zeros((3, 3, 3)))
+
+
+def test_widgets_without_a_window():
+    gui = ti.GUI(res=(200, 100))
+    slider = gui.slider("x", 2, 5, step=0.5)
+    label = gui.label("speed")
+    assert gui.button("go") == "WidgetButton_go" and gui.button("stop", "halt") == "halt"
+    assert slider.value == 2
+    slider.value, label.value = 3.3, 1.5
+    for _ in range(3):
+        gui.show()
+    assert (slider.value, label.value) == (3.3, 1.5)
+    assert not gui.get_event("halt")
+    with pytest.raises(ti.TaiRuntimeError, match="no room"):
+        gui.slider("y", 2, 2)
+
+
+def test_images_of_one_channel_and_four():
+    gui = ti.GUI(res=(4, 2))
+    for channels in (1, 3, 4):
+        gui.set_image(np.full((4, 2, channels), 0.5, np.float32))
+        assert (gui.get_image()[..., :3] == np.float32(127 / 255)).all()
+    with pytest.raises(ti.TaiRuntimeTypeError, match="one, three or four"):
+        gui.set_image(np.zeros((4, 2, 2)))
+
+
 def test_set_image():
     gui = ti.GUI(res=(4, 2))
     image = np.zeros((4, 2, 3))

@@ -17,6 +17,7 @@ PAGES = {
     "guides/from-jax.md": 1,
     "guides/from-pytorch.md": 1,
     "guides/robots.md": 2,
+    "guides/windows.md": 2,
 }
 
 

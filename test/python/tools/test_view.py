@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tai as ti
-from matplotlib.backend_bases import CloseEvent, KeyEvent, MouseEvent
 from PIL import Image
+from tai._impl.drawing.frames import FrameLoop
 from tai.view import Frames, Window
+
+from xvfb import display, screen  # noqa: F401  (fixtures)
 
 ROOT = Path(__file__).resolve().parents[3]
 DRAWS = """import sys
@@ -84,67 +86,85 @@ def test_bad_input(tmp_path, program):
 
 
 @pytest.fixture
-def window(monkeypatch):
-    made = Window("toy", backends=("agg",))  # draws, and opens nothing
-    monkeypatch.setattr(ti.GUI, "screen", made)
-    return made
+def window(screen, monkeypatch):  # noqa: F811
+    made = Window("toy")
+    monkeypatch.setattr(FrameLoop, "screen", made)
+    yield made
+    made.close()
 
 
-def test_a_window(window, tmp_path):
-    gui = ti.GUI("toy", res=(40, 30), max_frames=2)
+def test_a_window(window, screen, tmp_path):  # noqa: F811
+    assert screen.titles() == []  # before the first picture
+    gui = ti.GUI("another", res=(40, 30), max_frames=2)
     for _ in range(5):
         gui.circle((0.5, 0.5), radius=5, color=0xFF0000)
         drawn = np.asarray(gui.picture())
         gui.show()
         assert gui.running  # as long as nobody closes it
-    np.testing.assert_array_equal(window._image.get_array(), drawn)
+    assert screen.titles() == ["toy"]
+    np.testing.assert_array_equal(screen.grab()[:30, :40], drawn)
     film = [np.full((30, 40, 3), k, np.uint8) for k in range(3)]
     ti.tools.write_gif(film, str(tmp_path / "film.gif"), framerate=100)
-    np.testing.assert_array_equal(window._image.get_array(), film[2])
-    # A frame of another size replaces the picture.
-    window.show(np.zeros((8, 9, 3), np.uint8))
-    assert window._image.get_array().shape == (8, 9, 3)
-    window._figure.canvas.callbacks.process("close_event", None)
+    np.testing.assert_array_equal(screen.grab()[:30, :40], film[2])
+    # Another size is another picture.
+    for _ in range(2):
+        window.show(np.full((8, 9, 3), 77, np.uint8))
+    assert window.pixels == (9, 8) and (screen.grab()[:8, :9] == 77).all()
+    screen.close("toy")
     gui.show()
-    assert not gui.running
+    assert not gui.running and screen.titles() == []
     window.wait()
     window.play(film, 1)  # shows nothing more, and takes no time
 
 
-def did(window, name, **what):
-    """Something that a person does at the window, as matplotlib tells it."""
-    canvas = window._figure.canvas
-    kind = {"key": KeyEvent, "close": CloseEvent}.get(name.split("_")[0], MouseEvent)
-    canvas.callbacks.process(name, kind(name, canvas, **what))
-
-
-def test_keys_and_mice(window):
-    gui = ti.GUI("toy", res=(40, 20))
+def test_keys_and_mice(window, screen):  # noqa: F811
+    gui = ti.GUI("another", res=(400, 200))
     assert not gui.get_event() and not gui.has_key_event()
     gui.show()
-    did(window, "key_press_event", key="control")
-    did(window, "key_press_event", key="ctrl+A", x=10, y=5)
-    did(window, "key_release_event", key="ctrl+a")
-    did(window, "motion_notify_event", x=30, y=15)
-    did(window, "button_press_event", x=30, y=10, button=3)
-    did(window, "scroll_event", x=20, y=10, step=-2)
-    did(window, "key_press_event", key="escape", x=20, y=10)
+    screen.focus("toy")
+    screen.point(200, 100)
+    screen.press("Control_L")
+    screen.point(100, 150)
+    screen.tap("a")
+    screen.point(300, 100)
+    screen.press(3)
+    screen.point(200, 100)
+    screen.tap(5)
+    screen.tap("Escape")
     assert gui.has_key_event() and gui.is_pressed("q", gui.RMB) and not gui.is_pressed("a")
     assert gui.get_cursor_pos() == (0.5, 0.5)  # of the wheel
     # Events that do not fit are skipped; events behind them can wait.
     assert gui.get_event("a") and gui.event == (gui.PRESS, "a", (0.25, 0.25), (gui.CTRL,), (0, 0))
     assert gui.get_event((gui.PRESS, gui.RMB)) and gui.event.pos == (0.75, 0.5)
     (wheel,) = gui.get_events([gui.WHEEL])
-    assert (wheel.type, wheel.delta) == (gui.MOTION, (0.0, -2.0))
-    # Asking for all of them has taken the escape, too.
-    assert not gui.get_event(gui.ESCAPE) and gui.event.key == gui.RMB
-    did(window, "button_release_event", x=0, y=0, button=3)
-    did(window, "key_press_event", key="ctrl++")
-    did(window, "key_press_event", key=None)
-    assert [(e.type, e.key) for e in gui.get_events()] == [("Release", "RMB"), ("Press", "+")]
-    assert not gui.is_pressed(gui.RMB) and gui.get_key_event() is None
-    did(window, "close_event")
-    assert gui.get_key_event().key == gui.EXIT
+    assert (wheel.type, wheel.delta) == (gui.MOTION, (0.0, -1.0))
+    # Asking for all of them has taken the escape, too, which has closed the window.
+    assert not gui.get_event(gui.ESCAPE) and gui.event.key == gui.RMB and not gui.running
+
+
+def test_widgets_in_a_shared_window(window, screen):  # noqa: F811
+    gui = ti.GUI("another", res=(300, 200))
+    button = gui.button("go")
+    gui.show()
+    gui.show()
+    screen.point(20, 20)
+    screen.tap(1)
+    gui.show()
+    gui.show()
+    assert gui.get_event((gui.PRESS, button))
+
+
+def test_a_program_in_a_window(display, tmp_path):  # noqa: F811
+    """The window stays with the film until somebody closes it."""
+    path = tmp_path / "toy.py"
+    path.write_text(DRAWS.replace("gui.running", "gui.frame < 3"))
+    command = [sys.executable, "-m", "tai.view", str(path), "film", str(tmp_path / "a.gif")]
+    environment = os.environ | {"DISPLAY": display.name, "PYTHONUNBUFFERED": "1"}
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    assert running.stdout.readline() == "3\n"
+    assert display.titles() == ["toy"] and running.poll() is None
+    display.close("toy")
+    assert running.wait() == 0
 
 
 def test_nobody_is_at_the_keyboard(tmp_path, monkeypatch):
@@ -153,11 +173,6 @@ def test_nobody_is_at_the_keyboard(tmp_path, monkeypatch):
     assert not gui.get_event(gui.PRESS) and list(gui.get_events()) == []
     assert not gui.is_pressed("a") and not gui.has_key_event()
     assert gui.get_cursor_pos() == (0.5, 0.5)
-
-
-def test_backends_that_are_missing():
-    with pytest.raises(ImportError):
-        Window("toy", backends=("module://none_such",))
 
 
 def test_frames_of_films(tmp_path):
