@@ -320,6 +320,7 @@ def show(args: Namespace, positions: Any, colours: Callable[[int], Any], times: 
     camera.position(0.0, 0.62, 1.75)
     camera.lookat(0.35, 0.13, 0.45)
     camera.fov(35)
+    ground = ti.hex_to_rgb(int(studio.blend(studio.PAPER, studio.SOFT, 0.4)))
     floor = np.array([[-1, 0, -1], [-1, 0, 2], [2, 0, 2], [2, 0, -1]]) + [0, BOUND * DX, 0]
     while window.running:
         t = times[window.frame % len(times)]
@@ -328,7 +329,7 @@ def show(args: Namespace, positions: Any, colours: Callable[[int], Any], times: 
         scene.ambient_light((0.55, 0.55, 0.55))
         scene.point_light(pos=(-1, 3, 2), color=(0.5, 0.5, 0.5))
         scene.particles(positions[t], 0.006, per_vertex_color=colours(t))
-        scene.mesh(floor, np.array([0, 1, 2, 0, 2, 3]), color=ti.hex_to_rgb(studio.PAPER))
+        scene.mesh(floor, np.array([0, 1, 2, 0, 2, 3]), color=ground)
         canvas.scene(scene)
         window.show()
 

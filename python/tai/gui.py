@@ -68,6 +68,11 @@ def _each(values: np.ndarray, count: int, what: str) -> np.ndarray:
     return np.broadcast_to(values, count)
 
 
+def _are_finite(*points: Any) -> np.ndarray:
+    """Whether all places of a shape are numbers."""
+    return np.all([np.isfinite(_array(p).reshape(-1, 2)).all(1) for p in points], axis=0)
+
+
 def _tuples(colors: np.ndarray) -> list:
     return list(map(tuple, colors.tolist()))
 
@@ -191,7 +196,9 @@ class GUI(FrameLoop):
         starts, ends = self._points(begin), self._points(end)
         colors = self._colors(color, len(starts), None, None)
         widths = _each(_array(radius), len(starts), "radii") * _SCALE
-        for a, b, w, fill in zip(starts, ends, widths, _tuples(colors), strict=True):
+        kept = _are_finite(begin, end)
+        some = starts[kept], ends[kept], widths[kept], _tuples(colors[kept])
+        for a, b, w, fill in zip(*some, strict=True):
             self._draw.line([*a.tolist(), *b.tolist()], fill=fill, width=max(1, round(2 * w)))
             for x, y in (a, b):
                 if w > 1:
@@ -205,7 +212,9 @@ class GUI(FrameLoop):
         """Many filled triangles."""
         corners = [self._points(p) for p in (a, b, c)]
         colors = self._colors(color, len(corners[0]), None, None)
-        for p, q, r, fill in zip(*corners, _tuples(colors), strict=True):
+        kept = _are_finite(a, b, c)
+        some = [corner[kept] for corner in corners]
+        for p, q, r, fill in zip(*some, _tuples(colors[kept]), strict=True):
             self._draw.polygon([tuple(p), tuple(q), tuple(r)], fill=fill)
 
     def rect(
@@ -226,10 +235,12 @@ class GUI(FrameLoop):
             self.line(tip, tip - 0.25 * way + 0.15 * sign * side, radius, color)
 
     def arrows(self, orig: Any, direction: Any, radius: float = 1, color: Any = 0xFFFFFF) -> None:
-        """Many arrows."""
+        """Many arrows; those without a length are left out."""
         starts, ways = (_array(values).reshape(-1, 2) for values in (orig, direction))
         tips, sides = starts + ways, np.stack([-ways[:, 1], ways[:, 0]], 1)
         colors = _each(numbers(color, np.int64), len(starts), "colours")
+        kept = np.isfinite(ways).all(1) & (ways != 0).any(1)
+        starts, ways, tips, sides, colors = (a[kept] for a in (starts, ways, tips, sides, colors))
         self.lines(starts, tips, radius, colors)
         for sign in (-1, 1):
             self.lines(tips, tips - 0.25 * ways + 0.15 * sign * sides, radius, colors)

@@ -419,7 +419,7 @@ def test_planes_of_a_camera(view):
     assert list(camera.curr_up) == [0, 1, 0]
     # Directions along `up` have a picture, too.
     camera.position(0, 9, 0)
-    camera.left(-4), camera.right(4)
+    camera.left(-9), camera.right(9), camera.bottom(-9), camera.top(9)
     assert seen() == [True, True, True]
 
 
@@ -617,6 +617,7 @@ window.save_image("a.png")
 """
 
 
+@pytest.mark.slow
 def test_an_example(opengl, tmp_path):
     """The frames of `diffmpm3d.py --show` where no display is: the robot above its floor."""
     words = [

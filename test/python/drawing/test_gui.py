@@ -77,6 +77,9 @@ def test_places_that_are_no_numbers():
     gui.circles(np.full((100, 2), np.nan), 2)
     gui.circles(np.full((100, 2), np.inf), 2)
     gui.circles(np.zeros((0, 2)), 2)
+    gui.lines(np.array([[0.5, 0.5]]), np.array([[np.nan, 0.5]]))
+    gui.triangles([(0, 0)], [(1, 0)], [(0, np.inf)])
+    gui.arrows(np.full((3, 2), 0.5), np.array([[np.nan, 0], [0, 0], [0, np.inf]]))
     assert gui.get_image()[..., :3].max() == 0
     with pytest.raises(ti.TaiRuntimeTypeError, match="2 coordinates"):
         gui.circles(np.zeros((9, 3)), 2)
