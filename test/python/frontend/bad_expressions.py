@@ -630,3 +630,26 @@ def index_into_an_array_of_numpy():
         return weights[i]  # BAD
 
     kernel(1)
+
+
+@bad(ti.TaiTypeError, "field 'x' stands where a number is needed", "x[i]")
+def field_as_the_condition_of_an_expression():
+    x, *_ = fields()
+
+    @ti.kernel
+    def kernel() -> ti.f32:
+        return 1.0 if x else 2.0  # BAD
+
+    kernel()
+
+
+@bad(ti.TaiTypeError, "the truth of a struct is not one answer", "compare its members")
+def struct_as_the_condition_of_an_expression():
+    pair = ti.types.struct(a=ti.f32, b=ti.f32)
+
+    @ti.kernel
+    def kernel() -> ti.f32:
+        p = pair(1.0, 2.0)
+        return 1.0 if p else 2.0  # BAD
+
+    kernel()

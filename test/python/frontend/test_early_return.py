@@ -412,3 +412,50 @@ def test_gradient_of_a_power_that_returns(precision):
         assert math.isclose(loss[None], 1 + 1.25**k, rel_tol=precision * 10)
         expected = k * 1.25 ** (k - 1)
         assert math.isclose(a.grad[None], expected, rel_tol=precision * 10)
+
+
+@pytest.mark.parametrize("in_branch", [False, True])
+@pytest.mark.parametrize("in_function", [False, True])
+def test_items_of_a_static_loop_behind_a_return_are_not_compiled(in_branch, in_function):
+    """Like statements behind a return: "none" is no index, but nothing reads that component."""
+
+    def run(v: ti.types.vector(2, float), n: ti.i32) -> float:
+        if ti.static(in_branch):
+            if n > 0:
+                for k in ti.static((1, "none")):
+                    return v[k]
+        else:
+            for k in ti.static((1, "none")):
+                return v[k]
+        return -1.0
+
+    if in_function:
+        inner = ti.func(run)
+
+        @ti.kernel
+        def kernel(v: ti.types.vector(2, float), n: ti.i32) -> float:
+            return inner(v, n)
+    else:
+        kernel = ti.kernel(run)
+
+    assert kernel([3, 4], 1) == 4
+    assert kernel([3, 4], 0) == (-1 if in_branch else 4)
+
+
+def test_returns_in_branches_are_those_that_the_kernel_announces():
+    @ti.kernel
+    def unannounced(n: ti.i32):
+        if n > 1:
+            return 3
+
+    @ti.kernel
+    def nothing(n: ti.i32) -> ti.i32:
+        if n > 1:
+            return
+        return 2
+
+    with pytest.raises(ti.TaiSyntaxError, match="returns a value needs a return type") as caught:
+        unannounced(1)
+    assert "return 3" in str(caught.value)
+    with pytest.raises(ti.TaiSyntaxError, match="has a return type: return a value"):
+        nothing(1)

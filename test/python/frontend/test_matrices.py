@@ -496,3 +496,27 @@ def test_whole_vectors_and_numbers_in_python(op, number):
         if op in "+-*":
             assert found.dtype == np.int32
     assert (v + 1).dtype is ti.i32
+
+
+def test_not_of_whole_vectors():
+    """True where a component is zero."""
+
+    @ti.kernel
+    def kernel(v: ti.types.vector(3, ti.i32)) -> ti.types.vector(3, ti.i32):
+        return ti.cast(not v, ti.i32)
+
+    assert list(kernel([0, 1, -2])) == [1, 0, 0]
+
+
+def test_rows_are_vectors_or_lists():
+    @ti.kernel
+    def of_vectors(v: ti.types.vector(2, ti.f64)) -> ti.types.matrix(3, 2, ti.f64):
+        return ti.Matrix([v, [5.0, 6.0], 2 * v])
+
+    @ti.kernel
+    def of_matrices(m: ti.types.matrix(2, 2, ti.f64)) -> ti.types.matrix(2, 2, ti.f64):
+        return ti.Matrix([m, m])
+
+    assert of_vectors([1, 2]).to_list() == [[1, 2], [5, 6], [2, 4]]
+    with pytest.raises(ti.TaiTypeError, match="the rows of a matrix are vectors or lists"):
+        of_matrices([[1, 2], [3, 4]])

@@ -57,3 +57,24 @@ def test_the_sum_is_rounded_as_in_a_kernel():
 
     add()
     assert (ti.Vector([whole, 2]) + 0.5)[0] == field[0]
+
+
+@pytest.mark.parametrize("number", [2.5e9, -1e300, float("nan"), float("inf")])
+def test_numbers_that_do_not_fit_the_named_type_are_refused(number):
+    with pytest.raises(ti.TaiTypeError, match="i32"):
+        ti.Vector(np.array([1.0, number]), ti.i32)
+
+
+def test_numbers_are_converted_to_the_named_type_as_in_a_kernel():
+    @ti.kernel
+    def cast(v: ti.types.vector(3, ti.f64)) -> ti.types.vector(3, ti.i32):
+        return ti.Vector(v, ti.i32)
+
+    @ti.kernel
+    def same(v: ti.types.vector(3, ti.f64)) -> ti.types.vector(3, ti.f64):
+        return ti.Vector(v)
+
+    numbers = np.array([-2.7, 300.9, 0.5])
+    assert list(ti.Vector(numbers, ti.i32)) == list(cast(numbers)) == [-2, 300, 0]
+    assert list(ti.Vector(np.array([300, -1]), ti.u8)) == [44, 255]
+    assert list(same(numbers)) == list(numbers)

@@ -1,6 +1,8 @@
 # ruff: noqa: F507, UP031
 """`match`, `else` of loops, `:=`, ranges with a step known at run time, and their gradients."""
 
+import re
+
 import numpy as np
 import pytest
 import tai as ti
@@ -357,3 +359,84 @@ def test_percent_formats(capfd):
 
     with pytest.raises(ti.TaiTypeError, match="more than there are values"):
         wrong(1)
+
+
+PLACES = ["%8d", "%08d", "%-8d", "%-08d", "% d", "%+5d", "%#x", "%s", "%8s", "%-8s", "%08s", "%r",
+          "%9.3f", "%-9.3f", "%09.3f", "%+.2e", "%6g"]  # fmt: skip
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_percent_formats_are_those_of_python(capfd, place):
+    @ti.kernel
+    def whole(n: ti.i32):
+        print(f"[{place}]" % n)
+
+    @ti.kernel
+    def real(x: ti.f64):
+        print(f"[{place}]" % x)
+
+    values = [-5, 0, 1234] + [-2.5, 0.75] * (place[-1] not in "xr")
+    for value in values:
+        (whole if isinstance(value, int) else real)(value)
+    ti.sync()
+    assert capfd.readouterr().out.splitlines() == [f"[{place}]" % value for value in values]
+
+
+def test_percent_formats_of_vectors_and_constants(capfd):
+    @ti.kernel
+    def show(v: ti.types.vector(2, ti.i32), x: ti.f64):
+        print("%5s|%03d|%-4d|%s" % (v, v, v, v))
+        print(("a", 1), [2], (3,), ("a", x), [x, (x,)])
+
+    show([-1, 2], 1.5)
+    ti.sync()
+    assert capfd.readouterr().out.splitlines() == [
+        "[   -1,     2]|[-01, 002]|[-1  , 2   ]|[-1, 2]",
+        "('a', 1) [2] (3,) (a, 1.5) [1.5, (1.5,)]",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("place", "thing", "message"),
+    [
+        ("%c", "n", "kernels have no format '%c'"),
+        ("%.2s", "n", "kernels have no format '%.2s'"),
+        ("%.1r", "v", "kernels have no format '%.1r'"),
+        ("%.2f", "v", "'%.2f' is for one number, but got a vector"),
+        ("%d", "(n, n)", "'%d' is for one number, but got tuple"),
+        ("%5s", "(n, n)", "'%5s' is for one number, but got tuple"),
+        ("%d", "p", "'%d' is for one number, but got a struct"),
+    ],
+)
+def test_percent_formats_that_kernels_do_not_have(place, thing, message):
+    pair = ti.types.struct(a=ti.f32, b=ti.f32)
+
+    def choose(n, v, p):
+        return {"n": n, "v": v, "(n, n)": (n, n), "p": p}[thing]
+
+    @ti.kernel
+    def show(n: ti.i32, v: ti.types.vector(2, ti.f32)):
+        p = pair(1.0, 2.0)
+        print(place % (choose(n, v, p),))
+
+    with pytest.raises(ti.TaiTypeError, match=re.escape(message)):
+        show(3, [1, 2])
+
+
+@pytest.mark.parametrize("is_alone", [True, False])
+def test_the_message_of_an_assertion_may_be_a_tuple(is_alone):
+    """A text, and values that are shown behind it."""
+    ti.init(debug=True, offline_cache=False)
+
+    @ti.kernel
+    def kernel(n: ti.i32, x: ti.f32):
+        if ti.static(is_alone):
+            assert n > 3, ("too small",)
+        else:
+            assert n > 3, ("too small:", n, x)
+
+    kernel(4, 0.5)
+    with pytest.raises(ti.TaiAssertionError) as caught:
+        kernel(1, 0.5)
+    expected = "too small" if is_alone else "too small: 1 0.5"
+    assert str(caught.value).splitlines()[0] == expected

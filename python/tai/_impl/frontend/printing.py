@@ -11,7 +11,7 @@ from typing import Any
 from ...errors import TaiSyntaxError, TaiTypeError
 from ..base.dtypes import f64, i64, u64
 from ..fields.field import Field
-from ..values.misuse import describe_misuse, misuse_hint
+from ..values.misuse import describe_misuse, misuse_hint, name_of
 from ..values.value import Value
 from .checks import holds_value
 from .context import Context, Part
@@ -57,7 +57,7 @@ def formatted(thing: Any) -> FormattedText:
     if isinstance(thing, dict) and holds_value(thing):
         return _listed("{", [(f"{k!r}: ", v) for k, v in thing.items()], "}")
     if isinstance(thing, (tuple, list)) and holds_value(thing):
-        left, right = "()" if isinstance(thing, tuple) else "[]"
+        left, right = ("(", ",)" if len(thing) == 1 else ")") if isinstance(thing, tuple) else "[]"
         return _listed(left, [("", v) for v in thing], right)
     if holds_value(thing):
         raise TaiTypeError(f"a {type(thing).__name__} of values cannot be printed", "print a tuple")
@@ -141,9 +141,11 @@ def _by_percent(
     if kind in "srac" or not isinstance(thing, Value) or thing.shape:
         if kind in "sra" and not width and precision is None:
             return formatted(thing)
-        if not isinstance(thing, Value) or kind == "c" or precision is not None:
+        if kind == "c" or (kind in "sra" and precision is not None):
+            raise TaiTypeError(f"kernels have no format '{place}'", "write %s, %d or %g")
+        if not isinstance(thing, Value) or precision is not None:
             raise TaiTypeError(
-                f"the format '{place}' is for one number, but got {describe_misuse(thing)}",
+                f"the format '{place}' is for one number, but got {name_of(thing)}",
                 "format its parts",
             )
     is_whole = thing.dt.is_int
@@ -152,7 +154,8 @@ def _by_percent(
     spec = "" if kind in "sradiu" else kind
     align = "<" if "-" in flags and width else ">" if kind in "sra" and width else ""
     sign = "+" if "+" in flags else " " if " " in flags else ""
-    zero = "0" if "0" in flags and "-" not in flags and width else ""
+    # A text is filled up with blanks.
+    zero = "0" if "0" in flags and "-" not in flags and width and kind not in "sra" else ""
     digits = "" if precision is None else f".{precision or 0}"
     if kind in "diuxXo" and digits:
         raise TaiTypeError(f"kernels have no format '{place}'", "write a width, as in %04d")
@@ -177,7 +180,7 @@ def _with_spec(thing: Any, spec: str, conversion: str | None = None) -> Formatte
         thing = thing.load()
     if not isinstance(thing, Value):
         raise TaiTypeError(
-            f"the format '{spec}' is for numbers and vectors, but got {describe_misuse(thing)}",
+            f"the format '{spec}' is for numbers and vectors, but got {name_of(thing)}",
             "format its parts",
         )
     _check_spec(spec, thing)
