@@ -80,8 +80,51 @@ public:
     });
   }
 
+  /// The same for values that are not constants. False if something else is
+  /// asked.
+  bool limit(IndexLimits &limits) {
+    return !isUnknown && llvm::all_of(zeros, [&](auto &zero) {
+      return limit(limits, zero, /*most=*/0, /*least=*/true);
+    }) && llvm::all_of(bounds, [&](auto &bound) {
+      return limit(limits, bound.second, bound.first == Less ? -1 : 0,
+                   /*least=*/false);
+    });
+  }
+
 private:
   enum Bound { Less, LessOrEqual };
+
+  bool limit(IndexLimits &limits, const IndexExpr &form, int64_t most,
+             bool least) {
+    std::optional<unsigned> dim;
+    for (auto [number, iv] : llvm::enumerate(loop.getInductionVars()))
+      if (form.mentions(iv)) {
+        if (dim)
+          return false;
+        dim = number;
+      }
+    if (!dim || !form.isExact())
+      return false;
+    Value iv = loop.getInductionVars()[*dim];
+    int64_t factor = form.getCoefficient(iv);
+    IndexExpr rest = form;
+    rest.add(IndexExpr(iv), -factor);
+    bool isOfOutside = rest.allOf([&](Value value) {
+      return !loop->isAncestor(value.getParentBlock()->getParentOp());
+    });
+    if (std::abs(factor) != 1 || !isOfOutside)
+      return false;
+    // factor * iv <= most - rest
+    IndexExpr bound(factor * most);
+    bound.add(rest, -factor);
+    IndexExpr next = bound;
+    next.add(IndexExpr(1));
+    if (factor > 0 || least)
+      limits.upper[*dim].push_back(next);
+    if (factor < 0 || least)
+      limits.lower[*dim].push_back(bound);
+    return true;
+  }
 
   static bool isOfOneIndex(LoopBox &box, const IndexExpr &form) {
     return form.terms.size() == 1 && form.isExact() &&
@@ -217,6 +260,19 @@ bool mlir::tai::narrowToAccess(Operation *access, LoopBox &box) {
     return false;
   conditions.narrow(box);
   return true;
+}
+
+std::optional<IndexLimits> mlir::tai::getLimits(Operation *access,
+                                                ParallelForOp loop) {
+  for (Operation *op = access->getParentOp(); op != loop;
+       op = op->getParentOp())
+    if (!isa<scf::IfOp>(op))
+      return std::nullopt;
+  IndexLimits limits;
+  limits.lower.resize(loop.getInductionVars().size());
+  limits.upper.resize(loop.getInductionVars().size());
+  return Conditions(access, loop).limit(limits) ? std::optional(limits)
+                                                : std::nullopt;
 }
 
 Sharing mlir::tai::getSharing(DifferentiableAccessInterface access,

@@ -20,7 +20,8 @@ void tai::addInliner(OpPassManager &pm) {
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
 }
 
-void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
+void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
+                          bool oneThread) {
   bool checked = options.checksIndices();
   pm.addPass(createCheckLowerable());
   // While kernels are as they were written.
@@ -35,6 +36,7 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options) {
   addInliner(pm);
   RecognizeReductionsOptions reductions;
   reductions.checks = true;
+  reductions.oneThread = oneThread;
   pm.addPass(createRecognizeReductions(reductions));
 
   // No pass that folds may run before.

@@ -14,7 +14,8 @@ namespace mlir::tai {
 
 /// The first passes of both targets, on kernels as written: fusion of launches,
 /// inlining, checking or clamping of indices.
-void addSourcePasses(OpPassManager &pm, const LoweringOptions &options);
+void addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
+                     bool oneThread = false);
 
 /// Adds MLIR's inliner, behind a check of its limits. Its own cleaning of every
 /// function costs more than all that follows, and is left out.

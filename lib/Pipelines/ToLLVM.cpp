@@ -19,7 +19,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   bool checked = options.checksIndices();
   bool fast = options.optLevel > 0;
 
-  addSourcePasses(pm, options);
+  addSourcePasses(pm, options, options.oneThread);
 
   addPerFunction(pm, [&](OpPassManager &function) {
     if (options.oneThread)

@@ -9,6 +9,7 @@
 #define TAI_ANALYSIS_RACES_H
 
 #include "tai/Interfaces/Differentiable.h"
+#include <optional>
 
 namespace mlir::tai {
 
@@ -19,6 +20,18 @@ namespace mlir::tai {
 Operation *findRace(DifferentiableAccessInterface lhs,
                     DifferentiableAccessInterface rhs,
                     bool ofLongLoops = false);
+
+/// Two iterations of one parallel loop, by their indices.
+struct IterationPair {
+  SmallVector<int64_t> lhs, rhs;
+};
+
+/// An example of a race: different iterations of the parallel loop around both
+/// accesses that certainly reach the same element, one by each access. Tries
+/// iterations near the bounds, which must be constants. Conditions are
+/// evaluated, where indices decide them.
+std::optional<IterationPair> findExample(DifferentiableAccessInterface lhs,
+                                         DifferentiableAccessInterface rhs);
 
 } // namespace mlir::tai
 

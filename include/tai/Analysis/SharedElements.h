@@ -13,6 +13,7 @@
 #ifndef TAI_ANALYSIS_SHAREDELEMENTS_H
 #define TAI_ANALYSIS_SHAREDELEMENTS_H
 
+#include "tai/Analysis/Index/IndexExpr.h"
 #include "tai/Interfaces/Differentiable.h"
 #include "llvm/ADT/DenseSet.h"
 
@@ -38,6 +39,20 @@ Sharing getSharing(DifferentiableAccessInterface access, ParallelForOp loop);
 /// as comparisons of one index with a constant say so. False if it is under
 /// another condition, or in another loop.
 bool narrowToAccess(Operation *access, LoopBox &box);
+
+/// Bounds of the indices of a parallel loop, which hold beside its own: those
+/// of each dimension, made of values from outside of the loop.
+struct IndexLimits {
+  /// An index is at least each of these.
+  SmallVector<SmallVector<IndexExpr, 1>> lower;
+  /// An index is below each of these.
+  SmallVector<SmallVector<IndexExpr, 1>> upper;
+};
+
+/// The iterations in which the access runs, as far as comparisons of one index
+/// with values from outside say so. No value if it is under another condition,
+/// or in another loop.
+std::optional<IndexLimits> getLimits(Operation *access, ParallelForOp loop);
 
 /// Compares values and accesses of one iteration of a loop. Equal expressions
 /// are equal values; so are two loads of an element that the loop does not

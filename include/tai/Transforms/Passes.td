@@ -576,10 +576,12 @@ def RecognizeReductions : Pass<"tai-recognize-reductions", "::mlir::ModuleOp"> {
 
     The pass fails at a store that remains although all iterations of a loop, or
     all that satisfy a condition other than an equality, update the same
-    element: the result would depend on their order. With `one-thread`, the loop
-    runs in order instead (`serialize`). Stores to elements of which that is not
-    certain, because their indices depend on data, remain as they are. With
-    `checks`, those of kernels with the attribute `tai.check_updates` get a
+    element: the result would depend on their order. It fails as well at a load
+    of an element that another iteration certainly stores to. With `one-thread`,
+    the loop runs in order instead (`serialize`). Stores to elements of which
+    that is not certain, because their indices depend on data, remain as they
+    are. With `checks`, a kernel gets a `tai.precondition` where its arguments
+    decide; in kernels with the attribute `tai.check_updates`, the rest gets a
     `tai.assert` that no two iterations come to one element, and an array of the
     kernel with the number of an iteration for each element.
 

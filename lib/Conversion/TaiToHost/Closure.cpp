@@ -141,18 +141,21 @@ static LogicalResult replaceArray(BlockArgument array, Value address,
   for (OpOperand &use : llvm::make_early_inc_range(array.getUses())) {
     Operation *user = use.getOwner();
     if (auto pointer = dyn_cast<memref::ExtractAlignedPointerAsIndexOp>(user)) {
-      // address -> index -> i64 -> pointer is the address itself.
       for (Operation *cast : llvm::make_early_inc_range(pointer->getUsers())) {
         if (!isa<arith::IndexCastOp>(cast))
           return cast->emitOpError("cannot be lowered on the address of an "
                                    "array");
+        // address -> index -> i64 -> pointer is the address itself.
         for (Operation *back : llvm::make_early_inc_range(cast->getUsers())) {
           if (!isa<LLVM::IntToPtrOp>(back))
-            return back->emitOpError("cannot be lowered on the address of an "
-                                     "array");
+            continue;
           back->getResult(0).replaceAllUsesWith(address);
           back->erase();
         }
+        OpBuilder builder(cast);
+        if (!cast->use_empty())
+          cast->getResult(0).replaceAllUsesWith(LLVM::PtrToIntOp::create(
+              builder, cast->getLoc(), cast->getResult(0).getType(), address));
         cast->erase();
       }
       user->erase();

@@ -10,6 +10,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/Accesses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -20,18 +21,21 @@ namespace {
 /// The branches of one loop around a store.
 class Guards {
 public:
-  Guards(ParallelForOp loop, const SameIteration &same,
+  Guards(DifferentiableAccessInterface store, ParallelForOp loop,
+         const SameIteration &same,
          ArrayRef<DifferentiableAccessInterface> accesses)
-      : loop(loop), same(same), accesses(accesses) {}
+      : store(store), loop(loop), same(same), accesses(accesses) {}
 
-  void joinAround(Operation *store);
+  void join();
 
 private:
   bool isInside(FlatSymbolRefAttr field, ValueRange indices) const;
+  bool mayBeWritten(DifferentiableAccessInterface read) const;
   bool canRunAlways(Operation *op, Operation *before) const;
   bool canRunAlways(Block &block, Operation *but = nullptr) const;
   Value join(Value condition);
 
+  DifferentiableAccessInterface store;
   ParallelForOp loop;
   const SameIteration &same;
   ArrayRef<DifferentiableAccessInterface> accesses;
@@ -57,6 +61,16 @@ bool Guards::isInside(FlatSymbolRefAttr field, ValueRange indices) const {
          from->offset == to->offset;
 }
 
+/// True if another iteration may write the element. The condition may be there
+/// to keep it from reading at the same time.
+bool Guards::mayBeWritten(DifferentiableAccessInterface read) const {
+  return !same.reachSame(read, store) &&
+         llvm::any_of(accesses, [&](DifferentiableAccessInterface other) {
+           return other.getAccessKind() != AccessKind::Read &&
+                  getStorageKey(other) == getStorageKey(read);
+         });
+}
+
 /// True if the op may run before the op `before`, which is around it.
 bool Guards::canRunAlways(Operation *op, Operation *before) const {
   if (op->getNumRegions() == 0 && isPure(op))
@@ -67,7 +81,7 @@ bool Guards::canRunAlways(Operation *op, Operation *before) const {
   // Fields without dimensions, the element that the loop visits, and elements
   // that the loop reads in any case.
   FlatSymbolRefAttr field = read.getAccessedStorage().field;
-  if (field && read.getAccessComponents().empty() &&
+  if (field && !mayBeWritten(read) && read.getAccessComponents().empty() &&
       (read.getAccessIndices().empty() ||
        isInside(field, read.getAccessIndices())))
     return true;
@@ -111,7 +125,7 @@ Value Guards::join(Value condition) {
   return both;
 }
 
-void Guards::joinAround(Operation *store) {
+void Guards::join() {
   Operation *op = store;
   scf::IfOp inner;
   while (op->getParentOp() != loop) {
@@ -143,5 +157,5 @@ void Guards::joinAround(Operation *store) {
 void mlir::tai::joinGuards(DifferentiableAccessInterface store,
                            ParallelForOp loop, const SameIteration &same,
                            ArrayRef<DifferentiableAccessInterface> accesses) {
-  Guards(loop, same, accesses).joinAround(store);
+  Guards(store, loop, same, accesses).join();
 }

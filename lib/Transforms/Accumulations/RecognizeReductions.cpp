@@ -22,15 +22,17 @@
 //
 // The last step of all is the store, which goes.
 //
+// What remains, and reads of what other iterations write (OtherIterations.cpp),
+// is refused where it certainly is a race.
+//
 //===----------------------------------------------------------------------===//
 
 #include "Guards.h"
+#include "IterationShadow.h"
+#include "OtherIterations.h"
 #include "SharedUpdate.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
-#include "mlir/IR/ImplicitLocOpBuilder.h"
-#include "tai/ABI/Abi.h"
 #include "tai/Analysis/Accesses.h"
-#include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/Accumulation.h"
 #include "llvm/ADT/StringSet.h"
@@ -53,9 +55,11 @@ class LoopUpdates {
 public:
   explicit LoopUpdates(ParallelForOp loop) : loop(loop), same(loop) {}
 
-  LogicalResult run(bool oneThread, bool checks);
+  /// Checks at launch, or as the loop runs, what is not certain.
+  LogicalResult run(bool oneThread, bool atLaunch, bool atRun);
 
 private:
+  OtherIterations findOthers(ArrayRef<DifferentiableAccessInterface> refused);
   void check(DifferentiableAccessInterface store);
   bool isAlone(SharedUpdate &update);
   void report(DifferentiableAccessInterface store);
@@ -67,16 +71,10 @@ private:
 };
 } // namespace
 
-static std::string getName(DifferentiableAccessInterface access) {
-  if (FlatSymbolRefAttr field = access.getAccessedStorage().field)
-    return ("an element of field '@" + field.getValue() + "'").str();
-  return "an element of an array";
-}
-
 void LoopUpdates::report(DifferentiableAccessInterface store) {
   InFlightDiagnostic diag =
       store->emitError()
-      << getName(store)
+      << describeElement(store)
       << " is read and written by the iterations of a parallel loop, and the "
          "result would depend on which of them comes first";
   diag.attachNote(loop->getLoc())
@@ -120,90 +118,58 @@ bool LoopUpdates::isAlone(SharedUpdate &update) {
 }
 
 /// Has the loop report the store if another iteration has come to its element
-/// by it before. Each leaves its number: the greatest so far is another one at
-/// the latest when the second one comes.
+/// by it before.
 void LoopUpdates::check(DifferentiableAccessInterface store) {
-  constexpr int64_t most = int64_t(1) << 27;
-  ImplicitLocOpBuilder b(store->getLoc(), loop);
-  auto index = [&](int64_t value) -> Value {
-    return arith::ConstantIndexOp::create(b, value);
-  };
-  SmallVector<Value> position(store.getAccessIndices());
-  llvm::append_range(position, store.getAccessComponents());
-  SmallVector<Value> extents;
-  int64_t known = 1;
-  if (FlatSymbolRefAttr name = store.getAccessedStorage().field) {
-    FieldOp field = lookupField(loop, name);
-    FailureOr<FieldLayout> layout = getFieldLayout(field);
-    if (failed(layout))
-      return;
-    SmallVector<int64_t> shape(layout->shape);
-    if (auto vector = dyn_cast<VectorType>(field.getType());
-        vector && !store.getAccessComponents().empty())
-      llvm::append_range(shape, vector.getShape());
-    for (int64_t extent : shape) {
-      if (llvm::MulOverflow(known, extent, known) || known > most)
-        return;
-      extents.push_back(index(extent));
-    }
-  } else {
-    Value array = store.getAccessedStorage().memref;
-    for (auto [dim, value] : llvm::enumerate(position))
-      extents.push_back(memref::DimOp::create(b, array, index(dim)));
-  }
-  Value size = index(1);
-  for (Value extent : extents)
-    size = b.createOrFold<arith::MulIOp>(size, extent);
-  size = b.createOrFold<arith::MaxSIOp>(size, index(1));
-  Type real = b.getF64Type();
-  auto constant = [&](double value) -> Value {
-    return arith::ConstantOp::create(b, b.getF64FloatAttr(value));
-  };
-  Value shadow = memref::AllocOp::create(
-      b, MemRefType::get({ShapedType::kDynamic}, real), size);
-  auto clear = ParallelForOp::create(b, index(0), size);
-  {
-    OpBuilder::InsertionGuard guard(b);
-    b.setInsertionPointToStart(&clear.getBody().front());
-    memref::StoreOp::create(b, constant(-1), shadow,
-                            clear.getInductionVars().front());
-  }
-  // Indices beyond the extents are reported by others.
-  b.setInsertionPoint(store);
-  Value number = index(0), iteration = index(0);
-  for (auto [value, extent] : llvm::zip_equal(position, extents))
-    number = arith::AddIOp::create(b, arith::MulIOp::create(b, number, extent),
-                                   value);
-  number = arith::RemUIOp::create(b, number, size);
-  for (Value iv : loop.getInductionVars())
-    iteration = arith::AddIOp::create(
-        b, arith::MulIOp::create(b, iteration, index(1000003)), iv);
-  Value wide = arith::IndexCastOp::create(b, b.getI64Type(), iteration);
-  wide = arith::AndIOp::create(
-      b, wide, arith::ConstantIntOp::create(b, (int64_t(1) << 52) - 1, 64));
-  Value own = arith::SIToFPOp::create(b, real, wide);
-  Value before = memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::maximumf,
-                                             own, shadow, number);
-  using Predicate = arith::CmpFPredicate;
-  Value isAlone = arith::OrIOp::create(
-      b, arith::CmpFOp::create(b, Predicate::OLT, before, constant(0)),
-      arith::CmpFOp::create(b, Predicate::OEQ, before, own));
-  std::string message = getName(store);
-  if (!position.empty()) {
-    message += ", at [";
-    for (size_t i = 0; i != position.size(); ++i)
-      message += i ? ", {}" : "{}";
-    message += "],";
-  }
-  message += " is read and written by two iterations of a parallel loop, and "
-             "the result would depend on which of them comes first";
-  AssertOp::create(b, isAlone, b.getStringAttr(message), position,
-                   b.getI32IntegerAttr(TAI_FAIL_ASSERT));
-  b.setInsertionPointAfter(loop);
-  memref::DeallocOp::create(b, shadow);
+  std::optional<IterationShadow> shadow = IterationShadow::create(loop, store);
+  if (!shadow)
+    return;
+  Value array = shadow->createArray();
+  shadow->moveTo(store);
+  Value isAlone = shadow->leave(array, store);
+  shadow->require(isAlone, store,
+                  "is read and written by two iterations of a parallel loop, "
+                  "and the result would depend on which of them comes first");
 }
 
-LogicalResult LoopUpdates::run(bool oneThread, bool checks) {
+/// Finds the reads of what other iterations write. The atomics that updates
+/// become commute, but for sums with elements of the iteration's own: these are
+/// stores in another form. `known` are stores that are no updates, and are
+/// dealt with.
+OtherIterations
+LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
+  SmallVector<DifferentiableAccessInterface> writes, reads;
+  auto isWrite = [&](DifferentiableAccessInterface access) {
+    bool isOwn = getSharing(access, loop) == Sharing::Own;
+    if (auto atomic = dyn_cast<AtomicOp>(access.getOperation())) {
+      AtomicKind kind = getCombiningKind(atomic.getKind());
+      return isOwn && (kind == AtomicKind::Add || kind == AtomicKind::Mul ||
+                       kind == AtomicKind::Xor);
+    }
+    // Iterations that store the same to an element tell each other something.
+    return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
+           (isOwn || !storesTheSame(access, loop)) &&
+           llvm::none_of(updates, [&](auto &update) {
+             return update->getStore() == access;
+           });
+  };
+  for (DifferentiableAccessInterface access : accesses) {
+    Value memref = access.getAccessedStorage().memref;
+    if (getEnclosingParallelLoop(access) != loop ||
+        (memref && !isa<BlockArgument>(memref)))
+      continue;
+    if (access.getAccessKind() == AccessKind::Read)
+      reads.push_back(access);
+    else if (isWrite(access))
+      writes.push_back(access);
+  }
+  OtherIterations others(loop);
+  others.find(writes, reads, [&](auto write, auto read) {
+    return llvm::is_contained(known, write) && same.reachSame(write, read);
+  });
+  return others;
+}
+
+LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
   llvm::DenseMap<const void *, SmallVector<DifferentiableAccessInterface>>
       reads;
   loop.walk([&](DifferentiableAccessInterface access) {
@@ -231,15 +197,11 @@ LogicalResult LoopUpdates::run(bool oneThread, bool checks) {
         access, loop, reads[getStorageKey(access)], same);
     if (!update->readsElement())
       continue;
-    if (update->readsOtherIteration()) {
-      certain.push_back(access);
-      continue;
-    }
     if (getSharing(access, loop) == Sharing::Own)
       continue;
     if (update->match())
       updates.push_back(std::move(update));
-    else if (!update->storesTheSame())
+    else if (!storesTheSame(access, loop))
       others.push_back(access);
   }
   // Taking one away may take the reason of another one away.
@@ -249,22 +211,30 @@ LogicalResult LoopUpdates::run(bool oneThread, bool checks) {
     llvm::erase_if(updates, [&](std::unique_ptr<SharedUpdate> &update) {
       if (isAlone(*update))
         return false;
-      if (!update->storesTheSame())
+      if (!storesTheSame(update->getStore(), loop))
         others.push_back(update->getStore());
       return changed = true;
     });
   }
+  OtherIterations otherIterations = findOthers(others);
   for (DifferentiableAccessInterface store : others)
     (getSharing(store, loop) == Sharing::Certain ? certain : possible)
         .push_back(store);
-  if (!certain.empty() && !oneThread) {
+  bool isCertain = !certain.empty() || otherIterations.anyCertain();
+  if (isCertain && !oneThread) {
     llvm::for_each(certain, [&](auto store) { report(store); });
+    otherIterations.report();
     return failure();
   }
-  if (!certain.empty())
+  if (isCertain)
     loop.setSerialize(true);
-  else if (checks)
+  // One thread has the iterations in order.
+  if (atLaunch && !oneThread)
+    otherIterations.refuseLaunches();
+  if (atRun && !oneThread) {
     llvm::for_each(possible, [&](auto store) { check(store); });
+    otherIterations.check();
+  }
   for (std::unique_ptr<SharedUpdate> &update : updates)
     update->rewrite();
   return success();
@@ -295,7 +265,8 @@ struct RecognizeReductions
       });
       for (ParallelForOp loop : loops)
         hasErrors |= failed(LoopUpdates(loop).run(
-            oneThread, checks && function->hasAttr(kCheckUpdatesAttrName)));
+            oneThread, checks,
+            checks && function->hasAttr(kCheckUpdatesAttrName)));
     }
     if (hasErrors)
       signalPassFailure();

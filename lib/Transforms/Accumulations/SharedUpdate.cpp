@@ -12,7 +12,6 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
-#include "tai/Analysis/Races.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/Accumulation.h"
 #include "llvm/ADT/TypeSwitch.h"
@@ -122,27 +121,11 @@ bool SharedUpdate::readsElement() {
   return false;
 }
 
-bool SharedUpdate::storesTheSame() {
+bool mlir::tai::storesTheSame(DifferentiableAccessInterface store,
+                              ParallelForOp loop) {
   Value value = store.getAccessedValue();
   return matchPattern(value, m_Constant()) ||
          !loop->isAncestor(value.getParentBlock()->getParentOp());
-}
-
-bool SharedUpdate::readsOtherIteration() {
-  llvm::SetVector<Value> sources;
-  sources.insert(store.getAccessedValue());
-  // Longer expressions are left to the checks at run time.
-  for (size_t i = 0; i != std::min<size_t>(sources.size(), 512); ++i) {
-    Operation *op = sources[i].getDefiningOp();
-    if (!op || !loop->isAncestor(op))
-      continue;
-    auto load = dyn_cast<DifferentiableAccessInterface>(op);
-    if (load && llvm::is_contained(reads, load) &&
-        !same.reachSame(load, store) && findRace(store, load))
-      return true;
-    sources.insert_range(op->getOperands());
-  }
-  return false;
 }
 
 //===----------------------------------------------------------------------===//

@@ -21,6 +21,9 @@
 
 namespace mlir::tai {
 
+/// True if all iterations that store at all store the same.
+bool storesTheSame(DifferentiableAccessInterface store, ParallelForOp loop);
+
 /// The conditions under which a part of an expression is taken.
 struct Context {
   /// The outermost select around the part, where the conditions are known.
@@ -63,8 +66,6 @@ public:
 
   /// True if the stored value, or whether it is stored, depends on the element.
   bool readsElement();
-  /// True if all iterations that store at all store the same.
-  bool storesTheSame();
   /// Finds the steps. False if it is no update of the kinds known.
   bool match();
   /// The operation of all steps.
@@ -72,9 +73,6 @@ public:
   void rewrite();
 
   ArrayRef<DifferentiableAccessInterface> getLoads() const { return loads; }
-  /// True if the stored value comes from what another iteration writes by this
-  /// store.
-  bool readsOtherIteration();
   DifferentiableAccessInterface getStore() const { return store; }
 
 private:

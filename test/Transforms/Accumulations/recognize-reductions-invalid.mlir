@@ -118,3 +118,102 @@ tai.kernel @mixed(%a: memref<?xf32>) {
   }
   tai.return
 }
+
+// -----
+
+// Reads of what another iteration writes.
+
+!t = !tai.root<dense<[i: 64], {x: f32, y: f32}>, dense<[i: 8, j: 8], {z: f32}>, {o: f32}>
+tai.tree @t : !t
+tai.field @x = @t["x"] : f32, rank 1
+tai.field @y = @t["y"] : f32, rank 1
+tai.field @z = @t["z"] : f32, rank 2
+tai.field @o = @t["o"] : f32, rank 0
+
+// CHECK-LABEL: tai.kernel @shift
+// CHECK: serialize
+tai.kernel @shift() {
+  %c1 = arith.constant 1 : index
+  %c64 = arith.constant 64 : index
+  // expected-note @+1 {{run this loop on one thread ('serialize'), or write to another field and copy it in a later loop}}
+  tai.parallel_for (%i) = (%c1) to (%c64) {
+    %0 = arith.subi %i, %c1 : index
+    // expected-error @+1 {{an element of field '@x' is read here by one iteration of a parallel loop, while another one writes it, and the result would depend on which of them comes first}}
+    %1 = tai.load @x[%0] : f32
+    // expected-note @+1 {{written here: iteration 2 reads what iteration 1 writes}}
+    tai.store %1, @x[%i] : f32
+  }
+  tai.return
+}
+
+// CHECK-LABEL: tai.kernel @transpose
+// CHECK: serialize
+tai.kernel @transpose() {
+  // expected-note @+1 {{run this loop}}
+  tai.parallel_for (%i, %j) in @z {
+    // expected-error @+1 {{an element of field '@z' is read here by one iteration}}
+    %0 = tai.load @z[%j, %i] : f32
+    // expected-note @+1 {{written here: iteration (1, 0) reads what iteration (0, 1) writes}}
+    tai.store %0, @z[%i, %j] : f32
+  }
+  tai.return
+}
+
+// A sum with an element of the iteration's own is a store in another form.
+// CHECK-LABEL: tai.kernel @prefix
+// CHECK: serialize
+tai.kernel @prefix() {
+  %c1 = arith.constant 1 : index
+  %c64 = arith.constant 64 : index
+  // expected-note @+1 {{run this loop}}
+  tai.parallel_for (%i) = (%c1) to (%c64) {
+    %0 = arith.subi %i, %c1 : index
+    // expected-error @+1 {{an element of field '@x' is read here by one iteration}}
+    %1 = tai.load @x[%0] : f32
+    // expected-note @+1 {{written here}}
+    %2 = tai.atomic add %1, @x[%i] : f32
+  }
+  tai.return
+}
+
+// All iterations store to one element, and read it.
+// CHECK-LABEL: tai.kernel @scratch
+// CHECK: serialize
+tai.kernel @scratch() {
+  // expected-note @+1 {{run this loop}}
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    // expected-note @+1 {{written here}}
+    tai.store %0, @o[] : f32
+    // expected-error @+1 {{an element of field '@o' is read here by one iteration}}
+    %1 = tai.load @o[] : f32
+    tai.store %1, @y[%i] : f32
+  }
+  tai.return
+}
+
+// Under conditions that indices decide, and in a serial loop.
+// CHECK-LABEL: tai.kernel @conditions
+// CHECK: serialize
+tai.kernel @conditions() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c3 = arith.constant 3 : index
+  %c60 = arith.constant 60 : index
+  // expected-note @+1 {{run this loop}}
+  tai.parallel_for (%i) = (%c0) to (%c60) {
+    %0 = arith.remsi %i, %c2 : index
+    %1 = arith.cmpi eq, %0, %c0 : index
+    scf.if %1 {
+      scf.for %k = %c0 to %c3 step %c1 {
+        %2 = arith.addi %i, %k : index
+        // expected-error @+1 {{an element of field '@x' is read here by one iteration}}
+        %3 = tai.load @x[%2] : f32
+        // expected-note @+1 {{written here: iteration 0 reads what iteration 2 writes}}
+        tai.store %3, @x[%i] : f32
+      }
+    }
+  }
+  tai.return
+}

@@ -1,0 +1,70 @@
+//===- IterationShadow.h - Who came to an element ---------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Arrays of a kernel in which the iterations of a loop leave their numbers at
+// the elements that they reach, for checks at run time.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_TRANSFORMS_ACCUMULATIONS_ITERATIONSHADOW_H
+#define TAI_LIB_TRANSFORMS_ACCUMULATIONS_ITERATIONSHADOW_H
+
+#include "mlir/IR/ImplicitLocOpBuilder.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "tai/Interfaces/Differentiable.h"
+
+namespace mlir::tai {
+
+/// The name of what an access reaches, for messages.
+std::string describeElement(DifferentiableAccessInterface access);
+
+/// The shadows of one storage in one loop: a number for each component.
+class IterationShadow {
+public:
+  /// Computes the extents of the storage before the loop. No value if there are
+  /// too many elements. Nothing is done unless `isWanted`, if it is given, holds
+  /// there.
+  static std::optional<IterationShadow>
+  create(ParallelForOp loop, DifferentiableAccessInterface access,
+         Value isWanted = {});
+
+  /// An array without numbers, which is made before the loop and ends after it.
+  Value createArray();
+  /// The following is emitted before `access`.
+  void moveTo(DifferentiableAccessInterface access);
+  /// Leaves the number of the iteration at what `access` reaches. Returns
+  /// whether no other one did before.
+  Value leave(Value array, DifferentiableAccessInterface access);
+  /// Whether no other iteration has left its number at what `access` reaches.
+  Value isFree(Value array, DifferentiableAccessInterface access);
+  /// Fails the launch at `access` unless the condition holds. `message` follows
+  /// the name of the element.
+  void require(Value condition, DifferentiableAccessInterface access,
+               const Twine &message);
+
+private:
+  IterationShadow(ParallelForOp loop) : loop(loop), b(loop.getLoc(), loop) {}
+
+  SmallVector<Value> getNumbers(DifferentiableAccessInterface access);
+  Value getIteration();
+  Value isNoneOr(Value number, Value own);
+  Value index(int64_t value);
+  Value real(double value);
+
+  ParallelForOp loop;
+  ImplicitLocOpBuilder b;
+  SmallVector<Value> extents;
+  /// Of the element.
+  SmallVector<int64_t> shape;
+  /// All components.
+  Value size;
+  Value isWanted;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_TRANSFORMS_ACCUMULATIONS_ITERATIONSHADOW_H

@@ -1,0 +1,480 @@
+//===- OtherIterations.cpp - Reads of other iterations' writes ------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// `x[i] = 2 * x[i - 1]`: an iteration reads an element that another one writes.
+// A pair of accesses is apart for certain (mayMeet), or meets for certain
+// (findRace, findExample), or is left to the run:
+//
+//   x[i] = x[i - k], i < n      the launch is refused where k and n say so
+//   x[i] = x[p[i]]              the loop is looked at with `debug`
+//
+// Two arrays of the caller may be one and the same array, which the launch
+// tells, too.
+//
+//===----------------------------------------------------------------------===//
+
+#include "OtherIterations.h"
+#include "IterationShadow.h"
+#include "mlir/Analysis/SliceAnalysis.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/IR/ImplicitLocOpBuilder.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/ABI/Abi.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/IndexForms.h"
+#include "tai/Analysis/IterationOrder.h"
+#include "tai/Analysis/LoopBox.h"
+#include "tai/Analysis/SharedElements.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
+#include "llvm/ADT/MapVector.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// Pairs
+//===----------------------------------------------------------------------===//
+
+static bool haveSameStorage(DifferentiableAccessInterface lhs,
+                            DifferentiableAccessInterface rhs) {
+  return getStorageKey(lhs) == getStorageKey(rhs);
+}
+
+/// True for two arrays of the caller that may be one and the same.
+static bool mayBeOneArray(DifferentiableAccessInterface lhs,
+                          DifferentiableAccessInterface rhs) {
+  Value a = lhs.getAccessedStorage().memref;
+  Value b = rhs.getAccessedStorage().memref;
+  return a && b && a.getType() == b.getType() && isa<BlockArgument>(a) &&
+         isa<BlockArgument>(b);
+}
+
+/// Whether two arrays of the caller are one and the same.
+static Value createIsOneArray(ImplicitLocOpBuilder &b,
+                              DifferentiableAccessInterface lhs,
+                              DifferentiableAccessInterface rhs) {
+  auto address = [&](DifferentiableAccessInterface access) -> Value {
+    Value pointer = memref::ExtractAlignedPointerAsIndexOp::create(
+        b, access.getAccessedStorage().memref);
+    return arith::IndexCastOp::create(b, b.getI64Type(), pointer);
+  };
+  return arith::CmpIOp::create(b, arith::CmpIPredicate::eq, address(lhs),
+                               address(rhs));
+}
+
+namespace {
+/// Answers mayMeet once for accesses with equal indices.
+class Places {
+public:
+  explicit Places(ParallelForOp loop) : loop(loop) {}
+
+  bool mayMeet(DifferentiableAccessInterface lhs,
+               DifferentiableAccessInterface rhs) {
+    std::pair<unsigned, unsigned> key(getNumber(lhs), getNumber(rhs));
+    auto [known, isNew] = answers.insert({key, false});
+    if (isNew)
+      known->second = tai::mayMeet(
+          loop, {lhs.getAccessIndices(), lhs.getAccessComponents()},
+          {rhs.getAccessIndices(), rhs.getAccessComponents()});
+    return known->second;
+  }
+
+private:
+  using Place = SmallVector<IndexExpr>;
+
+  unsigned getNumber(DifferentiableAccessInterface access) {
+    auto [known, isNew] = numbers.insert({access, 0});
+    if (!isNew)
+      return known->second;
+    Place place = builder.get(access.getAccessIndices());
+    llvm::append_range(place, builder.get(access.getAccessComponents()));
+    auto *same = llvm::find(places, place);
+    unsigned number = same - places.begin();
+    if (same == places.end())
+      places.push_back(std::move(place));
+    return known->second = number;
+  }
+
+  ParallelForOp loop;
+  IndexBuilder builder;
+  SmallVector<Place> places;
+  llvm::DenseMap<Operation *, unsigned> numbers;
+  llvm::DenseMap<std::pair<unsigned, unsigned>, bool> answers;
+};
+} // namespace
+
+void OtherIterations::find(ArrayRef<DifferentiableAccessInterface> writes,
+                           ArrayRef<DifferentiableAccessInterface> reads,
+                           PairFilter isKnown) {
+  Places places(loop);
+  llvm::SmallPtrSet<Operation *, 8> reported;
+  for (DifferentiableAccessInterface write : writes)
+    for (DifferentiableAccessInterface read : reads) {
+      bool isSame = haveSameStorage(write, read);
+      if ((!isSame && !mayBeOneArray(write, read)) ||
+          write.getAccessIndices().size() != read.getAccessIndices().size() ||
+          isKnown(write, read) || !places.mayMeet(write, read))
+        continue;
+      if (!isSame || reported.contains(write) ||
+          !(findRace(write, read) || findExample(write, read))) {
+        possible.push_back({write, read});
+        continue;
+      }
+      certain.push_back({write, read});
+      reported.insert(write);
+    }
+}
+
+void OtherIterations::report() {
+  for (auto [write, read] : certain) {
+    InFlightDiagnostic diag =
+        read->emitError()
+        << describeElement(read)
+        << " is read here by one iteration of a parallel loop, while another "
+           "one writes it, and the result would depend on which of them comes "
+           "first";
+    Diagnostic &note = diag.attachNote(write->getLoc()) << "written here";
+    auto show = [](ArrayRef<int64_t> iteration) {
+      std::string text;
+      llvm::raw_string_ostream stream(text);
+      llvm::interleaveComma(iteration, stream);
+      return iteration.size() == 1 ? text : "(" + text + ")";
+    };
+    if (auto example = findExample(write, read))
+      note << ": iteration " << show(example->rhs) << " reads what iteration "
+           << show(example->lhs) << " writes";
+    diag.attachNote(loop->getLoc())
+        << "run this loop on one thread ('serialize'), or write to another "
+           "field and copy it in a later loop";
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// Launches
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// Emits before a loop whether two accesses meet in different iterations.
+class MeetingBuilder {
+public:
+  MeetingBuilder(ParallelForOp loop, Location loc)
+      : loop(loop), b(loc, loop), rank(loop.getInductionVars().size()) {}
+
+  /// Null if that is not known before the loop.
+  Value create(DifferentiableAccessInterface write,
+               DifferentiableAccessInterface read);
+
+private:
+  struct Bounds {
+    Value lower, upper;
+  };
+
+  bool addEquation(const IndexExpr &lhs, const IndexExpr &rhs);
+  std::optional<std::pair<int, int64_t>> getLoopTerm(const IndexExpr &form);
+  bool getBounds(const IndexLimits &limits, SmallVector<Bounds> &bounds);
+  Value emit(const IndexExpr &expr);
+  Value emit(const IndexAtom &atom);
+
+  Value number(int64_t value) {
+    return arith::ConstantIntOp::create(b, value, 64);
+  }
+  Value widen(Value value);
+  Value compare(arith::CmpIPredicate predicate, Value lhs, Value rhs) {
+    return b.createOrFold<arith::CmpIOp>(predicate, lhs, rhs);
+  }
+  void require(Value condition) {
+    meets = meets ? b.createOrFold<arith::AndIOp>(meets, condition) : condition;
+  }
+
+  ParallelForOp loop;
+  ImplicitLocOpBuilder b;
+  IndexBuilder builder;
+  size_t rank;
+  /// By dimension: the index of the read less that of the write.
+  SmallVector<std::optional<IndexExpr>> differences;
+  Value meets;
+};
+} // namespace
+
+Value MeetingBuilder::widen(Value value) {
+  Type i64 = b.getI64Type();
+  if (value.getType() == i64)
+    return value;
+  if (value.getType().isIndex())
+    return b.createOrFold<arith::IndexCastOp>(i64, value);
+  if (value.getType().isInteger(1))
+    return b.createOrFold<arith::ExtUIOp>(i64, value);
+  return b.createOrFold<arith::ExtSIOp>(i64, value);
+}
+
+/// Null for operations that may fault.
+Value MeetingBuilder::emit(const IndexAtom &atom) {
+  const IndexNode *node = atom.getNode();
+  if (!node) {
+    Type type = atom.getValue().getType();
+    bool isNarrow = type.isIndex() || type.getIntOrFloatBitWidth() <= 64;
+    return isNarrow ? widen(atom.getValue()) : Value();
+  }
+  using Kind = IndexNode::Kind;
+  bool divides = node->kind == Kind::Quotient || node->kind == Kind::Remainder;
+  if (divides && !(node->rhs.isConstant() && node->rhs.constant > 0))
+    return {};
+  Value lhs = emit(node->lhs), rhs = emit(node->rhs);
+  if (!lhs || !rhs)
+    return {};
+  switch (node->kind) {
+  case Kind::Quotient:
+    return b.createOrFold<arith::FloorDivSIOp>(lhs, rhs);
+  case Kind::Remainder: {
+    Value quotient = b.createOrFold<arith::FloorDivSIOp>(lhs, rhs);
+    return b.createOrFold<arith::SubIOp>(
+        lhs, b.createOrFold<arith::MulIOp>(quotient, rhs));
+  }
+  case Kind::Product:
+    return b.createOrFold<arith::MulIOp>(lhs, rhs);
+  case Kind::Min:
+    return b.createOrFold<arith::MinSIOp>(lhs, rhs);
+  case Kind::Max:
+    return b.createOrFold<arith::MaxSIOp>(lhs, rhs);
+  }
+  return {};
+}
+
+/// The sum, as a number that does not wrap.
+Value MeetingBuilder::emit(const IndexExpr &expr) {
+  Value sum = number(expr.constant);
+  for (const auto &[atom, factor] : expr.terms) {
+    Value value = emit(atom);
+    if (!value)
+      return {};
+    value = b.createOrFold<arith::MulIOp>(value, number(factor));
+    sum = b.createOrFold<arith::AddIOp>(sum, value);
+  }
+  return sum;
+}
+
+/// The one dimension whose index occurs in the form, and its factor; dimension
+/// -1 if none does.
+std::optional<std::pair<int, int64_t>>
+MeetingBuilder::getLoopTerm(const IndexExpr &form) {
+  std::pair<int, int64_t> found(-1, 0);
+  IndexExpr rest = form;
+  for (auto [dim, iv] : llvm::enumerate(loop.getInductionVars())) {
+    int64_t factor = form.getCoefficient(iv);
+    if (factor == 0)
+      continue;
+    if (found.first >= 0)
+      return std::nullopt;
+    found = {static_cast<int>(dim), factor};
+    rest.add(IndexExpr(iv), -factor);
+  }
+  bool isOfOutside = rest.allOf([&](Value value) {
+    return !loop->isAncestor(value.getParentBlock()->getParentOp());
+  });
+  return isOfOutside ? std::optional(found) : std::nullopt;
+}
+
+/// Adds lhs(i) == rhs(j), as numbers that do not wrap: if those are equal, so
+/// are their low bits.
+bool MeetingBuilder::addEquation(const IndexExpr &lhs, const IndexExpr &rhs) {
+  auto a = getLoopTerm(lhs), c = getLoopTerm(rhs);
+  if (!a || !c || a->first != c->first || a->second != c->second)
+    return false;
+  IndexExpr difference = lhs;
+  difference.add(rhs, -1);
+  if (a->first < 0) {
+    Value distance = emit(difference);
+    if (distance)
+      require(compare(arith::CmpIPredicate::eq, distance, number(0)));
+    return distance != nullptr;
+  }
+  // factor j = factor i + difference
+  int64_t factor = a->second;
+  if (difference.isConstant() && difference.constant % factor == 0)
+    difference = IndexExpr(difference.constant / factor);
+  else if (std::abs(factor) != 1)
+    return false;
+  else if (factor == -1)
+    difference = IndexExpr(0).add(difference, -1);
+  std::optional<IndexExpr> &known = differences[a->first];
+  if (known && known->compare(difference) != 0)
+    return false;
+  known = difference;
+  return true;
+}
+
+bool MeetingBuilder::getBounds(const IndexLimits &limits,
+                               SmallVector<Bounds> &bounds) {
+  std::optional<LoopBox> box = getConstantBox(loop);
+  if (!box && loop.isStructFor())
+    return false;
+  for (size_t dim = 0; dim != rank; ++dim) {
+    Value lower = box ? number(box->lower[dim])
+                      : widen(loop.getLowerBounds()[dim]);
+    Value upper = box ? number(box->upper[dim])
+                      : widen(loop.getUpperBounds()[dim]);
+    for (const IndexExpr &limit : limits.lower[dim]) {
+      Value value = emit(limit);
+      if (!value)
+        return false;
+      lower = b.createOrFold<arith::MaxSIOp>(lower, value);
+    }
+    for (const IndexExpr &limit : limits.upper[dim]) {
+      Value value = emit(limit);
+      if (!value)
+        return false;
+      upper = b.createOrFold<arith::MinSIOp>(upper, value);
+    }
+    bounds.push_back({lower, upper});
+  }
+  return true;
+}
+
+Value MeetingBuilder::create(DifferentiableAccessInterface write,
+                             DifferentiableAccessInterface read) {
+  std::optional<IndexLimits> ofWrite = getLimits(write, loop);
+  std::optional<IndexLimits> ofRead = getLimits(read, loop);
+  if (!ofWrite || !ofRead)
+    return {};
+  differences.resize(rank);
+  auto add = [&](ValueRange lhs, ValueRange rhs) {
+    return llvm::all_of(llvm::zip_equal(lhs, rhs), [&](auto pair) {
+      auto [a, c] = pair;
+      return addEquation(builder.get(a), builder.get(c));
+    });
+  };
+  ValueRange parts = write.getAccessComponents();
+  ValueRange readParts = read.getAccessComponents();
+  if (!add(write.getAccessIndices(), read.getAccessIndices()) ||
+      (parts.size() == readParts.size() && !add(parts, readParts)))
+    return {};
+  SmallVector<Bounds> writes, reads;
+  if (!getBounds(*ofWrite, writes) || !getBounds(*ofRead, reads))
+    return {};
+  using Predicate = arith::CmpIPredicate;
+  Value differ;
+  auto addDifference = [&](Value condition) {
+    differ = differ ? b.createOrFold<arith::OrIOp>(differ, condition)
+                    : condition;
+  };
+  for (size_t dim = 0; dim != rank; ++dim) {
+    auto [from, to] = writes[dim];
+    auto [readFrom, readTo] = reads[dim];
+    if (differences[dim]) {
+      Value distance = emit(*differences[dim]);
+      if (!distance)
+        return {};
+      // Iterations that write, of which the one that reads is there too.
+      from = b.createOrFold<arith::MaxSIOp>(
+          from, b.createOrFold<arith::SubIOp>(readFrom, distance));
+      to = b.createOrFold<arith::MinSIOp>(
+          to, b.createOrFold<arith::SubIOp>(readTo, distance));
+      require(compare(Predicate::slt, from, to));
+      addDifference(compare(Predicate::ne, distance, number(0)));
+      continue;
+    }
+    require(compare(Predicate::slt, from, to));
+    require(compare(Predicate::slt, readFrom, readTo));
+    Value least = b.createOrFold<arith::MinSIOp>(from, readFrom);
+    Value most = b.createOrFold<arith::MaxSIOp>(to, readTo);
+    Value extent = b.createOrFold<arith::SubIOp>(most, least);
+    addDifference(compare(Predicate::sge, extent, number(2)));
+  }
+  if (!differ)
+    return {};
+  require(differ);
+  if (!haveSameStorage(write, read))
+    require(createIsOneArray(b, write, read));
+  return meets;
+}
+
+void OtherIterations::refuseLaunches() {
+  auto kernel = loop->getParentOfType<KernelOp>();
+  if (!kernel)
+    return;
+  for (auto [write, read] : possible) {
+    Value meets = MeetingBuilder(loop, read->getLoc()).create(write, read);
+    if (!meets || matchPattern(meets, m_Zero()))
+      continue;
+    ImplicitLocOpBuilder b(read->getLoc(), loop);
+    std::string message = describeElement(read);
+    if (!haveSameStorage(write, read))
+      message = "two arguments of the kernel are one array, of which an element";
+    message += " is read here by one iteration of a parallel loop, while "
+               "another iteration writes it, and the result would depend on "
+               "which of them comes first; write to another field and copy it "
+               "in a later loop, or run this loop on one thread ('serialize')";
+    Value isApart = b.createOrFold<arith::XOrIOp>(
+        meets, arith::ConstantIntOp::create(b, 1, 1));
+    if (loop->getParentOp() != kernel ||
+        !IndexForms(kernel).isLaunchValue(isApart)) {
+      AssertOp::create(b, isApart, b.getStringAttr(message), ValueRange(),
+                       b.getI32IntegerAttr(TAI_FAIL_CHECK));
+      continue;
+    }
+    // At the top, where nothing has happened yet.
+    Operation *condition = PreconditionOp::create(
+        b, isApart, b.getStringAttr(message), ValueRange());
+    SetVector<Operation *> slice;
+    (void)getBackwardSlice(condition, &slice);
+    slice.insert(condition);
+    Operation *last = nullptr;
+    for (Operation *op : slice) {
+      if (last)
+        op->moveAfter(last);
+      else
+        op->moveBefore(&kernel.getBody().front(),
+                       kernel.getBody().front().begin());
+      last = op;
+    }
+  }
+}
+
+//===----------------------------------------------------------------------===//
+// Runs
+//===----------------------------------------------------------------------===//
+
+void OtherIterations::checkStorage(ArrayRef<Pair> pairs) {
+  auto [first, other] = pairs.front();
+  Value isWanted;
+  if (!haveSameStorage(first, other)) {
+    ImplicitLocOpBuilder b(loop.getLoc(), loop);
+    isWanted = createIsOneArray(b, first, other);
+  }
+  std::optional<IterationShadow> shadow =
+      IterationShadow::create(loop, first, isWanted);
+  if (!shadow)
+    return;
+  Value writers = shadow->createArray(), readers = shadow->createArray();
+  constexpr llvm::StringLiteral message =
+      "is read by one iteration of a parallel loop and written by another one, "
+      "and the result would depend on which of them comes first";
+  llvm::SmallPtrSet<Operation *, 8> done;
+  auto visit = [&](DifferentiableAccessInterface access, Value own,
+                   Value others) {
+    if (!done.insert(access).second)
+      return;
+    shadow->moveTo(access);
+    shadow->leave(own, access);
+    shadow->require(shadow->isFree(others, access), access, message);
+  };
+  for (auto [write, read] : pairs) {
+    visit(write, writers, readers);
+    visit(read, readers, writers);
+  }
+}
+
+void OtherIterations::check() {
+  using Key = std::pair<const void *, const void *>;
+  llvm::MapVector<Key, SmallVector<Pair>> storages;
+  for (const Pair &pair : possible)
+    storages[Key(getStorageKey(pair.write), getStorageKey(pair.read))]
+        .push_back(pair);
+  for (auto &[key, pairs] : storages)
+    checkStorage(pairs);
+}

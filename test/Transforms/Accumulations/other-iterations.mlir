@@ -1,0 +1,142 @@
+// RUN: tai-opt %s --tai-recognize-reductions --canonicalize | FileCheck %s
+// RUN: tai-opt %s --tai-recognize-reductions=checks --canonicalize | FileCheck %s --check-prefix=CHECKS
+// RUN: tai-opt %s --tai-recognize-reductions="checks one-thread" --canonicalize | FileCheck %s --check-prefix=ONE
+
+// Iterations that read what other iterations may write: launches are refused
+// where bounds and arguments decide, and the rest is looked for as it runs.
+
+// CHECK-NOT: tai.precondition
+// CHECK-NOT: tai.assert
+// ONE-NOT: tai.precondition
+// ONE-NOT: tai.assert
+
+tai.tree @t : !tai.root<dense<[i: 64], {x: f32, b: i32}>, dense<[i: 8, j: 8], {z: f32}>>
+tai.field @x = @t["x"] : f32, rank 1
+tai.field @b = @t["b"] : i32, rank 1
+tai.field @z = @t["z"] : f32, rank 2
+
+// CHECKS-LABEL: tai.kernel @long
+// CHECKS-SAME: %[[N:.*]]: index
+// CHECKS: %[[WIDE:.*]] = arith.index_cast %[[N]] : index to i64
+// CHECKS: tai.precondition %{{.*}}, "an element of field '@x' is read here by one iteration of a parallel loop, while another iteration writes it
+// CHECKS: tai.parallel_for
+tai.kernel @long(%n: index) {
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) = (%c1) to (%n) {
+    %0 = arith.subi %i, %c1 : index
+    %1 = tai.load @x[%0] : f32
+    tai.store %1, @x[%i] : f32
+  }
+  tai.return
+}
+
+// CHECKS-LABEL: tai.kernel @slots
+// CHECKS-SAME: (%[[TO:.*]]: index, %[[OF:.*]]: index)
+// CHECKS-DAG: arith.index_cast %[[TO]]
+// CHECKS-DAG: arith.index_cast %[[OF]]
+// CHECKS: tai.precondition
+tai.kernel @slots(%to: index, %of: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c7 = arith.constant 7 : index
+  tai.parallel_for (%i) = (%c0) to (%c7) {
+    %0 = arith.addi %i, %c1 : index
+    %1 = tai.load @z[%of, %0] : f32
+    tai.store %1, @z[%to, %i] : f32
+  }
+  tai.return
+}
+
+// Two arrays that may be one.
+// CHECKS-LABEL: tai.kernel @arrays
+// CHECKS-SAME: (%[[A:.*]]: memref<?xf32>, %[[B:.*]]: memref<?xf32>
+// CHECKS-DAG: memref.extract_aligned_pointer_as_index %[[A]]
+// CHECKS-DAG: memref.extract_aligned_pointer_as_index %[[B]]
+// CHECKS: tai.precondition %{{.*}}, "two arguments of the kernel are one array
+tai.kernel @arrays(%a: memref<?xf32>, %b: memref<?xf32>, %n: index) {
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) = (%c1) to (%n) {
+    %0 = arith.subi %i, %c1 : index
+    %1 = memref.load %b[%0] : memref<?xf32>
+    memref.store %1, %a[%i] : memref<?xf32>
+  }
+  tai.return
+}
+
+// A value that the launch does not know.
+// CHECKS-LABEL: tai.kernel @by_a_field
+// CHECKS: tai.load @b
+// CHECKS: tai.assert %{{.*}}, "an element of field '@x' is read here by one iteration
+// CHECKS: tai.parallel_for
+tai.kernel @by_a_field() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c32 = arith.constant 32 : index
+  %0 = tai.load @b[%c0] : i32
+  %k = arith.index_cast %0 : i32 to index
+  tai.parallel_for (%i) = (%c1) to (%c32) {
+    %1 = arith.addi %i, %k : index
+    %2 = tai.load @x[%1] : f32
+    tai.store %2, @x[%i] : f32
+  }
+  tai.return
+}
+
+// CHECKS-LABEL: tai.kernel @permuted
+// CHECKS: %[[WRITERS:.*]] = memref.alloc() : memref<64xf64>
+// CHECKS: %[[READERS:.*]] = memref.alloc() : memref<64xf64>
+// CHECKS: memref.atomic_rmw maximumf %{{.*}}, %[[READERS]]
+// CHECKS: memref.atomic_rmw maximumf %{{.*}}, %[[WRITERS]]
+// CHECKS: tai.assert %{{.*}}, "an element of field '@x', at [{}], is read by one iteration of a parallel loop and written by another one
+// CHECKS-NEXT: tai.load @x
+// CHECKS: tai.assert %{{.*}}, "an element of field '@x', at [{}], is read by one iteration
+// CHECKS-NEXT: tai.store
+tai.kernel @permuted() attributes {tai.check_updates} {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @x[%1] : f32
+    tai.store %2, @x[%i] : f32
+  }
+  tai.return
+}
+
+// Iterations that are apart: red and black cells, halves, time slots, a border,
+// a maximum.
+// CHECKS-LABEL: tai.kernel @apart
+// CHECKS-NOT: tai.precondition
+// CHECKS-NOT: tai.assert
+tai.kernel @apart(%t: index) attributes {tai.check_updates} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c7 = arith.constant 7 : index
+  %c32 = arith.constant 32 : index
+  tai.parallel_for (%i) = (%c0) to (%c32) {
+    %0 = arith.muli %i, %c2 : index
+    %1 = arith.addi %0, %c1 : index
+    %2 = tai.load @x[%1] : f32
+    tai.store %2, @x[%0] : f32
+  }
+  tai.parallel_for (%i) = (%c0) to (%c32) {
+    %0 = arith.addi %i, %c32 : index
+    %1 = tai.load @x[%0] : f32
+    tai.store %1, @x[%i] : f32
+  }
+  tai.parallel_for (%i) = (%c0) to (%c7) {
+    %0 = arith.addi %i, %c1 : index
+    %next = arith.addi %t, %c1 : index
+    %1 = tai.load @z[%t, %0] : f32
+    tai.store %1, @z[%next, %i] : f32
+  }
+  tai.parallel_for (%i) = (%c0) to (%c7) {
+    %0 = tai.load @z[%c1, %i] : f32
+    tai.store %0, @z[%c0, %i] : f32
+  }
+  tai.parallel_for (%i) = (%c1) to (%c32) {
+    %0 = arith.subi %i, %c1 : index
+    %1 = tai.load @x[%0] : f32
+    %2 = tai.atomic max %1, @x[%i] : f32
+  }
+  tai.return
+}
