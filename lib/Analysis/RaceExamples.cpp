@@ -48,6 +48,11 @@ static std::optional<int64_t> combine(IndexNode::Kind kind, int64_t lhs,
       return std::nullopt;
     result = llvm::divideFloorSigned(lhs, rhs);
     return kind == Kind::Quotient ? result : lhs - result * rhs;
+  case Kind::TruncatedQuotient:
+  case Kind::TruncatedRemainder:
+    if (rhs == 0 || rhs == -1)
+      return std::nullopt;
+    return kind == Kind::TruncatedQuotient ? lhs / rhs : lhs % rhs;
   case Kind::Product:
     if (llvm::MulOverflow(lhs, rhs, result))
       return std::nullopt;

@@ -19,7 +19,7 @@
 
 namespace mlir::tai {
 
-/// The name of what an access reaches, for messages.
+/// The name of the element of an access, for messages.
 std::string describeElement(DifferentiableAccessInterface access);
 
 /// The shadows of one storage in one loop: a number for each component.

@@ -221,7 +221,8 @@ Value MeetingBuilder::emit(const IndexAtom &atom) {
     return isNarrow ? widen(atom.getValue()) : Value();
   }
   using Kind = IndexNode::Kind;
-  bool divides = node->kind == Kind::Quotient || node->kind == Kind::Remainder;
+  bool divides = node->kind != Kind::Product && node->kind != Kind::Min &&
+                 node->kind != Kind::Max;
   if (divides && !(node->rhs.isConstant() && node->rhs.constant > 0))
     return {};
   Value lhs = emit(node->lhs), rhs = emit(node->rhs);
@@ -235,6 +236,10 @@ Value MeetingBuilder::emit(const IndexAtom &atom) {
     return b.createOrFold<arith::SubIOp>(
         lhs, b.createOrFold<arith::MulIOp>(quotient, rhs));
   }
+  case Kind::TruncatedQuotient:
+    return b.createOrFold<arith::DivSIOp>(lhs, rhs);
+  case Kind::TruncatedRemainder:
+    return b.createOrFold<arith::RemSIOp>(lhs, rhs);
   case Kind::Product:
     return b.createOrFold<arith::MulIOp>(lhs, rhs);
   case Kind::Min:

@@ -22,8 +22,8 @@
 //
 // The last step of all is the store, which goes.
 //
-// What remains, and reads of what other iterations write (OtherIterations.cpp),
-// is refused where it certainly is a race.
+// Other updates are refused where they certainly are races; so are reads of
+// elements that other iterations write (OtherIterations.cpp).
 //
 //===----------------------------------------------------------------------===//
 
@@ -55,7 +55,7 @@ class LoopUpdates {
 public:
   explicit LoopUpdates(ParallelForOp loop) : loop(loop), same(loop) {}
 
-  /// Checks at launch, or as the loop runs, what is not certain.
+  /// Uncertain races are checked at the launch, or as the loop runs.
   LogicalResult run(bool oneThread, bool atLaunch, bool atRun);
 
 private:
