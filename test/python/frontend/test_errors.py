@@ -383,3 +383,19 @@ def test_unknown_name_of_the_package():
     with pytest.raises(AttributeError, match="no attribute 'fild'") as caught:
         _ = ti.fild
     assert "field" in caught.value.__notes__[0]
+
+
+def test_fields_are_called_by_their_variables():
+    mass, kept = ti.field(ti.i32, 3), {"speed": ti.field(ti.i32, 3)}
+
+    class Body:
+        def __init__(self):
+            self.pressure = ti.field(ti.i32, 3)
+
+    body = Body()
+    with pytest.raises(ti.TaiAutodiffError, match="field 'mass' is of type i32"):
+        ti.optim.Adam([mass])
+    with pytest.raises(ti.TaiAutodiffError, match="field 'pressure' is of type i32"):
+        ti.optim.Adam([body.pressure])
+    with pytest.raises(ti.TaiAutodiffError, match="field 'field' is of type i32"):
+        ti.optim.Adam([kept["speed"]])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +18,26 @@ from .snode import Place, SNode
 
 if TYPE_CHECKING:
     from .scalar import ScalarField
+
+
+def _variable_of(field: Any) -> str | None:
+    """The variable of the program that holds a field, or the attribute of an object in a variable:
+    no kernel may have named the field yet."""
+    frame: Any = sys._getframe(1)
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("tai."):
+        frame = frame.f_back
+    if frame is None:
+        return None
+    variables = [frame.f_locals, frame.f_globals]
+    objects = [
+        vars(value) for names in variables for value in list(names.values())
+        if hasattr(value, "__dict__") and not isinstance(value, (type, ModuleType, Elements))
+    ]  # fmt: skip
+    for names in (*variables, *objects):
+        for name, value in list(names.items()):
+            if value is field and not name.startswith("_"):
+                return str(name)
+    return None
 
 
 class Field(Elements, Shareable):
@@ -68,7 +90,7 @@ class Field(Elements, Shareable):
         """The name of the field in messages."""
         if self.primal is not None:
             return f"{self.primal.name}.{self.role}"
-        return self._name or "field"
+        return self._name or _variable_of(self) or "field"
 
     def _described(self) -> str:
         return f"field '{self.name}'"
