@@ -62,23 +62,6 @@ void forgetArrays() {
   delete std::exchange(taped, nullptr);
 }
 
-/// A number that other bytes have not, but for one case in 2⁶⁴.
-uint64_t digest(uint64_t address, uint64_t bytes) {
-  return mlir::tai::runtime::xxh64(reinterpret_cast<const void *>(address),
-                                   bytes);
-}
-
-/// A digest of some of the bytes.
-uint64_t sample(uint64_t address, uint64_t bytes) {
-  constexpr uint64_t pieces = 32, size = 64;
-  if (bytes <= pieces * size)
-    return digest(address, bytes);
-  uint64_t result = 0, step = (bytes - size) / (pieces - 1);
-  for (uint64_t i = 0; i < pieces; ++i)
-    result = result * 31 + digest(address + i * step, size);
-  return result;
-}
-
 /// The format of a buffer, without a byte-order mark.
 const char *formatOf(const Py_buffer &view) {
   const char *format = view.format ? view.format : "B";
@@ -105,6 +88,21 @@ bool isFloat(char format) {
 }
 
 } // namespace
+
+uint64_t taipy::digest(uint64_t address, uint64_t bytes) {
+  return mlir::tai::runtime::xxh64(reinterpret_cast<const void *>(address),
+                                   bytes);
+}
+
+uint64_t taipy::sample(uint64_t address, uint64_t bytes) {
+  constexpr uint64_t pieces = 32, size = 64;
+  if (bytes <= pieces * size)
+    return digest(address, bytes);
+  uint64_t result = 0, step = (bytes - size) / (pieces - 1);
+  for (uint64_t i = 0; i < pieces; ++i)
+    result = result * 31 + digest(address + i * step, size);
+  return result;
+}
 
 //===----------------------------------------------------------------------===//
 // HeldArrays
@@ -181,9 +179,10 @@ Match HeldArrays::matchTaped(const Range &range, PyObject *object, Slots &slots,
 Match HeldArrays::packBuffer(const ArrayArg &arg, PyObject *object,
                              Slots &slots) {
   Py_buffer view;
-  if (PyObject_GetBuffer(object, &view,
-                         PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE) !=
-      0) {
+  int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT;
+  if (arg.isWritten || arg.hasGradient)
+    flags |= PyBUF_WRITABLE;
+  if (PyObject_GetBuffer(object, &view, flags) != 0) {
     forgetError();
     return Match::No;
   }

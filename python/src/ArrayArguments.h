@@ -111,6 +111,11 @@ private:
   std::vector<uint64_t> streams;
 };
 
+/// A number that other bytes have not, but for one case in 2⁶⁴.
+uint64_t digest(uint64_t address, uint64_t bytes);
+/// A digest of some of the bytes.
+uint64_t sample(uint64_t address, uint64_t bytes);
+
 /// Sets the tape that is recording, or None.
 void setArrayTape(PyObject *tape);
 

@@ -16,6 +16,7 @@
 #include "ArrayArguments.h"
 #include "Constants.h"
 #include "Safepoint.h"
+#include "WatchedViews.h"
 
 #include <algorithm>
 #include <cstring>
@@ -325,6 +326,8 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
     setError(spec.kernel->context->handle, status);
     return nullptr;
   }
+  if (isRecording())
+    renewViews();
   if (!hasResults)
     Py_RETURN_NONE;
   if (spec.result.wrap.is_none())
@@ -347,7 +350,8 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
   if (spec.generation != generation || spec.args.size() != count ||
       (isRecording() &&
        (spec.tracking == Specialization::Tracking::Python ||
-        (spec.tracking == Specialization::Tracking::Arrays && spec.grad))) ||
+        (spec.tracking == Specialization::Tracking::Arrays && spec.grad) ||
+        haveViewsChanged())) ||
       (isForward() && spec.tracking == Specialization::Tracking::Python))
     return Match::No;
   InUse inUse(spec);
@@ -554,6 +558,7 @@ void taipy::bindLauncher(py::module_ &module) {
   module.attr("Launcher") = type;
   bindArrayArguments(module);
   bindConstants(module);
+  bindWatchedViews(module);
 
   module.def("set_tape", [](const py::object &tape) {
     setFlag(isRecordingHere, recordingThreads, !tape.is_none());

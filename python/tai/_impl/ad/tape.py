@@ -173,7 +173,7 @@ class Tape(native.WithBlock):
         native.set_tape(self._core)
         # How the solves of its block ended, in order: `ti.linalg.SolveInfo` of each.
         self.solves = state.of_thread.solves = []
-        origins.note_tape()
+        origins.note_tape(self._core, self._checks)
         self._was_seeded = was_seeded
         if self._losses and not was_seeded:
             self._missing = self._missing or _Missing(self._losses)
@@ -208,6 +208,8 @@ class Tape(native.WithBlock):
 
     def _leave(self, kind: Any, error: Any, trace: Any) -> None:
         is_swept = kind is None and self._was_seeded
+        if is_swept:
+            origins.check_views()
         self._forget()
         self._core.end(is_swept and not self._checks)
         try:

@@ -44,6 +44,11 @@ class Shareable:
         origins.note_view(self, *sharing.place_of(self))
         return capsule
 
+    def _lend_memory(self) -> Any:
+        """An object that keeps the memory of the field; None on a GPU."""
+        is_on_host = sharing.field_device(self)[0] == sharing.CPU
+        return sharing.owner_of(self) if is_on_host else None
+
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
         """The memory of a field on a GPU for CuPy and Numba; elsewhere there is no such attribute.

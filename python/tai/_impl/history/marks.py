@@ -118,6 +118,15 @@ def mark_view(field: Any, extent: Extent) -> None:
     _views.append(_Region(extent, Mark.VIEW, field))
 
 
+def viewed() -> list[tuple[Any, Extent]]:
+    """The fields that other libraries have views of, and the memory of these."""
+    found = [(view.owner(), view.extent) for view in _views]
+    return [
+        (field, extent) for field, extent in found
+        if field is not None and (getattr(field, "single", None) or field).is_current()
+    ]  # fmt: skip
+
+
 def field_behind(value: Any) -> Any:
     """The field whose memory an array is a view of, or None."""
     extent = extent_of(value) if _views else None

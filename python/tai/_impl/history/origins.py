@@ -17,7 +17,7 @@ import math
 import sys
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import FunctionType
 from typing import Any
 
@@ -39,6 +39,8 @@ _DISCRETE = (
 
 # Calls of functions that are followed into their text.
 _DEPTH = 3
+# Callers of a function that launches, up to the one that records.
+_MOST_CALLERS = 8
 
 # Places that have been looked at, by the addresses of code objects and of the objects they use, and
 # these objects, which are kept so that their addresses are not reused.
@@ -49,7 +51,12 @@ _MOST_SITES = 4096
 
 
 class _OfThread(threading.local):
-    watches = False
+    def __init__(self) -> None:
+        self.watches = False
+        # The code that has opened the tape.
+        self.recording: Any = None
+        # Fields that other libraries have views of, and the owners of their memory.
+        self.views: list[tuple[Any, Any]] = []
 
 
 _of_thread = _OfThread()
@@ -65,6 +72,9 @@ def begin() -> None:
 def end() -> None:
     """Nothing is recorded or followed any more."""
     marks.clear()
+    if _of_thread.views:
+        native.watch_views(None, [], False)
+        _of_thread.views.clear()
     if _of_thread.watches:
         _of_thread.watches = False
         native.watch_numbers(False)
@@ -134,10 +144,49 @@ def note_read(field: Any) -> None:
         begin()
 
 
-def note_tape() -> None:
-    """A tape begins to record."""
+def note_tape(tape: Any, looks_at_all: bool) -> None:
+    """A tape begins to record.
+
+    Args:
+        tape: the core.
+        looks_at_all: whether all of a view is compared between launches, or a few pieces.
+    """
+    frame = calling_frame()
+    _of_thread.recording = None if frame is None else frame.f_code
     if marks.has_views():
         begin()
+        _watch_views(tape, looks_at_all)
+
+
+def _watch_views(tape: Any, looks_at_all: bool) -> None:
+    """Watches the memory of fields that other libraries may write to between launches."""
+    _of_thread.views = []
+    memory = []
+    for field, extent in marks.viewed():
+        # On a GPU, the host would have to wait to compare.
+        owner = field._lend_memory() if has_history(field) else None
+        if owner is not None:
+            _of_thread.views.append((field, owner))
+            memory.append((extent.begin, extent.end - extent.begin))
+    native.watch_views(tape, memory, looks_at_all)
+
+
+def check_views() -> None:
+    """Looks for writes to fields through views since the last recorded launch."""
+    changed = native.take_changed_views() if _of_thread.views else ()
+    frame = calling_frame() if changed else None
+    fields = [_of_thread.views[number][0] for number in changed]
+    if frame is None or not is_new_place(frame, fields[0]):
+        return
+    # Elements of fields in common cells lie between each other.
+    names = " or ".join(f"'{field.name}'" for field in fields)
+    warn_at(
+        frame,
+        f"field {names} was written through a view of it (DLPack) after a kernel had been "
+        "recorded: the tape does not see such writes, and the gradient is wrong if that kernel "
+        "has used these elements. Write to the field in a kernel or by from_numpy or from_torch, "
+        "or before the tape begins",
+    )
 
 
 def note_view(field: Any, address: int, steps: tuple[int, ...]) -> None:
@@ -284,10 +333,15 @@ def check_arrays(kernel: Any, names: list[str], arrays: dict[str, Any]) -> None:
         if marks.mark_of(value) is Mark.HOST and is_new_place(frame, _warn):
             _warn(frame, f"what array '{name}' of kernel '{kernel.__name__}' is given")
     # Arrays that kernels have stored to are followed by the tape.
-    unknown = [n for n, v in arrays.items() if marks.mark_of(v) is None]
+    unknown = {
+        n: v for n, v in arrays.items()
+        if marks.mark_of(v) is None and marks.field_behind(v) is None
+    }  # fmt: skip
     if unknown and _of_thread.watches and is_new_place(frame, kernel.grad):
-        for name in set(unknown) & set(_names_of(frame, kernel, names, _Scope.is_computed)):
-            if marks.field_behind(arrays[name]) is None:
+        found = _names_of(frame, kernel, names, _Scope.is_computed)
+        stored = _stored_arrays(frame)
+        for name, value in unknown.items():
+            if name in found or _shares_memory(value, stored):
                 _warn(frame, f"what array '{name}' of kernel '{kernel.__name__}' is given")
 
 
@@ -304,6 +358,8 @@ def check_write(field: Any, value: Any) -> None:
     if frame is None or not is_new_place(frame, _warn if tracked else check_write):
         return
     is_array = marks.extent_of(value) is not None
+    if is_array and not tracked and _shares_memory(value, _stored_arrays(frame)):
+        tracked = True
     if tracked or any(
         (scope.is_computed if is_array else scope.has_history)(expression)
         for scope in [_Scope.of_frame(frame)]
@@ -346,6 +402,34 @@ def warn_at(frame: Any, message: str) -> None:
     )
 
 
+# Arrays that the program keeps
+
+
+def _stored_arrays(frame: Any) -> list[marks.Extent]:
+    """The memory of arrays into which the program stores numbers with a history.
+
+    The texts are those of the function of the frame, of its callers up to the one that records,
+    and of the functions that they call.
+    """
+    scopes = []
+    for _ in range(_MOST_CALLERS):
+        scopes.append(_Scope.of_frame(frame))
+        is_last = frame.f_code is _of_thread.recording
+        frame = frame.f_back
+        if is_last or frame is None:
+            break
+    else:
+        # The tape has been opened somewhere else.
+        scopes = scopes[:1]
+    found = [extent for scope in scopes for extent in scope.stored(set())]
+    return [extent for extent in found if extent is not None]
+
+
+def _shares_memory(value: Any, stored: list[marks.Extent]) -> bool:
+    extent = marks.extent_of(value) if stored else None
+    return extent is not None and any(extent.overlaps(other) for other in stored)
+
+
 # The text of a function
 
 
@@ -371,13 +455,29 @@ def _find_body(filename: str, line: int, name: str) -> ast.AST | None:
     return module if name.startswith("<") else None
 
 
+def _own_nodes(body: ast.AST | None) -> Iterator[ast.AST]:
+    """The nodes of a text, but for those of functions that it defines."""
+    waiting = [] if body is None else [body]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        waiting += [
+            child for child in ast.iter_child_nodes(node)
+            if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
+        ]  # fmt: skip
+
+
 class _Scope:
     """The text of a function, and the meanings of its names."""
 
-    def __init__(self, body: ast.AST | None, names: list[dict[str, Any]], depth: int):
+    def __init__(
+        self, body: ast.AST | None, names: list[dict[str, Any]], depth: int,
+        tainted: set[str] | None = None,
+    ):  # fmt: skip
+        self._body = body
         self._nodes = [] if body is None else list(ast.walk(body))
         self._names, self._depth = names, depth
-        self._tainted: set[str] = set()
+        self._tainted = set() if tainted is None else tainted
         self._spread()
 
     @classmethod
@@ -429,6 +529,53 @@ class _Scope:
                 if node.func.attr in ("fill", "from_numpy", "from_torch"):
                     found += node.args
         return found
+
+    def stored(self, seen: set[Any]) -> list[marks.Extent | None]:
+        """The memory of arrays to which this text, or a function that it calls, stores numbers
+        with a history.
+
+        Args:
+            seen: code that has been looked at.
+        """
+        found = []
+        for node in _own_nodes(self._body):
+            if isinstance(node, (ast.Assign, ast.AugAssign, ast.AnnAssign)):
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                if node.value is not None and self.has_history(node.value):
+                    found += [self._memory_of(t) for t in targets]
+            elif isinstance(node, ast.Call):
+                found += self._stored_by(node, seen)
+        return found
+
+    def _memory_of(self, target: ast.AST) -> marks.Extent | None:
+        """The array that an assignment stores to, or that an attribute holds now."""
+        while isinstance(target, ast.Subscript):
+            value = self.resolve(target)
+            if marks.extent_of(value) is not None:
+                break
+            target = target.value
+        return marks.extent_of(self.resolve(target))
+
+    def _stored_by(self, call: ast.Call, seen: set[Any]) -> list[marks.Extent | None]:
+        values = [*call.args, *(k.value for k in call.keywords if k.arg != "out")]
+        outs = [k.value for k in call.keywords if k.arg == "out"]
+        called = self.resolve(call.func)
+        if called in (np.copyto, np.put, np.place, np.putmask):
+            outs, values = call.args[:1], call.args[1:]
+        elif isinstance(call.func, ast.Attribute):
+            # Methods of arrays and of torch's tensors that change them.
+            name = call.func.attr
+            if name in ("fill", "put") or (name.endswith("_") and not name.startswith("_")):
+                outs = [*outs, call.func.value]
+        if outs:
+            is_stored = any(map(self.has_history, values))
+            return [self._memory_of(out) for out in outs] if is_stored else []
+        function = getattr(called, "__func__", called)
+        if not isinstance(function, FunctionType) or function.__code__ in seen:
+            return []
+        seen.add(function.__code__)
+        inner = self._inner(function, call)
+        return [] if inner is None else inner.stored(seen)
 
     def resolve(self, node: ast.AST) -> Any:
         """The value that a name or an attribute stands for now; None if that is unknown."""
@@ -521,17 +668,31 @@ class _Scope:
         arguments = [*node.args, *(keyword.value for keyword in node.keywords)]
         return any(self.has_history(argument) for argument in arguments)
 
-    def _returns_history(self, function: FunctionType, call: ast.Call) -> bool:
-        if self._depth == 0 or function.__module__.startswith(("tai.", "numpy")):
-            return False
+    def _inner(self, function: FunctionType, call: ast.Call) -> _Scope | None:
+        """The text of a function, with the arguments of a call; None if it is not looked at."""
+        module = function.__module__ or ""
+        if self._depth == 0 or module.split(".")[0] in ("tai", "numpy", "torch"):
+            return None
         code = function.__code__
         body = _find_body(code.co_filename, code.co_firstlineno, code.co_name)
         cells = zip(code.co_freevars, function.__closure__ or (), strict=True)
         closure = {name: cell.cell_contents for name, cell in cells if _is_set(cell)}
-        given = dict(zip(code.co_varnames, map(self.resolve, call.args), strict=False))
-        named = {k.arg: self.resolve(k.value) for k in call.keywords if k.arg}
-        scopes = [given, named, closure, function.__globals__, vars(builtins)]
-        inner = _Scope(body, scopes, self._depth - 1)
+        arguments: list[ast.AST] = list(call.args)
+        if isinstance(call.func, ast.Attribute):
+            base = self.resolve(call.func.value)
+            if getattr(type(base), function.__name__, None) is function:
+                arguments.insert(0, call.func.value)
+        given = dict(zip(code.co_varnames, arguments, strict=False))
+        given.update({keyword.arg: keyword.value for keyword in call.keywords if keyword.arg})
+        values = {name: self.resolve(argument) for name, argument in given.items()}
+        scopes = [values, closure, function.__globals__, vars(builtins)]
+        tainted = {name for name, argument in given.items() if self.has_history(argument)}
+        return _Scope(body, scopes, self._depth - 1, tainted)
+
+    def _returns_history(self, function: FunctionType, call: ast.Call) -> bool:
+        inner = self._inner(function, call)
+        if inner is None:
+            return False
         returns = (n.value for n in inner._nodes if isinstance(n, ast.Return) and n.value)
         return any(inner.has_history(value) for value in returns)
 

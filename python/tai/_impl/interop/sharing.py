@@ -90,6 +90,11 @@ def place_of(field: Any) -> tuple[int, tuple[int, ...]]:
     return address, steps
 
 
+def owner_of(field: Any) -> Any:
+    """An object that keeps the memory of a field."""
+    return _storage(field).core.lend()[3]
+
+
 class _Lent:
     """A field for `torch.from_dlpack`, whose tensor does not outlive a copy."""
 

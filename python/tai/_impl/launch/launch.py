@@ -126,8 +126,14 @@ def launch(
         cell = tangents.Cell(found.result_pool, count)
         slots.append(cell.first)
     gradient = None
+    if tape is not None:
+        origins.check_views()
     if tape is not None and kept and not grad:
-        arrays = {h.name: h.value for h in kept if h.is_read and not h.has_gradient}
+        # Integers have no derivative.
+        arrays = {
+            h.name: h.value for h in kept
+            if h.is_read and not h.has_gradient and h.array.dtype.kind not in "iub"
+        }  # fmt: skip
         origins.check_arrays(launcher, [p.name for p in signature.given], arrays)
     try:
         for held in kept if tape is not None else ():

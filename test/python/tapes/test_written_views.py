@@ -1,0 +1,130 @@
+"""Writes to a field through a view of it, by DLPack, between two recorded launches."""
+
+import warnings
+
+import numpy as np
+import pytest
+import tai as ti
+
+
+class Scene:
+    """x -> y -> loss"""
+
+    def __init__(self, size=1000, dtype=ti.f32, shared=False):
+        ti.init(default_fp=ti.f32, offline_cache=False)
+        x = self.x = ti.field(dtype, needs_grad=True, name="x")
+        y = self.y = ti.field(dtype, needs_grad=True, name="y")
+        loss = self.loss = ti.field(dtype, shape=(), needs_grad=True, name="loss")
+        if shared:
+            ti.root.dense(ti.i, size).place(x, y)
+        else:
+            ti.root.dense(ti.i, size).place(x)
+            ti.root.dense(ti.i, size).place(y)
+        x.fill(1.0)
+
+        @ti.kernel
+        def square():
+            for i in x:
+                y[i] = x[i] * x[i]
+
+        @ti.kernel
+        def total():
+            for i in y:
+                loss[None] += y[i]
+
+        self.square, self.total = square, total
+        self.view_of_x, self.view_of_y = np.from_dlpack(x), np.from_dlpack(y)
+
+    def said(self, between, **options):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            for _ in range(2):
+                with ti.ad.Tape(self.loss, **options):
+                    self.square()
+                    between()
+                    self.total()
+        assert all(w.filename == __file__ for w in caught)
+        return [str(w.message) for w in caught]
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("dtype", [ti.f32, ti.f64])
+@pytest.mark.parametrize("size", [1, 30, 65_537])
+def test_a_write_of_all_elements(size, dtype, shared):
+    s = Scene(size, dtype, shared)
+
+    def write():
+        s.view_of_x[:] = 2 * s.view_of_x
+
+    (message,) = s.said(write)
+    # The elements of both lie between each other.
+    name = "'x' or 'y'" if shared and size > 1 else "'x'"
+    assert f"field {name} was written through a view of it (DLPack)" in message
+
+
+def test_a_write_to_a_computed_field():
+    s = Scene()
+    (message,) = s.said(lambda: np.multiply(s.view_of_y, 2, out=s.view_of_y))
+    assert "field 'y' was written" in message
+
+
+def test_a_write_before_the_sweep():
+    s = Scene()
+    with pytest.warns(ti.ad.TaiGradientWarning, match="field 'x' was written"):  # noqa: SIM117
+        with ti.ad.Tape(s.loss):
+            s.square()
+            s.total()
+            s.view_of_x[3] = 7
+
+
+def test_validation_sees_a_single_element():
+    s = Scene(100_003)
+    count = iter(range(100))
+
+    def write():
+        s.view_of_x[50_001] = 3.0 + next(count)
+
+    assert s.said(write) == []  # a few pieces do not show it
+    (message,) = s.said(write, validation=True)
+    assert "field 'x' was written" in message
+
+
+@pytest.mark.parametrize("form", ["nothing", "fill", "element", "from_numpy", "before", "read"])
+def test_nothing_is_said(form):
+    s = Scene()
+    work = {
+        "nothing": lambda: None,
+        "fill": lambda: s.x.fill(3.0),
+        "element": lambda: s.x.__setitem__(5, 2.0),
+        "from_numpy": lambda: s.x.from_numpy(np.ones(1000, np.float32)),
+        "before": lambda: None,
+        "read": lambda: s.view_of_x.sum(),
+    }[form]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for value in (1.0, 2.0):
+            if form == "before":
+                s.view_of_x[:] = value
+            with ti.ad.Tape(s.loss):
+                if form == "before":
+                    s.view_of_x[:] = value + 1
+                s.square()
+                work()
+                s.total()
+    if form == "before":
+        assert s.x.grad[7] == 6.0
+
+
+def test_a_tree_that_is_destroyed_while_the_tape_is_open():
+    s = Scene()
+    tree = ti.FieldsBuilder()
+    z = ti.field(ti.f32, needs_grad=True)
+    tree.dense(ti.i, 5000).place(z, z.grad)
+    made = tree.finalize()
+    view = np.from_dlpack(z)
+    with ti.ad.Tape(s.loss):
+        s.square()
+        del view
+        made.destroy()
+        s.total()
+    assert s.loss[None] == 1000.0
