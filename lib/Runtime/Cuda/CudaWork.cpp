@@ -417,7 +417,7 @@ Status CudaDevice::waitUntilReady(const Query &query, Result &result) {
       continue;
     }
     stopLoops(query);
-    return Status::failure(StatusCode::Interrupted, "interrupted");
+    return failAsInterrupted();
   }
   return Status::success();
 }

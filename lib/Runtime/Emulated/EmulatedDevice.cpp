@@ -18,7 +18,7 @@
 #include "EmulatedThreads.h"
 #include "tai/ABI/DeviceAbi.h"
 #include "tai/Runtime/Device/Device.h"
-#include "tai/Runtime/Threads/Safepoint.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <atomic>
 #include <chrono>
@@ -186,11 +186,20 @@ public:
     Status status = check(to, bytes);
     if (status)
       status = check(from, bytes);
-    if (status)
-      std::memmove(reinterpret_cast<void *>(to),
-                   reinterpret_cast<const void *>(from),
-                   static_cast<size_t>(bytes));
-    return status;
+    // Ranges that overlap are moved at once.
+    bool isApart = to + static_cast<DevicePtr>(bytes) <= from ||
+                   from + static_cast<DevicePtr>(bytes) <= to;
+    if (!status)
+      return status;
+    return safepoint::runInPieces(
+        bytes, isApart ? bytesPerSafepoint : std::max<int64_t>(bytes, 1),
+        /*canStop=*/true, [&](int64_t at, int64_t count) {
+          std::memmove(
+              reinterpret_cast<void *>(to + static_cast<DevicePtr>(at)),
+              reinterpret_cast<const void *>(from + static_cast<DevicePtr>(at)),
+              static_cast<size_t>(count));
+          return Status::success();
+        });
   }
 
   Status fill(DevicePtr to, const void *pattern, int patternBytes,
@@ -207,9 +216,13 @@ public:
       zero(at, patternBytes * count);
       return status;
     }
-    for (int64_t i = 0; i < count; ++i, at += patternBytes)
-      std::memcpy(at, pattern, static_cast<size_t>(patternBytes));
-    return status;
+    return safepoint::runInPieces(
+        count, bytesPerSafepoint / patternBytes, /*canStop=*/true,
+        [&](int64_t, int64_t some) {
+          for (int64_t i = 0; i < some; ++i, at += patternBytes)
+            std::memcpy(at, pattern, static_cast<size_t>(patternBytes));
+          return Status::success();
+        });
   }
 
   Status copyRows(const DeviceRows &to, DevicePtr from,
@@ -248,7 +261,7 @@ public:
   }
 
   bool isDeviceMemory(const void *address) const override {
-    return check(reinterpret_cast<DevicePtr>(address), 1).ok();
+    return contains(reinterpret_cast<DevicePtr>(address), 1);
   }
 
   Status load(const DeviceImage &image,
@@ -318,7 +331,7 @@ public:
     place = before;
     if (__builtin_expect(stoppedAt != nullptr, false)) {
       *std::exchange(stoppedAt, nullptr) = 0;
-      return Status::failure(StatusCode::Interrupted, "interrupted");
+      return failAsInterrupted();
     }
     return Status::success();
   }
@@ -381,22 +394,28 @@ private:
                 static_cast<size_t>(address + bytes - last));
   }
 
-  /// A GPU would fault on memory of the host; here it must be looked for.
-  Status check(DevicePtr memory, int64_t bytes) const {
+  bool contains(DevicePtr memory, int64_t bytes) const {
     std::lock_guard<std::mutex> lock(mutex);
     auto after = allocations.upper_bound(memory);
-    if (after != allocations.begin()) {
-      auto found = std::prev(after);
-      if (memory - found->first + static_cast<uint64_t>(bytes) <=
-          static_cast<uint64_t>(found->second))
-        return Status::success();
-    }
+    if (after == allocations.begin())
+      return false;
+    auto found = std::prev(after);
+    return memory - found->first + static_cast<uint64_t>(bytes) <=
+           static_cast<uint64_t>(found->second);
+  }
+
+  /// A GPU would fault on memory of the host; here it must be looked for.
+  Status check(DevicePtr memory, int64_t bytes) const {
+    if (contains(memory, bytes))
+      return Status::success();
     return Status::failure(StatusCode::Internal,
                            "a copy of " + formatBytes(bytes) +
                                " leaves the memory of the device");
   }
 
   static constexpr int64_t memoryBytes = int64_t(1) << 40;
+  /// Fills and copies that a GPU would do while the host waits.
+  static constexpr int64_t bytesPerSafepoint = 16 << 20;
   ObjectLinker linker;
   mutable std::mutex mutex;
   std::map<DevicePtr, int64_t> allocations;

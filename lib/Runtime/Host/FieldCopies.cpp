@@ -40,7 +40,7 @@ template <typename Look> Status CopySafepoints::call(const Look &look) {
   isInHandler = true;
   bool goesOn = look();
   isInHandler = false;
-  return goesOn ? Status::success() : FieldCopies::failAsInterrupted();
+  return goesOn ? Status::success() : failAsInterrupted();
 }
 
 Status CopySafepoints::begin(int64_t bytes) {
@@ -71,6 +71,52 @@ template <typename Data> struct RowPart {
   int64_t count;
 };
 } // namespace
+
+bool FieldCopies::runParts(
+    int64_t count, int64_t bytes, Interrupts interrupts,
+    const std::function<void(int64_t, int64_t)> &run) const {
+  struct Job {
+    const std::function<void(int64_t, int64_t)> &run;
+    int64_t count, parts;
+    bool isLong, canStop;
+    std::atomic<bool> isStopped{false};
+    safepoint::Watch watch;
+
+    void look() {
+      if (!watch.look() && canStop)
+        isStopped.store(true, std::memory_order_relaxed);
+    }
+  } job{
+      run,
+      count,
+      std::max(workers.partsOf(bytes, bytesPerPart), bytes / bytesPerSafepoint),
+      bytes >= 2 * bytesPerSafepoint,
+      interrupts == Interrupts::Stop,
+      {},
+      {}};
+  // The clock may stand still; the first safepoint starts it.
+  if (job.isLong && !safepoint::look() && job.canStop)
+    return false;
+  workers.parallel(
+      job.parts,
+      [](void *context, int64_t part) {
+        Job &job = *static_cast<Job *>(context);
+        // The thread that has called looks for all of them.
+        if (job.isLong && !safepoint::isWorker())
+          job.look();
+        if (job.isStopped.load(std::memory_order_relaxed))
+          return;
+        auto bound = [&](int64_t p) {
+          return job.count / job.parts * p +
+                 job.count % job.parts * p / job.parts;
+        };
+        job.run(bound(part), bound(part + 1));
+      },
+      &job,
+      job.isLong ? [](void *context) { static_cast<Job *>(context)->look(); }
+                 : static_cast<void (*)(void *)>(nullptr));
+  return !job.isStopped.load(std::memory_order_relaxed);
+}
 
 /// `data` is the address of the first element.
 template <typename Data, typename Move>
@@ -129,52 +175,11 @@ bool FieldCopies::forEachRow(const Field &field, Data *data,
     }
   };
 
-  int64_t parts = std::max(workers.partsOf(field.hostBytes(), bytesPerPart),
-                           field.hostBytes() / bytesPerSafepoint);
-  bool isLong = field.hostBytes() >= 2 * bytesPerSafepoint;
   // A handler may destroy the tree in the middle; its memory stays until the
   // copy ends.
   std::shared_ptr<void> memory = field.tree().sharedMemory();
-  struct Job {
-    decltype(visit) *run;
-    int64_t elements, parts;
-    bool isLong, canStop;
-    std::atomic<bool> isStopped{false};
-    safepoint::Watch watch;
-
-    void look() {
-      if (!watch.look() && canStop)
-        isStopped.store(true, std::memory_order_relaxed);
-    }
-  } job{&visit,
-        field.numElements(),
-        parts,
-        isLong,
-        interrupts == Interrupts::Stop,
-        {},
-        {}};
-  // The clock may stand still; the first safepoint starts it.
-  if (isLong && !safepoint::look() && job.canStop)
-    return false;
-  workers.parallel(
-      parts,
-      [](void *context, int64_t part) {
-        Job &job = *static_cast<Job *>(context);
-        // The thread that has called looks for all of them.
-        if (job.isLong && !safepoint::isWorker())
-          job.look();
-        if (job.isStopped.load(std::memory_order_relaxed))
-          return;
-        auto bound = [&](int64_t p) {
-          return job.elements / job.parts * p +
-                 job.elements % job.parts * p / job.parts;
-        };
-        (*job.run)(bound(part), bound(part + 1));
-      },
-      &job,
-      isLong ? [](void *context) { static_cast<Job *>(context)->look(); }
-             : static_cast<void (*)(void *)>(nullptr));
-  return !job.isStopped.load(std::memory_order_relaxed);
+  return runParts(field.numElements(), field.hostBytes(), interrupts,
+                  [&](int64_t begin, int64_t end) { visit(begin, end); });
 }
 
 /// Calls body(address of the element, number of the element) along the row.
@@ -217,7 +222,7 @@ Status FieldCopies::copyOut(const Field &field, void *array) const {
   int64_t stride = field.layout().componentStride;
   char *host = static_cast<char *>(array);
   field.settleZeros();
-  if (Mirror *mirror = field.tree().mirror();
+  if (std::shared_ptr<Mirror> mirror = field.tree().sharedMirror();
       mirror && mirror->copyOut(field, array))
     return devices.takeFailure();
   auto copyRow = [&](const RowPart<const char> &row) {
@@ -245,18 +250,17 @@ Status FieldCopies::copyOut(const Field &field, void *array) const {
 bool FieldCopies::copyIn(Field &field, const void *array,
                          Interrupts interrupts) const {
   field.oweZeros(nullptr);
-  if (field.sparseNode()) {
-    copyInActive(field, array);
-    return true;
-  }
+  if (field.sparseNode())
+    return copyInActive(field, array, interrupts);
   int64_t scalar = byteSize(field.scalar());
   int64_t components = field.numComponents();
   int64_t element = scalar * components;
   int64_t stride = field.layout().componentStride;
   const char *host = static_cast<const char *>(array);
-  if (Mirror *mirror = field.tree().mirror();
-      mirror && mirror->copyIn(field, array))
-    return true;
+  if (std::shared_ptr<Mirror> mirror = field.tree().sharedMirror())
+    if (std::optional<bool> isWhole =
+            mirror->copyIn(field, array, interrupts == Interrupts::Stop))
+      return *isWhole;
   auto copyRow = [&](const RowPart<char> &row) {
     if (stride != scalar) {
       alongRow(row, [&](char *to, int64_t k) {
@@ -321,10 +325,8 @@ static bool fillEvenly(const Field &field, char *data, const char *scalar,
 bool FieldCopies::fill(Field &field, const void *scalarBytes,
                        Interrupts interrupts) const {
   field.oweZeros(nullptr);
-  if (field.sparseNode()) {
-    fillActive(field, scalarBytes);
-    return true;
-  }
+  if (field.sparseNode())
+    return fillActive(field, scalarBytes, interrupts);
   int64_t scalar = byteSize(field.scalar());
   int64_t components = field.numComponents();
   int64_t stride = field.layout().componentStride;

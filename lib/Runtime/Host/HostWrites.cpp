@@ -100,7 +100,15 @@ Status HostWrites::activateNonzero(Field &field, const void *array) {
   std::vector<int64_t> index(rank);
   for (size_t d = 0; d < rank; ++d)
     index[d] = field.firstIndex(static_cast<int64_t>(d));
-  for (int64_t i = 0, n = field.numElements(); i < n; ++i, element += bytes) {
+  int64_t count = field.numElements();
+  constexpr int64_t most = 1 << 18; // elements between two safepoints
+  safepoint::Watch watch;
+  bool goesOn = count < 2 * most || safepoint::look();
+  for (int64_t i = 0; i < count; ++i, element += bytes) {
+    if (i > 0 && i % most == 0)
+      goesOn = goesOn && watch.look();
+    if (!goesOn)
+      return failAsInterrupted();
     if (std::any_of(element, element + bytes, [](char b) { return b != 0; })) {
       int64_t cell = field.cellNumber(index.data());
       if (!node.isActive(cell)) {
@@ -147,7 +155,7 @@ Status HostWrites::change(const HostWrite &write) {
     return active;
   auto performNow = [&] {
     bool isWhole = perform(write, FieldCopies::Interrupts::Stop);
-    return isWhole ? devices.takeFailure() : FieldCopies::failAsInterrupted();
+    return isWhole ? devices.takeFailure() : failAsInterrupted();
   };
   // Gradients are no values that a program computes from.
   if (field.isAdjoint())

@@ -73,15 +73,13 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
   return shape;
 }
 
-extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
-                                     int64_t iterations, const uint64_t *slots,
-                                     int32_t count) {
-  Launch &launch = launchOf(frame);
+static void launchOnDevice(Launch &launch, int32_t number, int64_t iterations,
+                           const uint64_t *slots, int32_t count) {
   DeviceLaunch *onDevice = working(launch);
   if (!onDevice || iterations == 0)
     return;
   if (__builtin_expect(launch.owner().interruptRequested(), false)) {
-    launch.fail(Status::failure(StatusCode::Interrupted, "interrupted"));
+    launch.fail(failAsInterrupted());
     return;
   }
   const DeviceCode::Function &function =
@@ -110,53 +108,72 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
     }));
 }
 
+extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
+                                     int64_t iterations, const uint64_t *slots,
+                                     int32_t count) {
+  orFail(frame, [&] {
+    launchOnDevice(launchOf(frame), number, iterations, slots, count);
+  });
+}
+
+/// Memory on the device that find(on device, address) looks up; null after a
+/// failure.
+template <typename Find>
+static void *findMemory(TaiFrame *frame, const Find &find) {
+  return orFail(frame, static_cast<void *>(nullptr), [&] {
+    Launch &launch = launchOf(frame);
+    DevicePtr memory = 0;
+    if (DeviceLaunch *onDevice = working(launch))
+      failed(launch, find(*onDevice, memory));
+    return reinterpret_cast<void *>(memory);
+  });
+}
+
 extern "C" void *tai_rt_device_scratch(TaiFrame *frame, int64_t bytes) {
-  Launch &launch = launchOf(frame);
-  DevicePtr memory = 0;
-  if (DeviceLaunch *onDevice = working(launch))
-    failed(launch, onDevice->scratch(bytes, memory));
-  return reinterpret_cast<void *>(memory);
+  return findMemory(frame, [&](DeviceLaunch &onDevice, DevicePtr &memory) {
+    return onDevice.scratch(bytes, memory);
+  });
 }
 
 extern "C" void tai_rt_device_fetch(TaiFrame *frame, void *to, const void *from,
                                     int64_t bytes) {
-  Launch &launch = launchOf(frame);
-  DeviceLaunch *onDevice = working(launch);
-  if (!onDevice ||
-      failed(launch, onDevice->context->get().copyOut(
-                         to, reinterpret_cast<DevicePtr>(from), bytes))) {
-    // The rest of the kernel must not rely on the former contents.
+  bool isFetched = orFail(frame, false, [&] {
+    Launch &launch = launchOf(frame);
+    DeviceLaunch *onDevice = working(launch);
+    if (!onDevice ||
+        failed(launch, onDevice->context->get().copyOut(
+                           to, reinterpret_cast<DevicePtr>(from), bytes)))
+      return false;
+    onDevice->waited = true;
+    return true;
+  });
+  // The rest of the kernel must not rely on the former contents.
+  if (!isFetched)
     std::memset(to, 0, static_cast<size_t>(bytes));
-    return;
-  }
-  onDevice->waited = true;
 }
 
 extern "C" void *tai_rt_device_array(TaiFrame *frame, void *array,
                                      int64_t bytes, int32_t written) {
-  Launch &launch = launchOf(frame);
-  DevicePtr memory = 0;
-  if (DeviceLaunch *onDevice = working(launch))
-    failed(launch, onDevice->array(array, bytes, written != 0, memory));
-  return reinterpret_cast<void *>(memory);
+  return findMemory(frame, [&](DeviceLaunch &onDevice, DevicePtr &memory) {
+    return onDevice.array(array, bytes, written != 0, memory);
+  });
 }
 
 extern "C" void *tai_rt_device_state(TaiFrame *frame) {
-  Launch &launch = launchOf(frame);
-  DevicePtr memory = 0;
-  if (DeviceLaunch *onDevice = working(launch)) {
-    onDevice->usesState = true;
-    failed(launch, onDevice->context->state(memory));
-  }
-  return reinterpret_cast<void *>(memory);
+  return findMemory(frame, [&](DeviceLaunch &onDevice, DevicePtr &memory) {
+    onDevice.usesState = true;
+    return onDevice.context->state(memory);
+  });
 }
 
 extern "C" void tai_rt_device_activates(TaiFrame *frame, void *tree,
                                         int32_t removes) {
-  DeviceLaunch *onDevice = working(launchOf(frame));
-  Mirror *mirror = onDevice ? onDevice->mirrorOf(tree) : nullptr;
-  if (!mirror || !mirror->sparse())
-    return;
-  mirror->deviceWrites();
-  mirror->sparse()->deviceActivates(removes != 0);
+  orFail(frame, [&] {
+    DeviceLaunch *onDevice = working(launchOf(frame));
+    Mirror *mirror = onDevice ? onDevice->mirrorOf(tree) : nullptr;
+    if (!mirror || !mirror->sparse())
+      return;
+    mirror->deviceWrites();
+    mirror->sparse()->deviceActivates(removes != 0);
+  });
 }

@@ -10,7 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "Launch.h"
-#include "tai/Runtime/Threads/Safepoint.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 #include <cstring>
 #include <sys/mman.h>
@@ -111,7 +111,7 @@ bool Launch::look() {
   __atomic_store_n(&tick, safepoint::now(), __ATOMIC_RELAXED);
   if (!hasFailed() && !owner().interruptRequested() && safepoint::look())
     return true;
-  fail(Status::failure(StatusCode::Interrupted, "interrupted"));
+  fail(failAsInterrupted());
   // Workers look at their next safepoint, not at the next tick.
   __atomic_store_n(&tick, 0, __ATOMIC_RELAXED);
   return false;

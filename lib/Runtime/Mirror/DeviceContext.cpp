@@ -150,7 +150,12 @@ void DeviceContext::giveBack(int64_t bytes, DevicePtr memory) {
   // after that of the present users.
   constexpr int often = 2;
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  spare.emplace(bytes, memory);
+  try {
+    spare.emplace(bytes, memory);
+  } catch (const std::bad_alloc &) {
+    free(memory);
+    return;
+  }
   if (numRecordings < often)
     dropSpare();
 }
@@ -162,7 +167,20 @@ void DeviceContext::free(DevicePtr memory) {
     return;
   held -= found->second.bytes;
   holdings.erase(found);
-  device->free(memory);
+  // Destructors call this, from which no exception may come.
+  try {
+    device->free(memory);
+  } catch (const std::bad_alloc &) {
+    noteOutOfMemory();
+  }
+}
+
+void DeviceContext::noteOutOfMemory() noexcept {
+  try {
+    note(Status::failure(StatusCode::Memory, "out of memory"));
+  } catch (const std::bad_alloc &) {
+    // The next allocation says it.
+  }
 }
 
 void DeviceContext::beginRecording() {

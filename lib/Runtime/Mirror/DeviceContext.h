@@ -89,6 +89,7 @@ public:
 
   /// Keeps the first failure of calls that cannot return it.
   void note(Status status);
+  void noteOutOfMemory() noexcept;
   bool hasNoted() const { return noted.load(std::memory_order_relaxed); }
   Status take() {
     return __builtin_expect(noted.load(std::memory_order_relaxed), false)

@@ -19,6 +19,10 @@
 
 using namespace mlir::tai::runtime;
 
+/// Bytes between two safepoints of a copy between host and device: a few
+/// milliseconds, beside which a wait for the device is short.
+static constexpr int64_t bytesPerCopy = 16 << 20;
+
 Mirror::~Mirror() {
   if (memory && !sparseTree)
     deviceContext->free(memory);
@@ -51,7 +55,12 @@ Status Mirror::upload() {
       status = pristine ? Status::success() : sparseTree->upload();
     else
       status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
-                        : device().copyIn(memory, tree.base(), tree.bytes());
+                        : safepoint::runInPieces(
+                              tree.bytes(), bytesPerCopy, /*canStop=*/true,
+                              [&](int64_t at, int64_t bytes) {
+                                return device().copyIn(this->at(at),
+                                                       tree.base() + at, bytes);
+                              });
     if (!status || changes != before)
       continue;
     if (isExported())
@@ -68,7 +77,12 @@ Status Mirror::download() {
   while (status && !onHost() && !isCopied) {
     uint64_t before = changes;
     status = sparseTree ? sparseTree->download()
-                        : device().copyOut(tree.base(), memory, tree.bytes());
+                        : safepoint::runInPieces(
+                              tree.bytes(), bytesPerCopy, /*canStop=*/true,
+                              [&](int64_t at, int64_t bytes) {
+                                return device().copyOut(tree.base() + at,
+                                                        this->at(at), bytes);
+                              });
     isCopied = changes == before;
     if (status && isCopied && !isExported())
       hostCurrent.store(true, std::memory_order_release);
@@ -177,54 +191,94 @@ void Field::storeZeros() const {
 //===----------------------------------------------------------------------===//
 
 /// Whether fields are copied and filled where the device has them.
-static bool liesThere(const Field &field) {
-  return field.evenStep() != 0 && field.tree().mirror()->onDevice();
+static bool liesThere(const Mirror &mirror, const Field &field) {
+  return field.evenStep() != 0 && mirror.onDevice();
 }
 
-/// Copies between an array of the host and elements that other fields lie
-/// between, by way of memory in which they are dense.
-static Status copyThrough(Mirror &mirror, const Field &field, void *to,
-                          const void *from) {
-  std::unique_ptr<DeviceBlock> dense;
-  Status status = DeviceBlock::make(mirror.sharedContext(), field.hostBytes(),
-                                    "copies of fields", dense);
-  if (!status)
-    return status;
-  Device &device = mirror.device();
-  DeviceRows rows = mirror.rows(field, 0, field.numElements());
-  if (from) {
-    status = device.copyIn(dense->get(), from, field.hostBytes());
-    return status ? device.copyRows(rows, dense->get(), rows.rowBytes)
+/// Copies between arrays of the host and a field on the device, where other
+/// fields may lie between its elements: then by way of memory in which they
+/// are dense.
+namespace {
+class DeviceCopy {
+public:
+  DeviceCopy(Mirror &mirror, const Field &field)
+      : mirror(mirror), field(field),
+        bytes(field.numComponents() * byteSize(field.scalar())),
+        piece(std::max<int64_t>(bytesPerCopy / bytes, 1)) {}
+
+  /// Calls move(first, count) for pieces of the field.
+  template <typename Move> Status run(bool canStop, const Move &move) {
+    int64_t count = field.numElements();
+    Status status;
+    if (!field.contiguous())
+      status = DeviceBlock::make(mirror.sharedContext(),
+                                 std::min(piece, count) * bytes,
+                                 "copies of fields", dense);
+    return status ? safepoint::runInPieces(count, piece, canStop, move)
                   : std::move(status);
   }
-  status =
-      device.copyRows({dense->get(), rows.rowBytes, rows.rowBytes, rows.rows},
-                      rows.address, rows.step);
-  return status ? device.copyOut(to, dense->get(), field.hostBytes())
-                : std::move(status);
-}
+  Status copyIn(int64_t first, int64_t count, const char *array) {
+    DeviceRows rows = mirror.rows(field, first, count);
+    Status status =
+        mirror.device().copyIn(dense ? dense->get() : rows.address,
+                               array + first * bytes, count * bytes);
+    return status && dense
+               ? mirror.device().copyRows(rows, dense->get(), rows.rowBytes)
+               : std::move(status);
+  }
+  Status copyOut(int64_t first, int64_t count, char *array) {
+    DeviceRows rows = mirror.rows(field, first, count);
+    Status status;
+    if (dense)
+      status = mirror.device().copyRows(
+          {dense->get(), rows.rowBytes, rows.rowBytes, rows.rows}, rows.address,
+          rows.step);
+    return status ? mirror.device().copyOut(array + first * bytes,
+                                            dense ? dense->get() : rows.address,
+                                            count * bytes)
+                  : std::move(status);
+  }
+
+private:
+  Mirror &mirror;
+  const Field &field;
+  int64_t bytes, piece;
+  std::unique_ptr<DeviceBlock> dense;
+};
+} // namespace
 
 bool Mirror::copyOut(const Field &field, void *array) {
-  if (onHost() || !liesThere(field))
+  if (onHost() || !liesThere(*this, field))
     return false;
-  Status status = field.contiguous()
-                      ? device().copyOut(array, at(field.layout().placeOffset),
-                                         field.hostBytes())
-                      : copyThrough(*this, field, array, nullptr);
+  DeviceCopy copy(*this, field);
+  Status status = copy.run(/*canStop=*/true, [&](int64_t first, int64_t count) {
+    return copy.copyOut(first, count, static_cast<char *>(array));
+  });
   if (status)
     status = context().report();
   context().note(std::move(status));
   return true;
 }
 
-bool Mirror::copyIn(const Field &field, const void *array) {
-  if (!liesThere(field))
+std::optional<bool> Mirror::copyIn(const Field &field, const void *array,
+                                   bool canStop) {
+  if (!liesThere(*this, field))
+    return std::nullopt;
+  DeviceCopy copy(*this, field);
+  bool isLost = false;
+  Status status = copy.run(canStop, [&](int64_t first, int64_t count) {
+    isLost = !onDevice();
+    if (isLost)
+      return failAsInterrupted();
+    deviceWrites();
+    return copy.copyIn(first, count, static_cast<const char *>(array));
+  });
+  // A handler has written to the tree on the host in the middle.
+  if (isLost)
+    return std::nullopt;
+  if (status.code() == StatusCode::Interrupted)
     return false;
-  deviceWrites();
-  context().note(field.contiguous()
-                     ? device().copyIn(at(field.layout().placeOffset), array,
-                                       field.hostBytes())
-                     : copyThrough(*this, field, nullptr, array));
+  context().note(std::move(status));
   return true;
 }
 
@@ -298,7 +352,7 @@ static void settleLent(const Mirror &mirror) {
 bool Mirror::fill(const Field &field, const void *scalarBytes) {
   if (!onDevice())
     return false;
-  if (!liesThere(field)) {
+  if (!liesThere(*this, field)) {
     std::vector<DeviceRows> pieces = findPieces(*this, field);
     if (pieces.empty())
       return false;

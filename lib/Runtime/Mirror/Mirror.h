@@ -19,6 +19,7 @@
 #include "SparseMirror.h"
 #include "tai/Runtime/Storage/Field.h"
 #include "tai/Runtime/Threads/Section.h"
+#include <optional>
 
 namespace mlir::tai::runtime {
 
@@ -87,11 +88,16 @@ public:
   Status read(int64_t offset, void *to, int64_t bytes);
   Status write(int64_t offset, const void *from, int64_t bytes);
 
-  /// Copies a whole field from or to an array of the host, or fills it, on the
-  /// device. False if that is better done on the host.
+  /// Copies a whole field to an array of the host, or fills it, on the device.
+  /// False if that is better done on the host. A handler may destroy the tree
+  /// in the middle of a copy, so the caller shares the mirror.
   bool copyOut(const Field &field, void *array);
-  bool copyIn(const Field &field, const void *array);
   bool fill(const Field &field, const void *scalarBytes);
+  /// Copies from an array. Empty if that is better done on the host, all of it;
+  /// false if the host has interrupted it and `canStop`. Safepoints are passed
+  /// either way.
+  std::optional<bool> copyIn(const Field &field, const void *array,
+                             bool canStop);
 
   /// The rows of `count` elements from number `first` on, of a field with a
   /// uniform stride; device memory must be allocated.

@@ -388,9 +388,6 @@ Status DeviceQueue::Program::tryWay(Way &way) {
     return status;
   if (&way != ways.front().get())
     spent += Clock::now() - start;
-  // A kept choice needs no measurement to be used.
-  if (starter && keptChoice == way.mode && way.measured < 0 && way.tries > 0)
-    use(&way);
   if (++way.tries == wanted)
     endTrial(way);
   return status;

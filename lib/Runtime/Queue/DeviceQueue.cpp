@@ -207,12 +207,19 @@ Status DeviceQueue::synchronize() {
 void DeviceQueue::free(DevicePtr memory) {
   // The collected work may use it. A recording goes on: a thread that frees
   // memory kept by a tape need not wait.
-  if (!isRecording())
-    (void)settle();
+  bool isOutOfMemory = false;
+  try {
+    if (!isRecording())
+      (void)settle();
+  } catch (const std::bad_alloc &) {
+    isOutOfMemory = true;
+  }
   if (collected->empty() && prefix->empty() && !runDepth)
     device->free(memory);
   else
     released.push_back(memory);
+  if (isOutOfMemory)
+    throw std::bad_alloc();
 }
 
 //===----------------------------------------------------------------------===//
@@ -252,10 +259,16 @@ Status DeviceQueue::flush(bool isWhole) {
   Status status = checkHandler();
   if (!status || (collected->empty() && prefix->empty()))
     return status;
-  std::optional<unsigned> outerDepth = runDepth;
-  runDepth = safepoint::handlerDepth();
-  status = runCollected(isWhole);
-  runDepth = outerDepth;
+  {
+    // Memory may run out in the middle.
+    struct Running {
+      std::optional<unsigned> &depth;
+      std::optional<unsigned> outer =
+          std::exchange(depth, safepoint::handlerDepth());
+      ~Running() { depth = outer; }
+    } running{runDepth};
+    status = runCollected(isWhole);
+  }
   if (runDepth)
     return status;
   // Memory that handlers have given up.
@@ -272,17 +285,30 @@ Status DeviceQueue::runCollected(bool isWhole) {
   Sequence sequence = std::move(*collected), before = std::move(*prefix);
   *collected = Sequence();
   *prefix = Sequence();
-  std::vector<DevicePtr> unused;
-  unused.swap(released);
+  struct Unused {
+    Device &device;
+    std::vector<DevicePtr> memory;
+    ~Unused() {
+      for (DevicePtr address : memory)
+        device.free(address);
+    }
+  } unused{*device, std::exchange(released, {})};
   Status status;
   // Less than this is not worth a graph.
   constexpr size_t fewest = 4;
   RecordedLaunches::Outcome outcome;
   if (!isWhole || sequence.steps.size() < fewest ||
       mode == ProgramMode::Launches || oneByOne) {
-    status = StepRunner::runAlone(*device, before);
-    if (status)
-      status = StepRunner::runAlone(*device, sequence);
+    bool isOutOfMemory = false;
+    for (const Sequence *part : {&before, &sequence})
+      try {
+        if (status)
+          status = StepRunner::runAlone(*device, *part);
+      } catch (const std::bad_alloc &) {
+        isOutOfMemory = true;
+      }
+    if (isOutOfMemory)
+      throw std::bad_alloc();
   } else {
     bool same = false;
     Program *program = findProgram(std::move(sequence), same);
@@ -299,8 +325,6 @@ Status DeviceQueue::runCollected(bool isWhole) {
   }
   if (recorded->hasRun())
     recorded->judge(outcome);
-  for (DevicePtr memory : unused)
-    device->free(memory);
   return status;
 }
 

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "StepRunner.h"
+#include <new>
 
 using namespace mlir::tai::runtime;
 
@@ -17,18 +18,33 @@ Status DeviceQueue::StepRunner::run(const Sequence &sequence,
     return status ? sequence.run(device, step) : std::move(status);
   }
   DeviceFill fill = sequence.fillOf(step);
-  if (fills.add(fill))
-    return Status::success();
-  Status status = finish();
-  (void)fills.add(fill);
-  return status;
+  try {
+    if (fills.add(fill))
+      return Status::success();
+    Status status = finish();
+    (void)fills.add(fill);
+    return status;
+  } catch (const std::bad_alloc &) {
+    Status status = finish();
+    ++pieces;
+    return status ? sequence.run(device, step) : std::move(status);
+  }
 }
 
+/// The runtime counts on all steps, such as the clearing of gradients: if the
+/// memory for one has run out, those after it run all the same.
 Status DeviceQueue::StepRunner::runAll(const Sequence &sequence) {
   Status status;
+  bool isOutOfMemory = false;
   for (const Step &step : sequence.steps)
-    if (status)
-      status = run(sequence, step);
+    try {
+      if (status)
+        status = run(sequence, step);
+    } catch (const std::bad_alloc &) {
+      isOutOfMemory = true;
+    }
+  if (isOutOfMemory)
+    throw std::bad_alloc();
   return status;
 }
 
@@ -44,6 +60,11 @@ Status DeviceQueue::StepRunner::finish() {
 Status DeviceQueue::StepRunner::runAlone(Device &device,
                                          const Sequence &sequence) {
   StepRunner runner(device);
-  Status status = runner.runAll(sequence);
-  return status ? runner.finish() : std::move(status);
+  try {
+    Status status = runner.runAll(sequence);
+    return status ? runner.finish() : std::move(status);
+  } catch (const std::bad_alloc &) {
+    (void)runner.finish();
+    throw;
+  }
 }

@@ -34,8 +34,9 @@ Status ReverseSweep::reverse(Launch &launch, size_t index) {
   Status status;
   if (plan[index] == Decision::Callback) {
     topology.enter(static_cast<uint32_t>(index));
-    memory.enter(static_cast<uint32_t>(index), /*reexecutes=*/false);
-    status = callHost(index);
+    status = memory.enter(static_cast<uint32_t>(index), /*reexecutes=*/false);
+    if (status)
+      status = callHost(index);
     if (status && health.isWatching())
       health.examine(index, liveFields());
   } else if (TapePlan::isReplayed(plan[index])) {
@@ -54,8 +55,10 @@ Status ReverseSweep::replay(Launch &launch, size_t index) {
   if (memory.empty())
     return runAdjoint(launch, index);
   bool changes = TapedKernel::adjointReexecutes(*record.kernel);
-  memory.enter(static_cast<uint32_t>(index), changes);
-  Status status = runAdjoint(launch, index);
+  Status status = memory.enter(static_cast<uint32_t>(index), changes);
+  if (!status)
+    return status;
+  status = runAdjoint(launch, index);
   memory.leave(changes);
   return status;
 }

@@ -267,21 +267,27 @@ Status Tape::recordWrite(const HostWrite &write) {
     return Status::failure(StatusCode::Internal,
                            "field '" + write.field->name() +
                                "' is not known to its runtime");
+  std::unique_ptr<TapeRecording::Write> kept;
+  Status status;
+  if (!isSuspended())
+    kept = TapeRecording::Write::make(field, write, status);
   uint32_t index = parts->recording.next();
-  Status status = parts->holds.add(field, HoldKind::Write);
+  if (status)
+    status = parts->holds.add(field, HoldKind::Write);
   if (status)
     status = parts->memory.beforeWrite(field, write.index, index);
   if (!status)
     return status;
-  bool isWhole = parts->services.perform(write, FieldCopies::Interrupts::Stop);
+  bool isWhole = parts->services.perform(kept ? kept->get() : write,
+                                         FieldCopies::Interrupts::Stop);
   parts->memory.settle();
   if (!isWhole)
-    return FieldCopies::failAsInterrupted();
-  if (isSuspended())
+    return failAsInterrupted();
+  if (!kept)
     return status;
   parts->memory.endParts(index, /*readsInReverse=*/false);
   parts->topology.settle(index);
-  parts->recording.addWrite(std::move(field), write);
+  parts->recording.addWrite(std::move(kept));
   return status;
 }
 

@@ -11,12 +11,24 @@
 
 using namespace mlir::tai::runtime;
 
-TapeRecording::Write::Write(FieldPtr fieldPtr, const HostWrite &write)
-    : field(std::move(fieldPtr)), view(write),
-      bytes(static_cast<const char *>(write.bytes),
-            static_cast<const char *>(write.bytes) + write.numBytes()) {
+std::unique_ptr<TapeRecording::Write>
+TapeRecording::Write::make(FieldPtr field, const HostWrite &write,
+                           Status &status) {
+  auto made = std::make_unique<Write>();
+  made->view = write;
   if (write.index)
-    index.assign(write.index, write.index + field->rank());
+    made->index.assign(write.index, write.index + field->rank());
+  made->field = std::move(field);
+  const auto *bytes = static_cast<const char *>(write.bytes);
+  int64_t count = write.numBytes();
+  made->bytes.reserve(static_cast<size_t>(count));
+  status = safepoint::runInPieces(
+      count, FieldCopies::bytesPerSafepoint, /*canStop=*/true,
+      [&](int64_t at, int64_t size) {
+        made->bytes.insert(made->bytes.end(), bytes + at, bytes + at + size);
+        return Status::success();
+      });
+  return made;
 }
 
 HostWrite TapeRecording::Write::get() const {
@@ -48,9 +60,9 @@ void TapeRecording::addCallback(TapeCallback callback, uint64_t start,
   callbacks.push_back(std::move(callback));
 }
 
-void TapeRecording::addWrite(FieldPtr field, const HostWrite &write) {
+void TapeRecording::addWrite(std::unique_ptr<Write> write) {
   records.push_back({nullptr, 0, writes.size(), Kind::Write});
-  writes.push_back(std::make_unique<Write>(std::move(field), write));
+  writes.push_back(std::move(write));
 }
 
 std::vector<FieldOverwrite> TapeRecording::overwrites() const {

@@ -14,6 +14,7 @@
 #define TAI_LIB_RUNTIME_TAPE_TAPERECORDING_H
 
 #include "../Host/HostWrite.h"
+#include "tai/Runtime/Host/FieldCopies.h"
 #include "tai/Runtime/Launch/Kernel.h"
 #include "tai/Runtime/Tape/TapeTypes.h"
 
@@ -79,17 +80,11 @@ public:
   /// `start`: the number of its first launch (or the number that it would
   /// have). `next`: the number of the next launch.
   void addCallback(TapeCallback callback, uint64_t start, uint64_t next);
-  void addWrite(FieldPtr field, const HostWrite &write);
-
-  /// The number of launch numbers used by the records; and sets the first,
-  /// which shifts all of them.
-  uint64_t numLaunches() const { return anyLaunch ? lastLaunch + 1 : 0; }
-  void renumber(uint64_t first) { firstLaunch = first; }
-
-private:
   /// Owns the data that a HostWrite refers to.
   struct Write {
-    Write(FieldPtr fieldPtr, const HostWrite &write);
+    /// Copies the data; `status` is a failure if the host interrupts it.
+    static std::unique_ptr<Write> make(FieldPtr field, const HostWrite &write,
+                                       Status &status);
     HostWrite get() const;
 
     FieldPtr field;
@@ -97,7 +92,14 @@ private:
     std::vector<char> bytes;
     std::vector<int64_t> index;
   };
+  void addWrite(std::unique_ptr<Write> write);
 
+  /// The number of launch numbers used by the records; and sets the first,
+  /// which shifts all of them.
+  uint64_t numLaunches() const { return anyLaunch ? lastLaunch + 1 : 0; }
+  void renumber(uint64_t first) { firstLaunch = first; }
+
+private:
   std::vector<Record> records;
   std::vector<uint64_t> slots;
   std::vector<TapeCallback> callbacks;

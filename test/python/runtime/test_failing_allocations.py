@@ -9,7 +9,16 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-SCENES = ("launches", "taped", "recomputed", "again", "copies", "sparse")
+SCENES = ("launches", "taped", "recomputed", "again", "copies", "sparse", "replayed")
+MORE_SCENES = (
+    "recomputed_replay", "forward", "hessian", "sparse_tape", "arrays", "batch", "vectors", "saved",
+)  # fmt: skip
+# 0 threads stand for the emulated device.
+RUNS = [
+    *((scene, threads) for scene in SCENES for threads in (1, 2)),
+    *((scene, 1) for scene in MORE_SCENES),
+    *((scene, 0) for scene in (*SCENES, *MORE_SCENES) if scene != "saved"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -22,13 +31,17 @@ def hook(tmp_path_factory):
     return library
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(("scene", "threads"), RUNS)
 def test_each_allocation_may_fail(hook, scene, threads):
     done = subprocess.run(
         [sys.executable, HERE / "failing_allocations.py", scene, str(threads)],
-        env={**os.environ, "LD_PRELOAD": str(hook)},
-        capture_output=True, text=True, timeout=250, check=False,
+        env={
+            **os.environ,
+            "LD_PRELOAD": str(hook),
+            "TI_ARCH": "cpu" if threads else "cuda",
+            "TAI_CUDA_EMULATION": "" if threads else "1",
+        },
+        capture_output=True, text=True, timeout=550, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
     allocations, failed = map(int, done.stdout.split())

@@ -298,7 +298,10 @@ TEST(ForwardReplay, RunsAllKindsOfRecords) {
   TapeRecording recording;
   double value = 3;
   int called = 0;
-  recording.addWrite(scene.x, {HostWrite::What::Fill, scene.x.get(), &value});
+  Status status;
+  recording.addWrite(TapeRecording::Write::make(
+      scene.x, {HostWrite::What::Fill, scene.x.get(), &value}, status));
+  EXPECT_TRUE(status.ok());
   recording.addLaunch(*kernel, nullptr, 0);
   recording.addCallback({[&] {
                            ++called;

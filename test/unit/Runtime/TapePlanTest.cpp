@@ -110,7 +110,10 @@ TEST(TapeRecording, KnowsWhatElseThereIs) {
 
   double value = 2;
   int64_t index = 1;
-  recording.addWrite(x, {HostWrite::What::Element, x.get(), &value, &index});
+  Status status;
+  recording.addWrite(TapeRecording::Write::make(
+      x, {HostWrite::What::Element, x.get(), &value, &index}, status));
+  EXPECT_TRUE(status.ok());
   value = 3;
   index = 2;
   HostWrite kept = recording.write(recording[2]);
@@ -263,7 +266,10 @@ TEST(TapePlan, EndsAdjointsOfHostWrites) {
   Scene scene;
   FieldPtr x = scene.field("x"), y = scene.field("y");
   double value = 1;
-  scene.recording.addWrite(x, {HostWrite::What::Fill, x.get(), &value});
+  Status status;
+  scene.recording.addWrite(TapeRecording::Write::make(
+      x, {HostWrite::What::Fill, x.get(), &value}, status));
+  EXPECT_TRUE(status.ok());
   scene.record(scene.stores(x, y));
   using D = Decision;
   EXPECT_EQ(scene.decide({y.get()}), (std::vector<D>{D::Overwrite, D::Replay}));

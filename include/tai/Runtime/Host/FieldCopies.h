@@ -17,6 +17,7 @@
 #include "tai/Runtime/Mirror/DeviceHost.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include "tai/Runtime/Threads/Workers.h"
+#include <functional>
 
 namespace mlir::tai::runtime {
 
@@ -46,19 +47,23 @@ public:
     const char zeros[8] = {};
     (void)fill(field, zeros);
   }
-  static Status failAsInterrupted() {
-    return Status::failure(StatusCode::Interrupted, "interrupted");
-  }
 
 private:
+  /// Calls run(begin, end) for parts of [0, count), on worker threads if there
+  /// are so many bytes, with safepoints in between. False if the host has
+  /// interrupted it.
+  bool runParts(int64_t count, int64_t bytes, Interrupts interrupts,
+                const std::function<void(int64_t, int64_t)> &run) const;
   template <typename Data, typename Move>
   bool forEachRow(const Field &field, Data *data, Interrupts interrupts,
                   const Move &move) const;
   template <typename Body>
-  void forEachActiveCell(const Field &field, int64_t bytesOfCell,
-                         const Body &body) const;
-  void fillActive(Field &field, const void *scalarBytes) const;
-  void copyInActive(Field &field, const void *array) const;
+  bool forEachActiveCell(const Field &field, int64_t bytesOfCell,
+                         Interrupts interrupts, const Body &body) const;
+  bool fillActive(Field &field, const void *scalarBytes,
+                  Interrupts interrupts) const;
+  bool copyInActive(Field &field, const void *array,
+                    Interrupts interrupts) const;
 
   Workers &workers;
   DeviceHost &devices;

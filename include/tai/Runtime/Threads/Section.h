@@ -17,6 +17,7 @@
 
 #include "tai/Runtime/Threads/Safepoint.h"
 #include "tai/Support/Status.h"
+#include <algorithm>
 #include <mutex>
 
 namespace mlir::tai::runtime {
@@ -24,6 +25,34 @@ namespace mlir::tai::runtime {
 /// The failure of a call from a handler that has interrupted work which it
 /// needs to be complete.
 Status failAsInterruptedWork();
+
+/// The failure of work that the host has interrupted.
+inline Status failAsInterrupted() {
+  return Status::failure(StatusCode::Interrupted, "interrupted");
+}
+
+namespace safepoint {
+/// Calls work(first, count) for pieces of [0, count), with safepoints in
+/// between if there are several. Fails if a piece does, or if the host
+/// interrupts the work and `canStop`.
+template <typename Work>
+Status runInPieces(int64_t count, int64_t piece, bool canStop,
+                   const Work &work) {
+  Watch watch;
+  // The clock may stand still; the first safepoint starts it.
+  bool goesOn = count < 2 * piece || look();
+  for (int64_t first = 0; first < count; first += piece) {
+    if (first > 0 && goesOn)
+      goesOn = watch.look();
+    if (!goesOn && canStop)
+      return failAsInterrupted();
+    Status status = work(first, std::min(piece, count - first));
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+} // namespace safepoint
 
 class Section {
 public:

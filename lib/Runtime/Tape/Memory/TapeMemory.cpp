@@ -110,7 +110,6 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   mergeSlabs(uses->reads);
   mergeSlabs(uses->stored);
   mergeSlabs(uses->touches);
-  uses->reexecutes = plan.reexecutes;
   return *uses;
 }
 
@@ -293,11 +292,17 @@ void TapeMemory::settle() {
   keepZeros();
   if (checkpoints && checkpoints->count() > 0)
     checkpoints->settle();
+  int64_t bytes = 0;
+  for (size_t i = unsettled; i < pieces.size(); ++i)
+    bytes += pieces[i].bytes();
+  // After an interruption, copies are kept that may not be needed.
+  bool compares = safepoints.begin(bytes).ok();
   size_t kept = unsettled;
   for (size_t i = unsettled; i < pieces.size(); ++i) {
+    compares = compares && safepoints.pass().ok();
     Piece &piece = pieces[i];
     Track &track = *piece.track;
-    if (piece.holds()) {
+    if (compares && piece.holds()) {
       // The last read still needs it.
       saved -= piece.keptBytes();
       std::fill(track.savedAt.begin() + piece.cell,
@@ -378,71 +383,107 @@ int64_t TapeMemory::bytesAt(uint32_t record) const {
 // Reverse
 //===----------------------------------------------------------------------===//
 
-void TapeMemory::swap(Piece &piece, std::vector<char> &spare) {
-  auto bytes = static_cast<size_t>(piece.bytes());
+void TapeMemory::swap(Piece &piece) {
+  const Slabs &slabs = piece.track->slabs;
   // A piece that was all zeros has no memory until it is restored.
-  if (!piece.block && piece.track->slabs.onDevice()) {
-    Status status =
-        piece.track->slabs.zerosOnDevice(piece.count(), piece.block);
+  if (!piece.block && slabs.onDevice()) {
+    Status status = slabs.zerosOnDevice(piece.count(), piece.block);
     if (!status) {
       piece.track->field->tree().mirror()->context().note(std::move(status));
       return;
     }
   }
   if (piece.block) {
-    piece.track->slabs.exchangeOnDevice(piece.first(), piece.count(),
-                                        *piece.block);
+    slabs.exchangeOnDevice(piece.first(), piece.count(), *piece.block);
     return;
   }
-  if (piece.track->slabs.byCell()) {
-    if (!piece.data)
-      piece.data.reset(new char[bytes]());
-    piece.track->slabs.exchange(piece.first(), piece.count(), piece.data.get());
+  if (slabs.byCell()) {
+    slabs.exchange(piece.first(), piece.count(), piece.data.get());
     return;
   }
-  if (spare.size() < bytes)
-    spare.resize(bytes);
-  const Slabs &slabs = piece.track->slabs;
-  slabs.load(piece.first(), piece.count(), spare.data());
-  piece.putBack();
-  std::memcpy(piece.data.get(), spare.data(), bytes);
+  // Memory that runs out must not leave some pieces swapped and others not.
+  char few[8 << 10];
+  char *held = few;
+  int64_t element = slabs.elementBytes();
+  int64_t most = static_cast<int64_t>(sizeof few) / element;
+  std::vector<char> large;
+  if (most == 0) {
+    large.resize(static_cast<size_t>(element));
+    held = large.data();
+    most = 1;
+  }
+  for (int64_t i = 0; i < piece.count(); i += most) {
+    int64_t count = std::min(most, piece.count() - i);
+    char *kept = piece.data.get() + i * element;
+    slabs.load(piece.first() + i, count, held);
+    slabs.store(piece.first() + i, count, kept);
+    std::memcpy(kept, held, static_cast<size_t>(count * element));
+  }
 }
 
-void TapeMemory::swapAll(const std::vector<Piece *> &some) {
-  // Pieces of one record do not overlap.
+/// Swaps pieces [begin, end), on worker threads if there are many.
+void TapeMemory::swapSome(size_t begin, size_t end, int64_t bytes) {
   constexpr int64_t bytesPerPart = 1 << 20;
-  int64_t bytes = 0;
-  for (const Piece *piece : some)
-    bytes += piece->bytes();
+  // Pieces of one record do not overlap.
   struct Job {
-    TapeMemory &memory;
-    const std::vector<Piece *> &pieces;
-    int64_t parts;
-  } job{*this, some,
+    Piece *const *pieces;
+    int64_t count, parts;
+  } job{some.data() + begin, static_cast<int64_t>(end - begin),
         std::clamp<int64_t>(bytes / bytesPerPart, 1,
                             2 * int64_t(runtime.threads()))};
   if (job.parts == 1 ||
-      std::any_of(some.begin(), some.end(), [](const Piece *piece) {
+      std::any_of(job.pieces, job.pieces + job.count, [](const Piece *piece) {
         return piece->block || piece->track->slabs.onDevice();
       })) {
-    for (Piece *piece : some)
-      swap(*piece, spare);
+    std::for_each(job.pieces, job.pieces + job.count,
+                  [](Piece *piece) { swap(*piece); });
     return;
   }
   runtime.parallel(
       job.parts,
       [](void *context, int64_t part) {
-        Job &job = *static_cast<Job *>(context);
-        auto count = static_cast<int64_t>(job.pieces.size());
-        std::vector<char> spare;
-        int64_t end = count * (part + 1) / job.parts;
-        for (int64_t i = count * part / job.parts; i < end; ++i)
-          job.memory.swap(*job.pieces[i], spare);
+        const Job &job = *static_cast<Job *>(context);
+        int64_t end = job.count * (part + 1) / job.parts;
+        for (int64_t i = job.count * part / job.parts; i < end; ++i)
+          swap(*job.pieces[i]);
       },
       &job);
 }
 
+Status TapeMemory::swapAll(FieldCopies::Interrupts interrupts) {
+  int64_t bytes = 0;
+  for (Piece *piece : some) {
+    bytes += piece->bytes();
+    if (piece->track->slabs.byCell() && !piece->track->slabs.onDevice() &&
+        !piece->data)
+      piece->data.reset(new char[static_cast<size_t>(piece->bytes())]());
+  }
+  bool canStop = interrupts == FieldCopies::Interrupts::Stop;
+  Status status = safepoints.begin(bytes);
+  if (!status && canStop)
+    return status;
+  for (size_t begin = 0, end = 0; begin < some.size(); begin = end) {
+    if (begin > 0)
+      status = safepoints.pass();
+    if (!status && canStop) {
+      for (size_t i = 0; i < begin; ++i)
+        swap(*some[i]);
+      return status;
+    }
+    int64_t most = FieldCopies::bytesPerSafepoint * int64_t(runtime.threads());
+    int64_t taken = 0;
+    while (end < some.size() && taken < most)
+      taken += some[end++]->bytes();
+    swapSome(begin, end, taken);
+  }
+  return Status::success();
+}
+
 Status TapeMemory::beginReverse() {
+  if (Status status = safepoints.checkHandler(); !status)
+    return status;
+  // Nothing below may run out of memory.
+  some.reserve(pieces.size());
   cursor = pieces.size();
   entered = -1;
   for (const Piece &piece : pieces)
@@ -470,23 +511,30 @@ template <typename Visit> void TapeMemory::forEachEntered(const Visit &visit) {
       visit(pieces[i - 1]);
 }
 
-void TapeMemory::enter(uint32_t record, bool reexecutes) {
+Status TapeMemory::enter(uint32_t record, bool reexecutes) {
   while (cursor > 0 && pieces[cursor - 1].record > record) {
-    uint32_t last = pieces[cursor - 1].record;
+    size_t first = cursor;
+    uint32_t last = pieces[first - 1].record;
     some.clear();
-    for (; cursor > 0 && pieces[cursor - 1].record == last; --cursor)
-      if (!pieces[cursor - 1].before || entered != last)
-        some.push_back(&pieces[cursor - 1]);
-    swapAll(some);
+    for (; first > 0 && pieces[first - 1].record == last; --first)
+      if (!pieces[first - 1].before || entered != last)
+        some.push_back(&pieces[first - 1]);
+    if (Status status = swapAll(FieldCopies::Interrupts::Stop); !status)
+      return status;
+    cursor = first;
   }
   entered = record;
   some.clear();
   forEachEntered([&](Piece &piece) { some.push_back(&piece); });
-  swapAll(some);
+  if (Status status = swapAll(FieldCopies::Interrupts::Stop); !status) {
+    entered = -1;
+    return status;
+  }
   if (!reexecutes)
-    return;
+    return Status::success();
   beforeCopy.clear();
   beforeBlocks.clear();
+  Status status;
   forEachEntered([&](Piece &piece) {
     if (piece.block) {
       std::unique_ptr<DeviceBlock> copy;
@@ -495,11 +543,16 @@ void TapeMemory::enter(uint32_t record, bool reexecutes) {
       beforeBlocks.push_back(std::move(copy));
       return;
     }
+    if (status)
+      status = safepoints.pass();
+    if (!status)
+      return;
     size_t at = beforeCopy.size();
     beforeCopy.resize(at + static_cast<size_t>(piece.bytes()));
     piece.track->slabs.load(piece.first(), piece.count(),
                             beforeCopy.data() + at);
   });
+  return status;
 }
 
 void TapeMemory::leave(bool reexecutes) {
@@ -512,6 +565,7 @@ void TapeMemory::leave(bool reexecutes) {
         piece.track->slabs.storeOnDevice(piece.first(), piece.count(), *copy);
       return;
     }
+    (void)safepoints.pass();
     piece.track->slabs.store(piece.first(), piece.count(),
                              beforeCopy.data() + at);
     at += static_cast<size_t>(piece.bytes());
@@ -525,13 +579,13 @@ void TapeMemory::endReverse() {
   for (; cursor > 0 && pieces[cursor - 1].record == entered; --cursor)
     if (!pieces[cursor - 1].before)
       some.push_back(&pieces[cursor - 1]);
-  swapAll(some);
+  (void)swapAll(FieldCopies::Interrupts::Wait);
   while (cursor < pieces.size()) {
     uint32_t next = pieces[cursor].record;
     some.clear();
     for (; cursor < pieces.size() && pieces[cursor].record == next; ++cursor)
       some.push_back(&pieces[cursor]);
-    swapAll(some);
+    (void)swapAll(FieldCopies::Interrupts::Wait);
   }
   entered = -1;
 }

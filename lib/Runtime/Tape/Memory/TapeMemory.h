@@ -65,7 +65,6 @@ public:
     /// Changes and reads of the kernel itself: memory that the reverse of a
     /// host function that launches it may read.
     std::vector<Use> touches;
-    bool reexecutes = false;
   };
   /// The uses of a kernel; plans its adjoint if necessary.
   const KernelUses &usesOf(Kernel &kernel);
@@ -121,8 +120,9 @@ public:
   /// Restores memory to the state after the record, or, for fields that its
   /// adjoint reads in the version before, to that. If the adjoint `reexecutes`
   /// (re-executes) its kernel, it changes such fields; `leave` then restores
-  /// them again.
-  void enter(uint32_t record, bool reexecutes);
+  /// them again. Fails if the host interrupts it; then, only `endReverse` may
+  /// follow.
+  Status enter(uint32_t record, bool reexecutes);
   void leave(bool reexecutes);
   /// Restores memory to the state after all records.
   void endReverse();
@@ -174,9 +174,11 @@ private:
   void stampSaved(const Candidate &candidate, int64_t cell, int64_t endCell);
   /// Saves zeros for cells that the record has activated.
   void keepZeros();
-  static void swap(Piece &piece, std::vector<char> &spare);
-  /// Swaps the pieces of one record, on worker threads if there are many.
-  void swapAll(const std::vector<Piece *> &some);
+  static void swap(Piece &piece);
+  /// Swaps all pieces in `some`, which are of one record. If the host has
+  /// interrupted it, they are swapped back.
+  Status swapAll(FieldCopies::Interrupts interrupts);
+  void swapSome(size_t begin, size_t end, int64_t bytes);
   template <typename Visit> void forEachEntered(const Visit &visit);
 
   static uint32_t stampOf(uint32_t record) { return record + 2; }
@@ -197,7 +199,7 @@ private:
   std::vector<Piece> pieces;
   /// Pieces from here on have not been compared yet.
   size_t unsettled = 0;
-  /// Passed by the save that runs.
+  /// Passed by the save, comparison or restoration that runs.
   CopySafepoints safepoints;
   /// For the running record: copies of sparse fields.
   std::vector<Candidate> growing;
@@ -207,7 +209,6 @@ private:
   size_t cursor = 0;
   /// The record whose pieces with `before` have been restored, or -1.
   int64_t entered = -1;
-  std::vector<char> spare;
   std::vector<Piece *> some;
   std::vector<char> beforeCopy;
   std::vector<std::unique_ptr<DeviceBlock>> beforeBlocks;
