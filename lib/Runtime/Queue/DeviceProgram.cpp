@@ -382,6 +382,7 @@ Status DeviceQueue::Program::tryWay(Way &way) {
       refuse(way, status.message());
     return runUsed();
   }
+  hasStarted = true;
   status = way.tries == 0 ? way.launch() : runTimed(way);
   // A failure on the device is one of the program, whatever the way.
   if (!status)
@@ -395,11 +396,15 @@ Status DeviceQueue::Program::tryWay(Way &way) {
 
 /// Runs the best known way.
 Status DeviceQueue::Program::runUsed() {
-  if (!used)
+  if (!used) {
+    hasStarted = true;
     return runSteps();
+  }
   Status status = used->makeCurrent();
-  if (status)
+  if (status) {
+    hasStarted = true;
     return used->launch();
+  }
   if (!used->needsCode())
     return status;
   // Other code is made in the background; meanwhile another way is used.
@@ -408,6 +413,7 @@ Status DeviceQueue::Program::runUsed() {
   lost.tries = 0;
   lost.measured = -1;
   use(findFastest());
+  hasStarted = true;
   return used ? used->launch() : runSteps();
 }
 
@@ -418,17 +424,32 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
 
 Status DeviceQueue::Program::run(const Sequence &prefix, bool same,
                                  ProgramMode mode, const Tools &tools) {
-  noteRun(same);
-  // A sequence that occurs once is not prepared.
-  if (runs == 2)
-    begin(mode, tools);
-  Way *trial = runs > 1 ? nextTrial() : nullptr;
-  if (!prefix.empty() && used && !trial && used->makeCurrent())
-    return prefixed.run(prefix, *used);
-  Status status = StepRunner::runAlone(device, prefix);
-  if (!status)
-    return status;
-  return trial ? tryWay(*trial) : runUsed();
+  hasStarted = false;
+  bool isPrefixRun = false;
+  try {
+    noteRun(same);
+    // A sequence that occurs once is not prepared.
+    if (runs == 2)
+      begin(mode, tools);
+    Way *trial = runs > 1 ? nextTrial() : nullptr;
+    if (!prefix.empty() && used && !trial && used->makeCurrent()) {
+      hasStarted = true;
+      return prefixed.run(prefix, *used);
+    }
+    isPrefixRun = true;
+    Status status = StepRunner::runAlone(device, prefix);
+    if (!status)
+      return status;
+    return trial ? tryWay(*trial) : runUsed();
+  } catch (const std::bad_alloc &) {
+    // The runtime counts on steps that were not reached.
+    Status status;
+    if (!isPrefixRun && !hasStarted)
+      status = StepRunner::runAlone(device, prefix);
+    if (status && !hasStarted)
+      (void)StepRunner::runAlone(device, sequence);
+    throw;
+  }
 }
 
 /// A description of device, kernels and steps that is the same in other

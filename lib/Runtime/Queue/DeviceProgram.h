@@ -88,6 +88,8 @@ private:
   ProgramStarter starter;
   KeptChoices choices;
   /// The form that an earlier process has chosen.
+  /// Whether steps of the run that goes on have been queued.
+  bool hasStarted = false;
   std::optional<ProgramMode> keptChoice;
   OverlappingKernels overlapping;
   int runs = 0, changes = 0;

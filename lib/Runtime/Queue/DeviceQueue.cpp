@@ -241,12 +241,16 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
   constexpr size_t mostPrograms = 64;
   if (programs.size() >= mostPrograms)
     programs.clear();
-  uint64_t hash = sequence.hash;
-  auto made = std::make_unique<Program>(*device, std::move(sequence));
-  Program *program = made.get();
-  programs.emplace(hash, std::move(made));
+  // Memory that runs out leaves the sequence as it is.
+  auto added = programs.emplace(sequence.hash, nullptr);
+  try {
+    added->second = std::make_unique<Program>(*device, std::move(sequence));
+  } catch (const std::bad_alloc &) {
+    programs.erase(added);
+    throw;
+  }
   same = false;
-  return program;
+  return added->second.get();
 }
 
 Status DeviceQueue::checkHandler() const {
@@ -311,7 +315,15 @@ Status DeviceQueue::runCollected(bool isWhole) {
       throw std::bad_alloc();
   } else {
     bool same = false;
-    Program *program = findProgram(std::move(sequence), same);
+    Program *program = nullptr;
+    try {
+      program = findProgram(std::move(sequence), same);
+    } catch (const std::bad_alloc &) {
+      status = StepRunner::runAlone(*device, before);
+      if (status)
+        (void)StepRunner::runAlone(*device, sequence);
+      throw;
+    }
     int64_t start = recorded->hasRun() ? RecordedLaunches::now() : 0;
     status =
         program->run(before, same, mode, {makeProgram, startProgram, choices});
