@@ -132,7 +132,7 @@ def test_values_that_a_sweep_puts_back(middle, monkeypatch):
 def test_a_sparse_field(form):
     ti.init(default_fp=ti.f32, offline_cache=False, cpu_max_num_threads=1)
     x = ti.field(ti.f32)
-    size = 1 << 26
+    size = 1 << 28
     ti.root.pointer(ti.i, size >> 12).dense(ti.i, 1 << 12).place(x)
 
     @ti.kernel
