@@ -145,6 +145,28 @@ def test_an_operator_that_is_not_linear_stagnates(solver):
     assert not info.converged and info.residual > 0.1
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-3, 0.0])
+@pytest.mark.parametrize("name", ["MatrixFreeCG", "MatrixFreeBICGSTAB"])
+def test_the_bound_of_matrix_free_solvers_is_absolute(name, size):
+    right = size * np.array([1.0, 2.0, -1.0])
+    apply, b, x = system(SPREAD, right)
+    assert getattr(ti.linalg, name)(ti.linalg.LinearOperator(apply), b, x, tol=1e-8)
+    assert np.linalg.norm(SPREAD @ x.to_numpy() - right) <= 1e-8
+
+
+def test_a_change_of_just_the_tolerance_is_small_enough():
+    """From 0, the sums of 1 change by 1/1, 1/2, …"""
+    x = ti.field(ti.f64, shape=1, needs_grad=True)
+
+    @ti.kernel
+    def add_one(p: ti.template(), q: ti.template()):
+        for i in p:
+            q[i] = p[i] + 1
+
+    info = ti.ad.implicit(add_one, x, tol=0.5)
+    assert info.converged and (info.iterations, info.residual, x[0]) == (2, 0.5, 2.0)
+
+
 @pytest.mark.filterwarnings("default")
 def test_sweeps_that_are_too_few_need_more():
     """A quarter of the residual is left by each sweep."""

@@ -379,3 +379,55 @@ def test_more_cells_than_can_be_counted():
     ti.init()
     with pytest.raises(ti.TaiMemoryError, match="more cells than a 64-bit number can count"):
         ti.field(ti.f32, shape=(2**32, 2**31))
+
+
+@pytest.mark.parametrize(
+    ("shape", "hint"),
+    [
+        ((1 << 60,), "make its shape smaller"),
+        ((1 << 31, 1 << 31, 4), "make the extents smaller"),
+        ((1 << 40,), "make the extents smaller"),
+    ],
+)
+def test_fields_that_no_memory_holds(shape, hint):
+    with pytest.raises(ti.TaiMemoryError) as caught:
+        ti.field(ti.f64, shape=shape).fill(0)
+    assert caught.value.hint == hint
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda v: v[0],
+        lambda v: v.__setitem__(0, [1, 2]),
+        lambda v: v.to_numpy(),
+        lambda v: v.from_numpy(np.ones((3, 2))),
+        lambda v: v.fill(1),
+    ],
+    ids=["read", "write", "to_numpy", "from_numpy", "fill"],
+)
+def test_vector_fields_have_to_be_placed_before_they_are_used(use):
+    v = ti.Vector.field(2, ti.f64, name="v")
+    with pytest.raises(ti.TaiRuntimeError, match="field 'v' is not placed") as caught:
+        use(v)
+    assert "give it a shape, or place it" in caught.value.hint
+    ti.root.dense(ti.i, 3).place(v)
+    use(v)
+
+
+pressure = None
+
+
+@ti.kernel
+def read_pressure(i: ti.i32) -> ti.f32:
+    return pressure[i]
+
+
+def test_fields_are_called_as_the_variable_of_the_program():
+    """In errors and in the IR: here one of the module."""
+    global pressure  # noqa: PLW0603
+    ti.init(debug=True, offline_cache=False)
+    pressure = ti.field(ti.f32, shape=4)
+    with pytest.raises(ti.TaiAssertionError, match="'pressure'"):
+        read_pressure(7)
+    assert pressure.name == "pressure"

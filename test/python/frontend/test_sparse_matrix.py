@@ -187,6 +187,9 @@ def test_conjugate_gradients_of_a_matrix():
     assert converged
     np.testing.assert_allclose(found, expected, rtol=1e-8)
     assert not ti.linalg.SparseCG(matrix, b, max_iter=2, atol=1e-10).solve()[1]
+    for wrong in (ti.linalg.SparseMatrix(2, 3), np.eye(2)):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="SparseCG takes a square sparse matrix"):
+            ti.linalg.SparseCG(wrong, np.ones(2))
 
 
 def test_printed_as_taichi_does(capsys):

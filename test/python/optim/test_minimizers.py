@@ -215,6 +215,32 @@ def test_gauss_newton_is_at_the_minimum():
     optimizer.load_state_dict(state)
 
 
+def test_gauss_newton_where_squares_underflow():
+    """There the loss is zero, and no step can make it less."""
+    ti.init()
+    x = ti.field(ti.f64, shape=1, needs_grad=True, needs_dual=True)
+    r = ti.field(ti.f64, shape=1, needs_grad=True, needs_dual=True)
+
+    @ti.kernel
+    def compute():
+        r[0] = x[0]
+
+    x[0] = 1e-170
+    result = ti.optim.GaussNewton(x, r).minimize(compute, gtol=0)
+    assert result.loss == 0 and abs(x[0]) <= 1e-170
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_as_many_iterations_as_are_allowed(count):
+    ti.init()
+    p = Rosenbrock(4)
+    result = ti.optim.LBFGS([p.x]).minimize(p.record(), max_iterations=count)
+    assert (result.iterations, result.reason) == (count, "iterations")
+    q = Rosenbrock(4)
+    result = ti.optim.GaussNewton(q.x, q.r).minimize(q.residuals, max_iterations=count)
+    assert (result.iterations, result.reason) == (count, "iterations")
+
+
 @pytest.mark.parametrize("method", ["L-BFGS-B", "BFGS", "CG", "Newton-CG", "trust-ncg"])
 def test_scipy(method):
     ti.init()

@@ -591,3 +591,19 @@ def test_a_tree_that_the_device_cannot_hold():
 
     other()
     assert y[3] == 2
+
+
+def test_a_gradient_through_deactivated_cells_names_both_lines():
+    x, loss = ti.field(ti.f32, name="x"), ti.field(ti.f32, shape=(), needs_grad=True)
+    level = ti.root.pointer(ti.i, 8)
+    level.dense(ti.i, 4).place(x, x.grad)
+
+    @ti.kernel
+    def clear():
+        for i in range(8):
+            loss[None] += x[4 * i] ** 2  # reads it
+            ti.deactivate(level, [i])
+
+    with raises(ti.TaiAutodiffError, "deactivates cells of a tree", "ti.deactivate(level, [i])",
+                "note: reads or writes it here", "loss[None] += x[4 * i] ** 2  # reads it"):  # fmt: skip
+        clear.grad()

@@ -323,6 +323,22 @@ def test_periodic_snapshots():
     assert stats.peak_bytes < everything / 4
 
 
+def test_a_budget_alone_is_kept_with_many_snapshots():
+    """It asks for no number of them. A tape without options computes nothing again."""
+    model = Pendulums()
+    model.start()
+    with ti.ad.Tape(model.loss) as tape:
+        model.run(200)
+    everything = tape.stats()
+    assert everything.recomputed == everything.snapshots == 0
+    model.start()
+    with ti.ad.Tape(model.loss, memory_budget=everything.peak_bytes // 6) as tape:
+        model.run(200)
+    stats = tape.stats()
+    assert stats.peak_bytes <= everything.peak_bytes // 6
+    assert stats.snapshots > 10 and 0 < stats.recomputed < 1000
+
+
 def test_budgets_that_are_too_small():
     model = Pendulums()
     model.start()
@@ -497,3 +513,14 @@ def test_overwriting_by_hand_needs_a_tape():
     square()
     with pytest.raises(ti.TaiRuntimeError, match="needs values that the kernel itself overwrites"):
         square.grad()
+
+
+def test_a_tape_that_is_refused_leaves_the_outer_one_as_it_is():
+    model = Pendulums()
+    model.start()
+    with ti.ad.Tape(model.loss):
+        for _ in range(2):
+            with pytest.raises(ti.TaiRuntimeError, match="do not nest"), ti.ad.Tape(model.loss):
+                pass
+        model.run(5)
+    np.testing.assert_allclose(model.gradient(), expected(model, 5), rtol=1e-12)

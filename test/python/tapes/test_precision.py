@@ -346,7 +346,7 @@ def test_misuse():
         run()
     with pytest.raises(ti.TaiAutodiffError, match="precision=True"):
         tape.precision_report()
-    for error in (2, "a", None):
+    for error in (2, 1.5, 1, 0, -0.1, "a", None):
         with pytest.raises(ti.TaiRuntimeTypeError, match="between 0 and 1"):
             ti.ad.tune_precision(run, loss, error=error)
     with pytest.raises(ti.TaiRuntimeTypeError, match="returns"):

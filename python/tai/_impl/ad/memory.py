@@ -35,8 +35,8 @@ class TapeStats(NamedTuple):
     optimum: int
 
 
-def parse_checkpoint(checkpoint: Any, memory_budget: Any) -> tuple[int, int, int]:
-    """Kind, number of snapshots and bytes for `taiTapeSetCheckpoint`.
+def parse_checkpoint(checkpoint: Any, memory_budget: Any) -> tuple[int, int, int] | None:
+    """Kind, number of snapshots and bytes for `taiTapeSetCheckpoint`; None to save all values.
 
     Raises:
         TaiRuntimeTypeError: anything else than the values that `ti.ad.Tape` documents.
@@ -49,7 +49,9 @@ def parse_checkpoint(checkpoint: Any, memory_budget: Any) -> tuple[int, int, int
         if budget <= 0:
             raise TaiRuntimeTypeError(f"a memory budget of {budget} bytes holds nothing")
     if checkpoint is None:
-        return (_KINDS["mixed"], 0, budget) if budget else (0, 0, 0)
+        if not budget:
+            return None
+        checkpoint = "mixed"
     if isinstance(checkpoint, int) and not isinstance(checkpoint, bool):
         if checkpoint < 1:
             raise TaiRuntimeTypeError(f"checkpoint={checkpoint}: at least one snapshot is needed")

@@ -14,7 +14,6 @@ from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, Tai
 from ..base import native, state
 from ..base.program import get_program
 from ..fields.arrays import Ndarray
-from ..fields.root import materialize
 from ..history import gradients, origins
 from ..tracking import tracked
 from ..tracking.tape_arrays import Ordered
@@ -157,9 +156,10 @@ class Tape(native.WithBlock):
         if self._looks_at_rounding:
             self._probes = rounding.begin(program, find_not_finite())
         self._core = program.context.tape(None, self.clear_gradients)
-        if self._checkpoint[0] != 0:
+        recomputes = self._checkpoint is not None
+        if self._checkpoint is not None:
             self._core.set_checkpoint(*self._checkpoint)
-        self._values = tracked.begin(self._core, self._checkpoint[0] != 0, self.clear_gradients)
+        self._values = tracked.begin(self._core, recomputes, self.clear_gradients)
         for field in self._losses:
             for part, _ in parts_of(field):
                 self._core.add_loss(part.core)
@@ -442,7 +442,6 @@ class Tape(native.WithBlock):
 
 def clear_all_gradients() -> None:
     """Sets the gradients of all fields, arrays and variables to zero."""
-    materialize(get_program(), sys._getframe(1).f_globals)
     get_program().context.clear_gradients()
     gradients.clear_gradients()
 

@@ -224,4 +224,5 @@ class MatrixField(Field):
             component.from_numpy(np.array(array[(..., *component._indices)]))
 
     def fill(self, value: Any) -> None:
+        self._placed_node()
         active.fill_matrices(self, value)
