@@ -430,3 +430,24 @@ def test_a_tape_that_cannot_run_forward_again():
         product(product(a, 1.0), 1.0)
     with pytest.raises(ti.TaiRuntimeError, match="cannot run forward again"):
         tape.replay()
+
+
+def test_a_tape_that_is_refused_leaves_the_outer_one_as_it_is():
+    """Numbers that kernels return still carry their gradient to others."""
+    x, loss = (ti.field(ti.f64, shape=(), needs_grad=True) for _ in range(2))
+    x[None] = 3.0
+
+    @ti.kernel
+    def square() -> ti.f64:
+        return x[None] ** 2
+
+    @ti.kernel
+    def add(a: ti.f64):
+        loss[None] += a
+
+    with ti.ad.Tape(loss):
+        for _ in range(2):
+            with pytest.raises(ti.TaiRuntimeError, match="do not nest"), ti.ad.Tape(loss):
+                pass
+        add(square())
+    assert (loss[None], x.grad[None]) == (9.0, 6.0)

@@ -1,5 +1,7 @@
 """Drawing without a window."""
 
+import sys
+
 import numpy as np
 import pytest
 import tai as ti
@@ -217,3 +219,41 @@ def test_progress(capsys):
         bar.note(f"at {i}")
     lines = capsys.readouterr().err.splitlines()
     assert lines[-1] == "work 10/10 at 9"
+
+
+def test_an_arrow():
+    """A shaft, and two lines from the tip back to either side; one alone is drawn as many are."""
+    pictures = []
+    for many in (False, True):
+        gui = ti.GUI(res=100)
+        if many:
+            gui.arrows([(0.2, 0.5)], [(0.6, 0.0)], radius=2, color=0xFF0000)
+        else:
+            gui.arrow((0.2, 0.5), (0.6, 0.0), radius=2, color=0xFF0000)
+        pictures.append(gui.get_image()[..., 0] == 1)
+    drawn = pictures[0]
+    np.testing.assert_array_equal(drawn, pictures[1])
+    head = [(80 - 15 * t, 50 + side * 9 * t) for t in (0.5, 0.9) for side in (-1, 1)]
+    for x, y in [(25, 50), (50, 50), (79, 50), *head]:
+        assert drawn[int(x) - 2 : int(x) + 3, int(y) - 2 : int(y) + 3].any(), (x, y)
+    # Nothing besides.
+    columns, rows = np.nonzero(drawn)
+    assert columns.min() >= 17 and columns.max() <= 83
+    assert rows.min() >= 38 and rows.max() <= 62
+    assert np.abs(rows[columns < 60] - 50).max() <= 3
+
+
+def test_pictures_of_truth_values(tmp_path):
+    mask = np.zeros((4, 2), bool)
+    mask[3, 1] = True
+    ti.tools.imwrite(mask, str(tmp_path / "a.png"))
+    picture = np.asarray(Image.open(tmp_path / "a.png"))
+    assert picture.max() == picture[0, 3] == 255 and picture.sum() == 255
+
+
+def test_progress_on_a_terminal_without_rich(capsys, monkeypatch):
+    """Lines, as in a file."""
+    monkeypatch.setitem(sys.modules, "rich.progress", None)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert list(ti.tools.Progress(range(5), "work")) == list(range(5))
+    assert capsys.readouterr().err.splitlines()[-1].startswith("work 5/5")

@@ -40,6 +40,11 @@ def test_finds_the_line_of_a_cancellation(type_, small):
     assert row.filename == __file__
     assert row.lost == row.cancellations == 8
     assert row.flips == row.non_finite == 0
+    # The table says the same.
+    _, line = str(ti.tools.shadow_report()).splitlines()
+    shown = [f"{row.digits_lost:.1f}", f"{row.error:.1e}", f"{row.error_in:.1e}", "8", "8", "0", "0"]
+    assert line.split()[:7] == shown
+    assert line.endswith(f":{row.lineno} - in cancel")
     # Bits are lost from the rounding of the type to the remainder.
     worst = max(abs(y[i] - small) / small for i in range(8))
     bits = 24 if type_ == ti.f32 else 53
@@ -205,6 +210,10 @@ def test_overflow_where_more_digits_are_finite():
     run(1e30)
     (row,) = [row for row in ti.tools.shadow_report() if row.non_finite]
     assert row.lineno == line_of(run, "# overflows")
+    # Nothing was lost there: the columns of digits stay empty.
+    _, *lines = str(ti.tools.shadow_report()).splitlines()
+    (line,) = [line for line in lines if f":{row.lineno} " in line]
+    assert line.split()[:4] == ["0", "0", "0", str(row.non_finite)]
 
 
 def test_shadows_in_fields_follow_kernels_and_host_writes():

@@ -188,6 +188,8 @@ def test_nan_is_traced_to_its_kernel_and_line():
     assert rows[0].field == "x"
     assert rows[0].nans == 1
     assert "NaN" in str(report)
+    first = next(f.message for f in report.findings if "adjoint of 'x'" in f.message)
+    assert "; the kernel reads or changes what is not finite: 'y'; suspects" in first
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

@@ -513,14 +513,3 @@ def test_overwriting_by_hand_needs_a_tape():
     square()
     with pytest.raises(ti.TaiRuntimeError, match="needs values that the kernel itself overwrites"):
         square.grad()
-
-
-def test_a_tape_that_is_refused_leaves_the_outer_one_as_it_is():
-    model = Pendulums()
-    model.start()
-    with ti.ad.Tape(model.loss):
-        for _ in range(2):
-            with pytest.raises(ti.TaiRuntimeError, match="do not nest"), ti.ad.Tape(model.loss):
-                pass
-        model.run(5)
-    np.testing.assert_allclose(model.gradient(), expected(model, 5), rtol=1e-12)

@@ -163,3 +163,13 @@ def test_cache_on_disk(tmp_path):
     for entry in entries:
         entry.write_bytes(b"not an object file" * 10)
     assert run() == [0, 3, 6, 9]
+
+
+def test_functions_are_called_as_they_are_reached():
+    """So that tracebacks and Python's help name them."""
+    names = "sin cos sqrt floor ceil round abs min max pow atan2 exp log cbrt erf bit_cast".split()
+    names += "atomic_add activate is_active length append".split()
+    for name in names:
+        function = getattr(ti, name)
+        assert (function.__name__, function.__qualname__.split(".")[-1]) == (name, name)
+        assert function.__doc__

@@ -74,6 +74,9 @@ def test_tables(arch, capsys):
     out = capsys.readouterr().out.splitlines()
     assert any("scale" in line and "(test_profiler.py:" in line for line in out[1:])
     assert ("regs" in out[0]) == (arch == "cuda")
+    # All names of kernels begin below the word "kernel".
+    begin = out[0].index("kernel")
+    assert all(line[begin - 2 : begin] == "  " and line[begin] != " " for line in out)
     ti.profiler.print_kernel_profiler_info("trace")
     out = capsys.readouterr().out.splitlines()
     # A GPU fills memory, too, which has no shape.

@@ -98,10 +98,10 @@ class ShadowReport(list):
 
 
 def _place(text: str) -> tuple[str | None, int, int]:
-    filename, line, column = ([*text.rsplit(":", 2), "", ""] if text else ["", "", ""])[:3]
-    if not line.isdigit():
+    parts = text.rsplit(":", 2)
+    if len(parts) != 3 or not parts[1].isdigit():
         return None, 0, 0
-    return filename, int(line), int(column) if column.isdigit() else 0
+    return parts[0], int(parts[1]), int(parts[2])
 
 
 def _context() -> Any:
