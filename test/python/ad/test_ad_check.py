@@ -2,6 +2,7 @@
 kernel at fault; all fields are restored."""
 
 import inspect
+import math
 
 import numpy as np
 import pytest
@@ -609,4 +610,54 @@ def test_elements_that_are_stored_by_one_launch_and_read_by_another():
         total()
 
     assert ti.ad.check(run, loss=loss, wrt=[x])
+    assert ti.ad.check(run, loss=loss)
+
+
+def test_programs_that_write_arrays_from_python():
+    """The check records them, but they are no part of a tape."""
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    x.fill(0.5)
+    weights = ti.ndarray(ti.f64, 3)
+    loss = total_field()
+
+    @ti.kernel
+    def weigh(w: ti.types.ndarray()):
+        for i in x:
+            loss[None] += w[i] * ti.sin(x[i])
+
+    def run():
+        weights[1] = 2.0
+        weigh(weights)
+
+    assert ti.ad.check(run, loss=loss)
+
+
+def test_functions_of_python_are_tried_near_the_present_point():
+    """To see what they change: here the arc cosine has no value a little further on."""
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    y = ti.field(ti.f64, shape=3, needs_grad=True)
+    x.fill(0.99)
+    loss = total_field()
+
+    @ti.kernel
+    def add():
+        for i in y:
+            loss[None] += y[i] ** 2
+
+    @ti.ad.grad_replaced
+    def arcs():
+        for i in range(3):
+            y[i] = math.acos(x[i])
+
+    @ti.ad.grad_for(arcs)
+    def gradient():
+        for i in range(3):
+            x.grad[i] -= y.grad[i] / math.sqrt(1 - x[i] ** 2)
+
+    def run():
+        arcs()
+        add()
+
     assert ti.ad.check(run, loss=loss)

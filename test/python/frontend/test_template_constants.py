@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import enum
 import gc
+import linecache
 import math
 import types
 import weakref
@@ -316,10 +317,28 @@ def test_elements_of_an_array_of_which_only_the_shape_is_read_do_not_matter():
 
 def test_a_kernel_that_is_compiled_again_and_again_says_so():
     solver = Solver()
-    with pytest.warns(TaiCompilationWarning, match="compiled 16 times, as 'doubled' changes"):
+    with pytest.warns(TaiCompilationWarning, match="16 times, as 'doubled' changes") as said:
         for n in range(17):
             solver.n = n
             assert solver.run_property() == 2 * n
+    # At the launch.
+    assert len(said) == 1 and said[0].filename == __file__
+    assert "solver.run_property()" in linecache.getline(__file__, said[0].lineno)
+
+
+def test_an_object_that_nothing_can_refer_to_weakly():
+    @ti.data_oriented
+    class Slots:
+        __slots__ = ("n",)
+
+        def __init__(self, n):
+            self.n = n
+
+        @ti.kernel
+        def run(self) -> ti.i32:
+            return self.n
+
+    assert [Slots(n).run() for n in (4, 5, 4)] == [4, 5, 4]
 
 
 def test_a_list_that_contains_itself_is_refused():

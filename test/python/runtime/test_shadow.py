@@ -42,8 +42,8 @@ def test_finds_the_line_of_a_cancellation(type_, small):
     assert row.flips == row.non_finite == 0
     # The table says the same.
     _, line = str(ti.tools.shadow_report()).splitlines()
-    shown = [f"{row.digits_lost:.1f}", f"{row.error:.1e}", f"{row.error_in:.1e}", "8", "8", "0", "0"]
-    assert line.split()[:7] == shown
+    numbers = [f"{row.digits_lost:.1f}", f"{row.error:.1e}", f"{row.error_in:.1e}"]
+    assert line.split()[:7] == [*numbers, "8", "8", "0", "0"]
     assert line.endswith(f":{row.lineno} - in cancel")
     # Bits are lost from the rounding of the type to the remainder.
     worst = max(abs(y[i] - small) / small for i in range(8))

@@ -213,6 +213,14 @@ def lost_product_with_a_field(s):
     s.y.from_numpy(s.K @ s.x)
 
 
+def lost_function_of_a_product_with_a_field(s):
+    s.y.from_numpy(np.sqrt(s.K @ s.x))
+
+
+def lost_product_of_a_function(s):
+    s.go_on(s.K @ np.sqrt(s.x.to_numpy()))
+
+
 def lost_product_of_fields(s):
     s.K.spmv(s.x, s.y)
 
@@ -289,6 +297,18 @@ def right_column_beside_it(s):
     s.keep(a[:, 1])
     s.go_on(a[:, 0])
     s.y.from_numpy(a[:, 0])
+
+
+def right_view_beside_one_of_a_field_with_a_gradient(s):
+    seen = np.from_dlpack(s.x)
+    t = np.from_dlpack(s.plain)
+    assert len(seen) == N
+    s.y.from_numpy(t * 2)
+    s.go_on(t)
+
+
+def right_function_of_a_product_with_a_constant(s):
+    s.y.from_numpy(np.sqrt(s.K @ s.plain))
 
 
 def right_kernel_that_writes(s):
