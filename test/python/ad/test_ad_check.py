@@ -634,7 +634,7 @@ def test_programs_that_write_arrays_from_python():
 
 
 def test_functions_of_python_are_tried_near_the_present_point():
-    """To see what they change: here the arc cosine has no value a little further on."""
+    """A run at another point shows which fields they change. The arc cosine ends at 1."""
     ti.init(default_fp=ti.f64, offline_cache=False)
     x = ti.field(ti.f64, shape=3, needs_grad=True)
     y = ti.field(ti.f64, shape=3, needs_grad=True)
