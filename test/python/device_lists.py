@@ -61,6 +61,7 @@ ONE_RUN_DOES = {
         "test_in_python": "matrices of Python, which no kernel computes",
         "test_python_matrices": "matrices of Python, which no kernel computes",
     },
+    "test_other_iterations": {"test_one_thread_has_an_order": CPU},
     "test_perf_map": {ALL: CPU},
     "test_random_kernels": {"test_a_few_dozen": "the targets of a GPU are a step of make test-gpu"},
     "test_reliability": {ALL: "the bars that a device can run are a step of make test-gpu"},
@@ -69,6 +70,7 @@ ONE_RUN_DOES = {
         ALL: "its kernel waits for the host, which waits for what a device has begun",
     },
     "test_shadow": {ALL: CPU},
+    "test_shared_updates": {"test_one_thread_runs_in_order": CPU},
     "test_strict": {"test_a_processor_without_fused_operations": CPU},
     "test_stripped_attributes": {
         "test_modes_stay": CPU,

@@ -141,12 +141,14 @@ def test_a_chain_of_hundreds_of_loops(fields):
 def test_code_of_hundreds_of_loops_is_in_parts():
     ti.init(arch=ti.cpu, default_fp=ti.f32)
     x, y = (ti.field(ti.f32, 64) for _ in range(2))
+    counts = ti.field(ti.i32, 64)
 
     def parts(n):
         lines = ["b = x[i]"]
         for k in range(n):
-            lines += [f"for _ in range(ti.i32(y[{k % 60}])):", "    b = ti.sin(b) + x[i]"]
-        code = make([*lines, "y[i] = b"], {"x": x, "y": y}).mlir(stage="asm")
+            lines += [f"for _ in range(counts[{k % 60}]):", "    b = ti.sin(b) + x[i]"]
+        fields = {"x": x, "y": y, "counts": counts}
+        code = make([*lines, "y[i] = b"], fields).mlir(stage="asm")
         return len(set(re.findall(r"\S+\.loops[.\d]*(?=:)", code)))
 
     assert parts(100) == 0

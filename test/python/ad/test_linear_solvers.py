@@ -72,7 +72,7 @@ class Problem:
 
     def errors(self):
         """Errors of the solution and of both gradients, by the pseudo-inverse."""
-        inverse = np.linalg.pinv(self.matrix)
+        inverse = np.linalg.pinv(self.matrix, rcond=1e-10)
         x, adjoint = inverse @ self.B, inverse.T @ self.W
         found = [self.x, self.b.grad, self.A.values.grad]
         exact = [x, adjoint, -np.outer(adjoint, x)[self.at]]

@@ -121,8 +121,8 @@ def test_the_compiler_speaks_of_what_the_program_has():
         loss[None] = x[0]
 
     found = {}
-    for kernel, kind in ((repeat, ti.TaiTypeError), (neighbours, ti.TaiAutodiffError)):
-        with pytest.raises(kind) as caught, ti.ad.Tape(loss):
+    for kernel in (repeat, neighbours):
+        with pytest.raises(ti.TaiTypeError) as caught, ti.ad.Tape(loss):
             kernel()
         found[kernel] = str(caught.value)
     assert "variable 'v', which all iterations share, is read and written" in found[repeat]
