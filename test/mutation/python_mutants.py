@@ -45,7 +45,8 @@ class Finder(ast.NodeVisitor):
     """Collects the mutants of a file.
 
     Bodies of kernels are left out, since the compiler and not Python runs them; so are
-    annotations, decorators, and the texts of errors.
+    annotations, decorators, the texts of errors, and `strict` of `zip`, which asserts that the
+    lists have one length.
     """
 
     def __init__(self, file: str, text: str):
@@ -125,6 +126,10 @@ class Finder(ast.NodeVisitor):
             self.add(node, "constant", str(not node.value))
         elif isinstance(node.value, int):
             self.add(node, "constant", str(node.value + 1))
+
+    def visit_keyword(self, node: ast.keyword) -> None:
+        if node.arg != "strict":
+            self.generic_visit(node)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> None:
         return

@@ -1,10 +1,12 @@
 """`ti.ad.Tape(loss, validation=True)`: the global data access rules, element by element."""
 
 import inspect
+import types
 
 import numpy as np
 import pytest
 import tai as ti
+from tai._impl.ad import validation
 
 N = 6
 
@@ -356,3 +358,14 @@ def test_names_of_errors():
         for base in bases:
             assert issubclass(error, base)
     assert not issubclass(TaichiAssertionError, TaichiCompilationError)
+
+
+def test_a_write_that_was_lost_in_a_race_has_no_place():
+    """As the core tells it: the launch of an access that nothing is known of is -1."""
+    known, unknown = ("halve.0", 0, 2, __file__, 7, 5), ("", -1, 0, "", 0, 0)
+    rows = [(3, "y", (1,), -1, known, unknown), (3, "y", (2,), -1, known, known)]
+    tape = types.SimpleNamespace(violations=lambda: (2, rows))
+    total, (lost, kept) = validation.take_violations(tape)
+    assert total == 2 and lost.earlier is None
+    assert kept.earlier == ("halve", 0, __file__, 7, 5)
+    assert lost.message == "'y'[1] is written by two iterations of one loop"

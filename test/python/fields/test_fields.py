@@ -415,6 +415,27 @@ def test_vector_fields_have_to_be_placed_before_they_are_used(use):
     use(v)
 
 
+def test_a_gradient_is_placed_by_hand_where_components_have_levels_of_their_own():
+    v = ti.Vector.field(2, ti.f64, name="v")
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    for component in range(2):
+        ti.root.dense(ti.i, 3).place(v.get_scalar_field(component))
+    level = ti.root.dense(ti.i, 3)
+    level.place(v.grad)
+    with pytest.raises(ti.TaiRuntimeError, match="is placed already"):
+        level.place(v.grad)
+
+    @ti.kernel
+    def add():
+        for i in range(3):
+            loss[None] += (i + 1) * v[i].norm_sqr()
+
+    v.fill(0.5)
+    with ti.ad.Tape(loss):
+        add()
+    assert v.grad.to_numpy().tolist() == [[1, 1], [2, 2], [3, 3]]
+
+
 pressure = None
 
 

@@ -448,7 +448,7 @@ def test_gradient_of_or_belongs_to_the_operand_that_decides():
 
 def test_constants_out_of_range_are_as_at_run_time():
     ti.init(arch=ti.cpu, default_fp=ti.f64)
-    out = ti.field(ti.f64, shape=9)
+    out = ti.field(ti.f64, shape=13)
 
     @ti.kernel
     def run():
@@ -461,9 +461,14 @@ def test_constants_out_of_range_are_as_at_run_time():
         out[6] = 0.0**-1.0
         out[7] = 1e308 * 10
         out[8] = 7.0 // 0.0
+        out[9] = 7.0 // 0
+        out[10] = -7 // 0.0
+        out[11] = 7.0 % 0
+        out[12] = 7 % 0.0
 
     run()
     expected = [np.inf, -np.inf, np.nan, np.inf, np.nan, np.nan, np.inf, np.inf, np.inf]
+    expected += [np.inf, -np.inf, np.nan, np.nan]
     np.testing.assert_array_equal(out.to_numpy(), expected)
 
 

@@ -300,6 +300,31 @@ def test_torch_on_the_cpu(arch):
     assert x[2][1] == 1
 
 
+@pytest.mark.parametrize("dt", [ti.f16, ti.bf16, ti.f32, ti.f64, ti.i32], ids=str)
+@pytest.mark.parametrize("given", ["bfloat16", "float16", "float32", "float64"])
+def test_tensors_of_each_type_are_copied(arch, dt, given):
+    torch = pytest.importorskip("torch")
+    x = ti.field(dt, shape=3)
+    x.from_torch(torch.tensor([1.0, -2.0, 3.0], dtype=getattr(torch, given)))
+    assert x.to_numpy().tolist() == x.to_torch().tolist() == [1, -2, 3]
+
+
+def test_tensors_are_copied_from_memory_to_memory(arch, monkeypatch):
+    """On a GPU, the way through arrays of the host would be long."""
+    torch = pytest.importorskip("torch")
+    x = ti.field(ti.f32, shape=3)
+    x.fill(2)
+
+    def refuse(*args):
+        raise AssertionError("the copy goes through NumPy")
+
+    monkeypatch.setattr(type(x), "to_numpy", refuse)
+    monkeypatch.setattr(type(x), "from_numpy", refuse)
+    assert x.to_torch().tolist() == [2, 2, 2]
+    x.from_torch(torch.tensor([1.0, 2.0, 3.0]))
+    assert [x[i] for i in range(3)] == [1, 2, 3]
+
+
 def test_torch_while_a_tape_records(arch):
     torch = pytest.importorskip("torch")
     x = ti.field(ti.f64, shape=2, needs_grad=True)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import tai as ti
+from tai._impl.interop import sharing
 
 Pair = ti.types.vector(2, ti.f32)
 
@@ -148,6 +149,24 @@ def test_memory_is_shared_by_dlpack_alone():
     np.from_dlpack(array)[2] = 5
     assert array[2] == 5
     assert not hasattr(x, "__cuda_array_interface__")  # there is no GPU
+
+
+def test_how_a_gpu_describes_the_memory_of_a_field():
+    """`__cuda_array_interface__` has the keys of NumPy's own interface, and a stream."""
+    x = ti.Vector.field(2, ti.f32, shape=(2, 3))
+    x.from_numpy(np.arange(12).reshape(2, 3, 2))
+    found, owner = sharing.cuda_interface(x)
+    assert found.pop("stream") == 1 and owner is not None
+
+    class Described:
+        __array_interface__ = found
+
+    view = np.asarray(Described())
+    np.testing.assert_array_equal(view, x.to_numpy())
+    view[1, 2, 0] = 5  # not read-only
+    assert x[1, 2][0] == 5
+    with pytest.raises(AttributeError, match="field 'y' holds bf16"):
+        sharing.cuda_interface(ti.field(ti.bf16, shape=3, name="y"))
 
 
 def _energy():

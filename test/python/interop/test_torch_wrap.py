@@ -153,6 +153,37 @@ def test_second_derivatives_are_refused():
         first.sum().backward()
 
 
+@pytest.mark.parametrize("batched", [False, True])
+def test_second_derivatives_of_functions_are_refused(batched):
+    first = torch.func.grad(lambda x: SQUARE(x).sum())
+    second = torch.func.grad(lambda x: first(x).sum())
+    with pytest.raises(ti.TaiAutodiffError, match="gradient of operator 'square' has no gradient"):
+        x = torch.ones(3, dtype=torch.float64)
+        torch.vmap(second)(torch.stack([x, x])) if batched else second(x)
+
+
+def test_results_begin_at_zero():
+    """Kernels may add to them; torch fills memory that it does not clear with NaN here."""
+
+    @ti.kernel
+    def accumulate(x: ti.types.ndarray(), y: ti.types.ndarray()):
+        for i in range(x.shape[0]):
+            y[i] += 2 * x[i]
+            y[i] += x[i]
+
+    operator = wrap(accumulate, outputs={"y": "x"})
+    x = leaf(100)
+    was = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(True)
+    try:
+        y = operator(x)
+        y.sum().backward()
+    finally:
+        torch.use_deterministic_algorithms(was)
+    torch.testing.assert_close(y, 3 * x)
+    torch.testing.assert_close(x.grad, torch.full_like(x, 3))
+
+
 @pytest.mark.parametrize("operator", [SQUARE, CHAIN], ids=["kernel", "function"])
 def test_two_uses_and_two_sweeps(operator):
     x, w = leaf(), torch.ones(3, dtype=torch.float64)

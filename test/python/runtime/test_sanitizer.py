@@ -91,3 +91,11 @@ def test_without_its_run_time():
         ti.init(arch=ti.cpu, sanitize="address")
     with pytest.raises(ti.TaiRuntimeError, match="sanitize is '' or 'address'"):
         ti.init(arch=ti.cpu, sanitize="memory")
+
+
+@pytest.mark.skipif("LD_PRELOAD" in os.environ, reason="the run time may be there")
+def test_the_variable_asks_for_it_as_the_option_does(monkeypatch):
+    monkeypatch.setenv("TI_SANITIZE", "address")
+    with pytest.raises(ti.TaiRuntimeError, match="no run time of AddressSanitizer"):
+        ti.init(arch=ti.cpu)
+    ti.init(arch=ti.cpu, sanitize="")

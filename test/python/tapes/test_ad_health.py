@@ -257,6 +257,29 @@ def test_a_kernel_that_leaves_what_is_not_finite_is_named():
     assert f"; suspects: line {line}: y[i] = ti.log(x[i])" in text
 
 
+def test_a_kernel_that_reads_a_gradient_as_data_is_named_for_its_own_mistake():
+    """The gradient was zero as the tape began; the sweep has put NaN there."""
+    x, y, loss = make_fields()
+
+    @ti.kernel
+    def root():
+        for i in x:
+            y[i] = ti.sqrt(x[i]) + x.grad[i]
+
+    @ti.kernel
+    def add():
+        for i in y:
+            loss[None] += y[i]
+
+    x.from_numpy(np.array([1.0, -2.0, 3.0]))
+    with pytest.warns(ti.ad.TaiGradientWarning) as said, ti.ad.Tape(loss):
+        root()
+        add()
+    text = str(said[0].message)
+    assert "the loss" in text and "itself is nan" in text and "kernel 'root'" in text
+    assert "when the tape began" not in text
+
+
 def test_a_kernel_without_suspects_names_none():
     x, y, loss = make_fields()
 

@@ -235,3 +235,23 @@ def test_what_python_has_overwritten_has_no_tangent():
         program.run()
 
     silent(run, program.loss, program.x)
+
+
+def test_a_view_of_a_field_with_a_gradient_alone_carries_no_tangent():
+    x = ti.field(ti.f64, shape=N, needs_grad=True)
+    y, p = (ti.field(ti.f64, shape=N, needs_dual=True) for _ in range(2))
+    loss = ti.field(ti.f64, shape=(), needs_dual=True)
+    x.fill(2)
+    view = np.from_dlpack(x)
+
+    @ti.kernel
+    def weigh():
+        for i in y:
+            loss[None] += y[i] * p[i]
+
+    def run():
+        y.from_numpy(view)
+        weigh()
+
+    silent(run, loss, p)
+    assert loss.dual[None] == 2 * N

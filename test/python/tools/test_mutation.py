@@ -39,6 +39,7 @@ def f(a: "0 < 1", b=True):
         print(f"{a + 1}")
     elif a:
         raise ValueError("é" * 3)
+    pairs = zip(a, b, strict=False)
     return "é" if a is None else [a + 1, a == 2]
 '''
 
@@ -53,7 +54,8 @@ def test_python_mutants_are_single_changes_of_code_that_python_runs(tmp_path):
         ("a is None", "(a is not None)"), ("a + 1", "(a - 1)"), ("a == 2", "(a != 2)"),
         ('print(f"{a + 1}")', "pass"),
     }  # fmt: skip
-    # Kernels, annotations, texts and errors are not mutated.
+    # Kernels, annotations, texts, errors and assertions of lengths are not mutated.
+    assert "False" not in {b for b, _ in changes}
     assert not any("x < 1" in b or "0 < 1" in b or b in ("LIMIT", "3") for b, _ in changes)
     for one in found:
         text = one.apply(PACKAGE.encode()).decode()

@@ -200,3 +200,24 @@ def test_the_cpu_has_one_name():
     ti.init(arch=ti.x64)
     assert ti.cpu == ti.x64
     assert ti.lang.impl.current_cfg().arch in (ti.x64, ti.cuda, "python")
+
+
+def test_modules_are_the_same_whoever_looks_first():
+    """A finder of the program may stand in front, which would load a second copy of the file."""
+    run_as_taichi(
+        """
+        import importlib.machinery
+        import sys
+
+        sys.meta_path.insert(0, importlib.machinery.PathFinder)
+        for name in [n for n in sys.modules if n.split(".")[0] in ("tai", "taichi")]:
+            del sys.modules[name]
+        import tai
+
+        sys.modules["taichi"] = tai
+        import taichi.lang
+        import taichi.math
+
+        assert taichi.lang is tai.lang and taichi.math is tai.math
+        """
+    )

@@ -46,8 +46,8 @@ class TripletsType(StructType):
 
     def __init__(self) -> None:
         whole = NdarrayType(dtypes.i32, ndim=1)
-        kinds = (whole, whole, NdarrayType(ndim=1), whole)
-        self.members = dict(zip(self.NAMES, kinds, strict=True))
+        values = NdarrayType(ndim=1)
+        self.members = {"rows": whole, "columns": whole, "values": values, "count": whole}
         self.methods: dict[str, Any] = {}
 
     def __repr__(self) -> str:

@@ -145,15 +145,17 @@ def to_torch(field: Any, device: Any) -> Any:
 
 def from_torch(field: Any, tensor: Any) -> None:
     """Copies a torch tensor into a field, from device to device where it can be."""
+    import torch
+
     tensor = tensor.detach()
     wanted = (*field.shape, *field.element_shape)
     shared = None
     if tuple(tensor.shape) == wanted and state.tape is None and not state.forward:
         shared = _shares_with(field, tensor.device)
     if shared is None:
-        return field.from_numpy(tensor.cpu().numpy())
-    import torch
-
+        # NumPy has no bf16; f32 holds its numbers.
+        is_short = tensor.dtype == torch.bfloat16
+        return field.from_numpy((tensor.float() if is_short else tensor).cpu().numpy())
     shared.copy_(tensor)
     if tensor.device.type == "cuda":
         wait_for_stream(torch.cuda.current_stream())
