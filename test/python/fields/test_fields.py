@@ -399,12 +399,14 @@ def test_fields_that_no_memory_holds(shape, hint):
     "use",
     [
         lambda v: v[0],
+        lambda v: ti.optim.SGD([v]),
+        lambda v: np.from_dlpack(v),
         lambda v: v.__setitem__(0, [1, 2]),
         lambda v: v.to_numpy(),
         lambda v: v.from_numpy(np.ones((3, 2))),
         lambda v: v.fill(1),
     ],
-    ids=["read", "write", "to_numpy", "from_numpy", "fill"],
+    ids=["read", "optimise", "share", "write", "to_numpy", "from_numpy", "fill"],
 )
 def test_vector_fields_have_to_be_placed_before_they_are_used(use):
     v = ti.Vector.field(2, ti.f64, name="v")
@@ -412,6 +414,7 @@ def test_vector_fields_have_to_be_placed_before_they_are_used(use):
         use(v)
     assert "give it a shape, or place it" in caught.value.hint
     ti.root.dense(ti.i, 3).place(v)
+    ti.root.lazy_grad()
     use(v)
 
 

@@ -16,13 +16,13 @@ from .streams import wait_for_stream
 
 def _storage(field: Any) -> Any:
     """The place that holds all of the field."""
+    field._placed_node()
     single = getattr(field, "single", field)
     if single is None or getattr(field, "is_window", False):
         raise BufferError(
             f"field '{field.name}' cannot be shared: its components lie apart; copy it, by "
             "to_numpy or to_torch"
         )
-    field._placed_node()
     return single
 
 
