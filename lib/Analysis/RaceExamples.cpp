@@ -154,11 +154,13 @@ private:
       auto number = [&](const IndexExpr &expr) {
         return APInt(64, static_cast<uint64_t>(expr.constant)).trunc(bits);
       };
-      return arith::applyCmpPredicate(comparison.getPredicate(), number(lhs), number(rhs));
+      return arith::applyCmpPredicate(comparison.getPredicate(), number(lhs),
+                                      number(rhs));
     }
     // The same number, whatever it is.
     if (lhs == rhs)
-      return arith::applyCmpPredicate(comparison.getPredicate(), APInt(64, 0), APInt(64, 0));
+      return arith::applyCmpPredicate(comparison.getPredicate(), APInt(64, 0),
+                                      APInt(64, 0));
     return std::nullopt;
   }
 
@@ -213,7 +215,8 @@ public:
         return values;
       auto [lower, count, step] = *range;
       for (int64_t i : {int64_t(0), int64_t(1), count - 1})
-        if (i >= 0 && i < count && !llvm::is_contained(values, lower + i * step))
+        if (i >= 0 && i < count &&
+            !llvm::is_contained(values, lower + i * step))
           values.push_back(lower + i * step);
       return values;
     }
@@ -325,9 +328,10 @@ private:
         return !first.box.loop->isAncestor(
             value.getParentBlock()->getParentOp());
       };
-      return llvm::all_of(element, [&](const IndexExpr &index) {
-               return index.allOf(isFromOutside);
-             }) &&
+      return llvm::all_of(element,
+                          [&](const IndexExpr &index) {
+                            return index.allOf(isFromOutside);
+                          }) &&
              trySecond(Numbers());
     }
     for (int64_t value : first.getCandidates(number, ofFirst)) {
@@ -345,7 +349,8 @@ private:
     bool changed = true;
     while (changed) {
       changed = false;
-      for (auto [index, wanted] : llvm::zip(getPlace(second, numbers), element)) {
+      for (auto [index, wanted] :
+           llvm::zip(getPlace(second, numbers), element)) {
         Value unknown;
         unsigned count = 0;
         for (Value iv : second.ivs)
@@ -390,9 +395,8 @@ private:
       return false;
     }
     auto get = [](Side &side, const Numbers &of) {
-      return llvm::map_to_vector(side.box.ivs(), [&](Value iv) -> int64_t {
-        return of.lookup(iv);
-      });
+      return llvm::map_to_vector(
+          side.box.ivs(), [&](Value iv) -> int64_t { return of.lookup(iv); });
     };
     found = {get(first, ofFirst), get(second, numbers)};
     return found.lhs != found.rhs && second.runs(numbers);

@@ -75,8 +75,8 @@ IterationShadow::create(ParallelForOp loop,
         b.createOrFold<arith::MulIOp>(shadow.size, shadow.index(extent));
   shadow.size = b.createOrFold<arith::MaxSIOp>(shadow.size, shadow.index(1));
   if (isWanted)
-    shadow.size = b.createOrFold<arith::SelectOp>(isWanted, shadow.size,
-                                                  shadow.index(1));
+    shadow.size =
+        b.createOrFold<arith::SelectOp>(isWanted, shadow.size, shadow.index(1));
   return shadow;
 }
 
@@ -159,13 +159,12 @@ Value IterationShadow::leave(Value array,
     Value before = memref::AtomicRMWOp::create(
         b, arith::AtomicRMWKind::maximumf, own, array, number);
     Value isFirst = isNoneOr(before, own);
-    Value mark = arith::SelectOp::create(
-        b, isFirst, own, real(static_cast<double>(kSeveral)));
+    Value mark = arith::SelectOp::create(b, isFirst, own,
+                                         real(static_cast<double>(kSeveral)));
     memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::maximumf, mark, array,
                                 number);
-    isAlone =
-        isAlone ? arith::AndIOp::create(b, isAlone, isFirst).getResult()
-                : isFirst;
+    isAlone = isAlone ? arith::AndIOp::create(b, isAlone, isFirst).getResult()
+                      : isFirst;
   }
   return isAlone;
 }
@@ -175,11 +174,11 @@ Value IterationShadow::isFree(Value array,
   Value own = getIteration(), isFree;
   for (Value number : getNumbers(access)) {
     // It must not be read before the own number has been left elsewhere.
-    Value found = memref::AtomicRMWOp::create(
-        b, arith::AtomicRMWKind::maximumf, real(-1), array, number);
+    Value found = memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::maximumf,
+                                              real(-1), array, number);
     Value isMine = isNoneOr(found, own);
-    isFree = isFree ? arith::AndIOp::create(b, isFree, isMine).getResult()
-                    : isMine;
+    isFree =
+        isFree ? arith::AndIOp::create(b, isFree, isMine).getResult() : isMine;
   }
   return isFree;
 }

@@ -26,8 +26,8 @@ std::string describeElement(DifferentiableAccessInterface access);
 class IterationShadow {
 public:
   /// Computes the extents of the storage before the loop. No value if there are
-  /// too many elements. Nothing is done unless `isWanted`, if it is given, holds
-  /// there.
+  /// too many elements. Nothing is done unless `isWanted`, if it is given,
+  /// holds there.
   static std::optional<IterationShadow>
   create(ParallelForOp loop, DifferentiableAccessInterface access,
          Value isWanted = {});

@@ -319,10 +319,10 @@ bool MeetingBuilder::getBounds(const IndexLimits &limits,
   if (!box && loop.isStructFor())
     return false;
   for (size_t dim = 0; dim != rank; ++dim) {
-    Value lower = box ? number(box->lower[dim])
-                      : widen(loop.getLowerBounds()[dim]);
-    Value upper = box ? number(box->upper[dim])
-                      : widen(loop.getUpperBounds()[dim]);
+    Value lower =
+        box ? number(box->lower[dim]) : widen(loop.getLowerBounds()[dim]);
+    Value upper =
+        box ? number(box->upper[dim]) : widen(loop.getUpperBounds()[dim]);
     for (const IndexExpr &limit : limits.lower[dim]) {
       Value value = emit(limit);
       if (!value)
@@ -364,8 +364,8 @@ Value MeetingBuilder::create(DifferentiableAccessInterface write,
   using Predicate = arith::CmpIPredicate;
   Value differ;
   auto addDifference = [&](Value condition) {
-    differ = differ ? b.createOrFold<arith::OrIOp>(differ, condition)
-                    : condition;
+    differ =
+        differ ? b.createOrFold<arith::OrIOp>(differ, condition) : condition;
   };
   for (size_t dim = 0; dim != rank; ++dim) {
     auto [from, to] = writes[dim];
@@ -409,7 +409,8 @@ void OtherIterations::refuseLaunches() {
     ImplicitLocOpBuilder b(read->getLoc(), loop);
     std::string message = describeElement(read);
     if (!haveSameStorage(write, read))
-      message = "two arguments of the kernel are one array, of which an element";
+      message =
+          "two arguments of the kernel are one array, of which an element";
     message += " is read here by one iteration of a parallel loop, while "
                "another iteration writes it, and the result would depend on "
                "which of them comes first; write to another field and copy it "

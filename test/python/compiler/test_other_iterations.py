@@ -426,7 +426,9 @@ CASES = [
 
 
 @pytest.mark.parametrize(
-    "form, dtype, n, mode", CASES, ids=["-".join((f.__name__, d, str(n), m)) for f, d, n, m in CASES]
+    "form, dtype, n, mode",
+    CASES,
+    ids=["-".join((f.__name__, d, str(n), m)) for f, d, n, m in CASES],
 )
 def test_two_threads(form, dtype, n, mode):
     kind = FORMS[form]
