@@ -9,7 +9,6 @@
 #include "Launch.h"
 #include "TangentFlows.h"
 #include "tai/Runtime/Host/ExportedBuffer.h"
-#include <exception>
 
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
@@ -262,7 +261,7 @@ public:
   TakenLaunch(Launcher &launcher, bool isUnrecorded)
       : launcher(launcher), launch(launcher.acquire(isUnrecorded)) {}
   ~TakenLaunch() {
-    if (std::uncaught_exceptions() > exceptions)
+    if (!isFinished)
       launch->recover();
     launcher.release(launch);
   }
@@ -270,10 +269,17 @@ public:
   TakenLaunch &operator=(const TakenLaunch &) = delete;
   Launch &operator*() const { return *launch; }
 
+  /// The call has returned. A flag costs nothing; the count of exceptions in
+  /// flight would be two accesses to variables of the thread in each launch.
+  Status finish(Status status) {
+    isFinished = true;
+    return status;
+  }
+
 private:
   Launcher &launcher;
   Launch *launch;
-  int exceptions = std::uncaught_exceptions();
+  bool isFinished = false;
 };
 } // namespace
 
@@ -346,9 +352,10 @@ Status Launcher::launch(Kernel &kernel, const uint64_t *args, int64_t slots,
     TakenLaunch launch(*this, /*isUnrecorded=*/!tape);
     uint64_t number = hot.launches.fetch_add(1, std::memory_order_relaxed);
     kernel.prepared.lastLaunch.store(number, std::memory_order_relaxed);
-    status = __builtin_expect(tape != nullptr, false)
-                 ? tape->launch(*launch, kernel, args, results, number)
-                 : run(*launch, kernel, args, results, number);
+    status =
+        launch.finish(__builtin_expect(tape != nullptr, false)
+                          ? tape->launch(*launch, kernel, args, results, number)
+                          : run(*launch, kernel, args, results, number));
   }
   if (status)
     prepare(kernel);
@@ -406,7 +413,7 @@ Status Launcher::launchAdjoint(Kernel &kernel, const uint64_t *args,
   if (adjoint)
     status = runAdjoint(*launch, kernel, *adjoint, args, number,
                         wasLaunched ? &loops : nullptr);
-  return status;
+  return launch.finish(std::move(status));
 }
 
 Status Launcher::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
