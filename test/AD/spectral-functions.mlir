@@ -76,3 +76,89 @@ tai.kernel @values() {
   tai.store %s, @r[] : vector<2x2xf64>
   tai.return
 }
+
+// A matrix in the middle is diagonal by the ops that make it: inserts on the
+// diagonal, or of zero, and a quotient of a diagonal one.
+tai.kernel @inserts() {
+  %zero = arith.constant 0.0 : f64
+  %two = arith.constant dense<2.0> : vector<2x2xf64>
+  %zeros = arith.constant dense<0.0> : vector<2x2xf64>
+  %a = tai.load @a[] : vector<2x2xf64>
+  %u, %s, %v = tai.svd %a : vector<2x2xf64>
+  %s0 = vector.extract %s[0, 0] : f64 from vector<2x2xf64>
+  %s1 = vector.extract %s[1, 1] : f64 from vector<2x2xf64>
+  %d = vector.insert %s0, %zeros[0, 0] : f64 into vector<2x2xf64>
+  %m = vector.insert %s1, %d[1, 1] : f64 into vector<2x2xf64>
+  %0 = tai.matmul %u, %m : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  %1 = tai.transpose %v : vector<2x2xf64> -> vector<2x2xf64>
+  %2 = tai.matmul %0, %1 : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  tai.store %2, @r[] : vector<2x2xf64>
+  tai.return
+}
+tai.kernel @quotient() {
+  %zero = arith.constant 0.0 : f64
+  %two = arith.constant dense<2.0> : vector<2x2xf64>
+  %zeros = arith.constant dense<0.0> : vector<2x2xf64>
+  %a = tai.load @a[] : vector<2x2xf64>
+  %u, %s, %v = tai.svd %a : vector<2x2xf64>
+  %s0 = vector.extract %s[0, 0] : f64 from vector<2x2xf64>
+  %s1 = vector.extract %s[1, 1] : f64 from vector<2x2xf64>
+  %m = arith.divf %s, %two : vector<2x2xf64>
+  %0 = tai.matmul %u, %m : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  %1 = tai.transpose %v : vector<2x2xf64> -> vector<2x2xf64>
+  %2 = tai.matmul %0, %1 : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  tai.store %2, @r[] : vector<2x2xf64>
+  tai.return
+}
+tai.kernel @insert_of_zero() {
+  %zero = arith.constant 0.0 : f64
+  %two = arith.constant dense<2.0> : vector<2x2xf64>
+  %zeros = arith.constant dense<0.0> : vector<2x2xf64>
+  %a = tai.load @a[] : vector<2x2xf64>
+  %u, %s, %v = tai.svd %a : vector<2x2xf64>
+  %s0 = vector.extract %s[0, 0] : f64 from vector<2x2xf64>
+  %s1 = vector.extract %s[1, 1] : f64 from vector<2x2xf64>
+  %m = vector.insert %zero, %s[0, 1] : f64 into vector<2x2xf64>
+  %0 = tai.matmul %u, %m : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  %1 = tai.transpose %v : vector<2x2xf64> -> vector<2x2xf64>
+  %2 = tai.matmul %0, %1 : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  tai.store %2, @r[] : vector<2x2xf64>
+  tai.return
+}
+
+// It is not if something else stands off its diagonal, or is the dividend.
+tai.kernel @insert_off_the_diagonal() {
+  %zero = arith.constant 0.0 : f64
+  %two = arith.constant dense<2.0> : vector<2x2xf64>
+  %zeros = arith.constant dense<0.0> : vector<2x2xf64>
+  %a = tai.load @a[] : vector<2x2xf64>
+  // expected-warning @+2 {{where singular values are equal}}
+  // expected-note @+1 {{products such as}}
+  %u, %s, %v = tai.svd %a : vector<2x2xf64>
+  %s0 = vector.extract %s[0, 0] : f64 from vector<2x2xf64>
+  %s1 = vector.extract %s[1, 1] : f64 from vector<2x2xf64>
+  %d = vector.insert %s0, %zeros[0, 1] : f64 into vector<2x2xf64>
+  %m = vector.insert %s1, %d[1, 1] : f64 into vector<2x2xf64>
+  %0 = tai.matmul %u, %m : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  %1 = tai.transpose %v : vector<2x2xf64> -> vector<2x2xf64>
+  %2 = tai.matmul %0, %1 : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  tai.store %2, @r[] : vector<2x2xf64>
+  tai.return
+}
+tai.kernel @divided() {
+  %zero = arith.constant 0.0 : f64
+  %two = arith.constant dense<2.0> : vector<2x2xf64>
+  %zeros = arith.constant dense<0.0> : vector<2x2xf64>
+  %a = tai.load @a[] : vector<2x2xf64>
+  // expected-warning @+2 {{where singular values are equal}}
+  // expected-note @+1 {{products such as}}
+  %u, %s, %v = tai.svd %a : vector<2x2xf64>
+  %s0 = vector.extract %s[0, 0] : f64 from vector<2x2xf64>
+  %s1 = vector.extract %s[1, 1] : f64 from vector<2x2xf64>
+  %m = arith.divf %two, %s : vector<2x2xf64>
+  %0 = tai.matmul %u, %m : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  %1 = tai.transpose %v : vector<2x2xf64> -> vector<2x2xf64>
+  %2 = tai.matmul %0, %1 : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  tai.store %2, @r[] : vector<2x2xf64>
+  tai.return
+}

@@ -111,3 +111,34 @@ tai.kernel @read_early() {
   }
   tai.return
 }
+
+// -----
+
+!t = !tai.root<dense<[i: 16], {x: f32, x_grad: f32}>>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 1
+tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
+
+tai.kernel @carried() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c16 = arith.constant 16 : index
+  %one = arith.constant 1.0 : f32
+  // expected-note @+2 {{store it to a field, or make two kernels}}
+  // expected-error @+1 {{the gradient needs the loops of this kernel to be launched one by one, but a later one uses a value of this one}}
+  %a = scf.for %i = %c0 to %c16 step %c1 iter_args(%p = %one) -> f32 {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.sin %0 : f32
+    tai.store %1, @x[%i] : f32
+    %2 = arith.mulf %p, %0 : f32
+    scf.yield %2 : f32
+  }
+  // expected-note @+1 {{used here}}
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = math.exp %0 : f32
+    %2 = arith.mulf %1, %a : f32
+    tai.store %2, @x[%i] : f32
+  }
+  tai.return
+}

@@ -518,6 +518,50 @@ TEST_F(IndexExprTest, DigitsOfTwoNumbers) {
   EXPECT_GT(together, 300);
 }
 
+// A division rounds down where the remainder of these two numbers and the
+// divisor have different signs, in any order; where the condition asks of other
+// numbers, it is no such division.
+TEST_F(IndexExprTest, ConditionsOfDivisionsThatRoundDown) {
+  start(0, 24, 0, 5);
+  Type i32 = b.getI32Type();
+  Value x = arith::IndexCastOp::create(b, i32, loop.getInductionVars()[0]);
+  Value m = arguments[1], zero = constant(0, i32);
+  Value other = arith::IndexCastOp::create(b, i32, loop.getInductionVars()[1]);
+  Value rest = arith::RemSIOp::create(b, x, m);
+  Value restByOther = arith::RemSIOp::create(b, x, other);
+  Value restOfOther = arith::RemSIOp::create(b, other, m);
+  Value quotient = arith::DivSIOp::create(b, x, m);
+  auto differ = [&](Value asked, Value lhs, Value rhs) -> Value {
+    return arith::AndIOp::create(
+        b, arith::CmpIOp::create(b, arith::CmpIPredicate::ne, asked, zero),
+        arith::CmpIOp::create(b, arith::CmpIPredicate::slt,
+                              arith::XOrIOp::create(b, lhs, rhs), zero));
+  };
+  Value conditions[] = {differ(rest, rest, m),
+                        differ(rest, m, rest),
+                        differ(rest, rest, other),
+                        differ(rest, other, rest),
+                        differ(rest, m, other),
+                        differ(rest, other, m),
+                        differ(restByOther, restByOther, m),
+                        differ(restOfOther, restOfOther, m)};
+  IndexBuilder builder;
+  IndexExpr downQuotient = builder.get(roundDown(true, x, m));
+  IndexExpr downRest = builder.get(roundDown(false, x, m));
+  for (auto [number, condition] : llvm::enumerate(conditions)) {
+    Value less = arith::SubIOp::create(b, quotient, constant(1, i32));
+    Value more = arith::AddIOp::create(b, rest, m);
+    EXPECT_EQ(builder.get(arith::SelectOp::create(b, condition, less,
+                                                  quotient)) == downQuotient,
+              number < 2)
+        << number;
+    EXPECT_EQ(builder.get(arith::SelectOp::create(b, condition, more, rest)) ==
+                  downRest,
+              number < 2)
+        << number;
+  }
+}
+
 TEST_F(IndexExprTest, ThreeDigits) {
   start(0, 24, 0, 1);
   Value i = loop.getInductionVars()[0];

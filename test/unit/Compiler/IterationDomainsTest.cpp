@@ -41,6 +41,26 @@ protected:
     return IterationDomains(kernel, *forms).domainOf(print->getBlock());
   }
 
+  /// The numbers of -2 to 11 that are points of the printed block's domain, of
+  /// which each sum is one of `%i` alone.
+  std::vector<int64_t> pointsOf() {
+    std::vector<int64_t> points;
+    IterationDomain domain = domainOf();
+    for (int64_t i = -2; i != 12; ++i)
+      if (llvm::any_of(domain.pieces, [&](ArrayRef<LinearSum> rows) {
+            return llvm::all_of(rows, [&](const LinearSum &row) {
+              int64_t value = row.constant;
+              for (auto [variable, factor] : row.terms) {
+                EXPECT_EQ(variable, domain.loops.front());
+                value += factor * i;
+              }
+              return value >= 0;
+            });
+          }))
+        points.push_back(i);
+    return points;
+  }
+
   OwningOpRef<ModuleOp> module;
   KernelOp kernel;
   PrintOp print;
@@ -134,4 +154,116 @@ TEST_F(IterationDomainsTest, DataMakesUncertain) {
   EXPECT_FALSE(domain.isCertain);
   EXPECT_TRUE(domain.isComplete);
   EXPECT_EQ(domain.pieces.size(), 1u);
+}
+
+// The points of a domain are the iterations in which its block runs.
+TEST_F(IterationDomainsTest, ConditionsOfOneIndex) {
+  struct Case {
+    const char *condition;
+    bool (*holds)(int64_t i);
+  };
+  const Case cases[] = {
+      {"%if = arith.cmpi slt, %i, %c3 : index", [](int64_t i) { return i < 3; }},
+      {"%if = arith.cmpi sle, %i, %c3 : index",
+       [](int64_t i) { return i <= 3; }},
+      {"%if = arith.cmpi sgt, %i, %c3 : index", [](int64_t i) { return i > 3; }},
+      {"%if = arith.cmpi sge, %i, %c3 : index",
+       [](int64_t i) { return i >= 3; }},
+      {"%if = arith.cmpi eq, %i, %c3 : index",
+       [](int64_t i) { return i == 3; }},
+      {"%if = arith.cmpi ne, %i, %c3 : index",
+       [](int64_t i) { return i != 3; }},
+      {"%if = arith.cmpi ult, %i, %c3 : index", [](int64_t i) { return i < 3; }},
+      {"%if = arith.cmpi ule, %i, %c3 : index",
+       [](int64_t i) { return i <= 3; }},
+      {"%if = arith.cmpi ugt, %i, %c3 : index", [](int64_t i) { return i > 3; }},
+      {"%if = arith.cmpi uge, %i, %c3 : index",
+       [](int64_t i) { return i >= 3; }},
+      {"%a = arith.cmpi sge, %i, %c2 : index\n"
+       "%b = arith.cmpi sle, %i, %c3 : index\n"
+       "%if = arith.andi %a, %b : i1",
+       [](int64_t i) { return i >= 2 && i <= 3; }},
+      {"%a = arith.cmpi slt, %i, %c2 : index\n"
+       "%b = arith.cmpi sgt, %i, %c3 : index\n"
+       "%if = arith.ori %a, %b : i1",
+       [](int64_t i) { return i < 2 || i > 3; }},
+      {"%a = arith.cmpi slt, %i, %c2 : index\n"
+       "%true = arith.constant true\n"
+       "%if = arith.xori %a, %true : i1",
+       [](int64_t i) { return i >= 2; }},
+      {"%a = arith.cmpi sge, %i, %c2 : index\n"
+       "%b = arith.cmpi sle, %i, %c3 : index\n"
+       "%false = arith.constant false\n"
+       "%if = arith.select %a, %b, %false : i1",
+       [](int64_t i) { return i >= 2 && i <= 3; }},
+      {"%a = arith.cmpi slt, %i, %c2 : index\n"
+       "%b = arith.cmpi sgt, %i, %c3 : index\n"
+       "%true = arith.constant true\n"
+       "%if = arith.select %a, %true, %b : i1",
+       [](int64_t i) { return i < 2 || i > 3; }},
+  };
+  for (const Case &one : cases)
+    for (bool holds : {true, false}) {
+      SCOPED_TRACE((holds ? "" : "not ") + std::string(one.condition));
+      std::string body = one.condition;
+      body += "\nscf.if %if {\n";
+      if (!holds)
+        body += "} else {\n";
+      body += "tai.print \"{}\"(%i) : index\n}";
+      parse(body);
+      std::vector<int64_t> expected;
+      for (int64_t i = 0; i != 10; ++i)
+        if (one.holds(i) == holds)
+          expected.push_back(i);
+      EXPECT_EQ(pointsOf(), expected);
+      EXPECT_TRUE(domainOf().isCertain);
+      EXPECT_TRUE(domainOf().isComplete);
+    }
+}
+
+// Both ends of the type of a sum are assumptions, and the smaller of two sums
+// takes over those of both.
+TEST_F(IterationDomainsTest, AssumptionsNameBothEndsOfTheType) {
+  parse(R"(
+    %j = arith.index_cast %i : index to i32
+    %b = arith.addi %j, %n : i32
+    tai.print "{}"(%b) : i32)");
+  LinearForm sum = formOf();
+  ASSERT_EQ(sum.facts.size(), 2u);
+  EXPECT_EQ(sum.facts[0], sum.sum.plus(int64_t(1) << 31));
+  EXPECT_EQ(sum.facts[1],
+            LinearSum::of((int64_t(1) << 31) - 1).plus(sum.sum, -1));
+  for (const char *operands : {"%b, %n", "%n, %b", "%n, %n"}) {
+    parse(R"(
+      %j = arith.index_cast %i : index to i32
+      %b = arith.addi %j, %n : i32
+      %least = arith.minsi )" +
+          std::string(operands) + R"( : i32
+      tai.print "{}"(%least) : i32)");
+    bool hasSum = StringRef(operands).contains("%b");
+    LinearForm least = formOf();
+    EXPECT_EQ(least.isComplete, !hasSum) << operands;
+    EXPECT_EQ(least.facts.size(), hasSum ? 4u : 0u) << operands;
+  }
+}
+
+// A factor that may be large is assumed to be small, at both ends.
+TEST_F(IterationDomainsTest, FactorsAreAssumedToBeSmall) {
+  parse(R"(
+    tai.print "{}"(%n) : i32)");
+  LinearSum small =
+      forms->makeLaunchForm({kernel.getArgument(0), {}}, {0, 9}).sum;
+  SmallVector<LinearSum> facts;
+  EXPECT_EQ(forms->multiply(small, LinearSum::of(3), facts),
+            LinearSum().plus(small, 3));
+  EXPECT_TRUE(facts.empty());
+  LinearSum large =
+      forms->makeLaunchForm({kernel.getArgument(0), {}}, {0, int64_t(1) << 40})
+          .sum;
+  int64_t most = int64_t(1) << 31;
+  SmallVector<LinearSum> expected{large.plus(most),
+                                  LinearSum::of(most).plus(large, -1)};
+  EXPECT_EQ(forms->multiply(LinearSum::of(3), large, facts),
+            LinearSum().plus(large, 3));
+  EXPECT_EQ(facts, expected);
 }

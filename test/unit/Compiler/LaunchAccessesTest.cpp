@@ -127,6 +127,38 @@ TEST_F(LaunchAccessesTest, StoresUnderABranchAreNoBox) {
   EXPECT_TRUE(findStoredBoxes(*module, kernel, accesses)[0].empty());
 }
 
+// A box asks whether the loops ran that are around the store and not among its
+// indices, but for those of which the bounds are constants.
+TEST_F(LaunchAccessesTest, LoopsAroundABoxMayBeEmpty) {
+  for (auto [lower, upper, asks] :
+       {std::tuple{"%c0", "%more", true}, std::tuple{"%m", "%c16", true},
+        std::tuple{"%m", "%more", true}, std::tuple{"%c0", "%c16", false},
+        std::tuple{"%c16", "%c0", true}}) {
+    parse(R"(
+      tai.kernel @k(%v: f32, %t: i32) {
+        %c0 = arith.constant 0 : index
+        %c1 = arith.constant 1 : index
+        %c16 = arith.constant 16 : index
+        %m = arith.index_cast %t : i32 to index
+        %more = arith.addi %m, %c1 : index
+        scf.for %k = )" +
+          std::string(lower) + " to " + upper + R"( step %c1 {
+          tai.parallel_for (%i, %j) in @x {
+            tai.store %v, @x[%i, %j] : f32
+          }
+        }
+        tai.return
+      })");
+    std::vector<NamedAccess> accesses = listAccesses(kernel);
+    ASSERT_EQ(accesses.size(), 1u);
+    auto boxes = findStoredBoxes(*module, kernel, accesses);
+    ASSERT_EQ(boxes.size(), 1u);
+    ASSERT_EQ(boxes[0].size(), 1u);
+    EXPECT_EQ(boxes[0].front().loops.size(), asks ? 1u : 0u)
+        << lower << " to " << upper;
+  }
+}
+
 TEST_F(LaunchAccessesTest, KernelsThatOnlyLoopOverCellsNameTheirLevels) {
   parse(R"(
     tai.kernel @k(%v: f32) {

@@ -1,0 +1,160 @@
+//===- ZeroAdjointsTest.cpp - Cells that an adjoint can skip --------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/ZeroAdjoints.h"
+#include "../Compiler/ContextTest.h"
+#include "mlir/Parser/Parser.h"
+#include "gtest/gtest.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+namespace {
+class ZeroAdjointsTest : public ContextTest {
+protected:
+  /// The fields whose adjoints must be zero for the body of a loop over cells
+  /// to have no effect, as text; the body has the cell's index %i, another
+  /// index %k, and the adjoint %g of @y and the value %v of @x in the cell.
+  std::string sourcesOf(StringRef body) {
+    std::string text = R"(
+      tai.tree @t : !tai.root<pointer<[i: 8], {x: f32, x_grad: f32, y: f32, y_grad: f32, p: vector<2xf32>, p_grad: vector<2xf32>}>, {a: f32, a_grad: f32}>
+      tai.field @x_grad = @t["x_grad"] : f32, rank 1
+      tai.field @y_grad = @t["y_grad"] : f32, rank 1
+      tai.field @a_grad = @t["a_grad"] : f32, rank 0
+      tai.field @p_grad = @t["p_grad"] : vector<2xf32>, rank 1
+      tai.field @x = @t["x"] : f32, rank 1, adjoint @x_grad
+      tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
+      tai.field @a = @t["a"] : f32, rank 0, adjoint @a_grad
+      tai.field @p = @t["p"] : vector<2xf32>, rank 1, adjoint @p_grad
+      tai.kernel @k() {
+        tai.return
+      }
+      tai.kernel @k_grad(%c: i1, %s: f32) {
+        %zero = arith.constant 0.0 : f32
+        %one = arith.constant 1.0 : f32
+        %zeros = arith.constant dense<0.0> : vector<2xf32>
+        %c0 = arith.constant 0 : index
+        %c1 = arith.constant 1 : index
+        %c4 = arith.constant 4 : index
+        tai.parallel_for (%i) in @x {
+          %k = arith.subi %c4, %i : index
+          %g = tai.load @y_grad[%i] : f32
+          %v = tai.load @x[%i] : f32
+    )" + body.str() + "}\ntai.return\n}";
+    module = parseSourceString<ModuleOp>(text, &context);
+    if (!module)
+      return "no module";
+    std::vector<LoopFlags> flags =
+        findLoopFlags(module->lookupSymbol<KernelOp>("k"),
+                      module->lookupSymbol<KernelOp>("k_grad"));
+    if (flags.size() != 1)
+      return "no loop";
+    sumsUp = flags[0].sumsUp;
+    return llvm::join(flags[0].sources, " ");
+  }
+
+  OwningOpRef<ModuleOp> module;
+  bool sumsUp = false;
+};
+} // namespace
+
+// Sums of products with the adjoint of the cell vanish with it.
+TEST_F(ZeroAdjointsTest, ProductsWithTheAdjointOfTheCell) {
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = arith.mulf %g, %v : f32
+    %1 = arith.mulf %s, %0 : f32
+    %2 = arith.addf %0, %1 : f32
+    tai.atomic add %2, @x_grad[%i] : f32)"),
+            "y_grad");
+  EXPECT_FALSE(sumsUp);
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = arith.divf %g, %v : f32
+    %1 = arith.negf %0 : f32
+    tai.atomic sub %1, @a_grad[] : f32)"),
+            "y_grad");
+  EXPECT_TRUE(sumsUp);
+  // One operand of a sum, a divisor, or a value, is not enough.
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = arith.addf %g, %v : f32
+    tai.atomic add %0, @x_grad[%i] : f32)"),
+            "");
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = arith.divf %v, %g : f32
+    tai.atomic add %0, @x_grad[%i] : f32)"),
+            "");
+  EXPECT_EQ(sourcesOf("tai.atomic add %v, @x_grad[%i] : f32"), "");
+  EXPECT_EQ(sourcesOf("tai.atomic max %g, @x_grad[%i] : f32"), "");
+}
+
+TEST_F(ZeroAdjointsTest, Constants) {
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = arith.select %c, %zero, %g : f32
+    tai.atomic add %0, @x_grad[%i] : f32)"),
+            "y_grad");
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = arith.select %c, %one, %g : f32
+    tai.atomic add %0, @x_grad[%i] : f32)"),
+            "");
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = arith.constant 0.0 : f32
+    %1 = arith.addf %0, %g : f32
+    tai.atomic add %1, @x_grad[%i] : f32)"),
+            "y_grad");
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = arith.constant 2.0 : f32
+    %1 = arith.addf %0, %g : f32
+    tai.atomic add %1, @x_grad[%i] : f32)"),
+            "");
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = vector.insert %g, %zeros[1] : f32 into vector<2xf32>
+    tai.atomic add %0, @p_grad[%i] : vector<2xf32>)"),
+            "y_grad");
+}
+
+// A value that a loop carries is zero if it begins and goes on as zero.
+TEST_F(ZeroAdjointsTest, CarriedValues) {
+  auto sum = [&](StringRef begin, StringRef next) {
+    return sourcesOf("%r = scf.for %j = %c0 to %c4 step %c1 iter_args(%old = " +
+                     begin.str() + R"() -> (f32) {
+        %0 = arith.addf %old, %g : f32
+        %1 = arith.addf %old, %v : f32
+        scf.yield )" + next.str() +
+                     R"( : f32
+      }
+      tai.atomic add %r, @x_grad[%i] : f32)");
+  };
+  EXPECT_EQ(sum("%zero", "%0"), "y_grad");
+  EXPECT_EQ(sum("%g", "%0"), "y_grad");
+  EXPECT_EQ(sum("%one", "%0"), "");
+  EXPECT_EQ(sum("%one", "%g"), "");
+  EXPECT_EQ(sum("%zero", "%1"), "");
+}
+
+TEST_F(ZeroAdjointsTest, Branches) {
+  auto choice = [&](StringRef yes, StringRef no) {
+    return sourcesOf("%r = scf.if %c -> f32 {\nscf.yield " + yes.str() +
+                     " : f32\n} else {\nscf.yield " + no.str() +
+                     " : f32\n}\ntai.atomic add %r, @x_grad[%i] : f32");
+  };
+  EXPECT_EQ(choice("%g", "%zero"), "y_grad");
+  EXPECT_EQ(choice("%g", "%v"), "");
+  EXPECT_EQ(choice("%one", "%g"), "");
+}
+
+// A store of zero has no effect where a zero stood, which is known of the
+// adjoint of the cell alone.
+TEST_F(ZeroAdjointsTest, Stores) {
+  EXPECT_EQ(sourcesOf("tai.store %zero, @y_grad[%i] : f32"), "y_grad");
+  EXPECT_EQ(sourcesOf("tai.store %v, @y_grad[%i] : f32"), "");
+  EXPECT_EQ(sourcesOf("tai.store %zero, @y_grad[%k] : f32"), "");
+  EXPECT_EQ(sourcesOf("tai.store %g, @x_grad[%i] : f32"), "y_grad x_grad");
+  EXPECT_EQ(sourcesOf("tai.store %zero, @x_grad[%k] : f32"), "");
+  EXPECT_EQ(sourcesOf("tai.store %zero, @x[%i] : f32"), "");
+  // One iteration would make another one matter.
+  EXPECT_EQ(sourcesOf("tai.atomic add %g, @y_grad[%k] : f32"), "");
+  EXPECT_EQ(sourcesOf("tai.atomic add %g, @x_grad[%k] : f32"), "y_grad");
+}
