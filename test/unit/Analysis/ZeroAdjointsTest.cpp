@@ -122,7 +122,8 @@ TEST_F(ZeroAdjointsTest, CarriedValues) {
                      begin.str() + R"() -> (f32) {
         %0 = arith.addf %old, %g : f32
         %1 = arith.addf %old, %v : f32
-        scf.yield )" + next.str() +
+        scf.yield )" +
+                     next.str() +
                      R"( : f32
       }
       tai.atomic add %r, @x_grad[%i] : f32)");

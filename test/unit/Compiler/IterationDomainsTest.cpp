@@ -163,20 +163,24 @@ TEST_F(IterationDomainsTest, ConditionsOfOneIndex) {
     bool (*holds)(int64_t i);
   };
   const Case cases[] = {
-      {"%if = arith.cmpi slt, %i, %c3 : index", [](int64_t i) { return i < 3; }},
+      {"%if = arith.cmpi slt, %i, %c3 : index",
+       [](int64_t i) { return i < 3; }},
       {"%if = arith.cmpi sle, %i, %c3 : index",
        [](int64_t i) { return i <= 3; }},
-      {"%if = arith.cmpi sgt, %i, %c3 : index", [](int64_t i) { return i > 3; }},
+      {"%if = arith.cmpi sgt, %i, %c3 : index",
+       [](int64_t i) { return i > 3; }},
       {"%if = arith.cmpi sge, %i, %c3 : index",
        [](int64_t i) { return i >= 3; }},
       {"%if = arith.cmpi eq, %i, %c3 : index",
        [](int64_t i) { return i == 3; }},
       {"%if = arith.cmpi ne, %i, %c3 : index",
        [](int64_t i) { return i != 3; }},
-      {"%if = arith.cmpi ult, %i, %c3 : index", [](int64_t i) { return i < 3; }},
+      {"%if = arith.cmpi ult, %i, %c3 : index",
+       [](int64_t i) { return i < 3; }},
       {"%if = arith.cmpi ule, %i, %c3 : index",
        [](int64_t i) { return i <= 3; }},
-      {"%if = arith.cmpi ugt, %i, %c3 : index", [](int64_t i) { return i > 3; }},
+      {"%if = arith.cmpi ugt, %i, %c3 : index",
+       [](int64_t i) { return i > 3; }},
       {"%if = arith.cmpi uge, %i, %c3 : index",
        [](int64_t i) { return i >= 3; }},
       {"%a = arith.cmpi sge, %i, %c2 : index\n"
