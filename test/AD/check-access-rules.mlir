@@ -222,3 +222,88 @@ tai.kernel @moving(%c: i1) {
   }
   tai.return
 }
+
+// -----
+
+!t = !tai.root<dense<[i: 8, j: 16], {x: f32, x_grad: f32, y: f32, y_grad: f32}>>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 2
+tai.field @y_grad = @t["y_grad"] : f32, rank 2
+tai.field @x = @t["x"] : f32, rank 2, adjoint @x_grad
+tai.field @y = @t["y"] : f32, rank 2, adjoint @y_grad
+
+// Two serial loops over the same range reach the same elements.
+tai.kernel @serial_loops(%n: index, %m: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%j) = (%c0) to (%c8) {
+    scf.for %a = %c0 to %n step %c1 {
+      %0 = tai.load @x[%a, %j] : f32
+      // expected-note @+1 {{other iterations of the loop still accumulate here}}
+      tai.atomic add %0, @y[%a, %c0] : f32
+    }
+    scf.for %b = %c0 to %n step %c1 {
+      // expected-error @+2 {{an element of field '@y' is read before its accumulation is done}}
+      // expected-note @+1 {{read it in a later loop}}
+      %1 = tai.load @y[%b, %c0] : f32
+      tai.store %1, @x[%b, %j] : f32
+    }
+  }
+  tai.return
+}
+
+// Loops over other ranges may not reach the element at all: other ends, other
+// beginnings, other steps.
+tai.kernel @other_range_a(%n: index, %m: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%j) = (%c0) to (%c8) {
+    scf.for %a = %c0 to %n step %c1 {
+      %0 = tai.load @x[%a, %j] : f32
+      tai.atomic add %0, @y[%a, %c0] : f32
+    }
+    scf.for %b = %c0 to %m step %c1 {
+      %1 = tai.load @y[%b, %c0] : f32
+      tai.store %1, @x[%b, %j] : f32
+    }
+  }
+  tai.return
+}
+tai.kernel @other_range_b(%n: index, %m: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%j) = (%c0) to (%c8) {
+    scf.for %a = %c0 to %n step %c1 {
+      %0 = tai.load @x[%a, %j] : f32
+      tai.atomic add %0, @y[%a, %c0] : f32
+    }
+    scf.for %b = %c1 to %n step %c1 {
+      %1 = tai.load @y[%b, %c0] : f32
+      tai.store %1, @x[%b, %j] : f32
+    }
+  }
+  tai.return
+}
+tai.kernel @other_range_c(%n: index, %m: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%j) = (%c0) to (%c8) {
+    scf.for %a = %c0 to %n step %c1 {
+      %0 = tai.load @x[%a, %j] : f32
+      tai.atomic add %0, @y[%a, %c0] : f32
+    }
+    scf.for %b = %c0 to %n step %c2 {
+      %1 = tai.load @y[%b, %c0] : f32
+      tai.store %1, @x[%b, %j] : f32
+    }
+  }
+  tai.return
+}

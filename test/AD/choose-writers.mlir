@@ -304,3 +304,33 @@ tai.kernel @steps(%n: index) {
   }
   tai.return
 }
+
+// Memory of the iteration itself is no effect: the copy keeps it and gives it
+// back.
+// CHECK-LABEL: tai.kernel @scatter_of_list.0()
+//       CHECK:   %[[OWNERS:.+]] = memref.alloc() : memref<16xi32>
+//       CHECK:   tai.parallel_for (%{{.+}}) in @x
+//       CHECK:     %[[M:.+]] = memref.alloc() : memref<2xi32>
+//       CHECK:     memref.store %{{.+}}, %[[M]]
+//       CHECK:     memref.dealloc %[[M]]
+//   CHECK-NOT:     tai.load @x
+//       CHECK:     memref.atomic_rmw maxs %{{.+}}, %[[OWNERS]]
+//       CHECK:   tai.parallel_for (%{{.+}}) in @x
+//       CHECK:     memref.dealloc
+//       CHECK:     tai.store
+tai.kernel @scatter_of_list() {
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %m = memref.alloc() : memref<2xi32>
+    %k = tai.load @p[%i] : i32
+    memref.store %k, %m[%c1] : memref<2xi32>
+    %h = memref.load %m[%c1] : memref<2xi32>
+    memref.dealloc %m : memref<2xi32>
+    %j = arith.index_cast %h : i32 to index
+    %0 = tai.load @x[%i] : f32
+    tai.store %0, @y[%j] : f32
+  }
+  tai.return
+}

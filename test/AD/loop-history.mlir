@@ -326,3 +326,51 @@ tai.kernel @closure() {
   }
   tai.return
 }
+
+// A counter of a while loop names another element in each iteration, so that the
+// values before the kernel are those of its reads; other numbers may come again.
+tai.tree @w : !tai.root<dense<[i: 8], {wx: f64, wgx: f64, wy: f64, wgy: f64}>>
+tai.field @wx = @w["wx"] : f64, rank 1, adjoint @wgx
+tai.field @wgx = @w["wgx"] : f64, rank 1
+tai.field @wy = @w["wy"] : f64, rank 1, adjoint @wgy
+tai.field @wgy = @w["wgy"] : f64, rank 1
+
+// CHECK-LABEL: tai.kernel @counter_grad(%{{.+}}: index) attributes {reads_before = [@wx]} {
+//   CHECK-NOT:   tai.stack_push
+//       CHECK:   tai.return
+tai.kernel @counter(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %e = scf.while (%k = %c0) : (index) -> index {
+    %go = arith.cmpi slt, %k, %n : index
+    scf.condition(%go) %k : index
+  } do {
+  ^bb0(%k: index):
+    %0 = tai.load @wx[%k] : f64
+    %1 = math.sin %0 : f64
+    tai.store %1, @wx[%k] : f64
+    %next = arith.addi %k, %c1 : index
+    scf.yield %next : index
+  }
+  tai.return
+}
+
+// CHECK-LABEL: tai.kernel @square_grad(%{{.+}}: index) attributes {reads_before = [@wx], reexecutes} {
+//       CHECK:   tai.stack_push
+//       CHECK:   tai.return
+tai.kernel @square(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %e = scf.while (%k = %c0) : (index) -> index {
+    %go = arith.cmpi slt, %k, %n : index
+    scf.condition(%go) %k : index
+  } do {
+  ^bb0(%k: index):
+    %0 = tai.load @wx[%k] : f64
+    %1 = math.sin %0 : f64
+    tai.store %1, @wx[%k] : f64
+    %next = arith.muli %k, %k : index
+    scf.yield %next : index
+  }
+  tai.return
+}

@@ -201,3 +201,132 @@ tai.kernel @unproven(%s: index, %t: index, %c: i1) {
   }
   tai.return
 }
+
+// -----
+
+!t = !tai.root<dense<[i: 16, j: 16], {x: f32, x_grad: f32}>, dense<[i: 16], {z: f32, z_grad: f32, y: f32, y_grad: f32}>>
+tai.tree @t : !t
+tai.field @x_grad = @t["x_grad"] : f32, rank 2
+tai.field @y_grad = @t["y_grad"] : f32, rank 1
+tai.field @z_grad = @t["z_grad"] : f32, rank 1
+tai.field @x = @t["x"] : f32, rank 2, adjoint @x_grad
+tai.field @y = @t["y"] : f32, rank 1, adjoint @y_grad
+tai.field @z = @t["z"] : f32, rank 1, adjoint @z_grad
+
+// x[i, 5] and x[5, i] are the same element in iteration 5 alone.
+tai.kernel @row_and_column() {
+  %c5 = arith.constant 5 : index
+  tai.parallel_for (%i) in @y {
+    %0 = tai.load @x[%c5, %i] : f32
+    %1 = math.sin %0 : f32
+    tai.store %1, @x[%i, %c5] : f32
+  }
+  tai.return
+}
+
+// x[i, 5] and x[4, i] are in iterations 4 and 5.
+tai.kernel @another_row() {
+  %c4 = arith.constant 4 : index
+  %c5 = arith.constant 5 : index
+  // expected-note @+1 {{run this loop on one thread}}
+  tai.parallel_for (%i) in @y {
+    // expected-error @+1 {{an element of field '@x' is read here by one iteration}}
+    %0 = tai.load @x[%c4, %i] : f32
+    %1 = math.sin %0 : f32
+    // expected-note @+1 {{written here}}
+    tai.store %1, @x[%i, %c5] : f32
+  }
+  tai.return
+}
+
+// All read an element of the first index, which one of them stores.
+tai.kernel @one_of_the_first_index(%s: f32) {
+  %c3 = arith.constant 3 : index
+  // expected-note @+1 {{run this loop on one thread}}
+  tai.parallel_for (%i) in @y {
+    // expected-note @+1 {{written here}}
+    tai.store %s, @y[%i] : f32
+    // expected-error @+1 {{an element of field '@y' is read here by one iteration}}
+    %0 = tai.load @y[%c3] : f32
+    tai.store %0, @z[%i] : f32
+  }
+  tai.return
+}
+
+// One iteration stores the element that another one reads.
+tai.kernel @store_of_one_iteration(%s: f32) {
+  %c3 = arith.constant 3 : index
+  %c5 = arith.constant 5 : index
+  // expected-note @+1 {{run this loop on one thread}}
+  tai.parallel_for (%i) in @y {
+    // expected-error @+1 {{an element of field '@y' is read here by one iteration}}
+    %0 = tai.load @y[%i] : f32
+    tai.store %0, @z[%i] : f32
+    %1 = arith.cmpi eq, %i, %c3 : index
+    scf.if %1 {
+      // expected-note @+1 {{written here}}
+      tai.store %s, @y[%c5] : f32
+    }
+  }
+  tai.return
+}
+
+// An element that no iteration stores behind these conditions: by a bound from
+// above or below, an equality, or the second one of two conditions.
+tai.kernel @not_behind_conditions(%c: i1) {
+  %c7 = arith.constant 7 : index
+  %c8 = arith.constant 8 : index
+  %c15 = arith.constant 15 : index
+  %false = arith.constant false
+  %true = arith.constant true
+  tai.parallel_for (%i) in @y {
+    %0 = tai.load @y[%c7] : f32
+    %1 = arith.cmpi slt, %i, %c7 : index
+    scf.if %1 {
+      tai.store %0, @y[%i] : f32
+    }
+    %2 = arith.cmpi sgt, %i, %c7 : index
+    scf.if %2 {
+      tai.store %0, @y[%i] : f32
+    }
+    %3 = arith.cmpi eq, %c8, %i : index
+    scf.if %3 {
+      tai.store %0, @y[%i] : f32
+    }
+    %4 = arith.cmpi sge, %i, %c8 : index
+    %5 = scf.if %2 -> i1 {
+      scf.yield %4 : i1
+    } else {
+      scf.yield %false : i1
+    }
+    scf.if %5 {
+      tai.store %0, @y[%i] : f32
+    }
+  }
+  tai.parallel_for (%i) in @y {
+    %0 = tai.load @z[%c7] : f32
+    %1 = arith.cmpi slt, %i, %c15 : index
+    %2 = arith.cmpi sge, %i, %c8 : index
+    %3 = scf.if %1 -> i1 {
+      scf.yield %2 : i1
+    } else {
+      scf.yield %false : i1
+    }
+    scf.if %3 {
+      tai.store %0, @z[%i] : f32
+    }
+    // Neither of "i >= 15 or i <= 7".
+    %4 = arith.cmpi sge, %i, %c15 : index
+    %5 = arith.cmpi sle, %i, %c7 : index
+    %6 = scf.if %4 -> i1 {
+      scf.yield %true : i1
+    } else {
+      scf.yield %5 : i1
+    }
+    scf.if %6 {
+    } else {
+      tai.store %0, @z[%i] : f32
+    }
+  }
+  tai.return
+}

@@ -162,3 +162,31 @@ tai.kernel @divided() {
   tai.store %2, @r[] : vector<2x2xf64>
   tai.return
 }
+
+// A factor in front of U f(S) V' takes the value of the function into its
+// adjoint: f(S) on the diagonal, enclosed by U and V.
+// CHECK-LABEL: tai.kernel @times_grad(
+//       CHECK:   %[[U:.+]], %[[S:.+]], %[[V:.+]] = tai.svd
+//       CHECK:   %[[S0:.+]] = vector.extract %[[S]][0, 0]
+//       CHECK:   %[[S1:.+]] = vector.extract %[[S]][1, 1]
+//       CHECK:   %[[M0:.+]] = arith.mulf %[[S0]], %[[S0]]
+//       CHECK:   %[[M1:.+]] = arith.mulf %[[S1]], %[[S1]]
+//       CHECK:   vector.from_elements %[[M0]], %[[ZERO:.+]], %[[ZERO]], %[[M1]]
+//       CHECK:   tai.return
+tai.kernel @times(%b: vector<2x2xf64>) {
+  %zero = arith.constant 0.0 : f64
+  %a = tai.load @a[] : vector<2x2xf64>
+  %u, %s, %v = tai.svd %a : vector<2x2xf64>
+  %s0 = vector.extract %s[0, 0] : f64 from vector<2x2xf64>
+  %s1 = vector.extract %s[1, 1] : f64 from vector<2x2xf64>
+  %m0 = arith.mulf %s0, %s0 : f64
+  %m1 = arith.mulf %s1, %s1 : f64
+  %m = vector.from_elements %m0, %zero, %zero, %m1 : vector<2x2xf64>
+  %c = tai.load @a[] : vector<2x2xf64>
+  %cu = tai.matmul %c, %u : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  %0 = tai.matmul %cu, %m : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  %1 = tai.transpose %v : vector<2x2xf64> -> vector<2x2xf64>
+  %2 = tai.matmul %0, %1 : (vector<2x2xf64>, vector<2x2xf64>) -> vector<2x2xf64>
+  tai.store %2, @r[] : vector<2x2xf64>
+  tai.return
+}

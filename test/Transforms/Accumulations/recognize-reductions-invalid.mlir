@@ -217,3 +217,125 @@ tai.kernel @conditions() {
   }
   tai.return
 }
+
+// -----
+
+!t = !tai.root<dense<[i: 8], {x: f64, gx: f64, y: f64, gy: f64}>>
+tai.tree @t : !t
+tai.field @x = @t["x"] : f64, rank 1, adjoint @gx
+tai.field @gx = @t["gx"] : f64, rank 1
+tai.field @y = @t["y"] : f64, rank 1, adjoint @gy
+tai.field @gy = @t["gy"] : f64, rank 1
+
+// An equality of floats may hold for one iteration alone, and is left to the
+// checks of a run; another comparison, or an inequality, may not.
+tai.kernel @oeq_t(%n: f64) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.cmpf oeq, %0, %n : f64
+    scf.if %1 {
+      %2 = tai.load @y[%c0] : f64
+      %3 = math.sin %2 : f64
+      %4 = arith.subf %0, %3 : f64
+      tai.store %4, @y[%c0] : f64
+    }
+  }
+  tai.return
+}
+tai.kernel @ueq_t(%n: f64) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.cmpf ueq, %0, %n : f64
+    scf.if %1 {
+      %2 = tai.load @y[%c0] : f64
+      %3 = math.sin %2 : f64
+      %4 = arith.subf %0, %3 : f64
+      tai.store %4, @y[%c0] : f64
+    }
+  }
+  tai.return
+}
+tai.kernel @une_e(%n: f64) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.cmpf une, %0, %n : f64
+    scf.if %1 {
+    } else {
+      %2 = tai.load @y[%c0] : f64
+      %3 = math.sin %2 : f64
+      %4 = arith.subf %0, %3 : f64
+      tai.store %4, @y[%c0] : f64
+    }
+  }
+  tai.return
+}
+tai.kernel @one_e(%n: f64) {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.cmpf one, %0, %n : f64
+    scf.if %1 {
+    } else {
+      %2 = tai.load @y[%c0] : f64
+      %3 = math.sin %2 : f64
+      %4 = arith.subf %0, %3 : f64
+      tai.store %4, @y[%c0] : f64
+    }
+  }
+  tai.return
+}
+tai.kernel @une_t(%n: f64) {
+  %c0 = arith.constant 0 : index
+  // expected-note @+1 {{run this loop on one thread ('serialize')}}
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.cmpf une, %0, %n : f64
+    scf.if %1 {
+      %2 = tai.load @y[%c0] : f64
+      %3 = math.sin %2 : f64
+      %4 = arith.subf %0, %3 : f64
+      // expected-error @+2 {{an element of field '@y' is read and written by the iterations}}
+      // expected-note @+1 {{or update it by one operation whose order does not matter}}
+      tai.store %4, @y[%c0] : f64
+    }
+  }
+  tai.return
+}
+tai.kernel @oeq_e(%n: f64) {
+  %c0 = arith.constant 0 : index
+  // expected-note @+1 {{run this loop on one thread ('serialize')}}
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.cmpf oeq, %0, %n : f64
+    scf.if %1 {
+    } else {
+      %2 = tai.load @y[%c0] : f64
+      %3 = math.sin %2 : f64
+      %4 = arith.subf %0, %3 : f64
+      // expected-error @+2 {{an element of field '@y' is read and written by the iterations}}
+      // expected-note @+1 {{or update it by one operation whose order does not matter}}
+      tai.store %4, @y[%c0] : f64
+    }
+  }
+  tai.return
+}
+tai.kernel @olt_t(%n: f64) {
+  %c0 = arith.constant 0 : index
+  // expected-note @+1 {{run this loop on one thread ('serialize')}}
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %1 = arith.cmpf olt, %0, %n : f64
+    scf.if %1 {
+      %2 = tai.load @y[%c0] : f64
+      %3 = math.sin %2 : f64
+      %4 = arith.subf %0, %3 : f64
+      // expected-error @+2 {{an element of field '@y' is read and written by the iterations}}
+      // expected-note @+1 {{or update it by one operation whose order does not matter}}
+      tai.store %4, @y[%c0] : f64
+    }
+  }
+  tai.return
+}

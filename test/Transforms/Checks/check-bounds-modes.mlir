@@ -110,3 +110,25 @@ tai.kernel @array(%a: memref<?xf32>, %one: f32) {
   }
   tai.return
 }
+
+// The cells of lists: the index along which a list grows is none of them, and
+// the other one ends at 2.
+tai.tree @lists : !tai.root<dense<[j: 3], dynamic<[i: 16], chunk 4, {e: f32}>>>
+tai.field @e = @lists["e"] : f32, rank 2
+// CLAMP-LABEL: tai.kernel @lists_of_cells(
+//       CLAMP:   %[[TWO:.+]] = arith.constant 2 : index
+//       CLAMP:   %[[LEAST:.+]] = arith.minsi %{{.+}}, %[[TWO]]
+//       CLAMP:   %[[AT:.+]] = arith.maxsi %[[LEAST]], %{{.+}}
+//       CLAMP:   tai.append %{{.+}}, @e[%[[AT]]]
+//       CLAMP:   tai.length @e[%{{.+}}]
+tai.kernel @lists_of_cells(%one: f32) {
+  tai.parallel_for (%i) in @k {
+    %k = tai.load @k[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.append %one, @e[%j] : f32
+    %1 = tai.length @e[%j]
+    %2 = arith.index_cast %1 : index to i32
+    tai.store %2, @k[%i] : i32
+  }
+  tai.return
+}

@@ -226,6 +226,26 @@ TEST_F(AdjointPlannerTest, AsksForPartsBetweenLoops) {
 }
 
 // A stored value is in memory, unless the adjoint runs on the former version.
+// A field cannot be as before the kernel and as the kernel left it.
+TEST_F(AdjointPlannerTest, AsksForPartsBetweenVersions) {
+  AdjointPlanner planner = plan(R"(
+    tai.parallel_for (%i) in @x {
+      %0 = tai.load @y[%i] : f32
+      %1 = tai.load @x[%i] : f32
+      tai.store %1, @y[%i] : f32
+      %2 = tai.load @y[%i] : f32
+    })");
+  PrimalDemands demands;
+  demands.reads.insert(ops[0]);
+  demands.reads.insert(ops[3]);
+  demands.before.insert(ops[0]);
+  EXPECT_TRUE(failed(settle(planner, demands)));
+  EXPECT_TRUE(planner.needsParts());
+  demands.reads.remove(ops[3]);
+  EXPECT_TRUE(succeeded(settle(planner, demands)));
+  EXPECT_FALSE(planner.needsParts());
+}
+
 TEST_F(AdjointPlannerTest, FindsWhatWasStored) {
   AdjointPlanner planner = plan(kUpdate);
   PrimalDemands demands;
