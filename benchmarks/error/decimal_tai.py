@@ -268,4 +268,6 @@ ad = types.SimpleNamespace(
 )
 types = types.SimpleNamespace(ndarray=lambda **_: Any)  # type: ignore[assignment]
 tools = _Anything()
+# The examples use these in annotations.
+GUI = ScalarField = Any
 sys.modules.setdefault("tai", sys.modules[__name__])

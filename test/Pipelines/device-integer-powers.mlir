@@ -1,3 +1,4 @@
+// REQUIRES: libdevice
 // RUN: tai-opt %s --tai-to-nvvm | tai-translate --tai-to-ptx --device-floats=strict | FileCheck %s --implicit-check-not=.extern --implicit-check-not=call
 // RUN: tai-opt %s --tai-to-nvvm | tai-translate --tai-to-ptx --device-floats=default | FileCheck %s --implicit-check-not=.extern --implicit-check-not=call
 // RUN: tai-opt %s --tai-to-nvvm=fast-math=true | tai-translate --tai-to-ptx --device-floats=fast | FileCheck %s --implicit-check-not=.extern --implicit-check-not=call

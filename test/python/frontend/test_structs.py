@@ -247,7 +247,7 @@ def test_members_with_names_of_a_field_that_is_placed_later():
     f = made.field(needs_grad=True)
     with pytest.raises(ti.TaiRuntimeError, match="is not placed"):
         f.shape  # noqa: B018
-    assert str(f) == "<field 'field', not placed>"
+    assert str(f) == "<field 'f', not placed>"
     ti.root.dense(ti.i, 3).place(f)
     assert "level" in str(f) and "not placed" not in str(f)
     assert f.shape == (3,) and f.snode.parent() is f.level.parent()

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import tai as ti
+from tai._impl.drawing.frames import FrameLoop
 from tai._impl.fields.root import name_fields
 
 
@@ -75,14 +76,14 @@ def test_tapes():
 def test_names_that_notebooks_give():
     first, second = ti.field(ti.f32, shape=2), ti.field(ti.f32, shape=2)
     name_fields({"_": first, "__": first, "_12": first, "_i3": first, "Out": [first]})
-    assert first.name == "field"
+    assert first.name == "first"  # the variable that holds it
     name_fields({"_": first, "pressure": first, "_own": second})
     assert first.name == "pressure" and second.name == "_own"
 
 
 def test_a_gui_without_a_window_says_so_once(capsys, monkeypatch, tmp_path):
     pytest.importorskip("PIL")
-    monkeypatch.setattr(ti.GUI, "_is_told", False)
+    monkeypatch.setattr(FrameLoop, "_is_told", False)
     monkeypatch.delenv("TAI_GUI_DIR", raising=False)
     gui = ti.GUI("a", res=16)
     gui.show(str(tmp_path / "a.png"))
@@ -91,7 +92,7 @@ def test_a_gui_without_a_window_says_so_once(capsys, monkeypatch, tmp_path):
     gui.show()
     (line,) = capsys.readouterr().err.splitlines()
     assert "python -m tai.view" in line and "TAI_GUI_DIR" in line
-    monkeypatch.setattr(ti.GUI, "_is_told", False)
+    monkeypatch.setattr(FrameLoop, "_is_told", False)
     gui = ti.GUI("a", res=16, frames_dir=str(tmp_path / "frames"))
     gui.show()
     assert str(tmp_path / "frames") in capsys.readouterr().err
