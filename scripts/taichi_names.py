@@ -132,7 +132,7 @@ NAMES = {
     """,
 }
 
-# Of names whose meaning differs, or that do nothing here.
+# Remarks on names with another meaning here, and on names without effect.
 REMARKS = {
     "ti.BitpackedFields": "the class is there; placing one is refused",
     "ti.block_local": "a hint without effect",

@@ -244,8 +244,8 @@ def write_page(rows: list[dict[str, Any]]) -> None:
     silent = [row for row in rows if is_silently_wrong(row)]
     lines += [
         "",
-        f"Of {len(rows)} solves {sum(r['status'] == 'converged' for r in rows)} converged. "
-        f"{len(silent)} say that they converged, forward and in reverse, and have a gradient "
+        f"{sum(r['status'] == 'converged' for r in rows)} of {len(rows)} solves converged. "
+        f"{len(silent)} solves report convergence, forward and in reverse, with a gradient "
         "that is off by more than the condition number times 1e-9.",
         "",
     ]

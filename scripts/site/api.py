@@ -82,7 +82,7 @@ PAGES = (
     ),
 )  # fmt: skip
 
-# Names of `tai` that are constants: a table says what they mean.
+# Constants of `tai`; a table gives the meaning of each.
 CONSTANTS = {
     "Types of numbers": "f16 f32 f64 bf16 i8 i16 i32 i64 u1 u8 u16 u32 u64 float16 float32 float64 "
     "int8 int16 int32 int64 uint1 uint8 uint16 uint32 uint64",

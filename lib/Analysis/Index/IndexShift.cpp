@@ -61,33 +61,6 @@ bool tai::collectIndexVariables(Value index, Region &scope,
   return true;
 }
 
-static bool compare(arith::CmpIPredicate predicate, int64_t a, int64_t b) {
-  auto ua = static_cast<uint64_t>(a), ub = static_cast<uint64_t>(b);
-  switch (predicate) {
-  case arith::CmpIPredicate::eq:
-    return a == b;
-  case arith::CmpIPredicate::ne:
-    return a != b;
-  case arith::CmpIPredicate::slt:
-    return a < b;
-  case arith::CmpIPredicate::sle:
-    return a <= b;
-  case arith::CmpIPredicate::sgt:
-    return a > b;
-  case arith::CmpIPredicate::sge:
-    return a >= b;
-  case arith::CmpIPredicate::ult:
-    return ua < ub;
-  case arith::CmpIPredicate::ule:
-    return ua <= ub;
-  case arith::CmpIPredicate::ugt:
-    return ua > ub;
-  case arith::CmpIPredicate::uge:
-    return ua >= ub;
-  }
-  llvm_unreachable("all predicates are handled");
-}
-
 /// The result of an operation on constants: the range that upstream infers.
 static std::optional<int64_t> inferResult(Operation *op,
                                           ArrayRef<int64_t> operands) {
@@ -124,7 +97,11 @@ static std::optional<int64_t> evaluateOp(Operation *op,
       .Case([&](arith::AndIOp) { return a & b; })
       .Case([&](arith::OrIOp) { return a | b; })
       .Case([&](arith::CmpIOp cmp) {
-        return int64_t(compare(cmp.getPredicate(), a, b) ? -1 : 0);
+        return int64_t(arith::applyCmpPredicate(cmp.getPredicate(),
+                                                APInt(64, a, /*isSigned=*/true),
+                                                APInt(64, b, /*isSigned=*/true))
+                           ? -1
+                           : 0);
       })
       .Case<arith::DivSIOp, arith::RemSIOp>(
           [&](auto division) -> std::optional<int64_t> {

@@ -88,9 +88,9 @@ private:
   ProgramStarter starter;
   KeptChoices choices;
   /// The form that an earlier process has chosen.
+  std::optional<ProgramMode> keptChoice;
   /// Whether steps of the run that goes on have been queued.
   bool hasStarted = false;
-  std::optional<ProgramMode> keptChoice;
   OverlappingKernels overlapping;
   int runs = 0, changes = 0;
   /// The second run, and the time that trials have taken since.

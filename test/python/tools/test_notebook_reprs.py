@@ -1,4 +1,4 @@
-"""Fields, layouts and tapes as notebooks show them, and what a GUI says without a window."""
+"""Pictures of fields, layouts and tapes in notebooks, and the line of a GUI without a window."""
 
 import base64
 import io

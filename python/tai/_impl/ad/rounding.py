@@ -44,9 +44,9 @@ class Sweep:
     """The results of the sweep over a tape whose kernels have probes.
 
     Attributes:
-        sums: the derivatives, by what the place is for.
-        loaded, stored, accumulated: symbols of the places that its kernels use at all, write to,
-            and add to.
+        sums: the derivative of each place, by the key of the place.
+        loaded, stored, accumulated: symbols of the fields that the kernels use, write to, and add
+            to.
         not_finite: symbols of those that held NaN or an infinity at the start, with the message.
     """
 
