@@ -417,7 +417,7 @@ def test_functions_of_numpy_have_gradients_under_a_tape():
     with ti.ad.Tape() as tape:
         energy = np.sin(product(a, 3.0))
         with pytest.raises(ti.TaiAutodiffError, match="knows no gradient"):
-            np.clip(a, 0, 1)
+            np.interp(a, [0, 1], [0, 1])
     tape.backward(energy)
     assert a.grad == pytest.approx(12 * math.cos(12.0), rel=1e-6)
     assert np.asarray(a) == 2

@@ -1,5 +1,7 @@
 """Fields and arrays as NumPy and other libraries see them, and numbers in NumPy's functions."""
 
+import math
+
 import numpy as np
 import pytest
 import tai as ti
@@ -222,12 +224,47 @@ def test_gradients_of_functions_of_two_numbers(name, is_first):
     assert g.grad[0] == pytest.approx(0.6 * slope, rel=1e-5, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    "of",
+    [
+        lambda a: np.clip(a, 0, 1), lambda a: np.clip(a, 0.5, 1), lambda a: np.clip(a, None, 0.2),
+        lambda a: np.clip(0.9, 0, a), lambda a: np.clip(3 * a, a_min=0, a_max=0.7),
+        lambda a: np.where(a > 0.1, 3 * a, 0.0), lambda a: np.where(a > 1, a, 2.0), np.sinc,
+        lambda a: np.logaddexp(a, 1.0), lambda a: np.logaddexp2(0.5, a), lambda a: np.fmod(a, 0.1),
+        lambda a: np.copysign(a, -2.0),
+    ],
+)  # fmt: skip
+def test_gradients_of_functions_of_several_numbers(of):
+    g, energy = _energy()
+    with ti.ad.Tape() as tape:
+        value = of(energy())
+    if hasattr(type(value), "grad"):
+        tape.backward(value)
+    slope = (of(0.27 + 1e-6) - of(0.27 - 1e-6)) / 2e-6
+    assert float(value) == pytest.approx(float(of(0.27)), rel=1e-12)
+    assert g.grad[0] == pytest.approx(0.6 * slope, rel=1e-5, abs=1e-9)
+
+
+def test_numbers_are_saved_rounded_and_compared_under_a_tape(tmp_path):
+    g, energy = _energy()
+    with ti.ad.Tape() as tape:
+        number = energy()
+        np.savez(tmp_path / "a.npz", number=number)
+        np.savetxt(tmp_path / "a.txt", [number])
+        assert np.isclose(number, 0.27) and np.allclose(number, number) and np.round(number, 1)
+        assert f"{number:.2f} {number}" == f"0.27 {float(number)}"
+        assert number > 0.2 and int(number) == 0 and not math.isnan(number)
+    tape.backward(number)
+    assert np.load(tmp_path / "a.npz")["number"] == number
+    assert g.grad[0] == pytest.approx(0.6)
+
+
 def test_what_would_lose_a_gradient_is_refused():
     g, energy = _energy()
     with ti.ad.Tape():
         number = energy()
         lost = [
-            lambda: np.clip(number, 0, 1), lambda: np.where(True, number, 0),
+            lambda: np.clip(number, np.zeros(2), 1), lambda: np.where([True, False], number, 0),
             lambda: np.ones(2) * number, lambda: np.stack([number, number]),
             lambda: np.interp(number, [0, 1], [0, 1]), lambda: np.nextafter(number, 1),
         ]  # fmt: skip

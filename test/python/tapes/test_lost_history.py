@@ -1,5 +1,6 @@
 """Warnings where a number with a history becomes a constant of a tape or of forward mode."""
 
+import functools
 import math
 import warnings
 
@@ -52,6 +53,18 @@ class Program:
     def run(self):
         r = square(self.scene.x)
         self.add(math.exp(r))
+
+
+last_energy = 0.0
+
+
+def measure(s):
+    s.energy = math.sin(square(s.x))
+
+
+def measure_globally(s):
+    global last_energy
+    last_energy = math.sin(square(s.x))
 
 
 def helper(s):
@@ -129,6 +142,52 @@ def f_method(s):
 def f_second_of_a_line(s):
     r = square(s.x)
     add(s.loss, s.x, 1.0), add(s.loss, s.x, math.sin(r))
+
+
+def f_in_a_dictionary(s):
+    kept = {"dt": 0.1}
+    kept["energy"] = math.sin(square(s.x))
+    add(s.loss, s.x, kept["energy"])
+
+
+def f_in_a_list(s):
+    kept = []
+    kept.append(float(square(s.x)))
+    add(s.loss, s.x, kept[-1])
+
+
+def f_in_an_attribute(s):
+    s.energy = math.exp(square(s.x))
+    add(s.loss, s.x, 2 * s.energy)
+
+
+def f_in_an_attribute_by_a_function(s):
+    measure(s)
+    add(s.loss, s.x, s.energy / 2)
+
+
+def f_in_a_global_name(s):
+    measure_globally(s)
+    add(s.loss, s.x, last_energy)
+
+
+def f_in_an_array(s):
+    kept = np.zeros(3)
+    kept[1] = square(s.x)
+    add(s.loss, s.x, kept[1])
+
+
+def f_by_unpacked_arguments(s):
+    kept = {"r": math.sin(square(s.x))}
+    add(s.loss, s.x, **kept)
+
+
+def f_by_a_partial_function(s):
+    functools.partial(add, s.loss, s.x)(math.sin(square(s.x)))
+
+
+def f_by_map(s):
+    list(map(functools.partial(add, s.loss, s.x), [math.sin(square(s.x))]))
 
 
 def w_element(s):
@@ -261,12 +320,88 @@ def g_constants(s):
     add(s.loss, s.x, float(s.plain[0]) + math.sin(0.5))
 
 
+def g_beside_a_kept_number(s):
+    kept, s.dt = {"dt": 0.1, "log": []}, 0.2
+    kept["energy"] = float(square(s.x))
+    kept["log"].append(kept["energy"])
+    s.energy = kept["energy"]
+    add(s.loss, s.x, kept["dt"] + s.dt + len(kept["log"]))
+    step(s, 0.25)
+
+
+def g_read_without_recording(s):
+    r = square(s.x)
+    with ti.ad.no_grad():
+        q = square(s.x)
+    add(s.loss, s.x, 2 * q)
+    add(s.loss, s.x, unrecorded(s))
+    add(s.loss, s.x, r)
+
+
+@ti.ad.no_grad
+def unrecorded(s):
+    return float(square(s.x))
+
+
 def g_unrecorded(s):
     square(s.x)
     r = ti.ad.no_grad(lambda: None)
     assert r() is None
     s.x.shape, len(s.v)
     add(s.loss, s.x, 1.0 * len(s.v))
+
+
+def step(s, r):
+    add(s.loss, s.x, r)
+
+
+def step_of_all(s, *rs):
+    add(s.loss, s.x, rs[0])
+
+
+def step_twice_removed(s, q):
+    step(s, r=q + 1)
+
+
+def store(s, r):
+    s.y[None] = r
+
+
+def in_a_closure(s, r):
+    kept = [math.sin(r)]
+
+    def run():
+        add(s.loss, s.x, kept[0])
+
+    run()
+
+
+@pytest.mark.parametrize("mode", ["tape", "forward"])
+@pytest.mark.parametrize("function", [step, step_of_all, step_twice_removed, store, in_a_closure])
+def test_a_parameter_of_a_function_that_launches(scene, function, mode):
+    """The same line is right with a constant, and loses a gradient later."""
+
+    def record(number):
+        with warnings.catch_warnings(record=True) as record:
+            warnings.simplefilter("always")
+            is_tape = mode == "tape"
+            with ti.ad.Tape(scene.loss) if is_tape else ti.ad.FwdMode(scene.loss, scene.x):
+                r = square(scene.x)
+                if number is None:
+                    for _ in range(3):
+                        function(scene, math.sin(r))
+                else:
+                    function(scene, number)
+                add(scene.loss, scene.x, 1.0)
+        return lost(record)
+
+    if function is not in_a_closure:
+        assert record(0.5) == record(1.5) == []
+    (warning,) = record(None)
+    launching = step if function is step_twice_removed else function
+    first = launching.__code__.co_firstlineno
+    assert first < warning.lineno < first + 8
+    assert record(None) == []
 
 
 @pytest.mark.parametrize(

@@ -482,6 +482,7 @@ def no_grad(function: Callable[..., Any] | None = None) -> Any:
         tape.record(functools.partial(function, *args, **kwargs), None)
         return result
 
+    decorated._is_unrecorded = True  # type: ignore[attr-defined]
     return decorated
 
 

@@ -32,6 +32,7 @@ UNARY: dict[str, Callable[[Any, Any], Any]] = {
     "positive": lambda x, y: 1.0,
     "rad2deg": lambda x, y: 180 / np.pi,
     "reciprocal": lambda x, y: -y * y,
+    "sinc": lambda x, y: 0.0 if x == 0 else (np.cos(np.pi * x) - y) / x,
     "sin": lambda x, y: np.cos(x),
     "sinh": lambda x, y: np.cosh(x),
     "sqrt": lambda x, y: 0.5 / y,
@@ -44,7 +45,11 @@ UNARY["degrees"], UNARY["radians"] = UNARY["rad2deg"], UNARY["deg2rad"]
 # Both partial derivatives of a function of two numbers.
 BINARY: dict[str, Callable[[Any, Any, Any], tuple[Any, Any]]] = {
     "arctan2": lambda a, b, y: (b / (a * a + b * b), -a / (a * a + b * b)),
+    "copysign": lambda a, b, y: (np.copysign(1.0, a) * np.copysign(1.0, b), 0.0),
+    "fmod": lambda a, b, y: (1.0, -np.trunc(a / b)),
     "hypot": lambda a, b, y: (a / y, b / y),
+    "logaddexp": lambda a, b, y: (np.exp(a - y), np.exp(b - y)),
+    "logaddexp2": lambda a, b, y: (np.exp2(a - y), np.exp2(b - y)),
     "maximum": lambda a, b, y: (float(a >= b), float(a < b)),
     "minimum": lambda a, b, y: (float(a <= b), float(a > b)),
 }
@@ -58,16 +63,36 @@ OPERATORS = {
 
 # Functions whose value does not change with a small change of the argument.
 CONSTANT = {
-    "ceil", "equal", "floor", "floor_divide", "greater", "greater_equal", "isfinite", "isinf",
-    "isnan", "less", "less_equal", "logical_and", "logical_not", "logical_or", "logical_xor",
-    "not_equal", "rint", "sign", "signbit", "trunc",
+    "around", "ceil", "equal", "fix", "floor", "floor_divide", "greater", "greater_equal",
+    "heaviside", "isfinite", "isinf", "isnan", "less", "less_equal", "logical_and", "logical_not",
+    "logical_or", "logical_xor", "not_equal", "rint", "round", "sign", "signbit", "trunc",
 }  # fmt: skip
 
-# Functions that ask for the form of something, and not for its numbers.
+# Functions that ask for the form of something, compare it, or write it to a file.
 FORM = {
-    "array2string", "array_repr", "array_str", "can_cast", "iscomplexobj", "isrealobj", "isscalar",
-    "ndim", "result_type", "shape", "size",
+    "allclose", "array2string", "array_equal", "array_equiv", "array_repr", "array_str", "can_cast",
+    "format_float_positional", "format_float_scientific", "isclose", "iscomplexobj", "isneginf",
+    "isposinf", "isrealobj", "isscalar", "ndim", "result_type", "save", "savetxt", "savez",
+    "savez_compressed", "shape", "size",
 }  # fmt: skip
+
+
+def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:
+    """`np.clip` of a number; the gradient goes to the bound that holds."""
+    for bound in (a_min, min):
+        a = a if bound is None else np.maximum(a, bound)
+    for bound in (a_max, max):
+        a = a if bound is None else np.minimum(a, bound)
+    return a
+
+
+def where(condition: Any, x: Any, y: Any) -> Any:
+    """`np.where` of one condition and two numbers."""
+    return x if condition else y
+
+
+# Functions that are made of others here, where all their arguments are single numbers.
+COMPOSED: dict[str, Callable[..., Any]] = {"clip": clip, "where": where}
 
 
 def derivative(name: str, values: list[float]) -> tuple[float, tuple[float, ...]] | None:

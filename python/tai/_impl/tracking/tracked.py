@@ -92,7 +92,8 @@ class Number(float):
 
     Sums, products, quotients and powers of such numbers have one, too, and NumPy's functions of
     single numbers (`np.sqrt(x)`). Everything else (`float(x)`, functions of `math`) gives plain
-    numbers, which are constant to a tape.
+    numbers, which are constants to a tape: a `TaiGradientWarning` names the line where one of them
+    comes back into a kernel or a field (see `origins`).
 
     Attributes:
         grad: the gradient after a reverse sweep.
@@ -143,6 +144,10 @@ def _refuse_function(name: str, values: Any) -> None:
         )
 
 
+def _is_single(value: Any) -> bool:
+    return value is None or isinstance(value, (bool, int, float, np.bool_, np.number))
+
+
 def _numpy_function(ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
     """A function of NumPy of single numbers, with its gradient."""
     name = ufunc.__name__
@@ -168,9 +173,19 @@ def _numpy_function(ufunc: Any, method: str, *inputs: Any, **options: Any) -> An
 
 
 def _numpy_routine(function: Any, types: Any, args: Any, options: Any) -> Any:
-    """A function of NumPy of whole arrays, which are constants to a tape."""
-    if function.__name__ not in numpy_functions.FORM:
-        _refuse_function(function.__name__, [args, list(options.values())])
+    """A function of NumPy of single numbers, or of whole arrays, which are constants to a tape."""
+    name, values = function.__name__, [*args, *options.values()]
+    if any(map(_is_tracked, _numbers_in(values))) and all(map(_is_single, values)):
+        composed = numpy_functions.COMPOSED.get(name)
+        if composed is not None:
+            return composed(*args, **options)
+        if name in numpy_functions.UNARY and len(args) == 1 and not options:
+            has_tangent = tangents.cell_of(args[0]) is not None
+            found = numpy_functions.derivative(name, [float(args[0])])
+            if found is not None and not has_tangent:
+                return _combine(found[0], None, (args[0], found[1][0]))
+    if name not in numpy_functions.FORM and name not in numpy_functions.CONSTANT:
+        _refuse_function(name, values)
     return function(*_plain(args), **_plain_values(options))
 
 
