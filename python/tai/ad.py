@@ -6,6 +6,7 @@ from ._impl.ad.check import check
 from ._impl.ad.compare import CheckResult, GradientCheckError
 from ._impl.ad.forward import FwdMode, hvp, jvp
 from ._impl.ad.health import HealthReport
+from ._impl.ad.matrices import hessian, hessian_operator, jacobian, jacobian_operator, vjp
 from ._impl.ad.memory import TapeStats
 from ._impl.ad.precision import PrecisionReport
 from ._impl.ad.tape import (
@@ -27,5 +28,6 @@ __all__ = [
     "CheckResult", "FwdMode", "GradientCheckError", "HealthReport", "TaiConvergenceWarning",
     "PrecisionReport", "TaiGradientWarning", "Tape", "TapeStats", "TunedPrecision", "Violation",
     "check", "clear_all_gradients", "complex_kernel", "complex_kernel_grad", "grad_for",
-    "grad_replaced", "hvp", "implicit", "jvp", "no_grad", "tune_precision", "variable",
+    "grad_replaced", "hessian", "hessian_operator", "hvp", "implicit", "jacobian",
+    "jacobian_operator", "jvp", "no_grad", "tune_precision", "variable", "vjp",
 ]  # fmt: skip

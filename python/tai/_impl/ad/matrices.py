@@ -1,0 +1,409 @@
+"""Matrices of derivatives: Jacobians and Hessians, whole, sparse by colours, or as operators.
+
+A product with a Jacobian is a run in forward mode, and one with its transpose is a reverse sweep.
+Each run begins with the fields as they were at the call, so the function may work in place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import TaiAutodiffError, TaiRuntimeTypeError
+from ..base.program import get_program
+from ..fields.field import Field
+from ..fields.root import materialize
+from ..solvers.sparse_matrix import get_scipy
+from .forward import hessian_product, run_forward
+from .mode import caller_names
+from .seeds import require_grad
+from .snapshot import Snapshot
+from .tape import Tape
+
+Function = Callable[[], Any]
+
+
+def _as_fields(value: Any, what: str) -> list[Field]:
+    fields = list(value) if isinstance(value, (list, tuple)) else [value]
+    for field in fields:
+        if not isinstance(field, Field):
+            raise TaiRuntimeTypeError(f"{what} are fields, but got {field!r}")
+        if not field.dtype.is_float:
+            raise TaiAutodiffError(
+                f"{what} are of floats, but '{field.name}' is of type {field.dtype}"
+            )
+    if not fields or len({id(field) for field in fields}) < len(fields):
+        raise TaiRuntimeTypeError(f"{what} are given twice, or none is given")
+    return fields
+
+
+def _shape(field: Any) -> tuple[int, ...]:
+    return tuple(field.shape) + tuple(field.element_shape)
+
+
+class _Numbers:
+    """The numbers of some fields, one after the other."""
+
+    def __init__(self, fields: Sequence[Any]):
+        self.fields = fields
+        self.shapes = [_shape(field) for field in fields]
+        self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
+        self.size = int(self.ends[-1])
+
+    def split(self, vector: np.ndarray) -> list[np.ndarray]:
+        parts = np.split(vector, self.ends[:-1])
+        return [part.reshape(shape) for part, shape in zip(parts, self.shapes, strict=True)]
+
+    def join(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        return np.concatenate([np.asarray(array, np.float64).ravel() for array in arrays])
+
+
+class _Products:
+    """Products with the Jacobian of a program, each from the fields as they were at first."""
+
+    def __init__(self, function: Function, inputs: Any, outputs: Any):
+        if not callable(function):
+            raise TaiRuntimeTypeError(
+                f"the first argument is a function that launches kernels, but got {function!r}"
+            )
+        self.function = function
+        self.columns = _Numbers(_as_fields(inputs, "the inputs"))
+        self.rows = _Numbers(_as_fields(outputs, "the outputs"))
+        materialize(get_program(), caller_names())
+        self._start: Snapshot | None = None
+        self._tape: Tape | None = None
+
+    def __enter__(self) -> _Products:
+        self._start = Snapshot()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._start is not None:
+            self._start.restore()
+        self._tape = None
+
+    def has_forward(self) -> bool:
+        fields = [*self.columns.fields, *self.rows.fields]
+        return all(getattr(field.dual, "snode", None) is not None for field in fields)
+
+    def has_reverse(self) -> bool:
+        fields = [*self.columns.fields, *self.rows.fields]
+        return all(getattr(field.grad, "snode", None) is not None for field in fields)
+
+    def forward(self, direction: np.ndarray) -> np.ndarray:
+        """J · direction."""
+        assert self._start is not None
+        self._start.restore(only_primal=True)
+        pairs = list(zip(self.columns.fields, self.columns.split(direction), strict=True))
+        return self.rows.join(run_forward(self.function, pairs, self.rows.fields))
+
+    def reverse(self, weights: np.ndarray) -> np.ndarray:
+        """Jᵀ · weights."""
+        seeds = self.rows.split(weights)
+        if self._tape is None:
+            assert self._start is not None
+            for field in [*self.columns.fields, *self.rows.fields]:
+                require_grad(field, None)
+            self._start.restore(only_primal=True)
+            with Tape() as self._tape:
+                self.function()
+        self._tape.backward(dict(zip(self.rows.fields, seeds, strict=True)))
+        return self.columns.join([field.grad.to_numpy() for field in self.columns.fields])
+
+
+def vjp(function: Function, inputs: Any, outputs: Any, weights: Any) -> Any:
+    """A product of the transposed Jacobian matrix and a vector, by one reverse sweep.
+
+    ```python
+    gradient = ti.ad.vjp(simulate, x, y, weights)
+    ```
+
+    Args:
+        function: launches the kernels that compute the outputs.
+        inputs: a field, or a list of fields, with gradients.
+        outputs: a field, or a list of fields, with gradients. They keep their first values.
+        weights: for each output an array of shape `shape + element_shape`.
+
+    Returns:
+        The derivative of the weighted sum of the outputs by the inputs, an array of shape
+        `shape + element_shape`, or a list of these for a list of inputs.
+
+    Raises:
+        TaiAutodiffError: a field has no gradient, or something has no derivative.
+        TaiRuntimeTypeError: weights of the wrong shape, or something that is no field.
+    """
+    columns = _as_fields(inputs, "the inputs")
+    rows = _as_fields(outputs, "the outputs")
+    is_list = isinstance(outputs, (list, tuple))
+    materialize(get_program(), caller_names())
+    given = list(weights) if is_list else [weights]
+    if len(given) != len(rows):
+        raise TaiRuntimeTypeError(
+            f"there are {len(rows)} outputs and {len(given)} arrays of weights"
+        )
+    for field in [*columns, *rows]:
+        require_grad(field, None)
+    with Tape() as tape:
+        function()
+    tape.backward(dict(zip(rows, given, strict=True)))
+    found = [field.grad.to_numpy() for field in columns]
+    return found if isinstance(inputs, (list, tuple)) else found[0]
+
+
+def _as_pattern(pattern: Any, rows: int, columns: int) -> Any:
+    sparse, _ = get_scipy()
+    try:
+        found = sparse.csc_array(pattern, dtype=bool)
+    except (TypeError, ValueError):
+        raise TaiRuntimeTypeError(
+            f"the pattern is a sparse matrix or an array of bools, but got {type(pattern).__name__}"
+        ) from None
+    if found.shape != (rows, columns):
+        raise TaiRuntimeTypeError(
+            f"the pattern has shape {found.shape}, but there are {rows} outputs and {columns} "
+            "inputs, counted in numbers"
+        )
+    found.eliminate_zeros()
+    return found
+
+
+def _colour(pattern: Any) -> np.ndarray:
+    """A colour for each column, such that columns of one colour have no row in common.
+
+    The largest columns get theirs first, and each the least that is free.
+    """
+    by_row = pattern.tocsr()
+    colours = np.full(pattern.shape[1], -1)
+    for column in np.argsort(-np.diff(pattern.indptr), kind="stable"):
+        rows = pattern.indices[pattern.indptr[column] : pattern.indptr[column + 1]]
+        near = [by_row.indices[by_row.indptr[row] : by_row.indptr[row + 1]] for row in rows]
+        used = np.unique(colours[np.concatenate(near)]) if near else np.empty(0, int)
+        used = used[used >= 0]
+        free = np.flatnonzero(used != np.arange(len(used)))
+        colours[column] = free[0] if len(free) else len(used)
+    return colours
+
+
+def _compress(
+    pattern: Any, colours: np.ndarray, product: Callable[[np.ndarray], np.ndarray]
+) -> Any:
+    """The matrix with a pattern, by one product for each colour of its columns."""
+    sparse, _ = get_scipy()
+    rows, columns = pattern.tocoo().coords
+    values = np.zeros(len(rows))
+    of_entry = colours[columns]
+    for colour in range(int(colours.max(initial=-1)) + 1):
+        column = product((colours == colour).astype(np.float64))
+        entries = of_entry == colour
+        values[entries] = column[rows[entries]]
+    return sparse.csr_array((values, (rows, columns)), shape=pattern.shape)
+
+
+def _choose(products: _Products, mode: str | None, forward: int, reverse: int) -> bool:
+    """Whether to take products of the forward mode.
+
+    Args:
+        forward, reverse: the numbers of products that the modes need.
+
+    Raises:
+        TaiAutodiffError: fields have neither duals nor gradients, or not those of the mode.
+    """
+    if mode not in (None, "forward", "reverse"):
+        raise TaiRuntimeTypeError(f"mode is 'forward', 'reverse' or None, but got {mode!r}")
+    has_forward, has_reverse = products.has_forward(), products.has_reverse()
+    if not (has_forward if mode == "forward" else has_reverse if mode else True):
+        what = "dual" if mode == "forward" else "gradient"
+        raise TaiAutodiffError(
+            f"mode='{mode}' needs the {what}s of all inputs and outputs",
+            f"make the fields with needs_{what[:4]}=True",
+        )
+    if not has_forward and not has_reverse:
+        raise TaiAutodiffError(
+            "the inputs and outputs have neither duals nor gradients throughout",
+            "make them with needs_dual=True, for forward mode, or with needs_grad=True",
+        )
+    if mode is not None:
+        return mode == "forward"
+    return has_forward and (not has_reverse or forward <= reverse)
+
+
+def _blocks(
+    matrix: np.ndarray, rows: _Numbers, columns: _Numbers, outputs: Any, inputs: Any
+) -> Any:
+    """A whole matrix as arrays with the shapes of the fields."""
+    found = []
+    for strip, row_shape in zip(np.split(matrix, rows.ends[:-1]), rows.shapes, strict=True):
+        parts = np.split(strip, columns.ends[:-1], axis=1)
+        blocks = [p.reshape(row_shape + s) for p, s in zip(parts, columns.shapes, strict=True)]
+        found.append(blocks if isinstance(inputs, (list, tuple)) else blocks[0])
+    return found if isinstance(outputs, (list, tuple)) else found[0]
+
+
+def jacobian(
+    function: Function, inputs: Any, outputs: Any, pattern: Any = None, mode: str | None = None
+) -> Any:
+    """The Jacobian matrix of a program.
+
+    ```python
+    J = ti.ad.jacobian(simulate, x, y)  # J[i, j] is the derivative of y[i] by x[j]
+    band = scipy.sparse.diags_array([1, 1, 1], offsets=[-1, 0, 1], shape=(n, n))
+    J = ti.ad.jacobian(simulate, x, y, pattern=band)  # three products, for any n
+    ```
+
+    Without a pattern there is one run in forward mode for each number of the inputs, or one
+    reverse sweep for each number of the outputs. With one, columns (or rows) that share no row
+    (or column) have one colour, and there is one product for each colour. Each run begins with
+    the fields as they are at the call, and they are put back at the end.
+
+    Args:
+        function: launches the kernels that compute the outputs; it may work in place.
+        inputs: a field, or a list of fields.
+        outputs: a field, or a list of fields.
+        pattern: where entries may be nonzero: a SciPy sparse matrix, or an array of bools, of
+            shape (numbers of the outputs, numbers of the inputs). Entries that are nonzero
+            outside of it are added to others: `ti.ad.check` does not find that.
+        mode: "forward" needs duals, "reverse" gradients, of all inputs and outputs. Without it,
+            the one with fewer products is taken among those that the fields allow.
+
+    Returns:
+        An array of shape `outputs' shape + inputs' shape`, element shapes included; nested
+        lists of these for lists. With a pattern, a `scipy.sparse.csr_array` whose rows and
+        columns count the numbers of all outputs and inputs in order.
+
+    Raises:
+        TaiAutodiffError: fields without duals and gradients, or something has no derivative.
+        TaiRuntimeTypeError: something that is no field, or a pattern of another shape.
+    """
+    products = _Products(function, inputs, outputs)
+    rows, columns = products.rows, products.columns
+    if pattern is not None:
+        where = _as_pattern(pattern, rows.size, columns.size)
+        across = _colour(where)
+        down = _colour(where.T.tocsc())
+        counts = int(across.max(initial=-1)) + 1, int(down.max(initial=-1)) + 1
+        with products:
+            if _choose(products, mode, *counts):
+                return _compress(where, across, products.forward)
+            return _compress(where.T.tocsc(), down, products.reverse).T.tocsr()
+    matrix = np.empty((rows.size, columns.size))
+    with products:
+        if _choose(products, mode, columns.size, rows.size):
+            for j, unit in enumerate(np.eye(columns.size)):
+                matrix[:, j] = products.forward(unit)
+        else:
+            for i, unit in enumerate(np.eye(rows.size)):
+                matrix[i] = products.reverse(unit)
+    return _blocks(matrix, rows, columns, outputs, inputs)
+
+
+class _HessianProducts:
+    """Products with the Hessian of a loss, each from the fields as they were at first."""
+
+    def __init__(self, function: Function, loss: Any, inputs: Any):
+        self.function, self.loss = function, loss
+        self.numbers = _Numbers(_as_fields(inputs, "the inputs"))
+        materialize(get_program(), caller_names())
+
+    def __enter__(self) -> _HessianProducts:
+        self._start = Snapshot()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._start.restore()
+
+    def product(self, direction: np.ndarray) -> np.ndarray:
+        self._start.restore(only_primal=True)
+        pairs = list(zip(self.numbers.fields, self.numbers.split(direction), strict=True))
+        return self.numbers.join(hessian_product(self.function, self.loss, pairs))
+
+
+def hessian(function: Function, loss: Any, inputs: Any, pattern: Any = None) -> Any:
+    """The Hessian matrix of a loss, by products of forward over reverse mode.
+
+    ```python
+    H = ti.ad.hessian(compute_loss, loss, x)
+    ```
+
+    Args:
+        function: launches the kernels that compute the loss.
+        loss: a field without dimensions that has a gradient and a dual.
+        inputs: a field, or a list of fields, with gradients and duals.
+        pattern: as for `jacobian`, square: one product for each colour.
+
+    Returns:
+        As `jacobian`: an array of shape `inputs' shape + inputs' shape`, nested lists for a
+        list, or a `scipy.sparse.csr_array`. It is symmetric up to rounding.
+
+    Raises:
+        TaiAutodiffError: a field lacks a gradient or a dual, or something has no rule.
+        TaiRuntimeTypeError: something that is no field, or a pattern of another shape.
+    """
+    products = _HessianProducts(function, loss, inputs)
+    numbers = products.numbers
+    if pattern is not None:
+        where = _as_pattern(pattern, numbers.size, numbers.size)
+        with products:
+            return _compress(where, _colour(where), products.product)
+    matrix = np.empty((numbers.size, numbers.size))
+    with products:
+        for j, unit in enumerate(np.eye(numbers.size)):
+            matrix[:, j] = products.product(unit)
+    return _blocks(matrix, numbers, numbers, inputs, inputs)
+
+
+def jacobian_operator(function: Function, inputs: Any, outputs: Any) -> Any:
+    """The Jacobian matrix as an operator of SciPy, for its iterative solvers.
+
+    `operator @ v` is a run in forward mode, which needs duals; `operator.T @ w` is a reverse
+    sweep, which needs gradients. Each begins with the values that the fields have then.
+
+    Args:
+        function, inputs, outputs: as for `jacobian`.
+
+    Returns:
+        A `scipy.sparse.linalg.LinearOperator` of shape (numbers of the outputs, numbers of the
+        inputs). Vectors hold the numbers of all fields in order.
+
+    Raises:
+        TaiRuntimeTypeError: something that is no field.
+    """
+    _, linalg = get_scipy()
+    products = _Products(function, inputs, outputs)
+
+    def forward(v: np.ndarray) -> np.ndarray:
+        with products:
+            return products.forward(np.asarray(v, np.float64).ravel())
+
+    def reverse(w: np.ndarray) -> np.ndarray:
+        with products:
+            return products.reverse(np.asarray(w, np.float64).ravel())
+
+    shape = (products.rows.size, products.columns.size)
+    return linalg.LinearOperator(shape, matvec=forward, rmatvec=reverse, dtype=np.float64)
+
+
+def hessian_operator(function: Function, loss: Any, inputs: Any) -> Any:
+    """The Hessian matrix of a loss as an operator of SciPy, for its iterative solvers.
+
+    Args:
+        function, loss, inputs: as for `hessian`.
+
+    Returns:
+        A symmetric `scipy.sparse.linalg.LinearOperator`; vectors hold the numbers of all
+        inputs in order.
+
+    Raises:
+        TaiRuntimeTypeError: something that is no field.
+    """
+    _, linalg = get_scipy()
+    products = _HessianProducts(function, loss, inputs)
+
+    def product(v: np.ndarray) -> np.ndarray:
+        with products:
+            return products.product(np.asarray(v, np.float64).ravel())
+
+    shape = (products.numbers.size, products.numbers.size)
+    return linalg.LinearOperator(shape, matvec=product, rmatvec=product, dtype=np.float64)
