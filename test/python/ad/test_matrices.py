@@ -1,5 +1,7 @@
 """Jacobians and Hessians: whole, sparse by colours, and as operators."""
 
+import sys
+
 import numpy as np
 import pytest
 import tai as ti
@@ -190,7 +192,7 @@ def test_a_band_takes_as_many_products_as_it_is_wide():
     assert _colour(band).max() + 1 == 5
 
 
-def test_mistakes():
+def test_mistakes(monkeypatch):
     run, x, y, _ = ring(4)
     plain, graded = ti.field(ti.f64, shape=4), ti.field(ti.f64, shape=4, needs_grad=True)
     with pytest.raises(TaiAutodiffError, match="neither duals nor gradients"):
@@ -216,6 +218,14 @@ def test_mistakes():
         ti.ad.jacobian(run, counter, y)
     with pytest.raises(TaiRuntimeTypeError, match="a function that launches kernels"):
         ti.ad.jacobian(3, x, y)
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "scipy.sparse", None)
+        for call in (
+            lambda: ti.ad.jacobian(run, x, y, pattern=np.ones((4, 4))),
+            lambda: ti.ad.jacobian_operator(run, x, y),
+        ):
+            with pytest.raises(ti.TaiRuntimeError, match="s need SciPy, which is not installed"):
+                call()
     # An error in the run leaves the fields as they were.
     before = x.to_numpy()
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..base.program import get_program
+from ..base.scipy import get_scipy
 from ..fields.field import Field
 from ..fields.root import materialize
-from ..solvers.sparse_matrix import get_scipy
 from .forward import hessian_product, run_forward
 from .mode import caller_names
 from .seeds import require_grad
@@ -154,7 +154,7 @@ def vjp(function: Function, inputs: Any, outputs: Any, weights: Any) -> Any:
 
 
 def _as_pattern(pattern: Any, rows: int, columns: int) -> Any:
-    sparse, _ = get_scipy()
+    sparse, _ = get_scipy("patterns need")
     try:
         found = sparse.csc_array(pattern, dtype=bool)
     except (TypeError, ValueError):
@@ -370,7 +370,7 @@ def jacobian_operator(function: Function, inputs: Any, outputs: Any) -> Any:
     Raises:
         TaiRuntimeTypeError: something that is no field.
     """
-    _, linalg = get_scipy()
+    _, linalg = get_scipy("operators need")
     products = _Products(function, inputs, outputs)
 
     def forward(v: np.ndarray) -> np.ndarray:
@@ -398,7 +398,7 @@ def hessian_operator(function: Function, loss: Any, inputs: Any) -> Any:
     Raises:
         TaiRuntimeTypeError: something that is no field.
     """
-    _, linalg = get_scipy()
+    _, linalg = get_scipy("operators need")
     products = _HessianProducts(function, loss, inputs)
 
     def product(v: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError
 from ..base import dtypes
+from ..base import scipy as base_scipy
 from ..base.program import sync
 from ..fields.arrays import Ndarray
 from ..fields.field import Field
@@ -29,16 +30,10 @@ _ORDERINGS = {"AMD": "MMD_AT_PLUS_A", "COLAMD": "COLAMD"}
 
 
 def get_scipy() -> tuple[Any, Any]:
-    """The modules of sparse matrices and of their solvers."""
-    try:
-        import scipy.sparse
-        import scipy.sparse.linalg
-    except ImportError:
-        raise TaiRuntimeError(
-            "sparse matrices need SciPy, which is not installed",
-            "pip install scipy, or solve with a kernel in the place of a matrix: ti.linalg.cg",
-        ) from None
-    return scipy.sparse, scipy.sparse.linalg
+    """The modules of SciPy, for a matrix."""
+    return base_scipy.get_scipy(
+        instead="solve with a kernel in the place of a matrix: ti.linalg.cg"
+    )
 
 
 def _float_type(dtype: Any, what: str) -> dtypes.DataType:
