@@ -2,7 +2,9 @@
 
 import os
 import random
+import shutil
 import signal
+import tempfile
 import time
 
 import pytest
@@ -73,7 +75,15 @@ def pytest_runtest_teardown(item, nextitem):
         item.session.shouldstop = f"{seconds:.0f} seconds are over"
 
 
+# The folder of compiled kernels that this process made, for its workers as well.
+CACHE = pytest.StashKey[str]()
+
+
 def pytest_configure(config):
+    # The user's own folder would make times depend on its size: a program that keeps its first kernel
+    # looks through all of it.
+    if "TAI_CACHE_DIR" not in os.environ:
+        os.environ["TAI_CACHE_DIR"] = config.stash[CACHE] = tempfile.mkdtemp(prefix="tai-tests-")
     # Windows are opened by tests with a display of their own (xvfb.py), and by no others.
     os.environ.pop("DISPLAY", None)
     os.environ.pop("WAYLAND_DISPLAY", None)
@@ -84,6 +94,12 @@ def pytest_configure(config):
         # `ti.init` looks here first.
         os.environ["TI_ARCH"] = "cuda" if arch == "emulated" else arch
         os.environ["TAI_CUDA_EMULATION"] = "1" if arch == "emulated" else ""
+
+
+def pytest_unconfigure(config):
+    if folder := config.stash.get(CACHE, None):
+        del os.environ["TAI_CACHE_DIR"]
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _choose_for_device(config, items):
