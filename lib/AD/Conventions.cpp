@@ -25,8 +25,6 @@ Conventions Conventions::of(Operation *op) {
   auto function = dyn_cast<FunctionOpInterface>(op);
   if (!function)
     function = op->getParentOfType<FunctionOpInterface>();
-  if (!function)
-    return result;
   auto chosen = function->getAttrOfType<DictionaryAttr>(
       getFunctionAttrName(function, kAttribute));
   if (!chosen)

@@ -58,6 +58,13 @@ Operation *mlir::tai::getEnclosingParallelLoop(Operation *op) {
   return nullptr;
 }
 
+Operation *mlir::tai::getOutermostParallelLoop(Operation *op) {
+  Operation *outermost = nullptr;
+  while ((op = getEnclosingParallelLoop(op)))
+    outermost = op;
+  return outermost;
+}
+
 SmallVector<Value> mlir::tai::getEnclosingInductionVars(Operation *op) {
   SmallVector<SmallVector<Value>> levels;
   for (Operation *parent = op->getParentOp();
@@ -138,51 +145,58 @@ const void *mlir::tai::getStorageKey(Operation *op) {
   return nullptr;
 }
 
-// The positions in which all writes agree must tell iterations apart.
-bool mlir::tai::isExclusive(Operation *loop,
-                            ArrayRef<SmallVector<IndexExpr>> writes) {
-  SmallVector<IndexExpr> common;
-  for (auto [i, first] : llvm::enumerate(writes.front())) {
-    size_t position = i;
-    const IndexExpr &index = first;
-    if (llvm::all_of(writes,
-                     [&](auto &indices) { return indices[position] == index; }))
-      common.push_back(index);
-  }
-  return isInjectiveOver(common, getParallelInductionVars(loop));
+static SmallVector<IndexExpr> getIndices(Operation *access) {
+  if (auto field = dyn_cast<FieldAccessOpInterface>(access))
+    return getIndexExprs(field.getIndices());
+  return getIndexExprs(
+      cast<DifferentiableAccessInterface>(access).getAccessIndices());
 }
 
-namespace {
-/// All writes to one storage inside one parallel loop.
-struct Writes {
-  SmallVector<AtomicOp> atomics;
-  SmallVector<SmallVector<IndexExpr>> indices;
-};
-} // namespace
+/// The induction variables of the parallel loops around `op`, the outermost
+/// first, without those of loops that run on one thread.
+static SmallVector<Value> getConcurrentInductionVars(Operation *op) {
+  SmallVector<Value> ivs;
+  while ((op = getEnclosingParallelLoop(op))) {
+    auto loop = dyn_cast<ParallelForOp>(op);
+    ValueRange own = getParallelInductionVars(op);
+    if (!loop || !loop.getSerialize())
+      ivs.insert(ivs.begin(), own.begin(), own.end());
+  }
+  return ivs;
+}
+
+// The positions in which all accesses agree must tell iterations apart.
+bool mlir::tai::isExclusive(ArrayRef<Operation *> accesses) {
+  auto all = llvm::map_to_vector(accesses, getIndices);
+  SmallVector<IndexExpr> common;
+  for (auto [i, index] : llvm::enumerate(all.front()))
+    if (llvm::all_of(all, [&, i = i, &index = index](auto &indices) {
+          return indices[i] == index;
+        }))
+      common.push_back(index);
+  // Most accesses share a loop: one answer for all of them.
+  llvm::SmallDenseMap<Operation *, bool> byLoop;
+  return llvm::all_of(accesses, [&](Operation *access) {
+    auto [it, isNew] =
+        byLoop.try_emplace(getEnclosingParallelLoop(access), false);
+    if (isNew)
+      it->second = isInjectiveOver(common, getConcurrentInductionVars(access));
+    return it->second;
+  });
+}
 
 void mlir::tai::markExclusiveAtomics(FunctionOpInterface function) {
-  llvm::MapVector<std::pair<Operation *, const void *>, Writes> groups;
+  llvm::MapVector<std::pair<Operation *, const void *>,
+                  SmallVector<Operation *>>
+      groups;
   function.walk([&](Operation *op) {
-    if (!isa<AtomicOp, StoreOp>(op))
-      return;
-    Operation *loop = getEnclosingParallelLoop(op);
-    Writes &writes = groups[{loop, getStorageKey(op)}];
-    if (auto atomic = dyn_cast<AtomicOp>(op)) {
-      writes.atomics.push_back(atomic);
-      writes.indices.push_back(getIndexExprs(atomic.getIndices()));
-    } else {
-      writes.indices.push_back(getIndexExprs(cast<StoreOp>(op).getIndices()));
-    }
+    if (isa<AtomicOp, StoreOp>(op))
+      groups[{getOutermostParallelLoop(op), getStorageKey(op)}].push_back(op);
   });
   for (auto &[key, writes] : groups) {
-    Operation *loop = key.first;
-    // Outside of parallel loops, and in one that runs on one thread, there are
-    // no other threads.
-    auto parallel = dyn_cast_if_present<ParallelForOp>(loop);
-    bool exclusive = !loop || (parallel && parallel.getSerialize());
-    if (!exclusive)
-      exclusive = isExclusive(loop, writes.indices);
-    for (AtomicOp atomic : writes.atomics)
-      atomic.setExclusive(exclusive);
+    bool exclusive = isExclusive(writes);
+    for (Operation *write : writes)
+      if (auto atomic = dyn_cast<AtomicOp>(write))
+        atomic.setExclusive(exclusive);
   }
 }

@@ -9,7 +9,10 @@
                dense<[i: 16], {y: f32, y_grad: f32}>,
                dense<[i: 64], {p: i32}>,
                dense<[i: 2, j: 8, k: 4], {cube: f32, cube_grad: f32}>,
-               dense<[i: 8, j: 8], {square: f32, square_grad: f32}>>
+               dense<[i: 8, j: 8], {square: f32, square_grad: f32}>,
+               dense<[i: 16], {v: vector<2xf32>, v_grad: vector<2xf32>}>,
+               dense<[i: 32768, j: 16384], {huge: f32, huge_grad: f32}>,
+               {one: f32, one_grad: f32}>
 tai.tree @t : !t
 tai.field @x_grad = @t["x_grad"] : f32, rank 1
 tai.field @y_grad = @t["y_grad"] : f32, rank 1
@@ -21,6 +24,12 @@ tai.field @cube = @t["cube"] : f32, rank 3, adjoint @cube_grad
 tai.field @square_grad = @t["square_grad"] : f32, rank 2
 tai.field @square = @t["square"] : f32, rank 2, adjoint @square_grad
 tai.field @p = @t["p"] : i32, rank 1
+tai.field @v_grad = @t["v_grad"] : vector<2xf32>, rank 1
+tai.field @v = @t["v"] : vector<2xf32>, rank 1, adjoint @v_grad
+tai.field @huge_grad = @t["huge_grad"] : f32, rank 2
+tai.field @huge = @t["huge"] : f32, rank 2, adjoint @huge_grad
+tai.field @one_grad = @t["one_grad"] : f32, rank 0
+tai.field @one = @t["one"] : f32, rank 0, adjoint @one_grad
 
 // The kernel stays, and its form for tapes has owners.
 // CHECK-LABEL: tai.kernel @scatter() {
@@ -329,6 +338,196 @@ tai.kernel @scatter_of_list() {
     %h = memref.load %m[%c1] : memref<2xi32>
     memref.dealloc %m : memref<2xi32>
     %j = arith.index_cast %h : i32 to index
+    %0 = tai.load @x[%i] : f32
+    tai.store %0, @y[%j] : f32
+  }
+  tai.return
+}
+
+// So are variables and stacks. A function of several blocks is left alone.
+// CHECK-LABEL: func.func @variables(
+//       CHECK:   memref.alloc
+//       CHECK:   tai.parallel_for
+//       CHECK:     tai.stack_destroy
+//       CHECK:     tai.local_load
+//       CHECK:     memref.atomic_rmw maxs
+//       CHECK:   tai.parallel_for
+//       CHECK:     scf.if
+// CHECK-LABEL: func.func @blocks(
+//   CHECK-NOT:   memref.alloc
+//       CHECK:   return
+func.func @variables(%from: memref<64xf32>, %at: memref<64xi32>, %to: memref<16xf32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c64 = arith.constant 64 : index
+  tai.parallel_for (%i) = (%c0) to (%c64) {
+    %k = memref.load %at[%i] : memref<64xi32>
+    %s = tai.stack_create : !tai.stack<i32>
+    tai.stack_push %k, %s : i32
+    %l = tai.stack_pop %s : i32
+    tai.stack_destroy %s : !tai.stack<i32>
+    %a = tai.alloca : !tai.local<i32>
+    tai.local_store %l, %a : i32
+    %n = tai.local_load %a : i32
+    %j = arith.index_cast %n : i32 to index
+    %0 = memref.load %from[%i] : memref<64xf32>
+    memref.store %0, %to[%j] : memref<16xf32>
+  }
+  return
+}
+func.func @blocks(%from: memref<64xf32>, %at: memref<64xi32>, %to: memref<16xf32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c64 = arith.constant 64 : index
+  cf.br ^next
+^next:
+  tai.parallel_for (%i) = (%c0) to (%c64) {
+    %k = memref.load %at[%i] : memref<64xi32>
+    %j = arith.index_cast %k : i32 to index
+    %0 = memref.load %from[%i] : memref<64xf32>
+    memref.store %0, %to[%j] : memref<16xf32>
+  }
+  return
+}
+
+// A condition on two indices of the loop lets either stand for the other; it
+// leaves one iteration for each element. So does a loop of one iteration.
+// CHECK-NOT: tai.kernel @diagonal.0
+// CHECK-NOT: tai.kernel @of_one.0
+tai.kernel @diagonal() {
+  %c0 = arith.constant 0 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%i, %j) = (%c0, %c0) to (%c8, %c8) {
+    %0 = tai.load @x[%i] : f32
+    %same = arith.cmpi eq, %i, %j : index
+    scf.if %same {
+      tai.store %0, @y[%j] : f32
+    }
+  }
+  tai.return
+}
+tai.kernel @of_one() {
+  tai.parallel_for () in @one {
+    %c0 = arith.constant 0 : index
+    %0 = tai.load @one[] : f32
+    tai.store %0, @y[%c0] : f32
+  }
+  tai.return
+}
+
+// Draws are drawn by both loops, those that decide nothing too: the next one
+// follows them.
+// CHECK-LABEL: tai.kernel @draws.0(
+// CHECK-COUNT-2: tai.random
+//       CHECK:   memref.atomic_rmw maxs
+// CHECK-COUNT-2: tai.random
+//       CHECK:   tai.store
+tai.kernel @draws() {
+  %c16 = arith.constant 16.0 : f32
+  tai.parallel_for (%i) in @x {
+    %u = tai.random stream 0 : f32
+    %w = tai.random stream 0 : f32
+    %f = arith.mulf %w, %c16 : f32
+    %k = arith.fptosi %f : f32 to i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.mulf %0, %u : f32
+    tai.store %1, @y[%j] : f32
+  }
+  tai.return
+}
+
+// Two time slots may be one: all slots have owners. The numbers of very many
+// iterations are wide, and so are those whose count is beyond all numbers.
+// CHECK-LABEL: tai.kernel @two_slots.0(
+//       CHECK:   memref.alloc() : memref<8x8xi32>
+// CHECK-LABEL: tai.kernel @many_iterations.0(
+//       CHECK:   memref.alloc() : memref<16xi64>
+// CHECK-LABEL: tai.kernel @endless_iterations.0(
+//       CHECK:   memref.alloc() : memref<16xi64>
+tai.kernel @two_slots(%s: index, %u: index) {
+  tai.parallel_for (%i) in @x {
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%i] : f32
+    tai.store %0, @square[%s, %j] : f32
+    tai.store %0, @square[%u, %j] : f32
+  }
+  tai.return
+}
+tai.kernel @many_iterations() {
+  %c0 = arith.constant 0 : index
+  %c65536 = arith.constant 65536 : index
+  %c64 = arith.constant 64 : index
+  tai.parallel_for (%i, %h, %g) = (%c0, %c0, %c0) to (%c65536, %c65536, %c64) {
+    %k = tai.load @p[%g] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%g] : f32
+    tai.store %0, @y[%j] : f32
+  }
+  tai.return
+}
+tai.kernel @endless_iterations() {
+  %c0 = arith.constant 0 : index
+  %c2 = arith.constant 2 : index
+  %most = arith.constant 0x7fffffffffffffff : index
+  tai.parallel_for (%g, %h) = (%c0, %c0) to (%c2, %most) {
+    %k = tai.load @p[%g] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%g] : f32
+    tai.store %0, @y[%j] : f32
+  }
+  tai.return
+}
+
+// One owner cannot stand for an element and for its components, nor for a store
+// and for sums; and there is no room for the owners of very many elements. These
+// loops run on one thread, and so does one whose condition is what an update
+// finds.
+// CHECK-LABEL: tai.kernel @whole_and_part.0(
+//       CHECK:   tai.parallel_for {{.*}} serialize
+// CHECK-LABEL: tai.kernel @stores_and_sums.0(
+//       CHECK:   tai.parallel_for {{.*}} serialize
+// CHECK-LABEL: tai.kernel @too_many.0(
+//       CHECK:   tai.parallel_for {{.*}} serialize
+// CHECK-LABEL: tai.kernel @by_update.0(
+//       CHECK:   tai.parallel_for {{.*}} serialize
+tai.kernel @whole_and_part() {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%i] : f32
+    %w = vector.broadcast %0 : f32 to vector<2xf32>
+    tai.store %w, @v[%j] : vector<2xf32>
+    tai.store %0, @v[%j] component [%c0] : f32
+  }
+  tai.return
+}
+tai.kernel @stores_and_sums() {
+  %c0 = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%i] : f32
+    tai.store %0, @square[%j, %j] : f32
+    tai.atomic add %0, @square[%i, %c0] : f32
+  }
+  tai.return
+}
+tai.kernel @too_many() {
+  tai.parallel_for (%i) in @x {
+    %k = tai.load @p[%i] : i32
+    %j = arith.index_cast %k : i32 to index
+    %0 = tai.load @x[%i] : f32
+    tai.store %0, @huge[%j, %j] : f32
+  }
+  tai.return
+}
+tai.kernel @by_update() {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : i32
+  tai.parallel_for (%i) in @x {
+    %k = tai.atomic add %c1, @p[%c0] : i32
+    %j = arith.index_cast %k : i32 to index
     %0 = tai.load @x[%i] : f32
     tai.store %0, @y[%j] : f32
   }

@@ -144,3 +144,78 @@ tai.kernel @least() {
   }
   tai.return
 }
+
+// With the choice 'split', those that equal the result share. A factor that may
+// be infinite takes nothing of a zero adjoint or tangent.
+// FORWARD-LABEL: tai.kernel @shared_greatest_fwd()
+//       FORWARD:   %[[R:.+]] = vector.reduction <maximumf>
+//       FORWARD:   %[[C0:.+]] = arith.cmpf oge, %{{.+}}, %[[R]]
+//       FORWARD:   %[[N0:.+]] = arith.select %[[C0]], %[[ONE:.+]], %{{.+}}
+//       FORWARD:   %[[C1:.+]] = arith.cmpf oge, %{{.+}}, %[[R]]
+//       FORWARD:   %[[N1:.+]] = arith.select %[[C1]], %[[ONE]],
+//       FORWARD:   %[[N:.+]] = arith.addf %[[N0]], %[[N1]]
+//       FORWARD:   arith.cmpf oge, %{{.+}}, %[[R]]
+//       FORWARD:   %[[COUNT:.+]] = arith.addf %[[N]],
+//       FORWARD:   %[[DR:.+]] = arith.divf %{{.+}}, %[[COUNT]]
+//       FORWARD:   tai.store %[[DR]], @y_dual
+//   CHECK-LABEL: tai.kernel @shared_greatest_grad()
+//         CHECK:   %[[R:.+]] = vector.reduction <maximumf>
+//         CHECK:   %[[G:.+]] = tai.load @y_grad
+// CHECK-COUNT-3:   arith.cmpf oge, %{{.+}}, %[[R]]
+//         CHECK:   %[[SHARE:.+]] = arith.divf %[[G]],
+// CHECK-COUNT-3:   arith.select %{{.+}}, %[[SHARE]],
+//         CHECK:   tai.return
+tai.kernel @shared_greatest() attributes {conventions = {ties = "split"}} {
+  tai.parallel_for (%i) in @y {
+    %v = tai.load @v[%i] : !v
+    %r = vector.reduction <maximumf>, %v : !v into f32
+    tai.store %r, @y[%i] : f32
+  }
+  tai.return
+}
+
+// FORWARD-LABEL: tai.kernel @infinite_product_fwd()
+//       FORWARD:   vector.reduction <mul>
+// FORWARD-COUNT-4: arith.select %{{.+}} {tai.guard}
+//   CHECK-LABEL: tai.kernel @infinite_product_grad()
+//         CHECK:   %[[G:.+]] = tai.load @y_grad
+//         CHECK:   %[[NONE:.+]] = arith.cmpf oeq, %[[G]],
+// CHECK-COUNT-3:   arith.select %[[NONE]], %{{.+}} {tai.guard}
+tai.kernel @infinite_product() {
+  tai.parallel_for (%i) in @y {
+    %v = tai.load @v[%i] : !v
+    %a = tai.load @a[%i] : f32
+    %b = vector.broadcast %a : f32 to !v
+    %q = arith.divf %v, %b : !v
+    %r = vector.reduction <mul>, %q : !v into f32
+    tai.store %r, @y[%i] : f32
+  }
+  tai.return
+}
+
+// An accumulator alone may be infinite, and integers have no derivative.
+//   CHECK-LABEL: tai.kernel @infinite_start_grad()
+//         CHECK:   {tai.guard}
+//   CHECK-LABEL: tai.kernel @integers_grad()
+//     CHECK-NOT:   vector.reduction
+//         CHECK:   tai.return
+tai.kernel @infinite_start() {
+  tai.parallel_for (%i) in @y {
+    %v = tai.load @v[%i] : !v
+    %a = tai.load @a[%i] : f32
+    %l = math.log %a : f32
+    %r = vector.reduction <mul>, %v, %l : !v into f32
+    tai.store %r, @y[%i] : f32
+  }
+  tai.return
+}
+tai.kernel @integers() {
+  tai.parallel_for (%i) in @y {
+    %v = tai.load @v[%i] : !v
+    %k = arith.fptosi %v : !v to vector<3xi32>
+    %r = vector.reduction <maxsi>, %k : vector<3xi32> into i32
+    %f = arith.sitofp %r : i32 to f32
+    tai.store %f, @y[%i] : f32
+  }
+  tai.return
+}

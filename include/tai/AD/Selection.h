@@ -10,6 +10,7 @@
 
 #include "mlir/IR/BuiltinOps.h"
 #include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Interfaces/Differentiable.h"
 
 namespace mlir::tai {
 
@@ -28,6 +29,9 @@ LogicalResult checkNested(ModuleOp module);
 /// Reports an error if `function` is of a kind that is not differentiated, or
 /// has no body.
 LogicalResult checkIsFunction(FunctionOpInterface function);
+
+/// True if an array that is an argument, or a field, may have an adjoint.
+bool mayHaveAdjoint(FunctionOpInterface function, Storage storage);
 
 } // namespace mlir::tai
 

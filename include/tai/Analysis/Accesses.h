@@ -30,14 +30,16 @@ bool areProvablyEqual(ValueRange lhs, ValueRange rhs);
 /// position.
 bool areProvablyDistinct(ValueRange lhs, ValueRange rhs);
 
-/// True if no two iterations of the parallel loop reach the same element by any
-/// of the writes, given by their indices.
-bool isExclusive(Operation *loop, ArrayRef<SmallVector<IndexExpr>> writes);
+/// True if no two iterations of parallel loops reach the same element by any of
+/// the accesses: all those to one storage in one outermost parallel loop.
+bool isExclusive(ArrayRef<Operation *> accesses);
 
 /// The induction variables of an op that runs its body in parallel, or none.
 ValueRange getParallelInductionVars(Operation *op);
 /// The innermost parallel loop around `op`, or null.
 Operation *getEnclosingParallelLoop(Operation *op);
+/// The outermost one.
+Operation *getOutermostParallelLoop(Operation *op);
 /// The induction variables of all loops between `op` and the function around
 /// it, from the outermost to the innermost.
 SmallVector<Value> getEnclosingInductionVars(Operation *op);

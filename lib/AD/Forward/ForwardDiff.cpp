@@ -159,7 +159,7 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
       if (storage.memref)
         return arrays.lookup(storage.memref);
       FieldOp field = lookupField(function, storage.field);
-      return field && field.getDualAttr() && isFloatOrVector(field.getType())
+      return field.getDualAttr() && isFloatOrVector(field.getType())
                  ? Storage(field.getDualAttr())
                  : Storage();
     };

@@ -288,36 +288,21 @@ std::optional<LogicalResult> TangentBuilder::extendLocal(Operation *op) {
 //===----------------------------------------------------------------------===//
 
 bool TangentBuilder::isExclusive(Operation *op) {
-  Operation *loop = getEnclosingParallelLoop(op);
-  if (!loop)
-    return true;
-  auto serialized = [](Operation *loop) {
-    auto parallel = dyn_cast<ParallelForOp>(loop);
-    return parallel && parallel.getSerialize();
-  };
+  Operation *loop = getOutermostParallelLoop(op);
   Storage storage =
       cast<DifferentiableAccessInterface>(op).getAccessedStorage();
-  for (Operation *outer = getEnclosingParallelLoop(loop); outer;
-       outer = getEnclosingParallelLoop(outer))
-    if (!serialized(outer))
-      return false;
-  if (serialized(loop) ||
-      (storage.memref &&
-       loop->isProperAncestor(storage.memref.getParentBlock()->getParentOp())))
+  if (!loop ||
+      (storage.memref && getEnclosingParallelLoop(op)->isAncestor(
+                             storage.memref.getParentBlock()->getParentOp())))
     return true;
   const void *key = mlir::tai::getStorageKey(op);
-  SmallVector<SmallVector<IndexExpr>> writes;
+  SmallVector<Operation *> writes;
   loop->walk([&](DifferentiableAccessInterface other) {
-    if (other.getAccessKind() == AccessKind::Read)
-      return;
-    Storage target = other.getAccessedStorage();
-    bool isSame = storage.field
-                      ? target.field && mlir::tai::getStorageKey(other) == key
-                      : target == storage;
-    if (isSame)
-      writes.push_back(getIndexExprs(other.getAccessIndices()));
+    if (other.getAccessKind() != AccessKind::Read &&
+        mlir::tai::getStorageKey(other) == key)
+      writes.push_back(other);
   });
-  return mlir::tai::isExclusive(loop, writes);
+  return mlir::tai::isExclusive(writes);
 }
 
 LogicalResult TangentBuilder::runInOrder(Operation *op) {

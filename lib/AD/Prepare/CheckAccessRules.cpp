@@ -48,14 +48,12 @@ static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
   std::optional<int64_t> lower, upper;
   if (auto parallel = dyn_cast<ParallelForOp>(loop)) {
     if (parallel.isStructFor()) {
-      FieldOp field = lookupField(parallel, parallel.getFieldAttr());
-      FailureOr<FieldLayout> layout =
-          field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
+      FieldLayout layout =
+          *getFieldLayout(lookupField(parallel, parallel.getFieldAttr()));
       // The active cells of a sparse field are not known here.
-      if (failed(layout) || parallel.getLevel() ||
-          layout->path.getFirstSparse())
+      if (parallel.getLevel() || layout.path.getFirstSparse())
         return std::nullopt;
-      return layout->shape[dim];
+      return layout.shape[dim];
     }
     lower = getConstant(parallel.getLowerBounds()[dim]);
     upper = getConstant(parallel.getUpperBounds()[dim]);
@@ -227,10 +225,7 @@ struct CheckAccessRules
   LogicalResult runOnFunction(FunctionOpInterface function) {
     markAllAnalysesPreserved();
     Activity activity(function, [&](Storage storage) {
-      if (!storage.field)
-        return isa<BlockArgument>(storage.memref);
-      FieldOp field = lookupField(function, storage.field);
-      return field && field.getAdjointAttr();
+      return mayHaveAdjoint(function, storage);
     });
     return Checker(function, activity).check();
   }

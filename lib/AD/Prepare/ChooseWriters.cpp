@@ -326,13 +326,10 @@ bool LoopWriters::findDimensions(const OpenStorage &storage, Owned &owned) {
   Storage where = first.getAccessedStorage();
   SmallVector<int64_t> firsts(rank, 0), sizes;
   if (where.field) {
-    FailureOr<FieldLayout> layout =
-        getFieldLayout(lookupField(first, where.field));
-    if (failed(layout))
-      return false;
-    llvm::copy(layout->offset, firsts.begin());
-    llvm::append_range(sizes, layout->shape);
-    if (auto vector = dyn_cast<VectorType>(layout->path.getElementType()))
+    FieldLayout layout = *getFieldLayout(lookupField(first, where.field));
+    llvm::copy(layout.offset, firsts.begin());
+    llvm::append_range(sizes, layout.shape);
+    if (auto vector = dyn_cast<VectorType>(layout.path.getElementType()))
       llvm::append_range(sizes, vector.getShape());
   } else {
     llvm::append_range(sizes,
@@ -375,11 +372,10 @@ void LoopWriters::countIterations() {
                 : std::numeric_limits<int64_t>::max();
   };
   if (loop.isStructFor()) {
-    FailureOr<FieldLayout> layout =
-        getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-    if (succeeded(layout))
-      for (auto [extent, first] : llvm::zip(layout->shape, layout->offset))
-        add(index(first), index(extent));
+    FieldLayout layout =
+        *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+    for (auto [extent, first] : llvm::zip(layout.shape, layout.offset))
+      add(index(first), index(extent));
   } else {
     for (auto [from, to] :
          llvm::zip(loop.getLowerBounds(), loop.getUpperBounds()))
@@ -409,8 +405,6 @@ LoopWriters::createPosition(DifferentiableAccessInterface access,
   Value isOutside;
   for (const Dimension &dimension : owned.dimensions) {
     Value at = all[dimension.position];
-    if (!at.getType().isIndex())
-      at = arith::IndexCastOp::create(b, b.getIndexType(), at);
     if (dimension.first != 0)
       at = arith::SubIOp::create(b, at, index(dimension.first));
     Value last = arith::SubIOp::create(b, dimension.extent, index(1));
@@ -564,11 +558,7 @@ bool LoopWriters::buildDecision() {
           cast<DifferentiableAccessInterface>(copy).getAccessedValue();
       b.setInsertionPoint(copy);
       Value zero = arith::ConstantOp::create(b, b.getZeroAttr(value.getType()));
-      for (OpOperand &operand : copy->getOpOperands())
-        if (operand.get() == value) {
-          operand.set(zero);
-          break;
-        }
+      copy->replaceUsesOfWith(value, zero);
     }
   needsUpdate = !reduceTo(decision, kept);
   if (needsUpdate ||
@@ -578,9 +568,8 @@ bool LoopWriters::buildDecision() {
   decision.getBody().walk([&](DifferentiableAccessInterface copy) {
     if (kept.contains(copy) || isPrivate(copy, decision))
       return;
-    Operation *original = originals.lookup(copy);
-    isKnown &= original &&
-               isUnchanged(cast<DifferentiableAccessInterface>(original), loop);
+    isKnown &= isUnchanged(
+        cast<DifferentiableAccessInterface>(originals.at(copy)), loop);
   });
   return isKnown;
 }
@@ -651,9 +640,8 @@ LogicalResult LoopWriters::serialize(bool isReversed) {
     loop.setSerialize(true);
     return success();
   }
-  FailureOr<FieldLayout> layout =
-      getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-  if (failed(layout) || layout->path.getFirstSparse() || loop.getLevel()) {
+  FieldLayout layout = *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+  if (layout.path.getFirstSparse() || loop.getLevel()) {
     // The adjoint needs that result too, and says why it has none.
     if (needsUpdate &&
         llvm::all_of(open, [](auto &storage) { return storage.isActive; }))
@@ -671,7 +659,7 @@ LogicalResult LoopWriters::serialize(bool isReversed) {
   // The adjoint of a loop on one thread runs backwards over a range.
   b.setInsertionPoint(loop);
   SmallVector<Value> from, to;
-  for (auto [extent, first] : llvm::zip(layout->shape, layout->offset)) {
+  for (auto [extent, first] : llvm::zip(layout.shape, layout.offset)) {
     from.push_back(index(first));
     to.push_back(index(first + extent));
   }
@@ -721,10 +709,7 @@ struct ChooseWriters
     if (!function.getFunctionBody().hasOneBlock())
       return success();
     Activity activity(function, [&](Storage storage) {
-      if (!storage.field)
-        return isa<BlockArgument>(storage.memref);
-      FieldOp field = lookupField(function, storage.field);
-      return field && field.getAdjointAttr();
+      return mayHaveAdjoint(function, storage);
     });
     if (failed(checkLoopsWithoutOrder(function, activity)))
       return failure();

@@ -85,7 +85,7 @@ static Value combine(OpBuilder &b, AtomicOp atomic, Value old, Value value) {
 
 static bool hasAdjoint(AtomicOp atomic) {
   FieldOp field = lookupField(atomic, atomic.getFieldAttr());
-  return field && field.getAdjointAttr() && isFloatOrVector(field.getType());
+  return field.getAdjointAttr() && isFloatOrVector(field.getType());
 }
 
 static bool isSum(AtomicOp atomic) {
@@ -158,8 +158,7 @@ struct ExpandAtomics
     // it concerns.
     llvm::SetVector<Operation *> loops;
     for (AtomicOp atomic : contended)
-      if (Operation *loop = getEnclosingParallelLoop(atomic))
-        loops.insert(loop);
+      loops.insert(getEnclosingParallelLoop(atomic));
     llvm::for_each(exclusive, expand);
     llvm::for_each(contended, split);
     for (Operation *loop : loops)

@@ -48,12 +48,11 @@ private:
   bool isVisible(Value value);
   bool sees(ArrayRef<IndexExpr> forms);
   bool canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all);
-  bool isOwned(Group &group, ArrayRef<DifferentiableAccessInterface> all);
+  bool isOwned(Group &group);
   bool needsVariable(const Group &group);
   bool isCertain(Operation *access);
-  DifferentiableAccessInterface findLeader(const Group &group,
-                                           Operation *before);
-  void rewrite(const Group &group);
+  DifferentiableAccessInterface findLeader(const Group &group);
+  void rewrite(const Group &group, DifferentiableAccessInterface leader);
 
   Block *block;
 };
@@ -106,7 +105,7 @@ bool Scope::needsVariable(const Group &group) {
 
 /// True if no other iteration of the parallel loop around can touch the
 /// element.
-bool Scope::isOwned(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
+bool Scope::isOwned(Group &group) {
   if (llvm::any_of(group.accesses, [&](auto access) {
         return access.getAccessKind() == AccessKind::Write && isCertain(access);
       }))
@@ -114,20 +113,22 @@ bool Scope::isOwned(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
   // A store makes cells of sparse fields active.
   if (FlatSymbolRefAttr name =
           group.accesses.front().getAccessedStorage().field) {
-    FieldOp field = lookupField(group.accesses.front(), name);
-    FailureOr<FieldLayout> layout =
-        field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
-    if (failed(layout) || layout->path.getFirstSparse())
+    FieldLayout layout =
+        *getFieldLayout(lookupField(group.accesses.front(), name));
+    if (layout.path.getFirstSparse())
       return false;
   }
-  Operation *inner = block->getTerminator();
-  Operation *loop = getEnclosingParallelLoop(inner);
-  if (!loop || isSerialLoop(loop))
+  // Other blocks of the loop may access it, too.
+  Operation *loop = getOutermostParallelLoop(block->getTerminator());
+  if (!loop)
     return true;
-  return isExclusive(
-      loop, llvm::map_to_vector(all, [](DifferentiableAccessInterface access) {
-        return getIndexExprs(access.getAccessIndices());
-      }));
+  SmallVector<Operation *> all;
+  const void *key = getStorageKey(group.accesses.front());
+  loop->walk([&](DifferentiableAccessInterface access) {
+    if (getStorageKey(access) == key)
+      all.push_back(access);
+  });
+  return isExclusive(all);
 }
 
 bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
@@ -156,12 +157,13 @@ bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
            mayReachLater(other, own, block)))
         return false;
   }
-  return isOwned(group, all);
+  return isOwned(group);
 }
 
-/// An access whose indices are known before `before`.
-DifferentiableAccessInterface Scope::findLeader(const Group &group,
-                                                Operation *before) {
+/// An access whose indices are known before the first of the group; null if all
+/// of them are computed in an inner block.
+DifferentiableAccessInterface Scope::findLeader(const Group &group) {
+  Operation *before = block->findAncestorOpInBlock(*group.accesses.front());
   auto isKnown = [&](Value value) {
     Operation *owner = value.getDefiningOp();
     return isVisible(value) && (!owner || owner->getBlock() != block ||
@@ -186,12 +188,9 @@ static Value createSum(OpBuilder &b, DifferentiableAccessInterface access,
                  : arith::AddIOp::create(b, loc, old, value).getResult();
 }
 
-void Scope::rewrite(const Group &group) {
+void Scope::rewrite(const Group &group, DifferentiableAccessInterface leader) {
   Operation *first = block->findAncestorOpInBlock(*group.accesses.front());
   Operation *last = block->findAncestorOpInBlock(*group.accesses.back());
-  DifferentiableAccessInterface leader = findLeader(group, first);
-  if (!leader)
-    return;
   Type type = leader.getAccessedValue().getType();
   Storage storage = leader.getAccessedStorage();
   SmallVector<Value> indices(leader.getAccessIndices());
@@ -244,8 +243,9 @@ void Scope::run() {
     }
     // One at a time: the next looks at the remaining ones.
     for (Group &group : groups)
-      if (canLive(group, all)) {
-        rewrite(group);
+      if (DifferentiableAccessInterface leader = findLeader(group);
+          leader && canLive(group, all)) {
+        rewrite(group, leader);
         return run();
       }
   }

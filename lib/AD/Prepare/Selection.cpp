@@ -8,6 +8,7 @@
 #include "tai/AD/Selection.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "tai/AD/Signature.h"
+#include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -149,4 +150,11 @@ mlir::tai::selectFunctions(ModuleOp module, ArrayRef<std::string> names) {
           functions.insert(part);
   }
   return SmallVector<FunctionOpInterface>(functions.getArrayRef());
+}
+
+bool mlir::tai::mayHaveAdjoint(FunctionOpInterface function, Storage storage) {
+  if (storage.memref)
+    return isa<BlockArgument>(storage.memref);
+  return static_cast<bool>(
+      lookupField(function, storage.field).getAdjointAttr());
 }

@@ -118,8 +118,8 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
   for (Value value : path->captured)
     inputs.push_back(value.getType());
   Location loc = builder.getLoc();
-  OwningOpRef<func::FuncOp> holder =
-      func::FuncOp::create(loc, "slopes", builder.getFunctionType(inputs, {}));
+  OwningOpRef<func::FuncOp> holder = func::FuncOp::create(
+      loc, "slopes", builder.getFunctionType(inputs, values.getTypes()));
   if (Attribute chosen = function->getAttr("conventions"))
     holder->getOperation()->setAttr("tai.conventions", chosen);
   if (Attribute chosen = function->getAttr("tai.conventions"))
@@ -134,7 +134,11 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
     into.map(value, argument);
   for (Operation *op : path->ops)
     inner.clone(*op, into);
-  func::ReturnOp::create(inner, loc);
+  // Loops and branches are rebuilt there: the operands follow their results.
+  auto ends = func::ReturnOp::create(
+      inner, loc, llvm::map_to_vector(values, [&](Value value) {
+        return into.lookup(value);
+      }));
 
   // A function that cannot be extended is no error: the product has its rules.
   SilencedDiagnostics silence(builder.getContext());
@@ -165,17 +169,16 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
         arith::ConstantOp::create(builder, DenseElementsAttr::get(type, seed));
     IRMapping out = known;
     for (Operation &op : body->without_terminator()) {
-      auto read = dyn_cast<memref::LoadOp>(op);
-      if (read && read.getMemref() == body->getArgument(0))
-        out.map(read.getResult(), stopped);
-      else if (read && read.getMemref() == body->getArgument(1))
-        out.map(read.getResult(), direction);
+      // All that the function reads is the source and its tangent.
+      if (auto read = dyn_cast<memref::LoadOp>(op))
+        out.map(read.getResult(),
+                read.getMemref() == body->getArgument(0) ? stopped : direction);
       else
         builder.clone(op, out);
     }
     SmallVector<Value> &row = slopes.emplace_back();
-    for (Value value : values) {
-      Value tangent = tangents.getTangent(into.lookupOrDefault(value));
+    for (Value value : ends.getOperands()) {
+      Value tangent = tangents.getTangent(value);
       row.push_back(tangent ? out.lookup(tangent) : Value());
     }
   }

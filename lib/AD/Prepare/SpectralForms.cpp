@@ -40,7 +40,8 @@ struct Factor {
   bool isTransposed;
 };
 
-/// A product as it is written, and the numbers that it is times.
+/// A product as it is written, and the numbers that it is times. The square of
+/// a square of a square is no chain of eight: few factors are taken apart.
 struct Chain {
   SmallVector<Factor> factors;
   SmallVector<Value> scales;
@@ -98,7 +99,9 @@ static Value getSplat(OpBuilder &builder, Value vector) {
 static void flatten(OpBuilder &builder, Value value, bool isTransposed,
                     Chain &chain) {
   Operation *op = value.getDefiningOp();
-  if (auto product = dyn_cast_if_present<MatmulOp>(op)) {
+  constexpr size_t most = 64;
+  if (auto product = dyn_cast_if_present<MatmulOp>(op);
+      product && chain.factors.size() < most) {
     Value first = product.getLhs(), second = product.getRhs();
     if (isTransposed)
       std::swap(first, second);
@@ -119,17 +122,35 @@ static void flatten(OpBuilder &builder, Value value, bool isTransposed,
   chain.factors.push_back({value, isTransposed});
 }
 
-/// True if the entries of a square matrix off its diagonal are zero.
-static bool isDiagonal(Value matrix, unsigned depth = 0) {
-  constexpr unsigned mostOps = 32;
+namespace {
+/// Whether the entries of square matrices off their diagonals are zero, each
+/// matrix asked once.
+class DiagonalMatrices {
+public:
+  bool contains(Value matrix) {
+    constexpr size_t most = 64;
+    if (auto it = known.find(matrix); it != known.end())
+      return it->second;
+    if (known.size() == most)
+      return false;
+    known[matrix] = false;
+    return known[matrix] = find(matrix);
+  }
+
+private:
+  bool find(Value matrix);
+
+  DenseMap<Value, bool> known;
+};
+} // namespace
+
+bool DiagonalMatrices::find(Value matrix) {
   auto type = dyn_cast<VectorType>(matrix.getType());
-  if (!type || type.getRank() != 2 || depth == mostOps)
+  Operation *op = matrix.getDefiningOp();
+  if (!op || !type || type.getRank() != 2)
     return false;
   int64_t n = type.getDimSize(0);
   auto isOff = [&](int64_t i) { return i / n != i % n; };
-  auto are = [&](auto... values) {
-    return (isDiagonal(values, depth + 1) && ...);
-  };
   if (DenseFPElementsAttr constant;
       matchPattern(matrix, m_Constant(&constant))) {
     for (auto [i, entry] : llvm::enumerate(constant.getValues<APFloat>()))
@@ -137,15 +158,11 @@ static bool isDiagonal(Value matrix, unsigned depth = 0) {
         return false;
     return true;
   }
-  Operation *op = matrix.getDefiningOp();
-  if (!op)
-    return false;
   return llvm::TypeSwitch<Operation *, bool>(op)
       .Case([&](SvdOp svd) { return matrix == svd.getSigma(); })
       .Case([&](vector::FromElementsOp made) {
         for (auto [i, entry] : llvm::enumerate(made.getElements()))
-          if (isOff(i) && !matchPattern(entry, m_AnyZeroFloat()) &&
-              !matchPattern(entry, m_PosZeroFloat()))
+          if (isOff(i) && !matchPattern(entry, m_AnyZeroFloat()))
             return false;
         return true;
       })
@@ -154,28 +171,27 @@ static bool isDiagonal(Value matrix, unsigned depth = 0) {
         return !insert.hasDynamicPosition() && at.size() == 2 &&
                (at[0] == at[1] ||
                 matchPattern(insert.getValueToStore(), m_AnyZeroFloat())) &&
-               are(insert.getDest());
+               contains(insert.getDest());
       })
       .Case([&](arith::SelectOp select) {
-        return are(select.getTrueValue(), select.getFalseValue());
+        return contains(select.getTrueValue()) &&
+               contains(select.getFalseValue());
       })
-      .Case<arith::AddFOp, arith::SubFOp>(
-          [&](auto sum) { return are(sum.getLhs(), sum.getRhs()); })
       .Case([&](arith::MulFOp product) {
-        return are(product.getLhs()) || are(product.getRhs());
+        return contains(product.getLhs()) || contains(product.getRhs());
       })
-      .Case([&](arith::DivFOp quotient) { return are(quotient.getLhs()); })
-      .Case([&](MatmulOp product) {
-        return are(product.getLhs(), product.getRhs());
+      .Case<arith::AddFOp, arith::SubFOp, MatmulOp>([&](auto pair) {
+        return contains(pair.getLhs()) && contains(pair.getRhs());
       })
-      .Case<arith::NegFOp, TransposeOp, InverseOp>(
-          [&](Operation *inner) { return are(inner->getOperand(0)); })
+      .Case<arith::DivFOp, arith::NegFOp, TransposeOp, InverseOp>(
+          [&](Operation *inner) { return contains(inner->getOperand(0)); })
       .Default(false);
 }
 
 /// The first F M Hᵀ from `begin` on, where F and H are factors of one
 /// decomposition and M, if there is one, is diagonal.
 static std::optional<Span> findFrame(ArrayRef<Factor> factors, size_t begin) {
+  DiagonalMatrices diagonal;
   for (size_t first = begin; first != factors.size(); ++first) {
     Operation *op = getDecomposition(factors[first].matrix);
     if (!op || factors[first].isTransposed)
@@ -184,7 +200,7 @@ static std::optional<Span> findFrame(ArrayRef<Factor> factors, size_t begin) {
       if (getDecomposition(factors[last].matrix) == op &&
           factors[last].isTransposed)
         return Span{first, last};
-      if (!isDiagonal(factors[last].matrix))
+      if (!diagonal.contains(factors[last].matrix))
         break;
     }
   }

@@ -62,7 +62,7 @@ bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {
   return llvm::none_of(stores, [&](Operation *store) {
     return llvm::any_of(before, [&](Attribute name) {
       FieldOp field = lookupField(store, cast<FlatSymbolRefAttr>(name));
-      return !field || getFieldStorageKey(field) == getStorageKey(store);
+      return getFieldStorageKey(field) == getStorageKey(store);
     });
   });
 }

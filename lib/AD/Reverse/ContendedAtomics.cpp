@@ -166,12 +166,10 @@ ContendedAtomics::countLoops(ParallelForOp loop, AtomicOp atomic) {
   }
   SmallVector<CountedLoop> loops;
   if (loop.isStructFor()) {
-    FailureOr<FieldLayout> layout =
-        getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-    if (failed(layout))
-      return failure();
+    FieldLayout layout =
+        *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
     for (auto [iv, extent, first] :
-         llvm::zip(loop.getInductionVars(), layout->shape, layout->offset))
+         llvm::zip(loop.getInductionVars(), layout.shape, layout.offset))
       loops.push_back(countLoop(
           b, iv, arith::ConstantIndexOp::create(b, first),
           arith::ConstantIndexOp::create(b, first + extent), Value()));

@@ -93,14 +93,12 @@ void Contention::storeElement(Value value, Storage storage,
 
 LogicalResult Contention::findDimensions() {
   AtomicOp first = atomics.front();
-  FailureOr<FieldLayout> layout =
-      getFieldLayout(lookupField(first, first.getFieldAttr()));
-  if (failed(layout))
-    return failure();
-  rank = layout->shape.size();
-  for (auto [extent, offset] : llvm::zip(layout->shape, layout->offset))
+  FieldLayout layout =
+      *getFieldLayout(lookupField(first, first.getFieldAttr()));
+  rank = layout.shape.size();
+  for (auto [extent, offset] : llvm::zip(layout.shape, layout.offset))
     dimensions.push_back({Value(), offset, extent});
-  if (auto vector = dyn_cast<VectorType>(layout->path.getElementType()))
+  if (auto vector = dyn_cast<VectorType>(layout.path.getElementType()))
     for (int64_t extent : vector.getShape())
       dimensions.push_back({Value(), 0, extent});
   SmallVector<Value> position = getElementPosition(first);

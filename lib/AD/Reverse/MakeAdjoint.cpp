@@ -76,15 +76,10 @@ static void relaxArrayAccumulations(FunctionOpInterface function) {
     Value memref =
         cast<DifferentiableAccessInterface>(op).getAccessedStorage().memref;
     if (isa<BlockArgument>(memref))
-      groups[{getEnclosingParallelLoop(op), memref}].push_back(op);
+      groups[{getOutermostParallelLoop(op), memref}].push_back(op);
   });
   for (auto &[key, writes] : groups) {
-    SmallVector<SmallVector<IndexExpr>> indices =
-        llvm::map_to_vector(writes, [](Operation *op) {
-          return getIndexExprs(
-              cast<DifferentiableAccessInterface>(op).getAccessIndices());
-        });
-    bool exclusive = !key.first || isExclusive(key.first, indices);
+    bool exclusive = isExclusive(writes);
     for (Operation *write : writes) {
       auto atomic = dyn_cast<memref::AtomicRMWOp>(write);
       if (!exclusive || !atomic ||
@@ -148,7 +143,7 @@ static LogicalResult fillWith(FunctionOpInterface function,
     if (storage.memref)
       return arrays.lookup(storage.memref);
     FieldOp field = lookupField(function, storage.field);
-    return field && field.getAdjointAttr() && isFloatOrVector(field.getType())
+    return field.getAdjointAttr() && isFloatOrVector(field.getType())
                ? Storage(field.getAdjointAttr())
                : Storage();
   };

@@ -71,9 +71,7 @@ Value Rematerializer::materialize(Frame &frame, Value value) {
       } else if (refused.contains(op)) {
         // It may have been refused in another frame of the same block, and
         // would be missing in this one for ever.
-        for (Value result : op->getResults())
-          if (!frame.values.contains(result))
-            frame.values.map(result, result);
+        frame.values.map(op->getResults(), op->getResults());
         pending.pop_back();
       } else if (!needsOperands(frame, op, pending)) {
         pending.pop_back();
@@ -182,8 +180,7 @@ void Rematerializer::recompute(Frame &frame, Operation *op) {
   if (auto alloc = dyn_cast<memref::AllocOp>(op); alloc && holdsOwners(alloc))
     return recomputeOwners(frame, alloc);
   if (!checkRecomputable(op)) {
-    for (Value result : op->getResults())
-      frame.values.map(result, result);
+    frame.values.map(op->getResults(), op->getResults());
     refused.insert(op);
     return;
   }

@@ -44,11 +44,10 @@ static bool isPlainIndex(Value value, unsigned depth = 16) {
 /// True if the element holds the stored value when the kernel is done, whatever
 /// other iterations do.
 static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
-  FieldOp field = lookupField(store, store.getFieldAttr());
-  FailureOr<FieldLayout> layout =
-      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
   // Where cells come and go, a store may find none.
-  if (failed(layout) || layout->path.getFirstSparse())
+  FieldLayout layout =
+      *getFieldLayout(lookupField(store, store.getFieldAttr()));
+  if (layout.path.getFirstSparse())
     return false;
   // A tape does not watch writes to gradients.
   for (FieldOp other : store->getParentOfType<ModuleOp>().getOps<FieldOp>())
@@ -58,22 +57,16 @@ static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
   if (accesses.findLaterWrite(access))
     return false;
   // The last of several iterations is not known.
-  Operation *loop = getEnclosingParallelLoop(store);
+  Operation *loop = getOutermostParallelLoop(store);
   if (!loop)
     return true;
-  if (getEnclosingParallelLoop(loop))
-    return false;
-  SmallVector<SmallVector<IndexExpr>> writes;
+  SmallVector<Operation *> writes;
   for (DifferentiableAccessInterface other :
-       accesses.getStorages().find(getStorageKey(store))->second) {
-    if (other.getAccessKind() == AccessKind::Read ||
-        !loop->isProperAncestor(other))
-      continue;
-    if (other.getAccessIndices().size() != store.getIndices().size())
-      return false;
-    writes.push_back(getIndexExprs(other.getAccessIndices()));
-  }
-  return isExclusive(loop, writes);
+       accesses.getStorages().find(getStorageKey(store))->second)
+    if (other.getAccessKind() != AccessKind::Read &&
+        loop->isProperAncestor(other))
+      writes.push_back(other);
+  return isExclusive(writes);
 }
 
 StoredOutputs::StoredOutputs(FunctionOpInterface function,

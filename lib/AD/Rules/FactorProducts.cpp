@@ -22,10 +22,12 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The factors of a chain of matrix products, from left to right.
+/// The factors of a chain of matrix products, from left to right, of which few
+/// are taken apart: a power by squares would have many.
 static void flatten(Value value, SmallVectorImpl<Value> &factors) {
+  constexpr size_t most = 64;
   auto product = value.getDefiningOp<MatmulOp>();
-  if (!product)
+  if (!product || factors.size() >= most)
     return factors.push_back(value);
   flatten(product.getLhs(), factors);
   flatten(product.getRhs(), factors);

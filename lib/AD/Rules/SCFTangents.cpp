@@ -18,12 +18,11 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The positions of the values that may have a tangent, in either list.
-static SmallVector<unsigned> getVaried(TangentBuilder &b, ValueRange values,
-                                       ValueRange others) {
+/// The positions of the values that may have a tangent.
+static SmallVector<unsigned> getVaried(TangentBuilder &b, ValueRange values) {
   SmallVector<unsigned> positions;
-  for (unsigned i = 0, e = values.size(); i != e; ++i)
-    if (b.isVaried(values[i]) || b.isVaried(others[i]))
+  for (auto [i, value] : llvm::enumerate(values))
+    if (b.isVaried(value))
       positions.push_back(i);
   return positions;
 }
@@ -77,7 +76,7 @@ static void finish(TangentBuilder &b, Operation *op, Operation *made,
 }
 
 LogicalResult mlir::tai::extendIf(scf::IfOp op, TangentBuilder &b) {
-  SmallVector<unsigned> varied = getVaried(b, op.getResults(), op.getResults());
+  SmallVector<unsigned> varied = getVaried(b, op.getResults());
   LogicalResult result = success();
   for (Region &region : op->getRegions()) {
     if (region.empty())
@@ -100,8 +99,7 @@ LogicalResult mlir::tai::extendIf(scf::IfOp op, TangentBuilder &b) {
 }
 
 LogicalResult mlir::tai::extendFor(scf::ForOp op, TangentBuilder &b) {
-  SmallVector<unsigned> varied =
-      getVaried(b, op.getRegionIterArgs(), op.getResults());
+  SmallVector<unsigned> varied = getVaried(b, op.getRegionIterArgs());
   if (varied.empty())
     return b.extendBlock(op.getBody());
   b.setInsertionPoint(op);
@@ -118,10 +116,8 @@ LogicalResult mlir::tai::extendFor(scf::ForOp op, TangentBuilder &b) {
 
 LogicalResult mlir::tai::extendWhile(scf::WhileOp op, TangentBuilder &b) {
   Block *before = op.getBeforeBody(), *after = op.getAfterBody();
-  SmallVector<unsigned> carried =
-      getVaried(b, before->getArguments(), before->getArguments());
-  SmallVector<unsigned> passed =
-      getVaried(b, after->getArguments(), op.getResults());
+  SmallVector<unsigned> carried = getVaried(b, before->getArguments());
+  SmallVector<unsigned> passed = getVaried(b, after->getArguments());
   b.setInsertionPoint(op);
   auto made = scf::WhileOp::create(b, addTypes(op.getResults(), passed),
                                    addTangents(b, op.getInits(), carried));
@@ -141,12 +137,13 @@ bool mlir::tai::isSumReduction(Region &region) {
   Block &block = region.front();
   auto result = cast<scf::ReduceReturnOp>(block.getTerminator()).getResult();
   auto add = result.getDefiningOp<arith::AddFOp>();
-  return add && add->getBlock() == &block && add.getLhs() != add.getRhs() &&
-         isa<BlockArgument>(add.getLhs()) && isa<BlockArgument>(add.getRhs());
+  Value first = block.getArgument(0), second = block.getArgument(1);
+  return add && ((add.getLhs() == first && add.getRhs() == second) ||
+                 (add.getLhs() == second && add.getRhs() == first));
 }
 
 LogicalResult mlir::tai::extendParallel(scf::ParallelOp op, TangentBuilder &b) {
-  SmallVector<unsigned> varied = getVaried(b, op.getResults(), op.getResults());
+  SmallVector<unsigned> varied = getVaried(b, op.getResults());
   if (failed(b.extendBlock(op.getBody())))
     return failure();
   if (varied.empty())

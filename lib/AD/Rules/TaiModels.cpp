@@ -63,8 +63,8 @@ private:
   /// narrow floats are sums, which would lose digits in narrow floats.
   static Type getStoredType(Operation *op, Storage storage, Type type) {
     FieldOp field = lookupField(op, storage.field);
-    Type element = field ? getElementTypeOrSelf(field.getType()) : Type();
-    if (!element || element == getElementTypeOrSelf(type))
+    Type element = getElementTypeOrSelf(field.getType());
+    if (element == getElementTypeOrSelf(type))
       return type;
     if (auto vector = dyn_cast<VectorType>(type))
       return vector.clone(element);

@@ -218,46 +218,83 @@ struct TransposeModel : LinearModel<TransposeModel, vector::TransposeOp> {
 };
 
 /// Sum, product, least or greatest of the components. A tie of components goes
-/// to the last, as for two operands of `arith.maximumf`.
+/// to the last, as for two operands of `arith.maximumf`, or is shared.
 struct ReductionModel
     : DifferentiableOpInterface::ExternalModel<ReductionModel,
                                                vector::ReductionOp> {
+  using Kind = vector::CombiningKind;
+
+  /// For the kinds of floats that are neither sums nor products.
+  static arith::CmpFPredicate getPredicate(Kind kind) {
+    bool isMax = kind == Kind::MAXIMUMF || kind == Kind::MAXNUMF;
+    return isMax ? arith::CmpFPredicate::OGE : arith::CmpFPredicate::OLE;
+  }
+  /// Tests each operand for the value of the result, and counts those that have
+  /// it.
+  static std::pair<SmallVector<Value>, Value>
+  findWinners(DerivativeBuilder &b, Kind kind, ArrayRef<Value> operands,
+              Value result) {
+    SmallVector<Value> all;
+    Value one = b.createConstant(result.getType(), 1), count;
+    for (Value operand : operands) {
+      all.push_back(
+          arith::CmpFOp::create(b, getPredicate(kind), operand, result));
+      Value own = b.createMask(all.back(), one);
+      count = count ? Value(arith::AddFOp::create(b, count, own)) : own;
+    }
+    return {all, count};
+  }
+
   LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
     auto reduction = cast<vector::ReductionOp>(op);
-    using Kind = vector::CombiningKind;
     Kind kind = reduction.getKind();
     if (kind == Kind::ADD) {
       b.applyToTangents(op);
       return success();
     }
     Value vector = reduction.getVector(), acc = reduction.getAcc();
-    bool isMax = kind == Kind::MAXIMUMF || kind == Kind::MAXNUMF;
-    bool isMin = kind == Kind::MINIMUMF || kind == Kind::MINNUMF;
-    if (kind != Kind::MUL && !isMax && !isMin) {
-      b.emitError(op, "this kind of 'vector.reduction' has no derivative");
-      return failure();
-    }
-    SmallVector<std::pair<Value, Value>> terms;
-    Value tangents = b.getTangentOrZero(vector);
+    SmallVector<Value> operands, tangents;
+    Value all = b.getTangentOrZero(vector);
     auto type = cast<VectorType>(vector.getType());
-    for (int64_t i = 0, e = type.getNumElements(); i != e; ++i)
-      terms.emplace_back(b.createExtract(vector, i),
-                         b.createExtract(tangents, i));
-    if (acc)
-      terms.emplace_back(acc, b.getTangentOrZero(acc));
+    for (int64_t i = 0, e = type.getNumElements(); i != e; ++i) {
+      operands.push_back(b.createExtract(vector, i));
+      tangents.push_back(b.createExtract(all, i));
+    }
+    if (acc) {
+      operands.push_back(acc);
+      tangents.push_back(b.getTangentOrZero(acc));
+    }
     Value result = reduction.getDest(), sum, product;
-    auto predicate =
-        isMax ? arith::CmpFPredicate::OGE : arith::CmpFPredicate::OLE;
-    for (auto [operand, tangent] : terms) {
-      if (!sum) {
-        sum = tangent;
-        product = operand;
-      } else if (kind == Kind::MUL) {
-        sum = arith::AddFOp::create(b, arith::MulFOp::create(b, sum, operand),
-                                    arith::MulFOp::create(b, product, tangent));
+    if (kind == Kind::MUL) {
+      bool isGuarded = mayBeNonFinite(reduction, b);
+      auto guard = [&](Value tangent, Value term) {
+        return isGuarded ? b.createGuard(tangent, term) : term;
+      };
+      for (auto [operand, tangent] : llvm::zip(operands, tangents)) {
+        if (!sum) {
+          sum = tangent;
+          product = operand;
+          continue;
+        }
+        Value kept = guard(sum, arith::MulFOp::create(b, sum, operand));
+        Value added =
+            guard(tangent, arith::MulFOp::create(b, product, tangent));
+        sum = arith::AddFOp::create(b, kept, added);
         product = arith::MulFOp::create(b, product, operand);
-      } else {
-        Value wins = arith::CmpFOp::create(b, predicate, operand, result);
+      }
+    } else if (b.getConventions().splitTies) {
+      auto [wins, count] = findWinners(b, kind, operands, result);
+      for (auto [isOne, tangent] : llvm::zip(wins, tangents)) {
+        Value own = b.createMask(isOne, tangent);
+        sum = sum ? Value(arith::AddFOp::create(b, sum, own)) : own;
+      }
+      sum = arith::DivFOp::create(b, sum, count);
+    } else {
+      sum = tangents.front();
+      for (auto [operand, tangent] :
+           llvm::drop_begin(llvm::zip(operands, tangents))) {
+        Value wins =
+            arith::CmpFOp::create(b, getPredicate(kind), operand, result);
         sum = arith::SelectOp::create(b, wins, tangent, sum);
       }
     }
@@ -266,7 +303,6 @@ struct ReductionModel
   }
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto reduction = cast<vector::ReductionOp>(op);
-    using Kind = vector::CombiningKind;
     Kind kind = reduction.getKind();
     Value seed = b.getAdjoint(reduction.getDest());
     Value vector = reduction.getVector(), acc = reduction.getAcc();
@@ -297,18 +333,21 @@ struct ReductionModel
         after = after ? Value(arith::MulFOp::create(b, after, operands[i]))
                       : operands[i];
       }
+      if (mayBeNonFinite(reduction, b))
+        for (Value &contribution : seeds)
+          contribution = b.createGuard(seed, contribution);
+    } else if (b.getConventions().splitTies) {
+      auto [wins, count] =
+          findWinners(b, kind, operands, b.getPrimal(reduction.getDest()));
+      Value share = arith::DivFOp::create(b, seed, count);
+      for (Value isOne : wins)
+        seeds.push_back(b.createMask(isOne, share));
     } else {
-      bool isMax = kind == Kind::MAXIMUMF || kind == Kind::MAXNUMF;
-      if (!isMax && kind != Kind::MINIMUMF && kind != Kind::MINNUMF) {
-        b.emitError(op, "this kind of 'vector.reduction' has no derivative");
-        return failure();
-      }
-      auto predicate =
-          isMax ? arith::CmpFPredicate::OGE : arith::CmpFPredicate::OLE;
       Value result = b.getPrimal(reduction.getDest());
       Value rest = seed;
       for (Value operand : llvm::reverse(operands)) {
-        Value wins = arith::CmpFOp::create(b, predicate, operand, result);
+        Value wins =
+            arith::CmpFOp::create(b, getPredicate(kind), operand, result);
         seeds.push_back(b.createMask(wins, rest));
         rest = arith::SelectOp::create(b, wins, b.createZero(rest.getType()),
                                        rest);
@@ -320,6 +359,14 @@ struct ReductionModel
     if (acc)
       b.addAdjoint(acc, seeds.back());
     return success();
+  }
+
+private:
+  /// Whether a factor may be infinite, so that a zero times it is NaN.
+  static bool mayBeNonFinite(vector::ReductionOp op, DerivativeBuilder &b) {
+    Value acc = op.getAcc();
+    return b.getFacts().mayBeNonFinite(op.getVector()) ||
+           (acc && b.getFacts().mayBeNonFinite(acc));
   }
 };
 } // namespace
