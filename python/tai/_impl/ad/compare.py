@@ -246,6 +246,7 @@ class Accesses:
     Attributes:
         known: the fields with gradients, by symbol.
         masks: the elements that are read, by symbol.
+        first: those of them that no earlier record has stored.
         sure: those of them that are certainly read before they are stored.
         changed: the fields that are stored or accumulated, by symbol.
     """
@@ -254,6 +255,7 @@ class Accesses:
         self.known = differentiable_fields()
         self.masks: dict[str, np.ndarray] = {}
         self.changed: dict[str, Any] = {}
+        self.first: dict[str, np.ndarray] = {}
         self.sure: dict[str, np.ndarray] = {}
         self._written: dict[str, np.ndarray] = {}
         self._loss = None if loss is None else loss.symbol
@@ -277,9 +279,10 @@ class Accesses:
         for symbol, read in here[READ].items():
             # Stored by the same kernel: before or after, who knows.
             none = np.zeros_like(read)
-            fresh = read & ~here[WRITE].get(symbol, none) & ~self._written.get(symbol, none)
+            first = read & ~self._written.get(symbol, none)
             _join(self.masks, symbol, read)
-            _join(self.sure, symbol, fresh)
+            _join(self.first, symbol, first)
+            _join(self.sure, symbol, first & ~here[WRITE].get(symbol, none))
         for symbol, write in here[WRITE].items():
             _join(self._written, symbol, write)
 
@@ -305,6 +308,7 @@ class Accesses:
             elif symbol != self._loss and symbol not in self._written:
                 everything = np.ones(f.shape + f.element_shape, bool)
                 _join(self.masks, symbol, everything)
+                _join(self.first, symbol, everything)
                 _join(self.sure, symbol, everything)
 
 

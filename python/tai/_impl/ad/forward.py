@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ...errors import TaiRuntimeError, TaiRuntimeTypeError
 from ..base.program import get_program
 from ..fields.root import materialize
 from .mode import (
@@ -22,6 +22,7 @@ from .mode import (
     check_dual,
     check_tangent,
     clear_duals,
+    derivatives_of_gradients,
     find_lost,
     follow,
     one_thread,
@@ -78,29 +79,15 @@ def hessian_product(
     function: Callable[[], Any] | Any, loss: Any, pairs: Sequence[tuple[Any, Any]]
 ) -> list[np.ndarray]:
     """The gradient's derivative along the tangents of `pairs`: see `hvp`."""
-    checked = prepare(pairs, "the input")
-    check_dual(loss, "the loss")
-    # A field with a gradient takes part in the derivative; a missing dual would go unnoticed.
-    for field in get_program().fields.values():
-        if field.role == "grad" and getattr(field.dual, "snode", None) is None:
-            raise TaiAutodiffError(
-                f"field '{field.primal.name}' has a gradient but no dual, and the derivative of "
-                "a gradient passes through both",
-                "make it with needs_dual=True too, or call ti.root.lazy_dual()",
-            )
-    with one_thread:
-        clear_duals()
-        for field, tangent in checked:
-            if field.grad is None or field.grad.snode is None:
-                field.grad._placed_node()  # raises
-            field.dual.from_numpy(tangent)
-        with ForwardMode():
-            if isinstance(function, Tape):
-                function.replay(forward=True, backward=True)
-            else:
-                with Tape(loss):
-                    function()
-        return [field.grad.dual.to_numpy() for field, _ in checked]
+
+    def run() -> None:
+        if isinstance(function, Tape):
+            function.replay(forward=True, backward=True)
+        else:
+            with Tape(loss):
+                function()
+
+    return derivatives_of_gradients(run, loss, pairs)
 
 
 def _as_list(value: Any) -> list[Any]:

@@ -15,6 +15,7 @@ from ..base import state
 from ..base.program import get_program
 from ..base.targets import cuda
 from .compare import READ, Accesses, differentiable_fields, elements
+from .condition import weigh_inputs
 from .seeds import number_of
 from .snapshot import Snapshot
 from .source import Place
@@ -75,7 +76,7 @@ class Finding:
     """One thing that is wrong.
 
     Attributes:
-        kind: `nan`, `overflow`, `growth` or `flat`.
+        kind: `nan`, `overflow`, `growth`, `flat` or `cancellation`.
         message: the problem, and its place.
         record, kernel, filename, lineno: of the record where it appears first, where known.
     """
@@ -174,6 +175,7 @@ def _report(core: Any, loss: Any) -> HealthReport:
     _find_growth(report)
     _find_amplification(report, loss, place)
     _find_flat(report, core, loss)
+    _find_cancellation(report, core, loss)
     return report
 
 
@@ -398,6 +400,31 @@ def _find_flat(report: HealthReport, core: Any, loss: Any) -> None:
                     f"the loss does not depend on '{f.name}' here: its gradient is exactly 0",
                 )
             )
+
+
+def _find_cancellation(report: HealthReport, core: Any, loss: Any) -> None:
+    """A loss of which the sums of its inputs, rounded on their way, leave no digit.
+
+    Compensated sums keep twice the digits, and are right where the inputs are exact.
+    """
+    if loss is None or report.findings or get_program().options.sums == "compensated":
+        return
+    size = abs(float(number_of(loss)))
+    weights, _, _ = weigh_inputs(core, loss)
+    total = sum(weights.values())
+    eps = float(np.finfo(loss.dtype.numpy).eps)
+    if not math.isfinite(total) or total * eps <= size:
+        return
+    largest = max(weights, key=lambda name: weights[name])
+    condition = f"{total / size:.1e}" if size else "infinite"
+    report.findings.append(
+        Finding(
+            "cancellation",
+            f"the loss is {size:.3g}, and its inputs, '{largest}' above all, weigh {total:.3g}: "
+            f"the condition is {condition}, and {loss.dtype} leaves no digit of the loss; use "
+            "ti.f64, or ti.init(sums='compensated') if a sum loses the digits",
+        )
+    )
 
 
 __all__ = ["Finding", "HealthReport", "HealthRow", "KernelHealth", "take_health"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -156,6 +156,42 @@ def prepare(pairs: Sequence[tuple[Any, Any]], what: str) -> list[tuple[Any, np.n
     checked = [(check_dual(field, what), tangent) for field, tangent in pairs]
     materialize(get_program(), caller_names())
     return [(field, check_tangent(field, tangent)) for field, tangent in checked]
+
+
+def derivatives_of_gradients(
+    run: Callable[[], Any], loss: Any, pairs: Sequence[tuple[Any, Any]]
+) -> list[np.ndarray]:
+    """Runs a program and its reverse sweep in forward mode.
+
+    Args:
+        run: computes the loss and the gradients.
+        pairs: the inputs, each with its tangent.
+
+    Returns:
+        For each input the derivative of its gradient along the tangents.
+
+    Raises:
+        TaiAutodiffError: a field lacks a gradient or a dual, or something has no rule.
+    """
+    checked = prepare(pairs, "the input")
+    check_dual(loss, "the loss")
+    # A field with a gradient takes part in the derivative; a missing dual would go unnoticed.
+    for field in get_program().fields.values():
+        if field.role == "grad" and getattr(field.dual, "snode", None) is None:
+            raise TaiAutodiffError(
+                f"field '{field.primal.name}' has a gradient but no dual, and the derivative of "
+                "a gradient passes through both",
+                "make it with needs_dual=True too, or call ti.root.lazy_dual()",
+            )
+    with one_thread:
+        clear_duals()
+        for field, tangent in checked:
+            if field.grad is None or field.grad.snode is None:
+                field.grad._placed_node()  # raises
+            field.dual.from_numpy(tangent)
+        with ForwardMode():
+            run()
+        return [field.grad.dual.to_numpy() for field, _ in checked]
 
 
 def caller_names() -> dict[str, Any]:

@@ -146,10 +146,14 @@ class PrecisionReport:
             errors = " ".join(f"{_relative(f.errors.get(k), self.loss):>8}" for k in kinds)
             advice = "sums are kept in it" if f.is_accumulated else chosen.get(f.name, "as it is")
             lines.append(f"  {f.name:{width}} {f.dtype:4}  {errors}  {advice}")
-        lines.append("  lines that lose most:")
-        for line in self.lines[:5]:
-            share = _relative(abs(line.error), self.loss)
-            lines.append(f"  {share:>8}  {shorten(line.filename)}:{line.lineno}  {line.text}")
+        lines.append("  lines and sums that lose most:")
+        losses = [
+            (abs(line.error), f"{shorten(line.filename)}:{line.lineno}  {line.text}")
+            for line in self.lines
+        ]
+        losses += [(abs(error), name) for name, error in self.others if error]
+        for error, name in sorted(losses, key=lambda entry: -entry[0])[:5]:
+            lines.append(f"  {_relative(error, self.loss):>8}  {name}")
         return "\n".join(lines)
 
     __repr__ = __str__
@@ -223,18 +227,25 @@ def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
     fields = _fields(sweep)
     unit = 2.0 ** (BITS["14 bits"] - STORAGE["f32"])
     known = get_program().fields
-    others = [
-        (f"the sum in '{owner_of(known[key[1]]).name}'", _STEPS_OF_SUM * unit * total)
-        for key, total in sweep.sums.items()
-        if key[0] == "sum"
-    ]
+    # Compensated sums keep twice the digits: their own roundings do not count.
+    is_compensated = get_program().options.sums == "compensated"
+    others = (
+        []
+        if is_compensated
+        else [
+            (f"the sum in '{owner_of(known[key[1]]).name}'", _STEPS_OF_SUM * unit * total)
+            for key, total in sweep.sums.items()
+            if key[0] == "sum"
+        ]
+    )
     others += [(f"the sum in '{f.name}'", f.errors["f32"]) for f in fields if f.is_accumulated]
     # A value that no kernel computes is rounded where it is stored.
     others += [
         (f"the storage of '{f.name}'", f.errors["f32"]) for f in fields
         if f.dtype == "f64" and not f.is_accumulated and not sweep.stored & set(f.symbols)
     ]  # fmt: skip
-    steps = _STEPS_OF_SUM if loss.symbol in sweep.accumulated else 1.0
+    is_summed = loss.symbol in sweep.accumulated and not is_compensated
+    steps = _STEPS_OF_SUM if is_summed else 1.0
     others.append((f"the loss '{owner_of(loss).name}' itself", steps * _UNIT * value))
     whole = math.fsum(line.error for line in lines)
     expected = math.hypot(whole, *(error for _, error in others))

@@ -202,10 +202,14 @@ class RoundingEmitter(Emitter):
         return self._with(value, errors)
 
     def added(self, field: Any, value: Any) -> Any:
-        """A term of a sum: with random signs, as it were, and so of the size of partial sums."""
+        """A term of a sum: with random signs, as it were, and so of the size of partial sums.
+
+        The sign belongs to the magnitude: errors of terms that cancel do not cancel.
+        """
         if not field.dtype.is_float or field.dtype.bits == 16:
             return value
-        error = self._difference(self._rounded(value, BITS["14 bits"]), value)
+        size = super().elementwise("math.absf", [value], value.dt)
+        error = self._difference(self._rounded(size, BITS["14 bits"]), size)
         return self._with(value, [(("sum", field.symbol), error)])
 
     # Arithmetic without probes

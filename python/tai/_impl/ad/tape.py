@@ -20,6 +20,7 @@ from ..tracking.tape_arrays import Ordered
 from . import library as library
 from . import rounding
 from .compare import GradCheck
+from .condition import Condition, take_condition
 from .health import HealthReport, take_health, warn_of_losses
 from .memory import TapeStats, parse_checkpoint
 from .precision import PrecisionReport, find_not_finite, make_report
@@ -416,6 +417,20 @@ class Tape(native.WithBlock):
                 "make it with precision=True: ti.ad.Tape(loss, precision=True)",
             )
         return make_report(self._rounding, self.loss, error)
+
+    def condition(self) -> Condition:
+        """Condition numbers of the loss and its gradient by relative changes of the inputs.
+
+        The sweep runs once more, and the gradients are restored.
+
+        Raises:
+            TaiAutodiffError: the tape has no loss of one number.
+        """
+        self._need_record()
+        if len(self._losses) != 1 or not is_number(self._losses[0]) or self._seed is not None:
+            raise TaiAutodiffError("condition() needs a tape with a loss of one number")
+        with Ordered(self._values.arrays):
+            return take_condition(self._core, self._losses[0], self.replay)
 
     def _need_record(self) -> None:
         if self._core is None or self._is_recording:
