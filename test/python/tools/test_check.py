@@ -29,6 +29,13 @@ def test_one_test_of_each_file():
     assert sorted(files) == sorted(str(path.relative_to(ROOT)) for path in there)
 
 
+def test_no_two_files_have_one_name():
+    """Test files are modules at the top: pytest would take the second one for the first."""
+    names = [path.name for path in (ROOT / "test/python").rglob("test_*.py")]
+    assert len(names) > 250
+    assert [name for name in names if names.count(name) > 1] == []
+
+
 def test_the_times_are_printed(capsys):
     result = run_tests.Result("kind", seconds=12.4)
     result.times = {f"test{n}": float(n) for n in range(20)}
