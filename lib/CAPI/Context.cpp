@@ -386,7 +386,6 @@ TaiStatus taiContextClearTangents(TaiContext context) {
 
 TaiStatus taiContextClearGradients(TaiContext context) {
   return call(*context, [&]() -> TaiStatus {
-    context->session.getRuntime().clearGradients();
-    return TAI_OK;
+    return context->status(context->session.getRuntime().clearGradients());
   });
 }

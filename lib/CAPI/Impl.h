@@ -65,11 +65,14 @@ struct TaiContextImpl {
       return TAI_OK;
     return static_cast<TaiStatus>(session.getFailure().kind);
   }
-  /// The status of a call of the runtime.
+  /// The status of a call of the runtime. What fails in a function that cannot
+  /// return it, such as one that gives memory back, is a failure of this call,
+  /// unless the call has failed before.
   TaiStatus status(const mlir::tai::runtime::Status &result) {
-    if (LLVM_LIKELY(result.ok()))
+    if (LLVM_LIKELY(result.ok() && !session.getRuntime().hasNotedFailure()))
       return TAI_OK;
-    return status(session.fail(result));
+    mlir::tai::runtime::Status noted = session.getRuntime().takeFailure();
+    return status(session.fail(result ? noted : result));
   }
   TaiStatus usage(const llvm::Twine &message) {
     return status(session.fail(mlir::tai::FailureKind::Usage, message));

@@ -86,7 +86,9 @@ const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
 /// Without a lock.
 static TaiStatus resolve(TaiKernelImpl &kernel) noexcept {
   try {
-    return kernel.context.status(kernel.launched.resolve());
+    // Another thread's call may be noting a failure of its own.
+    runtime::Status status = kernel.launched.resolve();
+    return status ? TAI_OK : kernel.context.status(status);
   } catch (...) {
     return kernel.context.outOfMemory();
   }
@@ -164,14 +166,14 @@ TaiStatus taiTapeEnd(TaiTape tape) {
   return call(tape->context, [&]() -> TaiStatus {
     tape->tape->end();
     tape->tape->releaseFields();
-    return TAI_OK;
+    return tape->context.status(runtime::Status::success());
   });
 }
 
 TaiStatus taiTapeEndToSweep(TaiTape tape) {
   return call(tape->context, [&]() -> TaiStatus {
     tape->tape->end(/*isSwept=*/true);
-    return TAI_OK;
+    return tape->context.status(runtime::Status::success());
   });
 }
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ._impl.base import pieces
 from ._impl.base.files import replacing
 from ._impl.base.program import get_program
 from ._impl.fields.arrays import Ndarray
@@ -98,7 +99,7 @@ def state(fields: Any = None, /, *, gradients: bool = False, **named: Any) -> di
         named: fields, arrays, and containers of them, by name.
     """
     found = _collect(fields, named, gradients)
-    return {name: np.array(thing.to_numpy(), order="C") for name, thing in found.items()}
+    return {name: pieces.row_major(thing.to_numpy()) for name, thing in found.items()}
 
 
 def restore(
@@ -181,7 +182,8 @@ def save(path: Any, fields: Any = None, /, *, gradients: bool = False, **named: 
     if _is_safetensors(path):
         content = _safetensors().save(arrays, {"format": "tai"})
         with replacing(path) as stream:
-            stream.write(content)
+            for first in range(0, len(content), pieces.PIECE):
+                stream.write(memoryview(content)[first : first + pieces.PIECE])
     else:
         with replacing(path) as stream:
             np.savez(stream, **arrays)  # type: ignore[arg-type]

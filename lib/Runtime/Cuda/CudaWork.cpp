@@ -411,13 +411,16 @@ template <typename Query> void CudaDevice::stopLoops(const Query &query) {
 template <typename Query>
 Status CudaDevice::waitUntilReady(const Query &query, Result &result) {
   safepoint::Watch watch;
+  bool hasStopped = false;
   while ((result = query()) == kNotReady) {
-    if (watch.look()) {
-      sched_yield();
-      continue;
+    bool goesOn = watch.look();
+    if (!goesOn || (safepoint::Unstoppable::wasAsked() && !hasStopped)) {
+      hasStopped = true;
+      stopLoops(query);
     }
-    stopLoops(query);
-    return failAsInterrupted();
+    if (!goesOn)
+      return failAsInterrupted();
+    sched_yield();
   }
   return Status::success();
 }

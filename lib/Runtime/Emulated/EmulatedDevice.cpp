@@ -227,36 +227,49 @@ public:
 
   Status copyRows(const DeviceRows &to, DevicePtr from,
                   int64_t fromStep) override {
-    Status status;
-    for (int64_t row = 0; row < to.rows && status; ++row)
-      status = copy(rowOf(to, row),
-                    from + static_cast<DevicePtr>(row * fromStep), to.rowBytes);
-    return status;
+    Status status = checkRows(to);
+    if (status)
+      status = checkRows({from, fromStep, to.rowBytes, to.rows});
+    if (!status)
+      return status;
+    return forEachPiece(
+        to, /*canStop=*/true, [&](int64_t row, int64_t at, int64_t bytes) {
+          auto *source = reinterpret_cast<const char *>(from) + row * fromStep;
+          std::memmove(reinterpret_cast<char *>(rowOf(to, row)) + at,
+                       source + at, static_cast<size_t>(bytes));
+        });
   }
   Status swapRows(const DeviceRows &one, DevicePtr other,
                   int64_t otherStep) override {
-    Status status;
-    for (int64_t row = 0; row < one.rows && status; ++row) {
-      DevicePtr a = rowOf(one, row);
-      DevicePtr b = other + static_cast<DevicePtr>(row * otherStep);
-      status = check(a, one.rowBytes);
-      if (status)
-        status = check(b, one.rowBytes);
-      if (status)
-        std::swap_ranges(reinterpret_cast<char *>(a),
-                         reinterpret_cast<char *>(a) + one.rowBytes,
-                         reinterpret_cast<char *>(b));
-    }
-    return status;
+    Status status = checkRows(one);
+    if (status)
+      status = checkRows({other, otherStep, one.rowBytes, one.rows});
+    if (!status)
+      return status;
+    // Half of an exchange is of no use.
+    return forEachPiece(
+        one, /*canStop=*/false, [&](int64_t row, int64_t at, int64_t bytes) {
+          char *mine = reinterpret_cast<char *>(rowOf(one, row)) + at;
+          std::swap_ranges(mine, mine + bytes,
+                           reinterpret_cast<char *>(other) + row * otherStep +
+                               at);
+        });
   }
   Status fillRows(const DeviceRows &to, const void *pattern,
                   int patternBytes) override {
     Status status;
-    for (int64_t group = 0; group < to.outer; ++group)
-      for (int64_t row = 0; row < to.rows && status; ++row)
-        status =
-            fill(rowOf(to, row) + static_cast<DevicePtr>(group * to.outerStep),
-                 pattern, patternBytes, to.rowBytes / patternBytes);
+    int64_t piece = std::max<int64_t>(
+        bytesPerSafepoint / std::max<int64_t>(to.rowBytes, 1), 1);
+    for (int64_t group = 0; group < to.outer && status; ++group)
+      status = safepoint::runInPieces(
+          to.rows, piece, /*canStop=*/true, [&](int64_t first, int64_t count) {
+            Status filled;
+            for (int64_t row = first; row < first + count && filled; ++row)
+              filled = fill(rowOf(to, row) +
+                                static_cast<DevicePtr>(group * to.outerStep),
+                            pattern, patternBytes, to.rowBytes / patternBytes);
+            return filled;
+          });
     return status;
   }
 
@@ -411,6 +424,39 @@ private:
     return Status::failure(StatusCode::Internal,
                            "a copy of " + formatBytes(bytes) +
                                " leaves the memory of the device");
+  }
+
+  Status checkRows(const DeviceRows &rows) const {
+    return rows.rows == 0 ? Status::success()
+                          : check(rows.address,
+                                  (rows.rows - 1) * rows.step + rows.rowBytes);
+  }
+
+  /// Calls move(row, first byte, bytes) for pieces of rows, with safepoints in
+  /// between.
+  template <typename Move>
+  static Status forEachPiece(const DeviceRows &rows, bool canStop,
+                             const Move &move) {
+    if (rows.rowBytes <= 0)
+      return Status::success();
+    Status status;
+    if (rows.rowBytes >= bytesPerSafepoint) {
+      for (int64_t row = 0; row < rows.rows && status; ++row)
+        status =
+            safepoint::runInPieces(rows.rowBytes, bytesPerSafepoint, canStop,
+                                   [&](int64_t at, int64_t count) {
+                                     move(row, at, count);
+                                     return Status::success();
+                                   });
+      return status;
+    }
+    return safepoint::runInPieces(rows.rows, bytesPerSafepoint / rows.rowBytes,
+                                  canStop, [&](int64_t first, int64_t count) {
+                                    for (int64_t row = first;
+                                         row < first + count; ++row)
+                                      move(row, 0, rows.rowBytes);
+                                    return Status::success();
+                                  });
   }
 
   static constexpr int64_t memoryBytes = int64_t(1) << 40;

@@ -7,6 +7,7 @@
 
 #include "tai/Runtime/Host/Gradients.h"
 #include "../Mirror/OwedZeros.h"
+#include "tai/Runtime/Threads/Section.h"
 #include <algorithm>
 
 using namespace mlir::tai;
@@ -105,7 +106,8 @@ void Gradients::clearTangents() {
   }
 }
 
-void Gradients::clear(const Recorder *tape) {
+Status Gradients::clear(const Recorder *tape) {
+  constexpr auto canStop = FieldCopies::Interrupts::Stop;
   bool forward = recordings.isForward();
   const Field *cleared = nullptr;
   for (const FieldPtr &field : store.fields()) {
@@ -115,8 +117,9 @@ void Gradients::clear(const Recorder *tape) {
     if (tape && field->isAdjoint() && writer != 0 && writer != threadNumber() &&
         !tape->uses(field))
       continue;
-    if (forward && field->isAdjoint() && field->dual())
-      copies.clear(*field->dual());
+    if (forward && field->isAdjoint() && field->dual() &&
+        !copies.clear(*field->dual(), canStop))
+      return failAsInterrupted();
     if (!field->isAdjoint())
       continue;
     int64_t bytes = bytesInUse(*field);
@@ -130,7 +133,8 @@ void Gradients::clear(const Recorder *tape) {
       counters.bump(SkipCount::BytesNotCleared, bytes);
       continue;
     }
-    copies.clear(*field);
+    if (!copies.clear(*field, canStop))
+      return failAsInterrupted();
     cleared = field.get();
     field->markClean();
     counters.bump(SkipCount::FieldsCleared);
@@ -138,4 +142,5 @@ void Gradients::clear(const Recorder *tape) {
   }
   if (areOwed())
     forgetSettled();
+  return Status::success();
 }

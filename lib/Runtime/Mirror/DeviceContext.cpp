@@ -55,7 +55,12 @@ Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
   if (limit > 0 && bytes > limit - held)
     why = "a limit of " + formatBytes(limit) + " is set";
   else if (status = allocateNow(bytes, memory); status) {
-    holdings[memory] = {owner, bytes};
+    try {
+      holdings[memory] = {owner, bytes};
+    } catch (const std::bad_alloc &) {
+      device->free(memory);
+      throw;
+    }
     held += bytes;
     return status;
   } else if (status.code() != StatusCode::Memory)

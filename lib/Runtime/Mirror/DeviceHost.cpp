@@ -84,6 +84,8 @@ void DeviceHost::noteFailure(Status status) {
     context->note(std::move(status));
 }
 
+bool DeviceHost::hasNoted() const { return context->hasNoted(); }
+
 Status DeviceHost::takeNoted() { return context->take(); }
 
 //===----------------------------------------------------------------------===//

@@ -19,8 +19,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// Bytes between two safepoints of a copy between host and device: a few
-/// milliseconds, beside which a wait for the device is short.
+/// Bytes between two safepoints of a copy of a field between host and device: a
+/// few milliseconds, beside which a wait for the device is short.
 static constexpr int64_t bytesPerCopy = 16 << 20;
 
 Mirror::~Mirror() {
@@ -55,12 +55,7 @@ Status Mirror::upload() {
       status = pristine ? Status::success() : sparseTree->upload();
     else
       status = pristine ? device().fill(memory, &zero, 1, tree.bytes())
-                        : safepoint::runInPieces(
-                              tree.bytes(), bytesPerCopy, /*canStop=*/true,
-                              [&](int64_t at, int64_t bytes) {
-                                return device().copyIn(this->at(at),
-                                                       tree.base() + at, bytes);
-                              });
+                        : device().copyIn(at(0), tree.base(), tree.bytes());
     if (!status || changes != before)
       continue;
     if (isExported())
@@ -77,12 +72,7 @@ Status Mirror::download() {
   while (status && !onHost() && !isCopied) {
     uint64_t before = changes;
     status = sparseTree ? sparseTree->download()
-                        : safepoint::runInPieces(
-                              tree.bytes(), bytesPerCopy, /*canStop=*/true,
-                              [&](int64_t at, int64_t bytes) {
-                                return device().copyOut(tree.base() + at,
-                                                        this->at(at), bytes);
-                              });
+                        : device().copyOut(tree.base(), at(0), tree.bytes());
     isCopied = changes == before;
     if (status && isCopied && !isExported())
       hostCurrent.store(true, std::memory_order_release);
@@ -429,7 +419,12 @@ void Slabs::changeOnDevice(int64_t first, int64_t count,
                            const MoveCells &moveCells,
                            const MoveRows &moveRows) const {
   Mirror &mirror = *field->tree().mirror();
-  mirror.context().note(mirror.toDevice());
+  // Half of a change could not be put right.
+  safepoint::Unstoppable whole;
+  if (Status status = mirror.toDevice(); !status) {
+    mirror.context().note(std::move(status));
+    return;
+  }
   if (mover) {
     CellMover::Cells cells{};
     Status status = bringNumbers(first, count, cells);

@@ -425,7 +425,7 @@ Status DeviceQueue::Program::run(bool same, ProgramMode mode,
 Status DeviceQueue::Program::run(const Sequence &prefix, bool same,
                                  ProgramMode mode, const Tools &tools) {
   hasStarted = false;
-  bool isPrefixRun = false;
+  enum class Prefix { Waits, Runs, HasRun } prefixState = Prefix::Waits;
   try {
     noteRun(same);
     // A sequence that occurs once is not prepared.
@@ -436,19 +436,23 @@ Status DeviceQueue::Program::run(const Sequence &prefix, bool same,
       hasStarted = true;
       return prefixed.run(prefix, *used);
     }
-    isPrefixRun = true;
+    prefixState = Prefix::Runs;
     Status status = StepRunner::runAlone(device, prefix);
+    prefixState = Prefix::HasRun;
     if (!status)
       return status;
     return trial ? tryWay(*trial) : runUsed();
   } catch (const std::bad_alloc &) {
     // The runtime counts on steps that were not reached.
     Status status;
-    if (!isPrefixRun && !hasStarted)
+    if (prefixState == Prefix::Waits && !hasStarted)
       status = StepRunner::runAlone(device, prefix);
     if (status && !hasStarted)
-      (void)StepRunner::runAlone(device, sequence);
-    throw;
+      status = StepRunner::runAlone(device, sequence);
+    // If all steps have run, another run may prepare the program.
+    if (hasStarted || prefixState == Prefix::Runs)
+      throw;
+    return status;
   }
 }
 

@@ -174,14 +174,34 @@ Status DeviceQueue::fillRows(const DeviceRows &to, const void *pattern,
   return oneByOne ? settle() : Status::success();
 }
 
+/// Bytes between two safepoints of a copy between host and device: a few
+/// milliseconds, beside which a wait for the device is short.
+static constexpr int64_t bytesPerCopy = 16 << 20;
+
 Status DeviceQueue::copyIn(DevicePtr to, const void *from, int64_t bytes) {
   Status status = flush();
-  return status ? device->copyIn(to, from, bytes) : std::move(status);
+  return status
+             ? safepoint::runInPieces(
+                   bytes, bytesPerCopy, /*canStop=*/true,
+                   [&](int64_t at, int64_t count) {
+                     return device->copyIn(to + static_cast<DevicePtr>(at),
+                                           static_cast<const char *>(from) + at,
+                                           count);
+                   })
+             : std::move(status);
 }
 
 Status DeviceQueue::copyOut(void *to, DevicePtr from, int64_t bytes) {
   Status status = flush();
-  return status ? device->copyOut(to, from, bytes) : std::move(status);
+  return status
+             ? safepoint::runInPieces(bytes, bytesPerCopy, /*canStop=*/true,
+                                      [&](int64_t at, int64_t count) {
+                                        return device->copyOut(
+                                            static_cast<char *>(to) + at,
+                                            from + static_cast<DevicePtr>(at),
+                                            count);
+                                      })
+             : std::move(status);
 }
 
 Status DeviceQueue::record(std::unique_ptr<DeviceEvent> &event) {
@@ -214,10 +234,13 @@ void DeviceQueue::free(DevicePtr memory) {
   } catch (const std::bad_alloc &) {
     isOutOfMemory = true;
   }
-  if (collected->empty() && prefix->empty() && !runDepth)
+  Blocks::node_type block = blocks.extract(memory);
+  if (block.empty() || (collected->empty() && prefix->empty() && !runDepth)) {
     device->free(memory);
-  else
-    released.push_back(memory);
+  } else {
+    block.key() = numReleased++;
+    released.insert(std::move(block));
+  }
   if (isOutOfMemory)
     throw std::bad_alloc();
 }
@@ -276,9 +299,12 @@ Status DeviceQueue::flush(bool isWhole) {
   if (runDepth)
     return status;
   // Memory that handlers have given up.
-  if (collected->empty() && prefix->empty())
-    for (DevicePtr memory : std::exchange(released, {}))
+  if (collected->empty() && prefix->empty()) {
+    Blocks gone;
+    gone.swap(released);
+    for (const auto &[number, memory] : gone)
       device->free(memory);
+  }
   std::exchange(retired, {}).clear();
   return status;
 }
@@ -291,12 +317,13 @@ Status DeviceQueue::runCollected(bool isWhole) {
   *prefix = Sequence();
   struct Unused {
     Device &device;
-    std::vector<DevicePtr> memory;
+    Blocks memory;
     ~Unused() {
-      for (DevicePtr address : memory)
+      for (const auto &[number, address] : memory)
         device.free(address);
     }
-  } unused{*device, std::exchange(released, {})};
+  } unused{*device, {}};
+  unused.memory.swap(released);
   Status status;
   // Less than this is not worth a graph.
   constexpr size_t fewest = 4;
@@ -319,16 +346,19 @@ Status DeviceQueue::runCollected(bool isWhole) {
     try {
       program = findProgram(std::move(sequence), same);
     } catch (const std::bad_alloc &) {
-      status = StepRunner::runAlone(*device, before);
-      if (status)
-        (void)StepRunner::runAlone(*device, sequence);
-      throw;
+      // The sequence is as it was, and a program is no must.
     }
     int64_t start = recorded->hasRun() ? RecordedLaunches::now() : 0;
-    status =
-        program->run(before, same, mode, {makeProgram, startProgram, choices});
-    collection.hasProgram = program->isPrepared();
-    if (recorded->hasRun()) {
+    if (program) {
+      status = program->run(before, same, mode,
+                            {makeProgram, startProgram, choices});
+    } else {
+      status = StepRunner::runAlone(*device, before);
+      if (status)
+        status = StepRunner::runAlone(*device, sequence);
+    }
+    collection.hasProgram = program && program->isPrepared();
+    if (program && recorded->hasRun()) {
       outcome.isPrepared = collection.hasProgram;
       outcome.steps = program->sequence.steps.size();
       outcome.hostNs = RecordedLaunches::now() - start;

@@ -208,14 +208,35 @@ Status DeviceQueue::runPrefix() {
 // Memory and code
 //===----------------------------------------------------------------------===//
 
-Status DeviceQueue::allocate(int64_t bytes, DevicePtr &memory) {
-  Status status = device->allocate(bytes, memory);
-  if (status || released.empty() || collecting > 0 ||
-      status.code() != StatusCode::Memory)
+template <typename Allocate>
+Status DeviceQueue::allocateBlock(const Allocate &allocate, DevicePtr &memory) {
+  // The host's memory first: if it runs out, nothing is left on the device.
+  Blocks made;
+  Blocks::node_type block = made.extract(made.emplace(0, 0).first);
+  Status status = allocate();
+  if (!status)
     return status;
-  // Memory given back since then is still to be used.
-  status = flush();
-  return status ? device->allocate(bytes, memory) : std::move(status);
+  block.key() = block.mapped() = memory;
+  blocks.insert(std::move(block));
+  return status;
+}
+
+Status DeviceQueue::allocate(int64_t bytes, DevicePtr &memory) {
+  return allocateBlock(
+      [&] {
+        Status status = device->allocate(bytes, memory);
+        if (status || released.empty() || collecting > 0 ||
+            status.code() != StatusCode::Memory)
+          return status;
+        // Memory given back since then is still to be used.
+        status = flush();
+        return status ? device->allocate(bytes, memory) : std::move(status);
+      },
+      memory);
+}
+
+Status DeviceQueue::reserve(int64_t bytes, DevicePtr &memory) {
+  return allocateBlock([&] { return device->reserve(bytes, memory); }, memory);
 }
 
 void DeviceQueue::forget(Module &module) {

@@ -46,8 +46,12 @@ Status ForwardReplay::replay(size_t index) {
 }
 
 Status ForwardReplay::replayWrite(HostWrite write) {
+  constexpr auto canStop = FieldCopies::Interrupts::Stop;
   Status status = services.activateFor(write);
-  services.perform(write);
+  if (status && !services.perform(write, canStop))
+    status = failAsInterrupted();
+  if (!status)
+    return status;
   // A value that the host writes is a constant; before the first launch, it is
   // the point at which one differentiates.
   const char zeros[8] = {};
@@ -56,8 +60,8 @@ Status ForwardReplay::replayWrite(HostWrite write) {
   write.bytes = zeros;
   if (write.what == HostWrite::What::Array)
     write.what = HostWrite::What::Fill;
-  if (write.field)
-    services.perform(write);
+  if (write.field && !services.perform(write, canStop))
+    status = failAsInterrupted();
   return status;
 }
 
@@ -75,8 +79,9 @@ Status mlir::tai::runtime::replayRecord(const TapeServices &services,
     HostWrite write = recording.write(record);
     if (Status status = services.activateFor(write); !status)
       return status;
-    services.perform(write);
-    return Status::success();
+    return services.perform(write, FieldCopies::Interrupts::Stop)
+               ? Status::success()
+               : failAsInterrupted();
   }
   case Kind::Callback:
     break;

@@ -127,6 +127,15 @@ bool Rematerialiser::isShort(size_t from, size_t to) const {
                           static_cast<uint32_t>(to)) <= room;
 }
 
+/// Drops the topmost snapshot, and restores memory to the one before.
+Status Rematerialiser::dropTop() {
+  Status status = checkpoints->restore();
+  if (!status)
+    return status;
+  checkpoints->pop();
+  return checkpoints->restore();
+}
+
 /// Goes through [from, to) in reverse. Memory is that before `from`, where the
 /// topmost snapshot is, and anything afterwards.
 Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
@@ -145,7 +154,8 @@ Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
       if (status)
         status = reverseSaving(launch, to - 1, to);
       --to;
-      checkpoints->restore();
+      if (status)
+        status = checkpoints->restore();
       continue;
     }
     size_t middle = from + static_cast<size_t>(binomialSplit(
@@ -155,9 +165,8 @@ Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
       return status;
     checkpoints->push(static_cast<uint32_t>(middle));
     status = reverseRange(launch, middle, to);
-    checkpoints->restore();
-    checkpoints->pop();
-    checkpoints->restore();
+    if (status)
+      status = dropTop();
     to = middle;
   }
   return status;
@@ -220,27 +229,39 @@ Status Rematerialiser::sweep() {
   Status status = checkpoints->checkBudget(leaf);
   if (!status)
     return status;
+  // A failure up to here has changed nothing.
+  status = checkpoints->keepFinal();
+  if (!status)
+    return status;
   HeldLaunch launch(services);
-  if (sweptBefore) {
-    checkpoints->restore();
-    checkpoints->restart();
-    for (size_t i = 0; i < recording.size() && status; ++i) {
-      checkpoints->reach(static_cast<uint32_t>(i));
-      status = recompute(launch.get(), i, /*saving=*/false, 0);
-    }
-  }
-  sweptBefore = true;
-  if (status)
-    status = checkpoints->keepFinal();
-  memory.notePeak();
-  if (status)
-    status = reverseAll(launch.get());
-  // After a failure too, the first snapshot covers all.
-  while (checkpoints->count() > 1) {
-    checkpoints->restore();
-    checkpoints->pop();
+  try {
+    if (sweptBefore)
+      status = recomputeAll(launch.get());
+    sweptBefore = true;
+    memory.notePeak();
+    if (status)
+      status = reverseAll(launch.get());
+  } catch (...) {
+    checkpoints->restoreFinal();
+    throw;
   }
   checkpoints->restoreFinal();
+  // The first snapshot covers all, after a failure too.
+  while (checkpoints->count() > 1)
+    checkpoints->pop();
+  return status;
+}
+
+/// Runs the sequence again, with new snapshots, after a sweep has left one.
+Status Rematerialiser::recomputeAll(Launch &launch) {
+  Status status = checkpoints->restore();
+  if (!status)
+    return status;
+  checkpoints->rewind();
+  for (size_t i = 0; i < recording.size() && status; ++i) {
+    checkpoints->reach(static_cast<uint32_t>(i));
+    status = recompute(launch, i, /*saving=*/false, 0);
+  }
   return status;
 }
 
@@ -250,18 +271,19 @@ Status Rematerialiser::reverseAll(Launch &launch) {
       checkpoints->getPolicy().kind == CheckpointPolicy::Kind::Binomial
           ? bestSnapshots()
           : checkpoints->count();
-  while (checkpoints->count() > kept) {
-    checkpoints->restore();
+  Status status;
+  while (checkpoints->count() > kept && status) {
+    status = checkpoints->restore();
     checkpoints->pop();
   }
-  Status status;
   for (size_t end = recording.size(); status;) {
     size_t from = checkpoints->topStart();
-    checkpoints->restore();
-    status = reverseRange(launch, from, end);
-    if (checkpoints->count() == 1)
+    status = checkpoints->restore();
+    if (status)
+      status = reverseRange(launch, from, end);
+    if (checkpoints->count() == 1 || !status)
       break;
-    checkpoints->restore();
+    status = checkpoints->restore();
     checkpoints->pop();
     end = from;
   }

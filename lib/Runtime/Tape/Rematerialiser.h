@@ -52,6 +52,8 @@ private:
   Status reverseRange(Launch &launch, size_t from, size_t to);
   Status reverseSaving(Launch &launch, size_t from, size_t to);
   Status reverseAll(Launch &launch);
+  Status recomputeAll(Launch &launch);
+  Status dropTop();
   template <typename Body> Status forEachChange(size_t index, const Body &body);
   bool mayNeed(size_t index) const;
   bool isShort(size_t from, size_t to) const;

@@ -115,8 +115,9 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
   zero.bytes = zeros;
   if (zero.what == HostWrite::What::Array)
     zero.what = HostWrite::What::Fill;
-  services.perform(zero);
-  return Status::success();
+  return services.perform(zero, FieldCopies::Interrupts::Stop)
+             ? Status::success()
+             : failAsInterrupted();
 }
 
 Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {

@@ -43,9 +43,8 @@ private:
 Status Tape::clearGradients() {
   ReleasedAtEnd releasing(*this);
   Status status = parts->holds.hold();
-  if (status)
-    parts->services.owner().clearGradients(this);
-  return status;
+  return status ? parts->services.owner().clearGradients(this)
+                : std::move(status);
 }
 
 Status Tape::addLoss(FieldPtr loss) {
@@ -134,17 +133,18 @@ Status Tape::replay(bool forward, bool reverse) {
 
 Status Tape::replayAll(bool forward, bool reverse) {
   Runtime &runtime = parts->services.owner();
+  Status status;
   if (reverse)
-    runtime.clearGradients(this);
+    status = runtime.clearGradients(this);
   else
     runtime.settleZeros([this](const FieldPtr &field) { return uses(field); });
-  if (forward) {
+  if (forward && status) {
     parts->seeds.clearSums();
-    Status status = replayForward();
-    if (!status)
-      return status;
+    parts->isHalfRun = true;
+    status = replayForward();
+    parts->isHalfRun = !status;
   }
-  return reverse ? sweep() : Status::success();
+  return reverse && status ? sweep() : std::move(status);
 }
 
 Status Tape::replayForward() {
@@ -173,6 +173,11 @@ Status Tape::replayForward() {
 Status Tape::sweep() {
   end();
   Parts &tape = *parts;
+  if (tape.isHalfRun)
+    return Status::failure(StatusCode::Usage,
+                           "the last replay of this tape did not reach its "
+                           "end, so that the fields do not hold its values; "
+                           "replay it again");
   tape.health.clear();
   std::vector<std::string> &notes = tape.report.notes;
   notes.clear();

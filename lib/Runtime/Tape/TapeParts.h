@@ -38,6 +38,8 @@ struct Tape::Parts {
   bool isOpen = false;
   /// Memory has run out in the middle.
   bool isSpoilt = false;
+  /// A replay has failed before its end.
+  bool isHalfRun = false;
   /// The nesting depth of suspend(), and the number of the next launch at the
   /// first one.
   int suspended = 0;
@@ -73,7 +75,14 @@ template <typename Body> Status Tape::unlessSpoilt(const Body &body) {
                            "memory has run out while this tape was in use; "
                            "record it again");
   try {
-    return body();
+    Status status = body();
+    Runtime &runtime = parts->services.owner();
+    if (__builtin_expect(runtime.hasNotedFailure(), false)) {
+      Status noted = runtime.takeFailure();
+      parts->isSpoilt |= noted.code() == StatusCode::Memory;
+      return status ? std::move(noted) : std::move(status);
+    }
+    return status;
   } catch (...) {
     parts->isSpoilt = true;
     throw;

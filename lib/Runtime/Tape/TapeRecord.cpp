@@ -67,10 +67,10 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
   // Clearing belongs to it.
   if (device)
     device->beginRecording();
-  tape = std::move(made);
+  Status status;
   try {
     if (clears)
-      runtime.clearGradients(tape.get());
+      status = runtime.clearGradients(made.get());
     else
       runtime.settleZeros();
   } catch (...) {
@@ -78,6 +78,14 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
       device->endRecording(/*isSwept=*/false);
     throw;
   }
+  if (status)
+    status = runtime.takeFailure();
+  if (!status) {
+    if (device)
+      device->endRecording(/*isSwept=*/false);
+    return status;
+  }
+  tape = std::move(made);
   services.beginRecording(*tape);
   tape->parts->isOpen = true;
   return Status::success();

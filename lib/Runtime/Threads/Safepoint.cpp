@@ -10,6 +10,7 @@
 #include "tai/Support/Thread.h"
 #include <ctime>
 #include <pthread.h>
+#include <utility>
 
 using namespace mlir::tai::runtime;
 
@@ -89,6 +90,9 @@ private:
 thread_local bool runsPartsOfOthers = false;
 thread_local const std::atomic<bool> *followed = nullptr;
 thread_local unsigned handlersHere = 0;
+/// The number of `Unstoppable` objects, and whether one was asked to stop.
+thread_local unsigned unstoppable = 0;
+thread_local bool wasAskedToStop = false;
 } // namespace
 
 void safepoint::setHandler(Handler handler) {
@@ -105,10 +109,26 @@ bool safepoint::look() {
     return true;
   ++handlersHere;
   runningHandlers.fetch_add(1, std::memory_order_relaxed);
+  // The handler's own work may be stopped.
+  unsigned outer = std::exchange(unstoppable, 0);
+  bool wasAsked = wasAskedToStop;
   bool goesOn = handler() != 0;
+  unstoppable = outer;
+  wasAskedToStop = wasAsked || !goesOn;
   runningHandlers.fetch_sub(1, std::memory_order_relaxed);
   --handlersHere;
-  return goesOn;
+  return goesOn || unstoppable > 0;
+}
+
+safepoint::Unstoppable::Unstoppable() {
+  if (unstoppable++ == 0)
+    wasAskedToStop = false;
+}
+
+safepoint::Unstoppable::~Unstoppable() { --unstoppable; }
+
+bool safepoint::Unstoppable::wasAsked() {
+  return unstoppable > 0 && wasAskedToStop;
 }
 
 unsigned safepoint::handlerDepth() { return handlersHere; }

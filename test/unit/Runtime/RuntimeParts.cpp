@@ -349,15 +349,15 @@ TEST(Gradients, ClearWhatIsDirtyAndOfThisThread) {
   Hosted scene;
   FieldPtr x = scene.add("x", {2}, "x_grad"),
            adjoint = scene.add("x_grad", {2});
-  scene.gradients.clear();
+  EXPECT_TRUE(scene.gradients.clear());
   EXPECT_EQ(scene.counters.get(SkipCount::FieldsNotCleared), 1);
   std::thread([&] { ASSERT_OK(scene.writes.fillF64(*adjoint, 2)); }).join();
   // A gradient left by another thread does not concern a tape that does not use
   // it.
   Heard apart, user(adjoint);
-  scene.gradients.clear(&apart);
+  EXPECT_TRUE(scene.gradients.clear(&apart));
   EXPECT_EQ(get(*adjoint, {0}), 2);
-  scene.gradients.clear(&user);
+  EXPECT_TRUE(scene.gradients.clear(&user));
   EXPECT_EQ(get(*adjoint, {0}), 0);
   EXPECT_FALSE(adjoint->dirty());
 }

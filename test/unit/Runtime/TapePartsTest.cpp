@@ -382,10 +382,10 @@ TEST(Checkpoints, PutsBackWhatChanged) {
   change(3);
   EXPECT_EQ(checkpoints.count(), 2);
   EXPECT_OK(checkpoints.keepFinal());
-  checkpoints.restore();
+  EXPECT_TRUE(checkpoints.restore());
   EXPECT_EQ(get(*scene.x, {1}), 2);
   checkpoints.pop();
-  checkpoints.restore();
+  EXPECT_TRUE(checkpoints.restore());
   EXPECT_EQ(get(*scene.x, {1}), 1);
   checkpoints.restoreFinal();
   EXPECT_EQ(get(*scene.x, {1}), 3);
@@ -403,7 +403,7 @@ TEST(Checkpoints, MergesWhatTheOneBeforeKnowsNothingOf) {
   checkpoints.settle();
   checkpoints.pop();
   EXPECT_EQ(checkpoints.count(), 1);
-  checkpoints.restore();
+  EXPECT_TRUE(checkpoints.restore());
   EXPECT_EQ(get(*scene.x, {1}), 1);
 }
 

@@ -43,9 +43,9 @@ public:
   /// interrupted.
   bool fill(Field &field, const void *scalarBytes,
             Interrupts interrupts = Interrupts::Wait) const;
-  void clear(Field &field) const {
+  bool clear(Field &field, Interrupts interrupts = Interrupts::Wait) const {
     const char zeros[8] = {};
-    (void)fill(field, zeros);
+    return fill(field, zeros, interrupts);
   }
 
 private:

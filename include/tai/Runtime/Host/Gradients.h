@@ -30,8 +30,8 @@ public:
 
   /// Sets dirty adjoint fields to zero; in forward mode the tangents of
   /// adjoints too. For a tape, skips fields that another thread has written and
-  /// the tape does not use.
-  void clear(const Recorder *tape = nullptr);
+  /// the tape does not use. Fails if the host interrupts it.
+  Status clear(const Recorder *tape = nullptr);
   /// The same for tangents written by the calling thread.
   void clearTangents();
 

@@ -159,6 +159,12 @@ public:
   DeviceQueue *getDeviceQueue() const { return deviceHost.queue(); }
   DeviceContext *getDeviceContext() const { return deviceHost.get(); }
   Status synchronize() { return deviceHost.synchronize(); }
+  /// The failure of functions of a device that could not return it.
+  bool hasNotedFailure() const {
+    return __builtin_expect(deviceHost.isThere(), false) &&
+           deviceHost.hasNoted();
+  }
+  Status takeFailure() { return deviceHost.takeFailure(); }
   Status deviceAddress(const Tree &tree, int64_t offset, void *&address) {
     settleZeros(&tree);
     return deviceHost.addressOf(tree, offset, address);
@@ -255,8 +261,8 @@ public:
                    bool isActive) {
     return hostWrites.setActive(tree, level, cell, isActive);
   }
-  void clearGradients(const Recorder *tape = nullptr) {
-    fieldGradients.clear(tape);
+  Status clearGradients(const Recorder *tape = nullptr) {
+    return fieldGradients.clear(tape);
   }
   void clearTangents() { fieldGradients.clearTangents(); }
   /// Stores the zeros that sweeps owe; see Gradients::settle. Call before

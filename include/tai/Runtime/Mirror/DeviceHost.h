@@ -57,6 +57,7 @@ public:
   Status synchronize();
   /// Keeps the first failure of calls that could not return it; and returns it.
   void noteFailure(Status status);
+  bool hasNoted() const;
   Status takeFailure() {
     return __builtin_expect(isThere(), false) ? takeNoted() : Status::success();
   }

@@ -20,6 +20,7 @@
 #include "tai/Runtime/Queue/ProgramTiles.h"
 #include <atomic>
 #include <functional>
+#include <map>
 #include <optional>
 #include <unordered_map>
 
@@ -235,9 +236,7 @@ public:
   DeviceLimits limits() const override { return device->limits(); }
   std::string target() const override { return device->target(); }
   Status allocate(int64_t bytes, DevicePtr &memory) override;
-  Status reserve(int64_t bytes, DevicePtr &memory) override {
-    return device->reserve(bytes, memory);
-  }
+  Status reserve(int64_t bytes, DevicePtr &memory) override;
   void free(DevicePtr memory) override;
   int64_t allocatedBytes() const override { return device->allocatedBytes(); }
   int64_t freeBytes() const override { return device->freeBytes(); }
@@ -354,7 +353,14 @@ private:
   Collection collection;
   /// The failure of a call that could not return it.
   Status failure;
-  std::vector<DevicePtr> released;
+  /// Memory of the device by address, and memory that was given back while
+  /// collected work may use it, in this order. What is given back moves from
+  /// the one to the other, which takes no memory of the host.
+  using Blocks = std::map<uint64_t, DevicePtr>;
+  Blocks blocks, released;
+  uint64_t numReleased = 0;
+  template <typename Allocate>
+  Status allocateBlock(const Allocate &allocate, DevicePtr &memory);
   /// While the collected work runs: the number of handlers around it.
   std::optional<unsigned> runDepth;
   /// Code that was given up meanwhile.

@@ -61,6 +61,21 @@ inline bool isInHandler() {
          handlerDepth() != 0;
 }
 
+/// While one lives, the work of this thread goes on to its end, because it puts
+/// values back: its safepoints call the handler, and never stop it. The
+/// interruption comes afterwards.
+class Unstoppable {
+public:
+  Unstoppable();
+  ~Unstoppable();
+  Unstoppable(const Unstoppable &) = delete;
+  Unstoppable &operator=(const Unstoppable &) = delete;
+
+  /// Whether the host has asked the present one to stop, for waits that can end
+  /// what they wait for.
+  static bool wasAsked();
+};
+
 /// The same for frequent safepoints: calls the handler once in a tick.
 class Watch {
 public:

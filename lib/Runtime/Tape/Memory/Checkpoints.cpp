@@ -73,7 +73,14 @@ void Checkpoints::restart() {
   growing.clear();
   unsettled = 0;
   stride = 1;
-  total = largest = most = 0;
+  total = finalBytes = largest = most = 0;
+}
+
+void Checkpoints::rewind() {
+  growing.clear();
+  unsettled = logs.front().pieces.size();
+  stride = 1;
+  most = count();
 }
 
 void Checkpoints::push(uint32_t record) {
@@ -124,11 +131,15 @@ Status Checkpoints::log(Track &track, int64_t slab) {
   track.everSaved = true;
   if (track.slabs.byCell())
     growing.push_back(&track);
+  if (Status status = safepoints.begin(track.field->hostBytes()); !status)
+    return status;
   return track.forEachRun(
       slab, [&](int64_t cell) { return track.loggedBy[cell] != top.id; },
       [&](int64_t cell, int64_t endCell) {
         Piece piece{&track, top.start, false, cell, endCell, {}};
-        Status status = piece.allocate(runtime, total);
+        Status status = safepoints.pass();
+        if (status)
+          status = piece.allocate(runtime, bytes());
         if (!status)
           return status;
         std::fill(track.loggedBy.begin() + cell,
@@ -138,6 +149,13 @@ Status Checkpoints::log(Track &track, int64_t slab) {
         top.pieces.push_back(std::move(piece));
         return status;
       });
+}
+
+static int64_t bytesOf(const std::vector<Piece> &pieces, size_t first = 0) {
+  int64_t bytes = 0;
+  for (size_t i = first; i < pieces.size(); ++i)
+    bytes += pieces[i].bytes();
+  return bytes;
 }
 
 void Checkpoints::settle() {
@@ -154,9 +172,12 @@ void Checkpoints::settle() {
   }
   growing.clear();
   size_t kept = unsettled;
+  // After an interruption, copies are kept that may not be needed.
+  bool compares = safepoints.begin(bytesOf(top.pieces, unsettled)).ok();
   for (size_t i = unsettled; i < top.pieces.size(); ++i) {
+    compares = compares && safepoints.pass().ok();
     Piece &piece = top.pieces[i];
-    if (piece.holds()) {
+    if (compares && piece.holds()) {
       std::fill(piece.track->loggedBy.begin() + piece.cell,
                 piece.track->loggedBy.begin() + piece.endCell, 0);
       top.bytes -= piece.keptBytes();
@@ -172,9 +193,18 @@ void Checkpoints::settle() {
   largest = std::max(largest, top.bytes);
 }
 
-void Checkpoints::restore() {
-  for (const Piece &piece : logs.back().pieces)
+Status Checkpoints::restore() {
+  const std::vector<Piece> &pieces = logs.back().pieces;
+  Status status = safepoints.begin(bytesOf(pieces));
+  for (const Piece &piece : pieces) {
+    if (status)
+      status = piece.track->bring();
+    if (!status)
+      return status;
     piece.putBack();
+    status = safepoints.pass();
+  }
+  return status;
 }
 
 /// If both snapshots hold a part, the earlier one has the older contents.
@@ -219,7 +249,21 @@ void Checkpoints::pop() { mergeIntoPrevious(logs.size() - 1); }
 
 Status Checkpoints::keepFinal() {
   finals.clear();
+  finalBytes = 0;
+  Status status = copyFinals();
+  if (!status) {
+    finals.clear();
+    finalBytes = 0;
+  }
+  return status;
+}
+
+Status Checkpoints::copyFinals() {
   uint32_t mark = ++ids;
+  int64_t bytesOfLogs = 0;
+  for (const Log &log : logs)
+    bytesOfLogs += log.bytes;
+  Status status = safepoints.begin(bytesOfLogs);
   for (const Log &log : logs)
     for (const Piece &piece : log.pieces) {
       Track &track = *piece.track;
@@ -231,21 +275,27 @@ Status Checkpoints::keepFinal() {
         continue;
       std::fill(begin, end, mark);
       Piece copy{&track, 0, false, piece.cell, piece.endCell, {}};
-      Status status = copy.allocate(runtime, total);
+      if (status)
+        status = safepoints.pass();
+      if (status)
+        status = copy.allocate(runtime, bytes());
       if (!status)
         return status;
-      total += copy.bytes();
+      finalBytes += copy.bytes();
       finals.push_back(std::move(copy));
     }
-  return Status::success();
+  return status;
 }
 
 void Checkpoints::restoreFinal() {
+  safepoint::Unstoppable whole;
+  (void)safepoints.begin(finalBytes);
   for (const Piece &piece : finals) {
+    (void)safepoints.pass();
     piece.putBack();
-    total -= piece.keptBytes();
   }
   finals.clear();
+  finalBytes = 0;
 }
 
 Status Checkpoints::checkBudget(int64_t leafBytes) const {

@@ -39,6 +39,9 @@ public:
 
   /// Drops all snapshots, before the sequence runs from its start.
   void restart();
+  /// The same where memory is that of the first snapshot, which covers all: it
+  /// stays, so that nothing is lost if the sequence does not reach its end.
+  void rewind();
   /// Call before each record while the sequence first runs: takes a snapshot
   /// where one is due.
   void reach(uint32_t record);
@@ -49,9 +52,10 @@ public:
 
   /// Pushes a new snapshot, at a record.
   void push(uint32_t record);
-  /// Restores memory to the topmost snapshot.
-  void restore();
-  /// Drops the topmost snapshot, after restore().
+  /// Restores memory to the topmost snapshot. Fails if the host interrupts it;
+  /// then only the final contents can be restored.
+  Status restore();
+  /// Drops the topmost snapshot, after restore() or before restoreFinal().
   void pop();
   int64_t count() const { return static_cast<int64_t>(logs.size()); }
   uint32_t start(int64_t number) const { return logs[number].start; }
@@ -59,14 +63,15 @@ public:
   /// An estimate, in bytes, of how much the topmost snapshot may still grow.
   int64_t growth() const { return largest - logs.back().bytes; }
 
-  /// Save the contents of the fields at the end, and restore them.
+  /// Save the contents of the fields at the end, and restore them. A failed
+  /// save keeps nothing. A restoration cannot be interrupted.
   Status keepFinal();
   void restoreFinal();
 
   /// Bytes of the largest snapshot, of all of them with the final contents; the
   /// maximum number of snapshots.
   int64_t snapshotBytes() const { return largest; }
-  int64_t bytes() const { return total; }
+  int64_t bytes() const { return total + finalBytes; }
   int64_t mostSnapshots() const { return most; }
   /// Fails if the budget is below the minimum that is needed.
   Status checkBudget(int64_t leafBytes) const;
@@ -79,6 +84,7 @@ private:
     /// Later pieces hold older contents.
     std::vector<Piece> pieces;
   };
+  Status copyFinals();
   void mergeIntoPrevious(size_t index);
   void thin();
   bool tooMany() const;
@@ -92,9 +98,12 @@ private:
   std::vector<Track *> growing;
   uint32_t ids = 0;
   uint32_t stride = 1;
-  int64_t total = 0;
+  /// Bytes of the snapshots, and of the final contents.
+  int64_t total = 0, finalBytes = 0;
   int64_t largest = 0;
   int64_t most = 0;
+  /// Passed by the copies and comparisons that run.
+  CopySafepoints safepoints;
 };
 
 } // namespace mlir::tai::runtime

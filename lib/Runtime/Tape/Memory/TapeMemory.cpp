@@ -452,23 +452,33 @@ void TapeMemory::swapSome(size_t begin, size_t end, int64_t bytes) {
 
 Status TapeMemory::swapAll(FieldCopies::Interrupts interrupts) {
   int64_t bytes = 0;
+  bool canStop = interrupts == FieldCopies::Interrupts::Stop;
   for (Piece *piece : some) {
     bytes += piece->bytes();
     if (piece->track->slabs.byCell() && !piece->track->slabs.onDevice() &&
         !piece->data)
       piece->data.reset(new char[static_cast<size_t>(piece->bytes())]());
+    if (canStop)
+      if (Status status = piece->track->bring(); !status)
+        return status;
   }
-  bool canStop = interrupts == FieldCopies::Interrupts::Stop;
   Status status = safepoints.begin(bytes);
   if (!status && canStop)
     return status;
+  // Not in the middle of a piece.
+  safepoint::Unstoppable whole;
+  auto isStopped = [&] {
+    return canStop && safepoint::Unstoppable::wasAsked();
+  };
   for (size_t begin = 0, end = 0; begin < some.size(); begin = end) {
     if (begin > 0)
-      status = safepoints.pass();
-    if (!status && canStop) {
-      for (size_t i = 0; i < begin; ++i)
+      (void)safepoints.pass();
+    if (isStopped()) {
+      for (size_t i = 0; i < begin; ++i) {
         swap(*some[i]);
-      return status;
+        (void)safepoints.pass();
+      }
+      return failAsInterrupted();
     }
     int64_t most = FieldCopies::bytesPerSafepoint * int64_t(runtime.threads());
     int64_t taken = 0;
@@ -536,17 +546,17 @@ Status TapeMemory::enter(uint32_t record, bool reexecutes) {
   beforeBlocks.clear();
   Status status;
   forEachEntered([&](Piece &piece) {
-    if (piece.block) {
-      std::unique_ptr<DeviceBlock> copy;
-      TapeServices(runtime).noteFailure(
-          piece.track->slabs.keepOnDevice(piece.first(), piece.count(), copy));
-      beforeBlocks.push_back(std::move(copy));
-      return;
-    }
     if (status)
       status = safepoints.pass();
     if (!status)
       return;
+    if (piece.block) {
+      std::unique_ptr<DeviceBlock> copy;
+      status =
+          piece.track->slabs.keepOnDevice(piece.first(), piece.count(), copy);
+      beforeBlocks.push_back(std::move(copy));
+      return;
+    }
     size_t at = beforeCopy.size();
     beforeCopy.resize(at + static_cast<size_t>(piece.bytes()));
     piece.track->slabs.load(piece.first(), piece.count(),
@@ -558,6 +568,7 @@ Status TapeMemory::enter(uint32_t record, bool reexecutes) {
 void TapeMemory::leave(bool reexecutes) {
   if (!reexecutes)
     return;
+  safepoint::Unstoppable whole;
   size_t at = 0, next = 0;
   forEachEntered([&](Piece &piece) {
     if (piece.block) {

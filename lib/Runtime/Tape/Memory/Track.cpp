@@ -37,6 +37,11 @@ Track::Track(FieldPtr fieldPtr, int dimension)
   cellsPerSlab = (slabs.elements() + cellElements - 1) / cellElements;
 }
 
+Status Track::bring() const {
+  Mirror *mirror = field->tree().mirror();
+  return mirror && !slabs.onDevice() ? mirror->toHost() : Status::success();
+}
+
 int64_t Track::longestRun() const {
   if (slabs.onDevice())
     return slabs.dimension() > 0 && !slabs.byCell()
@@ -91,6 +96,8 @@ Status Piece::allocate(Runtime &runtime, int64_t kept) {
             " of values that were overwritten, and needs " + formatBytes(size) +
             " more for field '" + track->field->name() +
             "'; with a memory budget it recomputes values instead");
-  track->slabs.load(first(), count(), data.get());
-  return Status::success();
+  Status status = track->bring();
+  if (status)
+    track->slabs.load(first(), count(), data.get());
+  return status;
 }

@@ -50,6 +50,9 @@ struct Track {
   /// Stored outputs that adjoints may load.
   StoredOutputs stored;
 
+  /// Makes the host's copy current, if that is the one that is saved.
+  Status bring() const;
+
   void markRead(int64_t slab, uint32_t stamp);
   uint32_t readStamp(int64_t slab) const {
     if (slab < 0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base import native
+from ..base import native, pieces
 from ..base.program import get_program
 from ..fields.structs import parts_of
 from .sparse import Activity, require_small, sparse_level
@@ -26,7 +26,7 @@ class Snapshot(native.WithBlock):
                 require_small(f)
         self._activity = Activity()
         self._kept = [self._take(f) for f in self._fields]
-        self._arrays = [(a, a.copy()) for a in arrays]
+        self._arrays = [(a, pieces.copied(a)) for a in arrays]
         self.is_limited = False
         # Gradients that no launch uses, and that tapes clear.
         self._others: list[tuple[Any, np.ndarray]] = []

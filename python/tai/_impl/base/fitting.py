@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiError, TaiIndexError, TaiRuntimeTypeError
+from . import pieces
 from .dtypes import DataType, all_types, fit
 
 # Whole numbers from here on may be too large for a float.
@@ -109,7 +110,7 @@ def stored_array(array: np.ndarray, dt: DataType, what: Any) -> np.ndarray:
         for extreme in (array.min(), array.max()):
             _checked(extreme.item(), dt, what)
     try:
-        return array.astype(dt.numpy, copy=False)
+        return pieces.row_major(array, dt.numpy)
     except (TypeError, ValueError):
         raise _no_numbers(array, dt, what) from None
 

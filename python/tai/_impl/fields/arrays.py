@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiIndexError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
-from ..base import dtypes, fitting, state
+from ..base import dtypes, fitting, pieces, state
 from ..base.elements import Elements
 from ..history import gradients, origins
 from ..values.matrix import Matrix, Vector
@@ -136,7 +136,7 @@ class Ndarray(Elements):
     def to_numpy(self) -> np.ndarray:
         if state.tape is not None:
             origins.note_read(self)
-        return self.array.copy()
+        return pieces.copied(self.array)
 
     def from_numpy(self, array: Any) -> None:
         with self._refusing(..., array):
@@ -147,12 +147,12 @@ class Ndarray(Elements):
             )
         self._check_write(array)
         with self._refusing(..., array):
-            self.array[...] = self._stored(array)
+            pieces.copy(self.array, self._stored(array))
 
     def fill(self, value: Any) -> None:
         self._check_write(value)
         with self._refusing(..., value):
-            self.array[...] = self._stored(value)
+            pieces.copy(self.array, self._stored(value))
 
     def _stored(self, value: Any) -> Any:
         """Numbers from Python in the type of the array."""

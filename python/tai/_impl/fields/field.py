@@ -219,8 +219,7 @@ class Field(Elements, Shareable):
             raise TaiRuntimeTypeError(
                 f"field '{self.name}' expects an array of shape {wanted}, but got {array.shape}"
             )
-        array = fitting.stored_array(array, self.dtype, self)
-        return np.ascontiguousarray(array)
+        return fitting.stored_array(array, self.dtype, self)
 
     def copy_from(self, other: Field) -> None:
         """Copies all elements of a field of the same shape; tapes and forward mode follow it."""

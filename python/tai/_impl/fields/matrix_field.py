@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
-from ..base import dtypes, fitting, state
+from ..base import dtypes, fitting, pieces, state
 from ..history import origins
 from ..values.matrix import ElementOfField
 from . import active
@@ -207,7 +207,10 @@ class MatrixField(Field):
             array = self._single.to_numpy(dtype)
         else:
             parts = [component.to_numpy(dtype) for component in self.components]
-            array = np.stack(parts, axis=-1).reshape(self.shape + self.element_shape)
+            array = np.empty((*self.shape, len(parts)), parts[0].dtype)
+            for number, part in enumerate(parts):
+                pieces.copy(array[..., number], part)
+            array = array.reshape(self.shape + self.element_shape)
         if self.m > 1:
             return array
         return array.reshape(*self.shape, self.n, *([1] if keep_dims else []))
@@ -221,7 +224,7 @@ class MatrixField(Field):
             self._single.from_numpy(array)
             return
         for component in self.components:
-            component.from_numpy(np.array(array[(..., *component._indices)]))
+            component.from_numpy(pieces.copied(array[(..., *component._indices)]))
 
     def fill(self, value: Any) -> None:
         self._placed_node()

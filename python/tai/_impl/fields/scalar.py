@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
-from ..base import dtypes, fitting, state
+from ..base import dtypes, fitting, pieces, state
 from ..base.program import get_program
 from ..history import origins
 from . import active, copies
@@ -228,7 +228,7 @@ class ScalarField(Field):
         array = np.empty(self.shape + self.element_shape, self.dtype.numpy)
         core.copy_to(array)
         wanted = None if dtype is None else dtypes.to_dtype(dtype)
-        return array if wanted is None else array.astype(wanted.numpy)
+        return array if wanted is None else pieces.row_major(array, wanted.numpy)
 
     def from_numpy(self, array: Any) -> None:
         if state.tape is not None or state.forward:
@@ -326,8 +326,7 @@ class ComponentField(ScalarField):
     def to_numpy(self, dtype: Any = None) -> np.ndarray:
         if not self.is_window:
             return super().to_numpy(dtype)
-        array = self._whole.to_numpy(dtype)[(..., *self._indices)]
-        return np.array(array, order="C")
+        return pieces.copied(self._whole.to_numpy(dtype)[(..., *self._indices)])
 
     def from_numpy(self, array: Any) -> None:
         if not self.is_window:
@@ -335,7 +334,7 @@ class ComponentField(ScalarField):
         if copies.store_component(self, self._check_array(array)):
             return None
         whole = self._whole.to_numpy()
-        whole[(..., *self._indices)] = self._check_array(array)
+        pieces.copy(whole[(..., *self._indices)], self._check_array(array))
         self._whole.from_numpy(whole)
 
     def fill(self, value: Any) -> None:

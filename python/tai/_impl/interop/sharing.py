@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiError
-from ..base import native, state
+from ..base import native, pieces, state
 from ..base.dtypes import bf16
 from ..base.program import get_program
 from .dlpack import CODES, CPU, CUDA
@@ -136,7 +136,8 @@ def to_torch(field: Any, device: Any) -> Any:
     if shared is None:
         tensor = torch.from_numpy(field.to_numpy())
         return tensor if device is None else tensor.to(where)
-    copy = shared.clone(memory_format=torch.contiguous_format)
+    copy = torch.empty_like(shared, memory_format=torch.contiguous_format)
+    pieces.copy(copy, shared)
     if where.type == "cuda":
         # The next launch may change the field.
         wait_for_stream(torch.cuda.current_stream())
@@ -156,7 +157,7 @@ def from_torch(field: Any, tensor: Any) -> None:
         # NumPy has no bf16; f32 holds its numbers.
         is_short = tensor.dtype == torch.bfloat16
         return field.from_numpy((tensor.float() if is_short else tensor).cpu().numpy())
-    shared.copy_(tensor)
+    pieces.copy(shared, tensor)
     if tensor.device.type == "cuda":
         wait_for_stream(torch.cuda.current_stream())
     _storage(field).core.note_write()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError
-from ..base import dtypes
+from ..base import dtypes, pieces
 from ..base import scipy as base_scipy
 from ..base.program import sync
 from ..fields.arrays import Ndarray
@@ -114,7 +114,7 @@ class SparseMatrixBuilder(Triplets):
                 f"{self.num_rows}×{self.num_cols}"
             )
         # Threads append in any order; entries at one place are added up in this one.
-        order = np.lexsort((self.values[:number], rows, columns))
+        order = pieces.beside(lambda: np.lexsort((self.values[:number], rows, columns)), number)
         return rows[order], columns[order], self.values[:number][order]
 
     def print_triplets(self) -> None:
@@ -131,10 +131,11 @@ class SparseMatrixBuilder(Triplets):
         kind = self.dtype if dtype is None else _float_type(dtype, "a sparse matrix")
         rows, columns, values = self._entries()
         self.count[0] = 0
-        made = sparse.coo_array(
+        entries = sparse.coo_array(
             (values.astype(kind.numpy), (rows, columns)), (self.num_rows, self.num_cols)
         )
-        return origins.note_computed(SparseMatrix._of(made.asformat(self._format)), self.values)
+        made = pieces.beside(lambda: entries.asformat(self._format), len(values))
+        return origins.note_computed(SparseMatrix._of(made), self.values)
 
 
 def as_numpy(x: Any) -> np.ndarray:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
-from ..base import native
+from ..base import native, pieces
 from ..base.handlers import is_of_a_handler
 from ..base.program import get_program
 from ..interop import device_arrays
@@ -30,10 +30,10 @@ class _HostCopy:
     """The former contents of an array of the host."""
 
     def __init__(self, array: np.ndarray):
-        self._array, self._kept = array, array.copy()
+        self._array, self._kept = array, pieces.copied(array)
 
     def save(self) -> None:
-        np.copyto(self._kept, self._array)
+        pieces.copy(self._kept, self._array)
 
     def restore(self) -> None:
         np.copyto(self._array, self._kept)
@@ -123,8 +123,11 @@ def is_same_array(one: Any, other: Any) -> bool:
 
 def _is_equal(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether two arrays hold the same bits."""
-    a, b = (np.ascontiguousarray(x).reshape(-1).view(np.uint8) for x in (one, other))
-    return np.array_equal(a, b)
+    a, b = (pieces.row_major(x).reshape(-1).view(np.uint8) for x in (one, other))
+    return len(a) == len(b) and all(
+        np.array_equal(a[first : first + pieces.PIECE], b[first : first + pieces.PIECE])
+        for first in range(0, len(a), pieces.PIECE)
+    )
 
 
 def _digest_of(array: Any) -> int:
@@ -195,13 +198,13 @@ class _Frozen:
     def take(self, array: np.ndarray) -> np.ndarray:
         """The copy that equals the present contents of the array."""
         if not self.versions or not _is_equal(self.versions[-1], array):
-            self.versions.append(np.array(array, order="C"))
+            self.versions.append(pieces.copied(array))
         return self.versions[-1]
 
     def renew(self) -> None:
         """Before the launches run forward again: they use the present contents of the array."""
         if len(self.versions) == 1:
-            np.copyto(self.versions[0], self.held.array)
+            pieces.copy(self.versions[0], self.held.array)
         elif not _is_equal(self.versions[-1], self.held.array):
             raise TaiRuntimeError(
                 f"{self.held.what} was changed by Python while the tape recorded, and again since: "
@@ -433,7 +436,7 @@ class TapeArrays:
         copy, array = held.launched, held.array
         self._core.keep(copy)
         self._core.note_array_copy(copy.ctypes.data, *_range_of(array))
-        self._core.record(lambda: np.copyto(copy, array), None)
+        self._core.record(lambda: pieces.copy(copy, array), None)
         if held.is_written:
             self._staged.append(held)
 
@@ -441,7 +444,7 @@ class TapeArrays:
         """The launch has been recorded, and has run."""
         for held in self._staged:
             copy, array = held.launched, held.array
-            self._core.record(lambda copy=copy, array=array: np.copyto(array, copy), None)
+            self._core.record(lambda copy=copy, array=array: pieces.copy(array, copy), None)
         for held in self._changing:
             for watched in self._watched.values():
                 if overlap(held.array, watched.held.array):

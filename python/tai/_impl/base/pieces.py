@@ -1,0 +1,74 @@
+"""Work of NumPy on large arrays that Ctrl-C can end.
+
+Python answers signals between two calls of NumPy, of which one on a large array takes long.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+Result = TypeVar("Result")
+
+# The bytes that are copied at once, in some milliseconds.
+PIECE = 16 << 20
+# The elements from which on sorting and the like take longer than a thread does to start.
+_MANY = 1 << 18
+
+
+def copy(target: Any, source: Any) -> None:
+    """Copies an array, a tensor or a number to an array or tensor, as `target[...] = source` does."""
+    if target.nbytes < 2 * PIECE or not target.shape:
+        target[...] = source
+        return
+    is_number = not getattr(source, "shape", ())
+    if not is_number and tuple(source.shape) != tuple(target.shape):
+        source = np.broadcast_to(source, target.shape)
+    rows = target.shape[0]
+    step = max(PIECE * rows // target.nbytes, 1)
+    for first in range(0, rows, step):
+        # A single row is copied by its own rows.
+        part = slice(first, first + step) if rows > 1 else 0
+        copy(target[part], source if is_number else source[part])
+
+
+def copied(array: np.ndarray, dtype: Any = None) -> np.ndarray:
+    """A copy in row-major order."""
+    made = np.empty(array.shape, array.dtype if dtype is None else dtype)
+    copy(made, array)
+    return made
+
+
+def row_major(array: np.ndarray, dtype: Any = None) -> np.ndarray:
+    """The array itself, or a copy if it is not in row-major order or has another type."""
+    wanted = array.dtype if dtype is None else np.dtype(dtype)
+    if array.flags.c_contiguous and array.dtype == wanted:
+        return array
+    return copied(array, wanted)
+
+
+def beside(work: Callable[[], Result], elements: int) -> Result:
+    """The result of a function that changes nothing, such as a sort of so many elements.
+
+    A long one runs on a thread of its own, which an interruption leaves to itself.
+    """
+    if elements < _MANY or threading.current_thread() is not threading.main_thread():
+        return work()
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            results.append(work())
+        except BaseException as error:  # raised where the caller waits
+            errors.append(error)
+
+    thread = threading.Thread(target=run, name="tai-beside", daemon=True)
+    thread.start()
+    thread.join()
+    if errors:
+        raise errors[0]
+    return results[0]
