@@ -325,6 +325,13 @@ TAI_EXPORT void taiContextFreeOnDevice(TaiContext context, void *address);
 /// part of it.
 TAI_EXPORT TaiStatus taiContextCopyOnDevice(TaiContext context, void *to,
                                             const void *from, int64_t bytes);
+/// Copies `rows` pieces of `bytes` bytes each from the GPU's memory to the
+/// host, in order with launches. Each begins `step` bytes behind the one
+/// before, a multiple of 16.
+TAI_EXPORT TaiStatus taiContextReadOnDevice(TaiContext context,
+                                            const void *from, int64_t step,
+                                            int64_t bytes, int64_t rows,
+                                            void *to);
 /// Whether kernels on the GPU, or the emulated one, can access the address.
 TAI_EXPORT int taiContextIsOnDevice(TaiContext context, const void *address);
 /// Whether kernels run on a real GPU.

@@ -78,6 +78,15 @@ TaiStatus taiContextCopyOnDevice(TaiContext context, void *to, const void *from,
   });
 }
 
+TaiStatus taiContextReadOnDevice(TaiContext context, const void *from,
+                                 int64_t step, int64_t bytes, int64_t rows,
+                                 void *to) {
+  return call(*context, [&]() -> TaiStatus {
+    return context->status(context->session.getRuntime().readOnDevice(
+        from, step, bytes, rows, to));
+  });
+}
+
 int taiContextIsOnDevice(TaiContext context, const void *address) {
   return context->session.getRuntime().isOnDevice(address);
 }

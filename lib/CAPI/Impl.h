@@ -65,9 +65,9 @@ struct TaiContextImpl {
       return TAI_OK;
     return static_cast<TaiStatus>(session.getFailure().kind);
   }
-  /// The status of a call of the runtime. What fails in a function that cannot
-  /// return it, such as one that gives memory back, is a failure of this call,
-  /// unless the call has failed before.
+  /// The status of a call of the runtime. A failure of a function that cannot
+  /// return it, such as one that gives memory back, is one of this call, unless
+  /// the call has failed before.
   TaiStatus status(const mlir::tai::runtime::Status &result) {
     if (LLVM_LIKELY(result.ok() && !session.getRuntime().hasNotedFailure()))
       return TAI_OK;

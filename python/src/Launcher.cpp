@@ -326,8 +326,8 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
     setError(spec.kernel->context->handle, status);
     return nullptr;
   }
-  if (isRecording())
-    renewViews();
+  if (isRecording() && !renewViews())
+    return nullptr;
   if (!hasResults)
     Py_RETURN_NONE;
   if (spec.result.wrap.is_none())
@@ -350,10 +350,16 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
   if (spec.generation != generation || spec.args.size() != count ||
       (isRecording() &&
        (spec.tracking == Specialization::Tracking::Python ||
-        (spec.tracking == Specialization::Tracking::Arrays && spec.grad) ||
-        haveViewsChanged())) ||
+        (spec.tracking == Specialization::Tracking::Arrays && spec.grad))) ||
       (isForward() && spec.tracking == Specialization::Tracking::Python))
     return Match::No;
+  if (isRecording()) {
+    Changed changed = haveViewsChanged();
+    if (changed == Changed::Error)
+      answer = nullptr;
+    if (changed != Changed::No)
+      return changed == Changed::Error ? Match::Yes : Match::No;
+  }
   InUse inUse(spec);
   Slots slots;
   std::optional<HeldArrays> held;

@@ -19,11 +19,12 @@
 
 namespace taipy {
 
+enum class Changed { No, Yes, /* A Python exception has been raised. */ Error };
 /// Whether the memory of a view differs from its contents after the last
 /// recorded launch, and Python has not written to a field since.
-bool haveViewsChanged();
-/// To be called after a recorded launch.
-void renewViews();
+Changed haveViewsChanged();
+/// To be called after a recorded launch. False if an exception has been raised.
+bool renewViews();
 
 void bindWatchedViews(py::module_ &module);
 

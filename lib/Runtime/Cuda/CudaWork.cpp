@@ -189,13 +189,14 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
   if (!isCapturing && !shape.cooperative &&
       called.repeated->queue(handle, stream, shape, slots, count, parameters))
     return Status::success();
+  unsigned threads = shape.threads;
   auto launchOnce = [&] {
     return shape.cooperative
-               ? cu.launchCooperativeKernel(
-                     handle, shape.blocks, 1, 1, shape.threads, 1, 1,
-                     shape.sharedBytes, stream, parameters)
-               : cu.launchKernel(handle, shape.blocks, 1, 1, shape.threads, 1,
-                                 1, shape.sharedBytes, stream, parameters,
+               ? cu.launchCooperativeKernel(handle, shape.blocks, 1, 1, threads,
+                                            1, 1, shape.sharedBytes, stream,
+                                            parameters)
+               : cu.launchKernel(handle, shape.blocks, 1, 1, threads, 1, 1,
+                                 shape.sharedBytes, stream, parameters,
                                  nullptr);
   };
   // Another library may have set another context since, which the driver
@@ -205,6 +206,13 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
     Status status = enter();
     if (!status)
       return status;
+    result = launchOnce();
+  }
+  // The limits of a function do not count what tools and other contexts take.
+  constexpr unsigned warp = 32;
+  while (__builtin_expect(result == kLaunchOutOfResources, false) &&
+         shape.canShrink && threads > warp) {
+    threads = std::max(threads / 2 / warp * warp, warp);
     result = launchOnce();
   }
   return check(result, "a kernel cannot be launched");

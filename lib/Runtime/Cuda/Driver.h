@@ -46,6 +46,7 @@ constexpr Result kInvalidPtx = 218;
 constexpr Result kUnsupportedPtxVersion = 222;
 // Errors after a kernel has accessed memory out of range.
 constexpr Result kIllegalAddress = 700;
+constexpr Result kLaunchOutOfResources = 701;
 constexpr Result kHardwareStackError = 714;
 constexpr Result kIllegalInstruction = 715;
 constexpr Result kMisalignedAddress = 716;

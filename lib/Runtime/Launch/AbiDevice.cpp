@@ -45,6 +45,7 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
   LaunchShape shape;
   shape.threads = function.threads;
   shape.blocks = function.mostBlocks;
+  shape.canShrink = !hasSize;
   if (iterations < 0)
     return shape;
   if (!hasSize && iterations == 1) {

@@ -152,6 +152,23 @@ Status DeviceHost::copy(void *to, const void *from, int64_t bytes) {
                                    reinterpret_cast<DevicePtr>(from), bytes);
 }
 
+Status DeviceHost::read(const void *from, int64_t step, int64_t bytes,
+                        int64_t rows, void *to) {
+  if (!context)
+    return hasNoDevice();
+  auto address = reinterpret_cast<DevicePtr>(from);
+  if (rows == 1)
+    return context->get().copyOut(to, address, bytes);
+  std::unique_ptr<DeviceBlock> dense;
+  Status status =
+      DeviceBlock::make(context, rows * bytes, "samples of fields", dense);
+  if (status)
+    status = context->get().copyRows({dense->get(), bytes, bytes, rows},
+                                     address, step);
+  return status ? context->get().copyOut(to, dense->get(), rows * bytes)
+                : std::move(status);
+}
+
 bool DeviceHost::isThere(const void *address) const {
   return context && context->get().isDeviceMemory(address);
 }

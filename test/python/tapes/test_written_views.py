@@ -5,13 +5,22 @@ import warnings
 import numpy as np
 import pytest
 import tai as ti
+from tai._impl.history import origins
+
+
+@pytest.fixture(params=["cpu", "emulated"])
+def arch(request, monkeypatch):
+    """Memory of the emulated device is compared by copies, as that of a GPU is."""
+    if request.param == "emulated":
+        monkeypatch.setenv("TAI_CUDA_EMULATION", "1")
+    return ti.cpu if request.param == "cpu" else ti.cuda
 
 
 class Scene:
     """x -> y -> loss"""
 
-    def __init__(self, size=1000, dtype=ti.f32, shared=False):
-        ti.init(default_fp=ti.f32, offline_cache=False)
+    def __init__(self, size=1000, dtype=ti.f32, shared=False, arch=ti.cpu):
+        ti.init(arch=arch, default_fp=ti.f32, offline_cache=False)
         x = self.x = ti.field(dtype, needs_grad=True, name="x")
         y = self.y = ti.field(dtype, needs_grad=True, name="y")
         loss = self.loss = ti.field(dtype, shape=(), needs_grad=True, name="loss")
@@ -50,8 +59,8 @@ class Scene:
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("dtype", [ti.f32, ti.f64])
 @pytest.mark.parametrize("size", [1, 30, 65_537])
-def test_a_write_of_all_elements(size, dtype, shared):
-    s = Scene(size, dtype, shared)
+def test_a_write_of_all_elements(size, dtype, shared, arch):
+    s = Scene(size, dtype, shared, arch)
 
     def write():
         s.view_of_x[:] = 2 * s.view_of_x
@@ -62,14 +71,14 @@ def test_a_write_of_all_elements(size, dtype, shared):
     assert f"field {name} was written through a view of it (DLPack)" in message
 
 
-def test_a_write_to_a_computed_field():
-    s = Scene()
+def test_a_write_to_a_computed_field(arch):
+    s = Scene(arch=arch)
     (message,) = s.said(lambda: np.multiply(s.view_of_y, 2, out=s.view_of_y))
     assert "field 'y' was written" in message
 
 
-def test_a_write_before_the_sweep():
-    s = Scene()
+def test_a_write_before_the_sweep(arch):
+    s = Scene(arch=arch)
     with pytest.warns(ti.ad.TaiGradientWarning, match="field 'x' was written"):  # noqa: SIM117
         with ti.ad.Tape(s.loss):
             s.square()
@@ -77,8 +86,8 @@ def test_a_write_before_the_sweep():
             s.view_of_x[3] = 7
 
 
-def test_validation_sees_a_single_element():
-    s = Scene(100_003)
+def test_validation_sees_a_single_element(arch):
+    s = Scene(100_003, arch=arch)
     count = iter(range(100))
 
     def write():
@@ -90,8 +99,8 @@ def test_validation_sees_a_single_element():
 
 
 @pytest.mark.parametrize("form", ["nothing", "fill", "element", "from_numpy", "before", "read"])
-def test_nothing_is_said(form):
-    s = Scene()
+def test_nothing_is_said(form, arch):
+    s = Scene(arch=arch)
     work = {
         "nothing": lambda: None,
         "fill": lambda: s.x.fill(3.0),
@@ -115,8 +124,8 @@ def test_nothing_is_said(form):
         assert s.x.grad[7] == 6.0
 
 
-def test_a_tree_that_is_destroyed_while_the_tape_is_open():
-    s = Scene()
+def test_a_tree_that_is_destroyed_while_the_tape_is_open(arch):
+    s = Scene(arch=arch)
     tree = ti.FieldsBuilder()
     z = ti.field(ti.f32, needs_grad=True)
     tree.dense(ti.i, 5000).place(z, z.grad)
@@ -128,3 +137,58 @@ def test_a_tree_that_is_destroyed_while_the_tape_is_open():
         made.destroy()
         s.total()
     assert s.loss[None] == 1000.0
+
+
+@pytest.mark.parametrize("form", ["numpy", "torch"])
+def test_a_view_that_is_made_between_launches(form, arch):
+    """It may be gone before the next launch."""
+    s = Scene(arch=arch)
+    s.view_of_x = s.view_of_y = None
+
+    assert s.said(lambda: np.from_dlpack(s.x).sum()) == []
+    (message,) = s.said(lambda: write_through_a_view(s.x, form))
+    assert "field 'x' was written" in message
+
+
+def write_through_a_view(field, form):
+    if form == "numpy":
+        view = np.from_dlpack(field)
+        np.multiply(view, 3.0, out=view)
+    else:
+        pytest.importorskip("torch").from_dlpack(field).mul_(3.0)
+
+
+def test_torch_writes_in_place(arch):
+    torch = pytest.importorskip("torch")
+    s = Scene(70_001, arch=arch)
+    tensor = torch.from_dlpack(s.x)
+
+    def write():
+        tensor[:1000] += 1.0
+
+    (message,) = s.said(write)
+    assert "field 'x' was written" in message
+
+
+def test_a_view_that_is_gone_costs_nothing(arch):
+    s = Scene(arch=arch)
+    with ti.ad.Tape(s.loss):
+        s.square()
+        assert len(watched()) == 2
+        s.total()
+    copied = np.array(s.view_of_x)
+    s.view_of_x = None
+    with ti.ad.Tape(s.loss):
+        s.square()
+        assert [field.name for field, _ in watched()] == ["y"]
+        s.total()
+    s.view_of_y = None
+    with ti.ad.Tape(s.loss):
+        s.square()
+        assert not watched()
+        s.total()
+    assert copied[3] == 1.0 and s.x.grad[3] == 2.0
+
+
+def watched():
+    return origins._of_thread.views

@@ -639,12 +639,18 @@ NOT_COUNTED static Result launch(const char *function, unsigned blocks,
   setLaunch(&node, function, blocks, threads, parameters);
   return submit(&node);
 }
+/// Those of a block of the last launch.
+int tai_fake_cuda_threads;
+enum { LaunchOutOfResources = 701 };
 Result cuLaunchKernel(void *function, unsigned blocks, unsigned by, unsigned bz,
                       unsigned threads, unsigned ty, unsigned tz,
                       unsigned shared, void *on, void **parameters,
                       void **extra) {
   (void)by, (void)bz, (void)ty, (void)tz, (void)shared, (void)extra;
   target = on;
+  if (has("small-blocks") && threads > 64)
+    return LaunchOutOfResources;
+  tai_fake_cuda_threads = (int)threads;
   return launch(function, blocks, threads, 0, parameters);
 }
 Result cuLaunchCooperativeKernel(void *function, unsigned blocks, unsigned by,

@@ -376,6 +376,37 @@ TEST_F(RuntimePreparedCuda, LaunchesByItselfWhereThereAreNoGraphs) {
   }
 }
 
+// A kernel may need more than the limits of its function say.
+TEST_F(RuntimePreparedCuda, LaunchesSmallerBlocksWhereTheDeviceHasNoRoom) {
+  constexpr int64_t n = 4096;
+  FieldPtr many = makeField(*runtime, "many", ScalarKind::F64, {n});
+  for (bool hasSize : {false, true}) {
+    KernelPtr scaling =
+        makeKernel(*runtime, hasSize ? "sized" : "any", scaleThere,
+                   {{many, AccessKind::Read}, {many, AccessKind::Write}}, 2);
+    DeviceImage image = *imageOf("scale");
+    if (hasSize)
+      image.blockSizes = {256};
+    scaling->setDeviceImage(std::make_shared<const DeviceImage>(image));
+    uint64_t args[] = {n, slotOf(2.0)};
+    auto launch = [&] { return runtime->launch(*scaling, args, 2, nullptr); };
+    EXPECT_OK(runtime->fillF64(*many, 1.0));
+    EXPECT_OK(launch());
+    setenv("TAI_FAKE_CUDA", "small-blocks", 1);
+    Status status = launch();
+    auto *threads = static_cast<int *>(dlsym(library, "tai_fake_cuda_threads"));
+    if (hasSize) {
+      // A loop counts on the size that it has asked for.
+      EXPECT_EQ(status.code(), StatusCode::Internal);
+    } else {
+      EXPECT_OK(status);
+      EXPECT_EQ(*threads, 64);
+    }
+    setenv("TAI_FAKE_CUDA", "", 1);
+    EXPECT_EQ(get(*many, {n - 1}), hasSize ? 2.0 : 4.0);
+  }
+}
+
 // Events stand around a profiled launch.
 TEST_F(RuntimePreparedCuda, CallsItOnceAgainWithoutTheProfiler) {
   auto launch = [&] { EXPECT_OK(scale(2.0)); };

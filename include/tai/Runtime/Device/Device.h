@@ -56,6 +56,9 @@ struct LaunchShape {
   /// Programmatic dependent launch: the function itself waits for the launch
   /// before it.
   bool overlaps = false;
+  /// Whether the function also runs with fewer threads in a block, if the
+  /// device has no room for so many.
+  bool canShrink = false;
 };
 
 struct DeviceLimits {

@@ -182,6 +182,10 @@ public:
   Status copyOnDevice(void *to, const void *from, int64_t bytes) {
     return deviceHost.copy(to, from, bytes);
   }
+  Status readOnDevice(const void *from, int64_t step, int64_t bytes,
+                      int64_t rows, void *to) {
+    return deviceHost.read(from, step, bytes, rows, to);
+  }
   bool isOnDevice(const void *address) const {
     return deviceHost.isThere(address);
   }

@@ -72,6 +72,9 @@ public:
   void free(void *address);
   /// A copy on the device, in order with launches; also collected like them.
   Status copy(void *to, const void *from, int64_t bytes);
+  /// Copies `rows` pieces of `bytes` bytes, `step` bytes apart, to the host.
+  Status read(const void *from, int64_t step, int64_t bytes, int64_t rows,
+              void *to);
   /// Whether kernels on the device can access the address.
   bool isThere(const void *address) const;
 

@@ -354,8 +354,8 @@ private:
   /// The failure of a call that could not return it.
   Status failure;
   /// Memory of the device by address, and memory that was given back while
-  /// collected work may use it, in this order. What is given back moves from
-  /// the one to the other, which takes no memory of the host.
+  /// collected work may use it, in this order. A block moves from the one to
+  /// the other, which takes no memory of the host.
   using Blocks = std::map<uint64_t, DevicePtr>;
   Blocks blocks, released;
   uint64_t numReleased = 0;

@@ -71,8 +71,8 @@ public:
   Unstoppable(const Unstoppable &) = delete;
   Unstoppable &operator=(const Unstoppable &) = delete;
 
-  /// Whether the host has asked the present one to stop, for waits that can end
-  /// what they wait for.
+  /// Whether the host has asked the present one to stop. A wait for a kernel
+  /// can then end the kernel.
   static bool wasAsked();
 };
 

@@ -20,7 +20,7 @@ _MANY = 1 << 18
 
 
 def copy(target: Any, source: Any) -> None:
-    """Copies an array, a tensor or a number to an array or tensor, as `target[...] = source` does."""
+    """Copies an array, a tensor or a number to another one, as `target[...] = source` does."""
     if target.nbytes < 2 * PIECE or not target.shape:
         target[...] = source
         return

@@ -40,14 +40,13 @@ class Shareable:
         Raises:
             BufferError: a sparse field, or elements that do not lie evenly.
         """
-        capsule = sharing.field_dlpack(self, stream, max_version, dl_device, copy)
-        origins.note_view(self, *sharing.place_of(self))
+        capsule, loan = sharing.field_dlpack(self, stream, max_version, dl_device, copy)
+        origins.note_view(self, loan, *sharing.place_of(self))
         return capsule
 
     def _lend_memory(self) -> Any:
-        """An object that keeps the memory of the field; None on a GPU."""
-        is_on_host = sharing.field_device(self)[0] == sharing.CPU
-        return sharing.owner_of(self) if is_on_host else None
+        """An object that keeps the memory of the field."""
+        return sharing.owner_of(self)
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
@@ -59,7 +58,7 @@ class Shareable:
         if sharing.field_device(self)[0] != sharing.CUDA:
             raise AttributeError("the field is on the CPU, and has no __cuda_array_interface__")
         found, self._lent = sharing.cuda_interface(self)
-        origins.note_view(self, *sharing.place_of(self))
+        origins.note_view(self, self._lent, *sharing.place_of(self))
         return found
 
     def __dlpack_device__(self) -> tuple[int, int]:

@@ -59,6 +59,20 @@ class _Region:
         self.extent, self.mark, self.owner = extent, mark, weakref.ref(owner)
 
 
+class _View(_Region):
+    """Memory of a field that other libraries have a view of, for as long as the view lives."""
+
+    def __init__(self, extent: Extent, field: Any, loan: Any):
+        super().__init__(extent, Mark.VIEW, field)
+        self._loan = weakref.ref(loan)
+
+    def field(self) -> Any:
+        """The field, or None if it or the view is gone."""
+        field = None if self._loan() is None else self.owner()
+        is_there = field is not None and (getattr(field, "single", None) or field).is_current()
+        return field if is_there else None
+
+
 class _OfThread(threading.local):
     def __init__(self) -> None:
         self.objects: dict[int, weakref.ref] = {}
@@ -66,8 +80,8 @@ class _OfThread(threading.local):
 
 
 _of_thread = _OfThread()
-# Memory of fields that other libraries have views of. It outlives tapes.
-_views: list[_Region] = []
+# They outlive tapes.
+_views: list[_View] = []
 
 
 def extent_of(value: Any) -> Extent | None:
@@ -112,19 +126,16 @@ def mark(value: Any, how: Mark = Mark.HOST) -> None:
         _of_thread.regions[extent, how] = _Region(extent, how, value)
 
 
-def mark_view(field: Any, extent: Extent) -> None:
-    """Other libraries have a view of the memory of a field."""
-    _views[:] = [v for v in _views if v.owner() is not None and v.owner() is not field]
-    _views.append(_Region(extent, Mark.VIEW, field))
+def mark_view(field: Any, extent: Extent, loan: Any) -> None:
+    """Another library has a view of the memory of a field while `loan` lives."""
+    _views[:] = [view for view in _views if view.field() is not None]
+    _views.append(_View(extent, field, loan))
 
 
 def viewed() -> list[tuple[Any, Extent]]:
     """The fields that other libraries have views of, and the memory of these."""
-    found = [(view.owner(), view.extent) for view in _views]
-    return [
-        (field, extent) for field, extent in found
-        if field is not None and (getattr(field, "single", None) or field).is_current()
-    ]  # fmt: skip
+    found = {id(field): (field, view.extent) for view in _views if (field := view.field())}
+    return list(found.values())
 
 
 def field_behind(value: Any) -> Any:
@@ -133,10 +144,9 @@ def field_behind(value: Any) -> Any:
     if extent is None:
         return None
     for view in _views:
-        if view.extent.overlaps(extent):
-            field = view.owner()
-            if field is not None and (getattr(field, "single", None) or field).is_current():
-                return field
+        field = view.field() if view.extent.overlaps(extent) else None
+        if field is not None:
+            return field
     return None
 
 
@@ -155,7 +165,7 @@ def mark_of(value: Any) -> Mark | None:
 
 
 def has_views() -> bool:
-    """Whether other libraries have views of fields."""
+    """Whether other libraries may have views of fields."""
     return bool(_views)
 
 

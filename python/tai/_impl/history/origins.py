@@ -39,8 +39,10 @@ class _OfThread(threading.local):
         self.watches = False
         # The code that has opened the tape.
         self.recording: Any = None
-        # Fields that other libraries have views of, and the owners of their memory.
+        # Fields that other libraries have views of, and the owners of their memory; the core of
+        # the tape that watches them, and whether it compares all of them.
         self.views: list[tuple[Any, Any]] = []
+        self.watching: tuple[Any, bool] | None = None
 
 
 _of_thread = _OfThread()
@@ -56,8 +58,9 @@ def begin() -> None:
 def end() -> None:
     """Nothing is recorded or followed any more."""
     marks.clear()
+    _of_thread.watching = None
     if _of_thread.views:
-        native.watch_views(None, [], False)
+        native.watch_views(None, [], False, None, False)
         _of_thread.views.clear()
     if _of_thread.watches:
         _of_thread.watches = False
@@ -113,22 +116,28 @@ def note_tape(tape: Any, looks_at_all: bool) -> None:
     """
     frame = calling_frame()
     _of_thread.recording = None if frame is None else frame.f_code
+    _of_thread.watching = (tape, looks_at_all)
     if marks.has_views():
         begin()
-        _watch_views(tape, looks_at_all)
+        _watch_views()
 
 
-def _watch_views(tape: Any, looks_at_all: bool) -> None:
+def _watch_views() -> None:
     """Watches the memory of fields that other libraries may write to between launches."""
-    _of_thread.views = []
-    memory = []
-    for field, extent in marks.viewed():
-        # On a GPU, the host would have to wait to compare.
-        owner = field._lend_memory() if has_history(field) else None
-        if owner is not None:
-            _of_thread.views.append((field, owner))
+    watching, program = _of_thread.watching, state.program
+    if watching is None or program is None:
+        return
+    tape, looks_at_all = watching
+    # A view that is gone by now may have been written to.
+    former = {id(field): (field, owner) for field, owner in _of_thread.views}
+    views, memory = [], []
+    for field, extent in [*marks.viewed()]:
+        if has_history(field):
+            known = former.get(id(field))
+            views.append(known or (field, field._lend_memory()))
             memory.append((extent.begin, extent.end - extent.begin))
-    native.watch_views(tape, memory, looks_at_all)
+    native.watch_views(tape, memory, looks_at_all, program.context, tape.records > 0)
+    _of_thread.views = views
 
 
 def check_views() -> None:
@@ -149,20 +158,24 @@ def check_views() -> None:
     )
 
 
-def note_view(field: Any, address: int, steps: tuple[int, ...]) -> None:
+def note_view(field: Any, loan: Any, address: int, steps: tuple[int, ...]) -> None:
     """Another library has got a view of the memory of a field.
 
     Args:
-        field: which.
+        field, loan: which, and an object that lives as long as the view.
         address, steps: of its first element, and the bytes from index to index.
     """
     extents = (*field.shape, *field.element_shape)
     if 0 in extents or not field.dtype.is_float or not field._companions:
         return
     pairs = zip(extents, steps, strict=True)
-    marks.mark_view(field, marks.made_of(address, field.dtype.bits // 8, pairs))
+    marks.mark_view(field, marks.made_of(address, field.dtype.bits // 8, pairs), loan)
     if state.tape is not None or state.forward:
         note_read(field)
+    if state.tape is not None:
+        # Writes from before this view are told first.
+        check_views()
+        _watch_views()
 
 
 def note_stored(array: Any) -> None:

@@ -32,10 +32,17 @@ def field_device(field: Any) -> tuple[int, int]:
     return (CUDA, 0) if get_program().context.is_on_gpu() else (CPU, 0)
 
 
+class Loan:
+    """Keeps the memory of a field for another library."""
+
+    def __init__(self, owner: Any):
+        self._owner = owner
+
+
 def field_dlpack(
     field: Any, stream: Any, max_version: Any, dl_device: Any, copy: bool | None
-) -> Any:
-    """The capsule of a field, which shares its memory."""
+) -> tuple[Any, Loan]:
+    """The capsule of a field, which shares its memory, and the loan, which lives as long."""
     device = field_device(field)
     if copy:
         raise BufferError("a field is shared as it is: copy what comes of it")
@@ -60,14 +67,16 @@ def field_dlpack(
         # 1 is the default stream, 2 that of the thread; None means the former.
         context.let_stream_wait(1 if stream is None else int(stream))
     strides = [step // size for step in steps]
-    return native.make_dlpack(
-        address, list(shape), strides, CODES[field.dtype.kind], 8 * size, device[0], owner,
+    loan = Loan(owner)
+    capsule = native.make_dlpack(
+        address, list(shape), strides, CODES[field.dtype.kind], 8 * size, device[0], loan,
         max_version is not None and tuple(max_version) >= (1, 0),
     )  # fmt: skip
+    return capsule, loan
 
 
-def cuda_interface(field: Any) -> tuple[dict[str, Any], Any]:
-    """The memory of a field as `__cuda_array_interface__` describes it, and its owner."""
+def cuda_interface(field: Any) -> tuple[dict[str, Any], Loan]:
+    """The memory of a field as `__cuda_array_interface__` describes it, and its loan."""
     try:
         address, _, steps, owner = _storage(field).core.lend()
     except (TaiError, BufferError) as error:
@@ -81,7 +90,7 @@ def cuda_interface(field: Any) -> tuple[dict[str, Any], Any]:
         "shape": shape, "typestr": np.dtype(field.dtype.numpy).str, "data": (address, False),
         "strides": tuple(steps), "version": 3, "stream": 1,
     }  # fmt: skip
-    return found, owner
+    return found, Loan(owner)
 
 
 def place_of(field: Any) -> tuple[int, tuple[int, ...]]:
@@ -105,7 +114,7 @@ class _Lent:
         self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None,
         copy: bool | None = None,
     ) -> Any:  # fmt: skip
-        return field_dlpack(self._field, stream, max_version, dl_device, copy)
+        return field_dlpack(self._field, stream, max_version, dl_device, copy)[0]
 
     def __dlpack_device__(self) -> tuple[int, int]:
         return field_device(self._field)
