@@ -99,13 +99,18 @@ OwningOpRef<ModuleOp> mlir::tai::readModule(StringRef bytes,
     emitError(start, problem).attachNote() << kRemedy;
     return {};
   }
-  // Resources keep the alignment with which they were written.
   StringRef bytecode = bytes.drop_front(kHeaderSize);
+  if (!checkText(bytecode, context, file))
+    return {};
+  // Resources keep the alignment with which they were written.
   auto aligned = llvm::WritableMemoryBuffer::getNewUninitMemBuffer(
       bytecode.size(), file, llvm::Align(64));
   llvm::copy(bytecode, aligned->getBufferStart());
-  return parseSourceString<ModuleOp>(aligned->MemoryBuffer::getBuffer(), config,
-                                     file);
+  auto module = parseSourceString<ModuleOp>(aligned->MemoryBuffer::getBuffer(),
+                                            config, file);
+  if (module && failed(checkDimensions(*module)))
+    return {};
+  return module;
 }
 
 LogicalResult mlir::tai::writeModule(ModuleOp module,

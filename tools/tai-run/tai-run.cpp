@@ -157,10 +157,11 @@ static OwningOpRef<ModuleOp> parse(Session &session, const Options &given) {
   // Bytecode without a checksum is read as by all tools, at one's own risk.
   StringRef bytes = (*file)->getBuffer();
   ParserConfig config(session.getContext());
-  OwningOpRef<ModuleOp> module =
-      isBytecode(**file)
-          ? parseSourceString<ModuleOp>(bytes, config, given.inputFile)
-          : readModule(bytes, config, (*file)->getBufferIdentifier());
+  OwningOpRef<ModuleOp> module;
+  if (!isBytecode(**file))
+    module = readModule(bytes, config, (*file)->getBufferIdentifier());
+  else if (checkText(bytes, session.getContext(), given.inputFile))
+    module = parseSourceString<ModuleOp>(bytes, config, given.inputFile);
   if (!module)
     (void)session.fail(
         collector.take(FailureKind::Syntax, "the file does not parse"));

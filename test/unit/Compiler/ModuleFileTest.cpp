@@ -183,6 +183,55 @@ TEST_F(ModuleFile, LongTypesAndExpressionsAreRefused) {
                    .contains("dimensions"));
 }
 
+TEST_F(ModuleFile, LongMapsAreRefused) {
+  auto nestMap = [&](StringRef name, StringRef begin, StringRef end,
+                     int count) {
+    return read(nest(("module attributes {m = " + name + begin).str(), "d, ",
+                     "d", "", (end + ">} {}").str(), count));
+  };
+  constexpr StringLiteral message(
+      "an affine map has more than 1024 dimensions");
+  for (StringRef name : {"affine_map", "affine_set"}) {
+    EXPECT_TRUE(
+        StringRef(nestMap(name, " < (", ") -> (0)", 100000)).contains(message));
+    EXPECT_TRUE(StringRef(nestMap(name, "<() [", "] -> (0)", 100000))
+                    .contains(message));
+    EXPECT_FALSE(
+        StringRef(nestMap(name, "<(", ") -> (0)", 1000)).contains(message));
+  }
+  // Of results there may be many, and a word alone is no map.
+  EXPECT_EQ(read(nest("module attributes {m = affine_map<(d) -> (", "d, ", "d",
+                      "", ")>} {}", 2000)),
+            "");
+  EXPECT_NE(read("module attributes {m = affine_map(1)} {}"), "");
+}
+
+// In bytecode the dimensions are numbers, and the layout of a memref is text.
+TEST_F(ModuleFile, LongTypesInBytecodeAreRefused) {
+  SmallVector<int64_t> shape(100000, 1);
+  Type element = Float32Type::get(&context);
+  auto readType = [&](Type type) {
+    OwningOpRef<ModuleOp> module = ModuleOp::create(UnknownLoc::get(&context));
+    (*module)->setAttr("t", TypeAttr::get(type));
+    std::string bytes;
+    llvm::raw_string_ostream stream(bytes);
+    EXPECT_TRUE(succeeded(writeModule(*module, stream)));
+    return read(bytes);
+  };
+  EXPECT_TRUE(StringRef(readType(MemRefType::get(shape, element)))
+                  .contains("an affine map has more than 1024 dimensions"));
+  EXPECT_TRUE(StringRef(readType(VectorType::get(shape, element)))
+                  .contains("a type of 'builtin.module' has more than 1024 "
+                            "dimensions, which is not read"));
+  EXPECT_TRUE(
+      StringRef(readType(FunctionType::get(
+                    &context, RankedTensorType::get(shape, element), {})))
+          .contains("a type of 'builtin.module' has more than 1024"));
+  shape.resize(1000);
+  EXPECT_EQ(readType(MemRefType::get(shape, element)), "");
+  EXPECT_EQ(readType(VectorType::get(shape, element)), "");
+}
+
 // Braces of text, and what a file holds one after another, nest nothing.
 TEST_F(ModuleFile, LongTextIsRead) {
   EXPECT_EQ(read(nest("", "module {}\n", "", "", "", 2000)), "");

@@ -6,6 +6,9 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Dialect/Tai/IR/TextLimits.h"
+#include "mlir/IR/AttrTypeSubElements.h"
+#include "mlir/IR/BuiltinTypeInterfaces.h"
+#include "mlir/IR/Operation.h"
 #include "llvm/ADT/STLExtras.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/ADT/StringMap.h"
@@ -26,6 +29,34 @@ constexpr unsigned kMostDimensions = 1024;
 constexpr unsigned kMostOperators = 4096;
 /// The most digits of the number of a result.
 constexpr size_t kMostDigits = 6;
+
+/// The list of dimensions or symbols of an affine map that `text` begins with,
+/// by its brackets. The time that the parser takes grows with the square of the
+/// number.
+bool isLongList(StringRef text, char begin, char end) {
+  StringRef list = text.take_until([&](char c) { return c == end; });
+  return text.starts_with(StringRef(&begin, 1)) &&
+         list.count(',') >= kMostDimensions;
+}
+
+/// The same of a whole map or set, from behind its name on.
+bool isLongMap(StringRef text) {
+  text = text.ltrim();
+  if (!text.consume_front("<"))
+    return false;
+  text = text.ltrim();
+  if (isLongList(text, '(', ')'))
+    return true;
+  size_t end = text.find(')');
+  return end != StringRef::npos &&
+         isLongList(text.drop_front(end + 1).ltrim(), '[', ']');
+}
+
+std::string getLongMapMessage() {
+  return ("an affine map has more than " + llvm::Twine(kMostDimensions) +
+          " dimensions or symbols, which is not read")
+      .str();
+}
 
 class Scanner {
 public:
@@ -113,6 +144,8 @@ void Scanner::readWord() {
   at += std::max<size_t>(word.size(), 1) - 1;
   if (word == "mod" || word == "floordiv" || word == "ceildiv")
     return countOperator();
+  if ((word == "affine_map" || word == "affine_set") && isLongMap(rest()))
+    return refuse(getLongMapMessage());
   // 1x2x?x, as far as letters other than x begin.
   StringRef run = word.take_while(
       [](char c) { return llvm::isDigit(c) || c == 'x' || c == '?'; });
@@ -227,8 +260,44 @@ std::optional<TextProblem> Scanner::run() {
   return problem;
 }
 
+/// MLIR writes affine maps as text.
+static std::optional<TextProblem> findBytecodeProblem(StringRef bytes) {
+  for (StringRef name : {"affine_map", "affine_set"})
+    for (size_t at = bytes.find(name); at != StringRef::npos;
+         at = bytes.find(name, at + 1))
+      if (isLongMap(bytes.drop_front(at + name.size())))
+        return TextProblem{at, getLongMapMessage(), 1, 1};
+  return std::nullopt;
+}
+
+/// True for what begins with the magic number of MLIR's bytecode.
+static bool isBytecode(StringRef bytes) { return bytes.starts_with("ML\xefR"); }
+
 std::optional<TextProblem> tai::findTextProblem(StringRef text) {
-  return Scanner(text).run();
+  return isBytecode(text) ? findBytecodeProblem(text) : Scanner(text).run();
+}
+
+LogicalResult tai::checkDimensions(Operation *module) {
+  AttrTypeWalker walker;
+  walker.addWalk([](ShapedType type) {
+    bool isLong = type.hasRank() && type.getRank() > kMostDimensions;
+    return isLong ? WalkResult::interrupt() : WalkResult::advance();
+  });
+  auto isLong = [&](auto part) { return walker.walk(part).wasInterrupted(); };
+  WalkResult found = module->walk([&](Operation *op) {
+    bool isRefused = isLong(op->getAttrDictionary()) ||
+                     llvm::any_of(op->getResultTypes(), isLong);
+    for (Region &region : op->getRegions())
+      for (Block &block : region)
+        isRefused |= llvm::any_of(block.getArgumentTypes(), isLong);
+    if (!isRefused)
+      return WalkResult::advance();
+    emitError(op->getLoc())
+        << "a type of '" << op->getName().getStringRef() << "' has more than "
+        << kMostDimensions << " dimensions, which is not read";
+    return WalkResult::interrupt();
+  });
+  return failure(found.wasInterrupted());
 }
 
 //===----------------------------------------------------------------------===//
@@ -237,8 +306,8 @@ std::optional<TextProblem> tai::findTextProblem(StringRef text) {
 
 /// True unless the text has a problem, which is reported.
 static bool checkFile(StringRef name, StringRef text) {
-  // Bytecode and libraries are not for the parser.
-  if (text.contains('\0'))
+  // Libraries are not for the parser.
+  if (text.contains('\0') && !isBytecode(text))
     return true;
   std::optional<TextProblem> problem = findTextProblem(text);
   if (!problem)

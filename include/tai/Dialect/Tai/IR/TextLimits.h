@@ -33,8 +33,11 @@ struct TextProblem {
 
 /// Where the text of a module, an attribute or a type asks for what MLIR's
 /// parser dies of or does not finish. Strings and comments are passed over;
-/// brackets of all kinds count, and those of the aliases that are used.
+/// brackets of all kinds count, and those of the aliases that are used. Of
+/// MLIR's bytecode, which is no text, looks at the parts that are.
 std::optional<TextProblem> findTextProblem(StringRef text);
+/// Reports a type of more dimensions than text may have.
+LogicalResult checkDimensions(Operation *module);
 
 /// For tools that leave the reading of files to MLIR: looks at the files among
 /// the arguments, and at the standard input if it is read instead, which can
