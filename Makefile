@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup check peers
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup check peers test-peers
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -19,7 +19,7 @@ help: ## list these commands
 setup: ## install system packages and make .venv (the others call it)
 	@scripts/setup.sh
 
-peers: setup ## install pyright, torch, JAX and Warp, which some tests use and else skip
+peers: setup ## install pyright, torch, JAX, Warp and Taichi, which some tests use and else skip
 	@.venv/bin/pip install --quiet -r scripts/requirements-peers.txt
 
 build: setup ## configure and compile everything
@@ -38,6 +38,9 @@ check: build ## run a part of all tests that has something of every room, in abo
 # Runs where no LLVM is: from the bundle in dist/, with the Python of the machine.
 test-gpu: ## test and time the portable bundle on a GPU (ARGS="--tests -k smoke")
 	@$(or $(wildcard $(PYTHON)),python3) scripts/test_gpu.py $(ARGS)
+
+test-peers: build peers ## run programs of other libraries beside ours, and share tensors with them
+	@$(PYTHON) -m pytest -q -rs --tb=short -n $(JOBS) test/python/tools/test_other_libraries.py test/python/interop $(ARGS)
 
 test-layouts: build ## run the tests of kernels on every layout, and compare
 	@$(PYTHON) scripts/run_tests.py --build $(BUILD) --jobs $(JOBS) --layouts
