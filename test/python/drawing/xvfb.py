@@ -24,6 +24,15 @@ class Screen:
         self.name = name
         self._display = display.Display(name)
 
+    def _settle(self) -> None:
+        """Waits until other programs have their events.
+
+        The server may send the first answer before them. It takes the second request when it has
+        sent all that came of the first one.
+        """
+        self._display.sync()
+        self._display.sync()
+
     def grab(self) -> np.ndarray:
         """The colours on the screen, (height, width, 3), rows downward."""
         from Xlib import X
@@ -56,18 +65,18 @@ class Screen:
         window = self.window(title)
         window.configure(stack_mode=X.Above)
         window.set_input_focus(X.RevertToParent, X.CurrentTime)
-        self._display.sync()
+        self._settle()
 
     def move(self, title: str, x: int, y: int) -> None:
         """Moves a window."""
         self.window(title).configure(x=x, y=y)
-        self._display.sync()
+        self._settle()
 
     def _fake(self, kind: int, detail: int = 0, **place: int) -> None:
         from Xlib.ext import xtest
 
         xtest.fake_input(self._display, kind, detail, **place)
-        self._display.sync()
+        self._settle()
 
     def point(self, x: int, y: int) -> None:
         """Moves the mouse."""
@@ -110,12 +119,12 @@ class Screen:
             data=(32, [atom("WM_DELETE_WINDOW"), 0, 0, 0, 0]),
         )  # fmt: skip
         window.send_event(message)
-        self._display.sync()
+        self._settle()
 
     def resize(self, title: str, width: int, height: int) -> None:
         """Drags the corner of a window."""
         self.window(title).configure(width=width, height=height)
-        self._display.sync()
+        self._settle()
 
 
 @pytest.fixture(scope="module")

@@ -135,7 +135,7 @@ def interrupted(tmp_path, examples, number):
     while not (folder / "waits").exists():
         assert process.poll() is None and time.monotonic() < end
     process.send_signal(number)
-    return process, process.communicate(timeout=60)[1], out, folder
+    return process, process.communicate(timeout=120)[1], out, folder
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

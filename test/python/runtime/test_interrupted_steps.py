@@ -360,8 +360,8 @@ def endless():
         x[None] += 0.0
 
 timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
-timer.start()
 try:
+    timer.start()
     endless()
 except KeyboardInterrupt:
     print("ended")
@@ -373,7 +373,7 @@ def test_the_extension_module_is_loaded(tmp_path):
     """Interrupted where it asks which thread is Python's own, it would never look for signals."""
     file = tmp_path / "loading.py"
     file.write_text(LOADING)
-    done = subprocess.run([sys.executable, file], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, file], capture_output=True, text=True, timeout=280)
     assert done.stdout == "ended\n", done.stderr
 
 

@@ -200,7 +200,7 @@ def test_a_file_that_nobody_may_write_stays(tmp_path):
             sys.exit(7 if error.filename == "x" else 1)
     """
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, timeout=60,
+        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, timeout=280,
         check=False,
     )  # fmt: skip
     assert path.read_bytes() == b"old"
