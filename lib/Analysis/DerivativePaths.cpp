@@ -121,19 +121,53 @@ static bool isUnderstood(Value value, FunctionOpInterface function) {
 
 /// True for ops that only hand their operands on.
 static bool isMove(Operation *op) {
-  StringRef name = op->getName().getStringRef();
-  return name == "arith.select" || name == "vector.extract" ||
-         name == "vector.insert" || name == "vector.from_elements" ||
-         name == "vector.to_elements" || name == "vector.broadcast" ||
-         name == "vector.shape_cast" ||
-         name == "builtin.unrealized_conversion_cast";
+  // By name, as above.
+  static const llvm::StringSet<> names = {
+      "arith.select",
+      "builtin.unrealized_conversion_cast",
+      "llvm.extractelement",
+      "llvm.extractvalue",
+      "llvm.freeze",
+      "llvm.insertelement",
+      "llvm.insertvalue",
+      "llvm.select",
+      "llvm.shufflevector",
+      "tensor.cast",
+      "tensor.extract",
+      "tensor.extract_slice",
+      "tensor.from_elements",
+      "tensor.insert",
+      "tensor.insert_slice",
+      "tensor.reshape",
+      "tensor.splat",
+      "ub.freeze",
+      "vector.broadcast",
+      "vector.deinterleave",
+      "vector.extract",
+      "vector.extract_strided_slice",
+      "vector.from_elements",
+      "vector.insert",
+      "vector.insert_strided_slice",
+      "vector.interleave",
+      "vector.scalable.extract",
+      "vector.scalable.insert",
+      "vector.shape_cast",
+      "vector.shuffle",
+      "vector.to_elements",
+      "vector.transpose",
+  };
+  return names.contains(op->getName().getStringRef());
 }
 
 /// True if the op takes the bits of its operand for a value of another type.
 static bool isBitcast(Operation *op) {
-  StringRef name = op->getName().getStringRef();
-  return name == "arith.bitcast" || name == "vector.bitcast" ||
-         name == "llvm.bitcast" || name == "tensor.bitcast";
+  static const llvm::StringSet<> names = {
+      "arith.bitcast",
+      "llvm.bitcast",
+      "tensor.bitcast",
+      "vector.bitcast",
+  };
+  return names.contains(op->getName().getStringRef());
 }
 
 namespace {

@@ -108,13 +108,9 @@ static Interval multiply(Interval a, Interval b, Type type) {
   return makeRange(*llvm::min_element(p), *llvm::max_element(p), type);
 }
 
+/// The range of a reciprocal, if no number in the range is zero.
 static Interval invert(Interval a, Type type) {
-  if (a.low > 0)
-    return makeRange(1 / a.high, 1 / a.low, type);
-  if (a.high < 0)
-    return makeRange(1 / a.high, 1 / a.low, type);
-  // A zero has either sign.
-  return {-kInfinity, kInfinity};
+  return makeRange(1 / a.high, 1 / a.low, type);
 }
 
 static Interval join(Interval a, Interval b) {

@@ -228,12 +228,14 @@ void IndexForms::assumeFits(LinearForm &form, Type type) const {
   form.isComplete = false;
 }
 
-/// The index of a loop. With a step it is the first one and a number of steps.
+/// The index of a loop. With a step it is the first one and a number of steps,
+/// unless the loop counts without a sign: then the steps may lead from the
+/// greatest number to the least one.
 LinearForm IndexForms::makeLoopForm(BlockArgument argument) {
   auto loop = dyn_cast<scf::ForOp>(argument.getOwner()->getParentOp());
   std::optional<int64_t> step =
       loop ? getConstantIntValue(loop.getStep()) : std::nullopt;
-  if (!step || *step <= 1)
+  if (!step || *step <= 1 || loop.getUnsignedCmp())
     return makeVariable(Kind::Loop, rangeOf(argument));
   LinearForm steps = makeVariable(Kind::Loop, {0, INT64_MAX});
   return formOf(loop.getLowerBound()).plus(steps, *step);

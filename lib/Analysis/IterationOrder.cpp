@@ -82,13 +82,14 @@ static FailureOr<KeyedAccess> getAccess(ParallelForOp loop, Operation *op) {
       access.place.components = store.getComponents();
       access.effect = Effect::Write;
       access.stored = store.getValue();
-    } else if (auto atomic = dyn_cast<AtomicOp>(op)) {
+    } else {
+      auto atomic = dyn_cast<AtomicOp>(op);
+      if (!atomic)
+        return failure();
       access.place.components = atomic.getComponents();
       access.effect = Effect::Update;
       access.kind = toFamily(atomic.getKind());
       access.usesOld = !atomic.getOld().use_empty();
-    } else {
-      return none;
     }
     return KeyedAccess(getStorageKey(op), access);
   }

@@ -161,15 +161,14 @@ bool LoopAnalysis::isHarmless(Operation *op) {
            isOwn(op, store.getFieldAttr(), store.getIndices()) &&
            zeros.contains(store.getValue());
   // Memory of the iteration is dropped with it.
-  if (isa<StackCreateOp, StackPushOp, StackPopOp, StackDestroyOp>(op))
+  if (isa<StackCreateOp, StackPushOp, StackPopOp, StackDestroyOp, LocalStoreOp>(
+          op))
     return llvm::all_of(op->getOperands(), [&](Value operand) {
-      return !isa<StackType>(operand.getType()) ||
-             loop->isProperAncestor(operand.getParentBlock()->getParentOp()) ||
-             operand.getParentBlock() == &loop.getBody().front();
+      return !isa<StackType, LocalType>(operand.getType()) ||
+             loop->isAncestor(operand.getParentBlock()->getParentOp());
     });
   return op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
-         hasSingleEffect<MemoryEffects::Read>(op) ||
-         isa<AllocaOp, LocalLoadOp, LocalStoreOp, YieldOp>(op);
+         hasSingleEffect<MemoryEffects::Read>(op) || isa<AllocaOp, YieldOp>(op);
 }
 
 bool LoopAnalysis::run() {

@@ -125,48 +125,60 @@ IndexRange IndexBuilder::getRange(const IndexExpr &expr) {
 // Quotients
 //===----------------------------------------------------------------------===//
 
-std::optional<std::pair<IndexExpr, IndexExpr>>
-IndexBuilder::split(const IndexExpr &expr, int64_t divisor) {
-  IndexExpr multiple, rest;
+IndexBuilder::Parts IndexBuilder::takeMultiples(const IndexExpr &expr,
+                                                int64_t divisor) {
+  Parts parts;
   for (const auto &[atom, factor] : expr.terms)
     if (factor % divisor == 0)
-      multiple.add(IndexExpr(atom), factor / divisor);
+      parts.multiple.add(IndexExpr(atom), factor / divisor);
     else
-      rest.add(IndexExpr(atom), factor);
-  multiple.constant = llvm::divideFloorSigned(expr.constant, divisor);
-  rest.constant = expr.constant - multiple.constant * divisor;
-  IndexRange range = getRange(rest);
-  // The sum must be the dividend itself, and not a number with the same bits.
-  if (range.low < 0 || range.high >= divisor || !getRange(expr).fits(64))
+      parts.rest.add(IndexExpr(atom), factor);
+  parts.multiple.constant = llvm::divideFloorSigned(expr.constant, divisor);
+  parts.rest.constant = expr.constant - parts.multiple.constant * divisor;
+  // The sums must be numbers themselves, and not others with the same bits.
+  IndexRange rest = getRange(parts.rest);
+  if (!rest.fits(64) || !getRange(expr).fits(64))
+    return {IndexExpr(0), expr, false};
+  parts.isDigit = rest.low >= 0 && rest.high < divisor;
+  return parts;
+}
+
+std::optional<std::pair<IndexExpr, IndexExpr>>
+IndexBuilder::split(const IndexExpr &expr, int64_t divisor) {
+  Parts parts = takeMultiples(expr, divisor);
+  if (!parts.isDigit)
     return std::nullopt;
-  return std::pair{std::move(multiple), std::move(rest)};
+  return std::pair{std::move(parts.multiple), std::move(parts.rest)};
 }
 
 IndexExpr IndexBuilder::getQuotient(const IndexExpr &lhs,
                                     const IndexExpr &rhs) {
-  if (rhs.isConstant() && rhs.constant > 0) {
-    if (auto parts = split(lhs, rhs.constant))
-      return parts->first;
-    // A quotient of a quotient divides by the product.
-    if (lhs.terms.size() == 1 && lhs.constant == 0 &&
-        lhs.terms.front().second == 1) {
-      const IndexNode *node = lhs.terms.front().first.getNode();
-      int64_t product;
-      if (node && node->kind == Kind::Quotient && node->rhs.isConstant() &&
-          node->rhs.constant > 0 &&
-          !llvm::MulOverflow(node->rhs.constant, rhs.constant, product))
-        return getQuotient(node->lhs, IndexExpr(product));
-    }
+  if (!rhs.isConstant() || rhs.constant <= 0)
+    return IndexExpr(IndexNode{Kind::Quotient, lhs, rhs});
+  auto [multiple, rest, isDigit] = takeMultiples(lhs, rhs.constant);
+  if (isDigit)
+    return multiple;
+  // A quotient of a quotient divides by the product.
+  if (rest.terms.size() == 1 && rest.constant == 0 &&
+      rest.terms.front().second == 1) {
+    const IndexNode *node = rest.terms.front().first.getNode();
+    int64_t product;
+    if (node && node->kind == Kind::Quotient && node->rhs.isConstant() &&
+        node->rhs.constant > 0 &&
+        !llvm::MulOverflow(node->rhs.constant, rhs.constant, product))
+      return multiple.add(getQuotient(node->lhs, IndexExpr(product)));
   }
-  return IndexExpr(IndexNode{Kind::Quotient, lhs, rhs});
+  return multiple.add(IndexExpr(IndexNode{Kind::Quotient, rest, rhs}));
 }
 
 IndexExpr IndexBuilder::getRemainder(const IndexExpr &lhs,
                                      const IndexExpr &rhs) {
-  if (rhs.isConstant() && rhs.constant > 0)
-    if (auto parts = split(lhs, rhs.constant))
-      return parts->second;
-  return IndexExpr(IndexNode{Kind::Remainder, lhs, rhs});
+  if (!rhs.isConstant() || rhs.constant <= 0)
+    return IndexExpr(IndexNode{Kind::Remainder, lhs, rhs});
+  Parts parts = takeMultiples(lhs, rhs.constant);
+  return parts.isDigit
+             ? parts.rest
+             : IndexExpr(IndexNode{Kind::Remainder, parts.rest, rhs});
 }
 
 IndexExpr IndexBuilder::getQuotientOf(const IndexNode &rest) {
@@ -186,11 +198,12 @@ IndexExpr IndexBuilder::joinDigits(IndexExpr expr) {
       multiple.add(quotient, node->rhs.constant);
     else
       multiple = IndexExpr(IndexNode{Kind::Product, node->rhs, quotient});
-    if (multiple.terms.size() != 1 || multiple.constant != 0)
-      continue;
-    std::pair<IndexAtom, int64_t> wanted = multiple.terms.front();
-    if (llvm::MulOverflow(factor, wanted.second, wanted.second) ||
-        !llvm::is_contained(expr.terms, wanted))
+    bool isThere = llvm::all_of(
+        multiple.terms, [&, factor = factor](std::pair<IndexAtom, int64_t> term) {
+          return !llvm::MulOverflow(factor, term.second, term.second) &&
+                 llvm::is_contained(expr.terms, term);
+        });
+    if (!isThere)
       continue;
     IndexExpr joined = expr;
     unsigned width = expr.width;

@@ -212,8 +212,7 @@ bool mlir::tai::isInjectiveOver(IndexBuilder &builder,
   Operation *loop = cast<BlockArgument>(ivs.front()).getOwner()->getParentOp();
   SmallVector<Value> others;
   if (auto like = dyn_cast_if_present<LoopLikeOpInterface>(loop))
-    if (auto all = like.getLoopInductionVars())
-      others = *all;
+    others = *like.getLoopInductionVars();
   llvm::erase_if(others, [&](Value iv) { return llvm::is_contained(ivs, iv); });
   IterationEquations equations(builder, loop, others);
   for (const IndexExpr &index : indices)

@@ -42,6 +42,13 @@ public:
   IndexExpr getQuotientOf(const IndexNode &rest);
 
 private:
+  /// A sum as a multiple of a divisor and a rest; `isDigit` if the rest is from
+  /// 0 to the divisor - 1.
+  struct Parts {
+    IndexExpr multiple, rest;
+    bool isDigit = false;
+  };
+  Parts takeMultiples(const IndexExpr &expr, int64_t divisor);
   IndexExpr build(Value value, unsigned depth);
   /// The same, or the value as a term if its expression does not determine all
   /// bits of its type, or may wrap.
