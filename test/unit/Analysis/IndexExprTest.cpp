@@ -15,6 +15,7 @@
 
 #include "../Compiler/ContextTest.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Parser/Parser.h"
 #include "tai/Analysis/Index/IndexQueries.h"
@@ -138,7 +139,74 @@ protected:
     return arith::SelectOp::create(b, wrong, less, quotient);
   }
 
+  /// Nearly the same: signs, operands and their order may be others.
+  Value almostRoundDown(bool isQuotient, Value x, Value y) {
+    using Predicate = arith::CmpIPredicate;
+    Type type = x.getType();
+    auto oneOf = [&](std::initializer_list<Predicate> list) {
+      return list.begin()[pick(0, static_cast<int64_t>(list.size()) - 1)];
+    };
+    Value rest = arith::RemSIOp::create(b, x, chance(90) ? y : x);
+    Value zero = constant(chance(85) ? 0 : 1, type);
+    auto isNegative = [&](Value value) -> Value {
+      Predicate predicate = chance(80) ? Predicate::slt
+                                       : oneOf({Predicate::sle, Predicate::sgt,
+                                                Predicate::ult});
+      return arith::CmpIOp::create(b, predicate, value, zero);
+    };
+    Value wrong = isNegative(rest);
+    if (chance(60)) {
+      Value one = chance(85) ? rest : x, other = chance(85) ? y : x;
+      if (chance(40))
+        std::swap(one, other);
+      Value bits = chance(85) ? arith::XOrIOp::create(b, one, other).getResult()
+                              : arith::AddIOp::create(b, one, other);
+      Value differs = isNegative(bits);
+      Value isThere = arith::CmpIOp::create(
+          b, chance(85) ? Predicate::ne : Predicate::eq, rest, zero);
+      if (chance(40))
+        std::swap(isThere, differs);
+      wrong = chance(90)
+                  ? arith::AndIOp::create(b, isThere, differs).getResult()
+                  : arith::OrIOp::create(b, isThere, differs);
+    }
+    if (!isQuotient) {
+      Value one = rest, other = chance(85) ? y : x;
+      if (chance(40))
+        std::swap(one, other);
+      Value more = chance(90) ? arith::AddIOp::create(b, one, other).getResult()
+                              : arith::SubIOp::create(b, one, other);
+      return arith::SelectOp::create(b, wrong, more, rest);
+    }
+    Value quotient = arith::DivSIOp::create(b, x, y);
+    Value base = chance(90) ? quotient : x;
+    int64_t by = chance(85) ? 1 : 2;
+    Value less =
+        chance(50)
+            ? arith::SubIOp::create(b, base, constant(by, type)).getResult()
+            : arith::AddIOp::create(b, base, constant(-by, type));
+    if (chance(10))
+      less = arith::MulIOp::create(b, quotient, y);
+    return arith::SelectOp::create(b, wrong, less, quotient);
+  }
+
+  /// A truth value as a number, by its sign or without one.
+  Value randomBit(Type type) {
+    Value bit = arith::CmpIOp::create(
+        b, arith::CmpIPredicate::slt,
+        loop.getInductionVars()[static_cast<size_t>(pick(0, 1))],
+        constant(pick(0, 4), b.getIndexType()));
+    if (type.isIndex())
+      return chance(50)
+                 ? arith::IndexCastOp::create(b, type, bit).getResult()
+                 : arith::IndexCastUIOp::create(b, type, bit).getResult();
+    return chance(50) ? arith::ExtSIOp::create(b, type, bit).getResult()
+                      : arith::ExtUIOp::create(b, type, bit).getResult();
+  }
+
   Value randomLeaf(Type type) {
+    if (chance(4))
+      return randomBit(type);
     switch (pick(0, 9)) {
     case 0:
     case 1:
@@ -199,17 +267,44 @@ protected:
       case 12:
         return chance(50) ? arith::RemSIOp::create(b, x, divisor).getResult()
                           : arith::RemUIOp::create(b, x, divisor).getResult();
+      case 13:
+        return almostRoundDown(chance(50), x, divisor);
       default:
         return roundDown(chance(50), x, divisor);
       }
     };
     Value made = create();
+    // A promise of the program, which some values do not keep.
+    if (isa<arith::AddIOp, arith::SubIOp, arith::MulIOp, arith::ShLIOp>(
+            made.getDefiningOp()) &&
+        chance(10))
+      made.getDefiningOp()->setAttr(
+          "overflowFlags",
+          arith::IntegerOverflowFlagsAttr::get(
+              &context, arith::IntegerOverflowFlags::nsw));
     pool.push_back(made);
     return castTo(made, type);
   }
 
   /// The values of one iteration; none of those that are not defined.
   using Env = std::map<void *, std::optional<APInt>>;
+
+  /// True if an op divides by zero, or wraps though it is said not to.
+  static bool breaksPromise(Operation *op, ArrayRef<Attribute> operands) {
+    if (isa<arith::FloorDivSIOp, arith::DivSIOp, arith::DivUIOp, arith::RemSIOp,
+            arith::RemUIOp>(op))
+      return cast<IntegerAttr>(operands[1]).getValue().isZero();
+    auto flags = dyn_cast<arith::ArithIntegerOverflowFlagsInterface>(op);
+    if (!flags || !flags.hasNoSignedWrap())
+      return false;
+    APInt x = cast<IntegerAttr>(operands[0]).getValue().sext(160);
+    APInt y = cast<IntegerAttr>(operands[1]).getValue().sext(160);
+    APInt exact = isa<arith::AddIOp>(op)   ? x + y
+                  : isa<arith::SubIOp>(op) ? x - y
+                  : isa<arith::MulIOp>(op) ? x * y
+                                           : x.shl(y.urem(APInt(160, 64)));
+    return !exact.isSignedIntN(widthOf(op->getResult(0).getType()));
+  }
 
   std::optional<APInt> compute(Value value, Env &env) {
     auto known = env.find(value.getAsOpaquePointer());
@@ -225,6 +320,8 @@ protected:
         return env[value.getAsOpaquePointer()] = std::nullopt;
       operands.push_back(IntegerAttr::get(operand.getType(), *number));
     }
+    if (breaksPromise(op, operands))
+      return env[value.getAsOpaquePointer()] = std::nullopt;
     SmallVector<OpFoldResult> folded;
     if (succeeded(op->fold(operands, folded)) && folded.size() == 1) {
       if (auto attr = dyn_cast<Attribute>(folded.front()))
@@ -589,6 +686,86 @@ TEST_F(IndexExprTest, DigitsOfDigits) {
             builder.get(i));
   EXPECT_EQ(builder.get(arith::RemSIOp::create(b, number, four)),
             builder.get(j));
+}
+
+// A quotient has a multiple of the divisor outside, so that a number that is
+// built from its high digits and the low ones of a summand is itself.
+TEST_F(IndexExprTest, MultiplesOfTheDivisor) {
+  start(0, 4, 0, 8);
+  for (bool isIndex : {true, false}) {
+    Type type = isIndex ? Type(b.getIndexType()) : b.getI32Type();
+    auto number = [&](int64_t value) { return constant(value, type); };
+    Value i = castTo(loop.getInductionVars()[0], type);
+    Value j = castTo(loop.getInductionVars()[1], type);
+    Value whole = arith::AddIOp::create(
+        b, arith::MulIOp::create(b, i, number(8)), j);
+    IndexBuilder builder;
+    Value high = arith::MulIOp::create(b, roundDown(true, whole, number(4)),
+                                       number(4));
+    Value flat =
+        arith::AddIOp::create(b, high, roundDown(false, j, number(4)));
+    EXPECT_EQ(builder.get(flat), builder.get(whole));
+    ValueRange ivs = loop.getInductionVars();
+    EXPECT_TRUE(isInjectiveOver(builder, builder.get(flat), ivs));
+    // Blocks of four that overlap.
+    Value mixed =
+        arith::AddIOp::create(b, high, roundDown(false, j, number(5)));
+    EXPECT_FALSE(isInjectiveOver(builder, builder.get(mixed), ivs));
+    // The constant of the dividend stays below the divisor.
+    Value next = arith::AddIOp::create(b, whole, number(13));
+    Value three = arith::AddIOp::create(
+        b, roundDown(true, arith::AddIOp::create(b, whole, number(1)), number(4)),
+        number(3));
+    EXPECT_EQ(builder.get(roundDown(true, next, number(4))),
+              builder.get(three));
+  }
+  // A sum of an argument may wrap: its digits are not those of the terms.
+  Value n = arguments[1], four = constant(4, n.getType());
+  Value i = castTo(loop.getInductionVars()[0], n.getType());
+  Value sum =
+      arith::AddIOp::create(b, arith::MulIOp::create(b, i, four), n);
+  Value apart = arith::AddIOp::create(b, i, roundDown(true, n, four));
+  IndexBuilder builder;
+  EXPECT_FALSE(builder.get(roundDown(true, sum, four)) == builder.get(apart));
+}
+
+// Nothing is known of the numbers of 128 bits, of which the low bits are used.
+TEST_F(IndexExprTest, LowBitsOfWideNumbers) {
+  start(0, 4, 0, 4);
+  Type i64 = b.getI64Type(), wide = b.getIntegerType(128);
+  Value x = arith::ExtSIOp::create(b, wide, arguments[2]);
+  Value square = arith::MulIOp::create(b, x, x);
+  Value low = arith::TruncIOp::create(b, i64, square);
+  Value next = arith::AddIOp::create(b, low, constant(1, i64));
+  IndexBuilder builder;
+  EXPECT_TRUE(areDistinct(builder.get(low), builder.get(next)));
+  EXPECT_FALSE(builder.getRange(builder.get(low)).fits(64));
+  Value rest = roundDown(false, low, constant(3, i64));
+  EXPECT_FALSE(areDistinct(builder.get(rest), builder.get(low)));
+  // A constant of more than 64 bits is no number of an expression.
+  Value huge = arith::ConstantOp::create(
+      b, IntegerAttr::get(wide, APInt::getOneBitSet(128, 100)));
+  EXPECT_FALSE(getIndexExpr(huge).isConstant());
+}
+
+// The index of a loop that compares without a sign has both signs, where its
+// bounds have.
+TEST_F(IndexExprTest, UnsignedLoops) {
+  start(0, 2, 0, 2);
+  Type i32 = b.getI32Type();
+  struct Case {
+    int64_t lower, upper, low, high;
+  };
+  for (auto [lower, upper, low, high] :
+       {Case{0, 10, 0, 9}, Case{3, -1, INT32_MIN, INT32_MAX},
+        Case{-8, -2, -8, -3}, Case{7, 3, 7, 7}}) {
+    auto inner = scf::ForOp::create(
+        b, constant(lower, i32), constant(upper, i32), constant(1, i32),
+        ValueRange(), nullptr, /*unsignedCmp=*/true);
+    IndexBuilder builder;
+    IndexRange range = builder.getRange(IndexAtom(inner.getInductionVar()));
+    EXPECT_TRUE(range.low == low && range.high == high) << lower;
+  }
 }
 
 // Masks and shifts are digits, and a union of digits is their number.

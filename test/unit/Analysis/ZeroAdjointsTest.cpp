@@ -40,6 +40,8 @@ protected:
         %c0 = arith.constant 0 : index
         %c1 = arith.constant 1 : index
         %c4 = arith.constant 4 : index
+        %local = tai.alloca : !tai.local<f32>
+        %stack = tai.stack_create : !tai.stack<f32>
         tai.parallel_for (%i) in @x {
           %k = arith.subi %c4, %i : index
           %g = tai.load @y_grad[%i] : f32
@@ -158,4 +160,69 @@ TEST_F(ZeroAdjointsTest, Stores) {
   // One iteration would make another one matter.
   EXPECT_EQ(sourcesOf("tai.atomic add %g, @y_grad[%k] : f32"), "");
   EXPECT_EQ(sourcesOf("tai.atomic add %g, @x_grad[%k] : f32"), "y_grad");
+}
+
+// Other updates than sums, and results that are used, have effects of their
+// own.
+TEST_F(ZeroAdjointsTest, Updates) {
+  EXPECT_EQ(sourcesOf("tai.atomic mul %g, @x_grad[%i] : f32"), "");
+  EXPECT_EQ(sourcesOf("tai.atomic min %g, @a_grad[] : f32"), "");
+  EXPECT_TRUE(sumsUp);
+  EXPECT_EQ(sourcesOf(R"(
+    %old = tai.atomic add %g, @a_grad[] : f32
+    tai.print "{}"(%old) : f32)"),
+            "");
+  EXPECT_EQ(sourcesOf(R"(
+    %old = tai.atomic add %g, @a_grad[] : f32
+    %0 = arith.mulf %old, %g : f32
+    tai.atomic add %0, @x_grad[%i] : f32)"),
+            "");
+}
+
+// Variables and stacks of an iteration are dropped with it, and what stands in
+// others is seen later.
+TEST_F(ZeroAdjointsTest, MemoryOfTheIteration) {
+  EXPECT_EQ(sourcesOf(R"(
+    %own = tai.alloca : !tai.local<f32>
+    tai.local_store %v, %own : f32
+    %0 = tai.local_load %own : f32
+    %1 = arith.mulf %0, %g : f32
+    tai.atomic add %1, @x_grad[%i] : f32)"),
+            "y_grad");
+  EXPECT_EQ(sourcesOf(R"(
+    %0 = tai.local_load %local : f32
+    %1 = arith.mulf %0, %g : f32
+    tai.atomic add %1, @x_grad[%i] : f32)"),
+            "y_grad");
+  EXPECT_EQ(sourcesOf(R"(
+    tai.local_store %v, %local : f32
+    tai.atomic add %g, @x_grad[%i] : f32)"),
+            "");
+  EXPECT_EQ(sourcesOf(R"(
+    %own = tai.stack_create : !tai.stack<f32>
+    scf.for %j = %c0 to %c4 step %c1 {
+      tai.stack_push %v, %own : f32
+    }
+    %0 = tai.stack_pop %own : f32
+    tai.stack_destroy %own : !tai.stack<f32>
+    %1 = arith.mulf %0, %g : f32
+    tai.atomic add %1, @x_grad[%i] : f32)"),
+            "y_grad");
+  EXPECT_EQ(sourcesOf(R"(
+    tai.stack_push %v, %stack : f32
+    tai.atomic add %g, @x_grad[%i] : f32)"),
+            "");
+}
+
+// Without an adjoint of the cell there is nothing that could be zero; the
+// numbers of a loop and of data are no zeros either.
+TEST_F(ZeroAdjointsTest, NothingToSkip) {
+  EXPECT_EQ(sourcesOf(R"(
+    scf.for %j = %c0 to %c4 step %c1 {
+      %0 = arith.index_cast %j : index to i32
+      %1 = arith.sitofp %0 : i32 to f32
+      tai.atomic add %1, @x_grad[%i] : f32
+    })"),
+            "");
+  EXPECT_EQ(sourcesOf("%0 = tai.load @x_grad[%k] : f32"), "y_grad");
 }
