@@ -30,12 +30,10 @@ static bool matchConstant(Value value,
     return false;
   if (auto number = dyn_cast<FloatAttr>(attr))
     return predicate(number.getValue());
-  if (auto splat = dyn_cast<SplatElementsAttr>(attr);
-      splat && isa<FloatType>(splat.getElementType()))
-    return predicate(splat.getSplatValue<APFloat>());
-  if (auto dense = dyn_cast<DenseFPElementsAttr>(attr))
-    return llvm::all_of(dense.getValues<APFloat>(), predicate);
-  return false;
+  auto dense = dyn_cast<DenseFPElementsAttr>(attr);
+  if (dense && dense.isSplat())
+    return predicate(dense.getSplatValue<APFloat>());
+  return dense && llvm::all_of(dense.getValues<APFloat>(), predicate);
 }
 
 //===----------------------------------------------------------------------===//
@@ -60,8 +58,7 @@ static std::optional<Interval> getConstantRange(Value value) {
     range.high = std::max(range.high, number.convertToDouble());
     return true;
   });
-  return isNumber && range.low <= range.high ? std::optional(range)
-                                             : std::nullopt;
+  return isNumber ? std::optional(range) : std::nullopt;
 }
 
 /// Bounds as a result of type `type` can have them. Rounding is monotone, so
@@ -239,7 +236,8 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
         return Interval{std::min(a.low, b.low), std::min(a.high, b.high)};
       })
       .Case([&](math::ClampFOp op) {
-        return Interval{of(op.getMin()).low, of(op.getMax()).high};
+        // Either bound, where they are in the wrong order.
+        return join(of(op.getMin()), of(op.getMax()));
       })
       .Case([&](arith::SelectOp op) {
         Interval a = of(op.getTrueValue()), b = of(op.getFalseValue());
@@ -372,8 +370,8 @@ static bool makesNonFinite(Operation *op, FloatFacts &facts) {
       .Case<math::AcosOp, math::AsinOp>(
           [&](auto op) { return !facts.isInUnitInterval(op.getOperand(), op); })
       .Case<math::PowFOp, math::FPowIOp, math::AcoshOp, math::AtanhOp,
-            math::CoshOp, math::SinhOp, InverseOp, SolveOp>(
-          [](auto) { return true; })
+            math::CoshOp, math::SinhOp, arith::BitcastOp, vector::BitCastOp,
+            InverseOp, SolveOp>([](auto) { return true; })
       .Default([](Operation *) { return false; });
 }
 

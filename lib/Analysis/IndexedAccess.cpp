@@ -51,13 +51,13 @@ std::string tai::describeArray(MemRefType type) {
 
 /// The index along which the innermost list above a field grows; it is not
 /// among the indices of the list.
-static std::optional<unsigned> findListDimension(const FieldLayout &layout) {
+static size_t findListDimension(const FieldLayout &layout) {
   for (const PathLevel &level : llvm::reverse(layout.path.levels))
     if (level.type.isList())
       for (auto [dimension, axis] : llvm::enumerate(layout.axisOfIndex))
         if (llvm::is_contained(level.type.getAxes(), axis))
           return dimension;
-  return std::nullopt;
+  llvm_unreachable("the field is below no list");
 }
 
 /// The operands of a range, to be replaced.
@@ -66,26 +66,22 @@ static void addOperands(IndexedAccess &access, OperandRange operands) {
     access.indices.push_back(&operands.getBase()[i]);
 }
 
-static std::optional<IndexedAccess> getFieldAccess(FieldAccessOpInterface op) {
+static IndexedAccess getFieldAccess(FieldAccessOpInterface op) {
   FieldOp field = lookupField(op, op.getFieldAttr());
-  FailureOr<FieldLayout> layout =
-      field ? getFieldLayout(field) : FailureOr<FieldLayout>();
-  if (failed(layout))
-    return std::nullopt;
-  IndexedAccess access{op, describeField(*layout), {}, {}, {}};
+  FieldLayout layout = *getFieldLayout(field);
+  IndexedAccess access{op, describeField(layout), {}, {}, {}};
   addOperands(access, op.getIndices());
   access.rank = access.indices.size();
-  bool isOfList = access.rank + 1 == layout->shape.size();
-  std::optional<unsigned> left =
-      isOfList ? findListDimension(*layout) : std::nullopt;
-  for (size_t d = 0; d != layout->shape.size(); ++d) {
-    if (left && *left == d)
+  size_t numDimensions = layout.shape.size();
+  size_t left =
+      access.rank < numDimensions ? findListDimension(layout) : numDimensions;
+  for (size_t d = 0; d != numDimensions; ++d) {
+    if (d == left)
       continue;
-    access.first.push_back(layout->offset[d]);
-    access.extents.push_back({layout->shape[d]});
+    access.first.push_back(layout.offset[d]);
+    access.extents.push_back({layout.shape[d]});
   }
-  if (access.rank != access.extents.size())
-    return std::nullopt;
+  assert(access.rank == access.extents.size() && "the verifier counts indices");
   auto type = dyn_cast<VectorType>(field.getType());
   if (OperandRange components = op.getComponents();
       type && !components.empty()) {

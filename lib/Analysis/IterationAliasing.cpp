@@ -153,12 +153,10 @@ static bool tellApart(IndexBuilder &builder, Operation *loop, ValueRange first,
                       ValueRange second) {
   if (!isa<scf::ForOp, ParallelForOp>(loop) || first.size() != second.size())
     return false;
-  auto ivs = cast<LoopLikeOpInterface>(loop).getLoopInductionVars();
-  if (!ivs || ivs->empty())
-    return false;
   IterationEquations equations(builder, loop);
   equations.add(first, second);
-  return equations.solve(*ivs);
+  return equations.solve(
+      *cast<LoopLikeOpInterface>(loop).getLoopInductionVars());
 }
 
 /// The ways in which an iteration of `loop` can be later than another.

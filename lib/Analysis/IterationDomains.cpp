@@ -171,14 +171,9 @@ void IterationDomains::addLoop(Domain &domain, ParallelForOp loop) {
       addLoop(domain, iv, lower, upper);
     return;
   }
-  FailureOr<FieldLayout> layout =
-      getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-  if (failed(layout)) {
-    domain.isCertain = false;
-    return;
-  }
+  FieldLayout layout = *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
   for (auto [iv, first, extent] :
-       llvm::zip(loop.getInductionVars(), layout->offset, layout->shape)) {
+       llvm::zip(loop.getInductionVars(), layout.offset, layout.shape)) {
     LinearForm index = forms.formOf(iv);
     // An axis of one element has no variable.
     for (auto [variable, factor] : index.sum.terms)
@@ -187,7 +182,7 @@ void IterationDomains::addLoop(Domain &domain, ParallelForOp loop) {
     domain.addRow(LinearSum::of(first + extent - 1).plus(index.sum, -1));
   }
   // Active cells are some of these.
-  domain.isCertain &= !loop.getLevel() && !layout->path.getFirstSparse();
+  domain.isCertain &= !loop.getLevel() && !layout.path.getFirstSparse();
 }
 
 IterationDomain IterationDomains::domainOf(Block *block) {

@@ -22,9 +22,9 @@ std::optional<unsigned> LoopBox::find(Value value) {
 
 std::optional<LoopBox> tai::getConstantBox(ParallelForOp loop) {
   if (loop.isStructFor()) {
-    FailureOr<FieldLayout> layout =
-        getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-    if (failed(layout) || layout->path.getFirstSparse())
+    FieldLayout layout =
+        *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+    if (layout.path.getFirstSparse())
       return std::nullopt;
   }
   return getIndexBox(loop);
@@ -48,11 +48,9 @@ std::optional<LoopBox> tai::getIndexBox(ParallelForOp loop) {
   if (loop.getLevel())
     return std::nullopt;
   if (loop.isStructFor()) {
-    FailureOr<FieldLayout> layout =
-        getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-    if (failed(layout))
-      return std::nullopt;
-    for (auto [extent, first] : llvm::zip(layout->shape, layout->offset)) {
+    FieldLayout layout =
+        *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+    for (auto [extent, first] : llvm::zip(layout.shape, layout.offset)) {
       box.lower.push_back(first);
       box.upper.push_back(first + extent);
     }

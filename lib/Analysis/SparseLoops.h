@@ -17,12 +17,9 @@ namespace mlir::tai {
 inline std::optional<FieldLayout> getSparseLayout(ParallelForOp loop) {
   if (!loop.isStructFor())
     return std::nullopt;
-  FieldOp field = lookupField(loop, loop.getFieldAttr());
-  FailureOr<FieldLayout> layout =
-      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
-  if (failed(layout) || !layout->path.getFirstSparse())
-    return std::nullopt;
-  return *layout;
+  FieldLayout layout = *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+  return layout.path.getFirstSparse() ? std::optional(std::move(layout))
+                                      : std::nullopt;
 }
 
 } // namespace mlir::tai

@@ -61,13 +61,10 @@ static bool isFloat(Type type) {
 static bool isOwnAccess(ParallelForOp loop, const FieldLayout &layout,
                         Operation *op, FlatSymbolRefAttr name,
                         ValueRange indices) {
-  FieldOp field = lookupField(op, name);
-  FailureOr<FieldLayout> other =
-      field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
-  return succeeded(other) && other->tree == layout.tree &&
-         other->path.getFirstSparse() &&
-         other->axisOfIndex == layout.axisOfIndex &&
-         other->offset == layout.offset &&
+  FieldLayout other = *getFieldLayout(lookupField(op, name));
+  return other.tree == layout.tree && other.path.getFirstSparse() &&
+         other.axisOfIndex == layout.axisOfIndex &&
+         other.offset == layout.offset &&
          llvm::equal(indices, loop.getInductionVars());
 }
 
@@ -144,10 +141,9 @@ bool LoopAnalysis::staysZero(Value value) const {
 /// Whether the effects of an op vanish where its zeros are.
 bool LoopAnalysis::isHarmless(Operation *op) {
   if (auto atomic = dyn_cast<AtomicOp>(op)) {
-    FieldOp field = lookupField(op, atomic.getFieldAttr());
-    FailureOr<FieldLayout> target =
-        field ? getFieldLayout(field) : FailureOr<FieldLayout>(failure());
-    sumsUp |= failed(target) || !target->path.getFirstSparse();
+    FieldLayout target =
+        *getFieldLayout(lookupField(op, atomic.getFieldAttr()));
+    sumsUp |= !target.path.getFirstSparse();
     // One iteration would make another one matter.
     if (sources.contains(atomic.getFieldAttr().getAttr()) &&
         !isOwn(op, atomic.getFieldAttr(), atomic.getIndices()))

@@ -176,3 +176,94 @@ func.func @carried_array(%x: memref<f64>, %y: memref<f64>) attributes {tai.diffe
   memref.store %1, %y[] : memref<f64>
   return
 }
+
+// -----
+
+// Bits that are moved on their way are the same floats.
+func.func @shuffled(%p: memref<?xvector<2xi32>>, %y: memref<f32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %0 = memref.load %p[%c0] : memref<?xvector<2xi32>>
+  %1 = vector.shuffle %0, %0 [1, 0] : vector<2xi32>, vector<2xi32>
+  // expected-error @+2 {{'vector.bitcast' reads floats from memory that derivatives are not followed through}}
+  // expected-note @+1 {{load it from a field or from an argument that is a memref of floats}}
+  %2 = vector.bitcast %1 : vector<2xi32> to vector<2xf32>
+  %3 = vector.extract %2[0] : f32 from vector<2xf32>
+  memref.store %3, %y[] : memref<f32>
+  return
+}
+
+// -----
+
+func.func @moved(%p: memref<?xvector<2xi32>>, %y: memref<f32>, %c: i1) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %0 = memref.load %p[%c0] : memref<?xvector<2xi32>>
+  %1 = vector.shape_cast %0 : vector<2xi32> to vector<1x2xi32>
+  %2 = vector.transpose %1, [1, 0] : vector<1x2xi32> to vector<2x1xi32>
+  %3 = vector.extract %2[1, 0] : i32 from vector<2x1xi32>
+  %4 = vector.broadcast %3 : i32 to vector<2xi32>
+  %5 = vector.insert %3, %4[0] : i32 into vector<2xi32>
+  %6:2 = vector.to_elements %5 : vector<2xi32>
+  %7 = vector.from_elements %6#1, %6#0 : vector<2xi32>
+  %8 = arith.select %c, %7, %5 : vector<2xi32>
+  %9 = vector.extract_strided_slice %8 {offsets = [1], sizes = [1], strides = [1]} : vector<2xi32> to vector<1xi32>
+  %10 = vector.extract %9[0] : i32 from vector<1xi32>
+  %11 = builtin.unrealized_conversion_cast %10 : i32 to i32
+  %12 = scf.if %c -> i32 {
+    scf.yield %11 : i32
+  } else {
+    scf.yield %10 : i32
+  }
+  // expected-error @+2 {{'llvm.bitcast' reads floats from memory that derivatives are not followed through}}
+  // expected-note @+1 {{load it from a field or from an argument that is a memref of floats}}
+  %13 = llvm.bitcast %12 : i32 to f32
+  memref.store %13, %y[] : memref<f32>
+  return
+}
+
+// -----
+
+func.func @of_tensors(%p: memref<?xi32>, %y: memref<f32>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %0 = memref.load %p[%c0] : memref<?xi32>
+  %1 = tensor.from_elements %0, %0 : tensor<2xi32>
+  // expected-error @+2 {{'tensor.bitcast' reads floats from memory that derivatives are not followed through}}
+  // expected-note @+1 {{load it from a field or from an argument that is a memref of floats}}
+  %2 = tensor.bitcast %1 : tensor<2xi32> to tensor<2xf32>
+  %3 = tensor.extract %2[%c0] : tensor<2xf32>
+  memref.store %3, %y[] : memref<f32>
+  return
+}
+
+// -----
+
+// Structures and arrays of LLVM hold floats too, and memory behind a cast
+// pointer is that behind the pointer.
+func.func @structures(%p: !llvm.ptr, %y: memref<f64>) attributes {tai.differentiate} {
+  %q = llvm.addrspacecast %p : !llvm.ptr to !llvm.ptr<1>
+  // expected-error @+2 {{'llvm.load' reads floats from memory that derivatives are not followed through}}
+  // expected-note @+1 {{load it from a field}}
+  %0 = llvm.load %q : !llvm.ptr<1> -> !llvm.struct<(i32, array<2 x f64>)>
+  %1 = llvm.extractvalue %0[1, 0] : !llvm.struct<(i32, array<2 x f64>)>
+  memref.store %1, %y[] : memref<f64>
+  return
+}
+
+// -----
+
+// A constant of the module has no derivative; a variable of it may hold
+// anything.
+llvm.mlir.global constant @table(2.0 : f64) : f64
+llvm.mlir.global internal @state(2.0 : f64) : f64
+func.func @globals(%x: memref<f64>, %y: memref<f64>) attributes {tai.differentiate} {
+  %0 = memref.load %x[] : memref<f64>
+  %1 = llvm.mlir.addressof @table : !llvm.ptr
+  %2 = llvm.load %1 : !llvm.ptr -> f64
+  %3 = arith.mulf %0, %2 : f64
+  %4 = llvm.mlir.addressof @state : !llvm.ptr
+  // expected-error @+2 {{'llvm.load' reads floats from memory that derivatives are not followed through}}
+  // expected-note @+1 {{load it from a field}}
+  %5 = llvm.load %4 : !llvm.ptr -> f64
+  %6 = arith.mulf %3, %5 : f64
+  memref.store %6, %y[] : memref<f64>
+  return
+}

@@ -176,9 +176,8 @@ IndexExpr IndexBuilder::getRemainder(const IndexExpr &lhs,
   if (!rhs.isConstant() || rhs.constant <= 0)
     return IndexExpr(IndexNode{Kind::Remainder, lhs, rhs});
   Parts parts = takeMultiples(lhs, rhs.constant);
-  return parts.isDigit
-             ? parts.rest
-             : IndexExpr(IndexNode{Kind::Remainder, parts.rest, rhs});
+  return parts.isDigit ? parts.rest
+                       : IndexExpr(IndexNode{Kind::Remainder, parts.rest, rhs});
 }
 
 IndexExpr IndexBuilder::getQuotientOf(const IndexNode &rest) {
@@ -199,7 +198,8 @@ IndexExpr IndexBuilder::joinDigits(IndexExpr expr) {
     else
       multiple = IndexExpr(IndexNode{Kind::Product, node->rhs, quotient});
     bool isThere = llvm::all_of(
-        multiple.terms, [&, factor = factor](std::pair<IndexAtom, int64_t> term) {
+        multiple.terms,
+        [&, factor = factor](std::pair<IndexAtom, int64_t> term) {
           return !llvm::MulOverflow(factor, term.second, term.second) &&
                  llvm::is_contained(expr.terms, term);
         });

@@ -214,10 +214,9 @@ private:
     if (auto value = dyn_cast<Value>(folded.front()))
       set(op->getResult(0), values.at(value));
     else
-      set(op->getResult(0),
-          cast<IntegerAttr>(cast<Attribute>(folded.front()))
-              .getValue()
-              .getSExtValue());
+      set(op->getResult(0), cast<IntegerAttr>(cast<Attribute>(folded.front()))
+                                .getValue()
+                                .getSExtValue());
     return true;
   }
 
@@ -296,16 +295,16 @@ protected:
       emit("tai.load @x" + at + " : f32");
       return;
     case 2:
-      text += "tai.store " + any<std::string>({"%one", "%two", "%s"}) +
-              ", @x" + at + " : f32\n";
+      text += "tai.store " + any<std::string>({"%one", "%two", "%s"}) + ", @x" +
+              at + " : f32\n";
       return;
     case 3:
       text += "tai.store %s, @x" + at + " : f32\n";
       return;
     case 4: {
-      std::string old = emit("tai.atomic " +
-                             any<std::string>({"add", "sub", "max", "mul"}) +
-                             " %s, @x" + at + " : f32");
+      std::string old =
+          emit("tai.atomic " + any<std::string>({"add", "sub", "max", "mul"}) +
+               " %s, @x" + at + " : f32");
       if (chance(25))
         text += "tai.print \"{}\"(" + old + ") : f32\n";
       return;
@@ -333,14 +332,13 @@ protected:
       return emit("arith.xori " + makeCondition() + ", %true : i1");
     if (chance(8)) {
       std::string first = makeCondition(), second = makeCondition();
-      return emit("arith.select " + first +
-                  (chance(50) ? ", " + second + ", %false"
-                              : ", %true, " + second) +
-                  " : i1");
+      return emit(
+          "arith.select " + first +
+          (chance(50) ? ", " + second + ", %false" : ", %true, " + second) +
+          " : i1");
     }
-    std::string predicate = any<std::string>({"eq", "ne", "slt", "sle", "sgt",
-                                              "sge", "ult", "ule", "ugt",
-                                              "uge"});
+    std::string predicate = any<std::string>(
+        {"eq", "ne", "slt", "sle", "sgt", "sge", "ult", "ule", "ugt", "uge"});
     std::string lhs = chance(60) ? anyIndex() : makeIndex();
     std::string rhs = chance(60) ? constant(pick(-1, 4)) : makeIndex();
     return emit("arith.cmpi " + predicate + ", " + lhs + ", " + rhs +
@@ -366,26 +364,24 @@ protected:
         // Counts up in the first region or in the second.
         std::string first = name(), passed = name();
         std::string init = chance(60) ? constant(pick(0, 2)) : anyIndex();
-        text += "scf.while (" + first + " = " + init +
-                ") : (index) -> index {\n";
+        text +=
+            "scf.while (" + first + " = " + init + ") : (index) -> index {\n";
         indices.push_back(first);
         if (chance(40))
           makeAccess();
-        std::string next = chance(30)
-                               ? emit("arith.addi " + first + ", %c1 : index")
-                               : first;
+        std::string next =
+            chance(30) ? emit("arith.addi " + first + ", %c1 : index") : first;
         std::string more = emit("arith.cmpi slt, " + next + ", " +
                                 constant(pick(1, 5)) + " : index");
-        text += "scf.condition(" + more + ") " + next + " : index\n} do {\n^bb0(" +
-                passed + ": index):\n";
+        text += "scf.condition(" + more + ") " + next +
+                " : index\n} do {\n^bb0(" + passed + ": index):\n";
         indices.resize(outer);
         indices.push_back(passed);
         makeBlock(depth - 1, 2);
         indices.resize(outer);
         indices.push_back(passed);
-        std::string last =
-            emit("arith.addi " + passed + ", " + constant(pick(1, 2)) +
-                 " : index");
+        std::string last = emit("arith.addi " + passed + ", " +
+                                constant(pick(1, 2)) + " : index");
         text += "scf.yield " + last + " : index\n}\n";
       } else if (kind <= 4) {
         text += "scf.if " + makeCondition() + " {\n";
@@ -425,8 +421,8 @@ protected:
     if (isAround) {
       std::string lower = constant(0), upper = constant(pick(1, 3));
       std::string iv = name();
-      text += "scf.for " + iv + " = " + lower + " to " + upper +
-              " step %c1 {\n";
+      text +=
+          "scf.for " + iv + " = " + lower + " to " + upper + " step %c1 {\n";
       indices.push_back(iv);
     }
     for (int64_t loops = chance(70) ? 1 : 2; loops > 0; --loops) {
@@ -436,9 +432,9 @@ protected:
         bounds[2 + d] = chance(85) ? constant(pick(1, 5)) : "%n_index";
       }
       std::string i = name(), j = name();
-      text += "tai.parallel_for (" + i + ", " + j + ") = (" + bounds[0] +
-              ", " + bounds[1] + ") to (" + bounds[2] + ", " + bounds[3] +
-              ")" + (chance(25) ? " serialize" : "") + " {\n";
+      text += "tai.parallel_for (" + i + ", " + j + ") = (" + bounds[0] + ", " +
+              bounds[1] + ") to (" + bounds[2] + ", " + bounds[3] + ")" +
+              (chance(25) ? " serialize" : "") + " {\n";
       size_t outer = indices.size();
       indices.insert(indices.end(), {i, j, i, j});
       makeBlock(2, 3);
@@ -533,14 +529,16 @@ TEST_F(IterationsTest, PairsOfAccesses) {
       for (DifferentiableAccessInterface b : accesses) {
         if (getStorageKey(a) != getStorageKey(b))
           continue;
-        auto loop = dyn_cast_if_present<ParallelForOp>(getEnclosingParallelLoop(a));
+        auto loop =
+            dyn_cast_if_present<ParallelForOp>(getEnclosingParallelLoop(a));
         bool isOfOne = loop && getEnclosingParallelLoop(b) == loop;
         if (Operation *race = findRace(a, b)) {
           ++races;
           ASSERT_TRUE(meetIn(race, a, b)) << show(a) << show(b);
         }
-        if (isOfOne && !mayMeet(loop, {a.getAccessIndices(), a.getAccessComponents()},
-                                {b.getAccessIndices(), b.getAccessComponents()})) {
+        if (isOfOne &&
+            !mayMeet(loop, {a.getAccessIndices(), a.getAccessComponents()},
+                     {b.getAccessIndices(), b.getAccessComponents()})) {
           ++apart;
           ASSERT_FALSE(meetIn(loop, a, b)) << show(a) << show(b);
         }
@@ -617,10 +615,9 @@ TEST_F(IterationsTest, PairsOfAccesses) {
             return op.getKind() == AtomicKind::Add ||
                    op.getKind() == AtomicKind::Sub;
           };
-          bool areUpdates = x && y && x.getOld().use_empty() &&
-                            y.getOld().use_empty() &&
-                            (x.getKind() == y.getKind() ||
-                             (isSum(x) && isSum(y)));
+          bool areUpdates =
+              x && y && x.getOld().use_empty() && y.getOld().use_empty() &&
+              (x.getKind() == y.getKind() || (isSum(x) && isSum(y)));
           EXPECT_TRUE(areReads || areEqualStores || areUpdates)
               << show(a) << show(b);
         }
@@ -630,7 +627,8 @@ TEST_F(IterationsTest, PairsOfAccesses) {
       for (DifferentiableAccessInterface b : accesses) {
         if (a->getBlock() != b->getBlock())
           continue;
-        bool areEqual = areProvablyEqual(a.getAccessIndices(), b.getAccessIndices());
+        bool areEqual =
+            areProvablyEqual(a.getAccessIndices(), b.getAccessIndices());
         bool areDistinct =
             areProvablyDistinct(a.getAccessIndices(), b.getAccessIndices());
         equal += areEqual, distinct += areDistinct;
