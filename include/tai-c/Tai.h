@@ -304,11 +304,6 @@ TAI_EXPORT void taiExportedBufferRelease(TaiExportedBuffer buffer);
 /// Call when another library writes to an exported field. Fails while a tape
 /// records.
 TAI_EXPORT TaiStatus taiFieldNoteWrite(TaiField field);
-/// The former names of these, for one release.
-typedef TaiExportedBuffer TaiLoan;
-TAI_EXPORT TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory,
-                                  TaiLoan *loan);
-TAI_EXPORT void taiLoanEnd(TaiLoan loan);
 /// WaitForStream makes later work of the context wait for the work now in a
 /// CUDA stream; LetStreamWait is the other way round. 0 is the default stream.
 /// No effect without a GPU.
@@ -634,8 +629,7 @@ typedef struct TaiSkipRow {
   const char *skip;    // a name for the option "skip"
   const char *counter; // "bytes…" for an amount of memory
   int64_t value;
-  int on;             // whether the skip is on
-  const char *former; // the former name of the skip, which is accepted too
+  int on; // whether the skip is on
 } TaiSkipRow;
 /// All counters since the last clear; owned by the context, valid until the
 /// next call. Amounts of memory in use are current ones.

@@ -31,12 +31,6 @@ TaiStatus taiFieldExport(TaiField field, TaiFieldMemory *memory,
 
 void taiExportedBufferRelease(TaiExportedBuffer buffer) { delete buffer; }
 
-TaiStatus taiFieldLend(TaiField field, TaiFieldMemory *memory, TaiLoan *loan) {
-  return taiFieldExport(field, memory, loan);
-}
-
-void taiLoanEnd(TaiLoan loan) { taiExportedBufferRelease(loan); }
-
 TaiStatus taiFieldNoteWrite(TaiField field) {
   return call(field->context, [&]() -> TaiStatus {
     TaiContextImpl &context = field->context;

@@ -18,8 +18,7 @@ TaiStatus taiProfilerSkips(TaiContext context, const TaiSkipRow **rows,
     for (unsigned i = 0; i < kNumSkipCounts; ++i) {
       Skip skip = kSkipCounts[i].skip;
       context->skipRows.push_back({getSkipName(skip), kSkipCounts[i].name,
-                                   amounts[i], runtime.skips(skip),
-                                   getFormerSkipName(skip)});
+                                   amounts[i], runtime.skips(skip)});
     }
     *rows = context->skipRows.data();
     *count = context->skipRows.size();

@@ -54,7 +54,7 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
   adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());
   adjoint.arrayAdjoints = options.arrayAdjoints;
   adjoint.historyBytes = options.historyBytes;
-  adjoint.zeroOverwritten = options.zeroOverwritten || options.takes;
+  adjoint.zeroOverwritten = options.zeroOverwritten;
   adjoint.storedOutputs = options.storedOutputs;
   adjoint.deterministic = options.deterministic;
   adjoint.skip = options.skip;

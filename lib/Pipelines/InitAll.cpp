@@ -6,7 +6,6 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/InitAll.h"
-#include "FormerNames.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
 #include "mlir/Dialect/Func/Extensions/InlinerExtension.h"
@@ -50,7 +49,6 @@ void tai::registerAllPasses() {
   registerAutodiffPipeline();
   registerToLLVMPipeline();
   registerToNVVMPipeline();
-  registerFormerNames();
 }
 
 void tai::buildPipeline(OpPassManager &pm, const ToLLVMOptions &options) {

@@ -764,7 +764,7 @@ void taipy::bindRuntime(py::module_ &module) {
              py::list result;
              for (const TaiSkipRow *row = rows; row != rows + count; ++row)
                result.append(py::make_tuple(row->skip, row->counter, row->value,
-                                            bool(row->on), row->former));
+                                            bool(row->on)));
              return result;
            })
       .def("clear_skips",

@@ -135,8 +135,6 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
            "the loop are run once more">,
     Option<"zeroOverwritten", "zero-overwritten", "bool", /*default=*/"false",
            "Leave zero in the adjoints of all that a kernel stores">,
-    Option<"takes", "takes", "bool", /*default=*/"false",
-           "The former name of zero-overwritten">,
     Option<"storedOutputs", "stored-outputs", "bool", /*default=*/"false",
            "Make the forms of adjoints that load what kernels have stored">,
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",

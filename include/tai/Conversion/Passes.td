@@ -118,8 +118,7 @@ def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
     that runs one partition of its iterations, passed to the runtime with a
     closure of its captured values; a loop too small to be worth a fork stays
     inline. Host functions become `i32 @name(ptr frame)` too, and their launches
-    calls of the runtime. See tai/ABI/Abi.h. Control flow stays in `scf`. The
-    pass can also be called `convert-tai-to-host`.
+    calls of the runtime. See tai/ABI/Abi.h. Control flow stays in `scf`.
   }];
   let options = [
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",

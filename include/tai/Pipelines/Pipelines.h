@@ -32,7 +32,6 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
     flatten = other.flatten.getValue();
     arrayAdjoints = other.arrayAdjoints.getValue();
     zeroOverwritten = other.zeroOverwritten.getValue();
-    takes = other.takes.getValue();
     storedOutputs = other.storedOutputs.getValue();
 #define TAI_AUTODIFF_OPTION(type, member, from, argument, initial, about)      \
   member = other.member.getValue();
@@ -62,9 +61,6 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
           "Make the form of adjoints that leaves zero in the adjoints "
           "of all that kernels store"),
       llvm::cl::init(false)};
-  Option<bool> takes{*this, "takes",
-                     llvm::cl::desc("The former name of zero-overwritten"),
-                     llvm::cl::init(false)};
   Option<bool> storedOutputs{
       *this, "stored-outputs",
       llvm::cl::desc(

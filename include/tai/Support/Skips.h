@@ -25,7 +25,7 @@
 namespace mlir::tai {
 
 enum class Skip : uint8_t {
-#define TAI_SKIP(skip, name, former, about) skip,
+#define TAI_SKIP(skip, name, about) skip,
 #include "tai/Support/Skips.def"
 };
 
@@ -36,12 +36,10 @@ enum class SkipCount : uint8_t {
 
 struct SkipInfo {
   const char *name;
-  /// Its former name, which is accepted too.
-  const char *former;
   const char *about;
 };
 inline constexpr SkipInfo kSkips[] = {
-#define TAI_SKIP(skip, name, former, about) {name, former, about},
+#define TAI_SKIP(skip, name, about) {name, about},
 #include "tai/Support/Skips.def"
 };
 inline constexpr unsigned kNumSkips = sizeof(kSkips) / sizeof(kSkips[0]);
@@ -59,10 +57,6 @@ inline constexpr unsigned kNumSkipCounts =
 
 inline constexpr const char *getSkipName(Skip skip) {
   return kSkips[static_cast<unsigned>(skip)].name;
-}
-
-inline constexpr const char *getFormerSkipName(Skip skip) {
-  return kSkips[static_cast<unsigned>(skip)].former;
 }
 
 /// The skips that are on.
@@ -114,8 +108,7 @@ public:
         named = all();
       } else if (word != "none") {
         unsigned i = 0;
-        while (i < kNumSkips && word != kSkips[i].name &&
-               word != kSkips[i].former)
+        while (i < kNumSkips && word != kSkips[i].name)
           ++i;
         if (i == kNumSkips) {
           error = "there is no skip '" + std::string(word) +

@@ -300,7 +300,7 @@ struct MakeAdjoint
     }
     FunctionOpInterface shell = createShell(function, name, *signature);
     bool zeroesAll =
-        (zeroOverwritten || takes) && isa<KernelOp>(function.getOperation());
+        zeroOverwritten && isa<KernelOp>(function.getOperation());
     if (zeroesAll)
       cast<KernelOp>(shell.getOperation()).setZeroesAdjoint(true);
     if (deterministic)

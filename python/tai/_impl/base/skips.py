@@ -20,7 +20,7 @@ def format_bytes(count: int) -> str:
 class Skips(dict):
     """Counters by the name of the skip: `skips()["unchanged-lists"]["reused"]`.
 
-    `str` makes a table of them. Former names of skips, such as "list-reuse", are read as well.
+    `str` makes a table of them.
 
     Attributes:
         on: the names of the skips that are on.
@@ -28,21 +28,14 @@ class Skips(dict):
             `made` and `reused`.
     """
 
-    def __init__(self, rows: list[tuple[str, str, int, bool, str]]):
+    def __init__(self, rows: list[tuple[str, str, int, bool]]):
         super().__init__()
         self.on: set[str] = set()
         self.levels: dict[str, dict[str, int]] = {}
-        self._former: dict[str, str] = {}
-        for skip, counter, value, is_on, former in rows:
-            self._former[former] = skip
+        for skip, counter, value, is_on in rows:
             self.setdefault(skip, {})[counter] = value
             if is_on:
                 self.on.add(skip)
-
-    def __missing__(self, name: str) -> dict[str, int]:
-        if name in self._former and self._former[name] in self:
-            return self[self._former[name]]
-        raise KeyError(name)
 
     def __str__(self) -> str:
         lines = []
