@@ -89,7 +89,7 @@ int main(void) {
   const TaiSkipRow *rows, *olderRows, *newerRows;
   int64_t count, older, newer;
   REQUIRE(!taiProfilerSkips(context, &rows, &count));
-  REQUIRE(count > 10 && rows[count - 1].former != NULL);
+  REQUIRE(count > 10 && rows[count - 1].skip != NULL);
   char last[100];
   snprintf(last, sizeof(last), "%s", rows[count - 1].counter);
   REQUIRE(!taiProfilerSkipsSized(context, &olderRows, &older, sizeof(OldRow)));

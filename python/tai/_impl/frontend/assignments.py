@@ -141,6 +141,8 @@ class Assignments(Part):
             raise TaiTypeError("structs have no arithmetic", "compute with their members")
         value = self.expressions.number(value)
         refuse_truth_arithmetic(op, place.dt)
+        if op in "+-":
+            self.checks.warn_of_stopped_counter(node, place, value)
         if op in _ATOMIC_ASSIGN and place.dt.is_float and op in "&|^":
             raise TaiTypeError(f"'{op}=' takes whole numbers, but the target holds {place.dt}")
         if op not in _ATOMIC_ASSIGN or isinstance(place, VariablePlace):

@@ -3,6 +3,7 @@ runs later, and calls whose result would be frozen into the kernel."""
 
 from __future__ import annotations
 
+import ast
 import builtins
 import warnings
 from collections import deque
@@ -21,7 +22,7 @@ from ..values.misuse import describe_misuse, misuse_hint
 from ..values.value import Value
 from .compile_time import CompileTime
 from .context import Context, Part
-from .refs import ArrayArgument, Place
+from .refs import ArrayArgument, Place, VariablePlace
 from .sparse import ListElement
 from .structs import StructPlace, StructValue
 
@@ -238,6 +239,38 @@ class Checks(Part):
             + ", or pass the answer as an argument; ti.static(…) says that once is meant",
         )
 
+    def warn_of_stopped_counter(self, node: ast.stmt, place: Place, value: Any) -> None:
+        """Says that steps of one size end in a number whose neighbours are farther than a step.
+
+        Args:
+            node: the statement `target += value`.
+        """
+        bits = _DIGITS.get(place.dt.name)
+        step = value.const if isinstance(value, Value) else value
+        if bits is None or not isinstance(step, (int, float)) or not step:
+            return
+        names = {n.id for n in ast.walk(node.target) if isinstance(n, ast.Name)}  # type: ignore
+        trips = 1.0
+        for loop in self.frame.loops:
+            if loop.kind not in ("for", "while"):
+                continue
+            if isinstance(place, VariablePlace):
+                repeats = any(variable is place.variable for variable in loop.carried)
+            else:
+                repeats = names.isdisjoint(loop.names)
+            trips *= loop.trips if repeats else 1
+        if trips <= 2**bits:
+            return
+        end = abs(step) * 2**bits
+        text = (
+            f"kernel '{self.context.kernel_name}': this sum of steps of {step:g} in {place.dt} "
+            f"stops growing at about {end:g}: from there on, {place.dt} has no number a step away\n"
+            "  hint: count in ti.i32 or add in ti.f32, and convert at the end"
+        )
+        warnings.warn_explicit(
+            text, TaiCompilationWarning, self.frame.filename, node.lineno, registry=_shown
+        )
+
     def warn_of_fraction(self, what: str) -> None:
         """Says once for each line that a float is stored in a whole number."""
         node, frame = self.context.diagnostics.last_node, self.frame
@@ -250,4 +283,6 @@ class Checks(Part):
         )
 
 
+# Digits of the types that a counter may leave, in bits: a sum of 2^bits steps takes no more.
+_DIGITS = {"f16": 11, "bf16": 8}
 _shown: dict = {}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import ast
 import builtins
 import functools
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ...errors import TaiNameError, did_you_mean
@@ -44,12 +45,17 @@ class Loop:
         kind: `parallel`, `for`, `while` or `static`.
         depth: how many regions of the IR enclose its body.
         broken, skipped: flags that `break` and `continue` set, or None where the body has none.
+        trips: iterations of a serial loop, infinite if only the run knows.
+        names, carried: its indices, and the variables that its body changes.
     """
 
     def __init__(self, kind: str, depth: int):
         self.kind, self.depth = kind, depth
         self.broken: Variable | None = None
         self.skipped: Variable | None = None
+        self.trips = math.inf
+        self.names: Sequence[str] = ()
+        self.carried: Sequence[Variable] = ()
 
 
 def _is_static(node: ast.AST) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 from typing import Any
 
 from ...errors import TaiSyntaxError
@@ -15,7 +16,7 @@ from .refs import Variable
 from .regions import Regions
 from .returns import Returns
 from .scope import Loop
-from .serial_work import SerialWork
+from .serial_work import SerialWork, count_trips
 from .source import own_exits
 
 
@@ -67,6 +68,8 @@ class SerialLoops(Part):
         self.frame.loops.append(loop)
         variables = self.regions.changed_by(node.body)
         self.frame.loops.pop()
+        loop.trips = count_trips(low, high, bounds.step, unknown=math.inf)
+        loop.names, loop.carried = names, variables
         begin, end = emitter.to_index(low), emitter.to_index(high)
         work = self.serial_work.work
         has_step = isinstance(bounds.step, Value) or bounds.step != 1

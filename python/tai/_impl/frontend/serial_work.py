@@ -34,7 +34,7 @@ class SerialWork(Part):
 
     def end_serial(self, before: float, low: Any, high: Any, step: Any, node: ast.For) -> None:
         """A serial loop has been compiled; before it, there was so much work."""
-        self.repeat(before, _trips(low, high, step, unknown=1), node)
+        self.repeat(before, count_trips(low, high, step, unknown=1), node)
 
     def repeat(self, before: float, trips: float, node: ast.For) -> None:
         """The work since then is done so many times."""
@@ -63,7 +63,7 @@ class SerialWork(Part):
         if bounds is None:
             return math.prod(shape)
         pairs = zip(bounds.lower, bounds.upper, strict=True)
-        return math.prod(_trips(low, high, bounds.step, math.inf) for low, high in pairs)
+        return math.prod(count_trips(low, high, bounds.step, math.inf) for low, high in pairs)
 
     def _warn(self, work: float, node: ast.For) -> None:
         text = (
@@ -77,7 +77,8 @@ class SerialWork(Part):
         )
 
 
-def _trips(low: Any, high: Any, step: Any, unknown: float) -> float:
+def count_trips(low: Any, high: Any, step: Any, unknown: float) -> float:
+    """The iterations of a range; `unknown` if a bound is computed by the kernel."""
     if any(isinstance(part, Value) for part in (low, high, step)):
         return unknown
     return max(0, math.ceil((high - low) / abs(step)))

@@ -44,7 +44,7 @@ class WhileLoops(Part):
         self.frame.loops.append(loop)
         # The condition may call a function that changes a variable.
         test = ast.copy_location(ast.Expr(node.test), node.test)
-        variables = self.regions.changed_by([test], node.body)
+        variables = loop.carried = self.regions.changed_by([test], node.body)
         self.frame.loops.pop()
         self._carried_while(loop, variables, condition, node)
         # Without a condition and `break`, only `return` leaves it.
