@@ -299,8 +299,7 @@ struct MakeAdjoint
       return diag;
     }
     FunctionOpInterface shell = createShell(function, name, *signature);
-    bool zeroesAll =
-        zeroOverwritten && isa<KernelOp>(function.getOperation());
+    bool zeroesAll = zeroOverwritten && isa<KernelOp>(function.getOperation());
     if (zeroesAll)
       cast<KernelOp>(shell.getOperation()).setZeroesAdjoint(true);
     if (deterministic)
