@@ -322,7 +322,7 @@ TAI_EXPORT TaiStatus taiContextCopyOnDevice(TaiContext context, void *to,
                                             const void *from, int64_t bytes);
 /// Copies `rows` pieces of `bytes` bytes each from the GPU's memory to the
 /// host, in order with launches. Each begins `step` bytes behind the one
-/// before, a multiple of 16.
+/// before.
 TAI_EXPORT TaiStatus taiContextReadOnDevice(TaiContext context,
                                             const void *from, int64_t step,
                                             int64_t bytes, int64_t rows,

@@ -9,6 +9,9 @@
 #include "ArrayArguments.h"
 #include "TensorView.h"
 
+#include <algorithm>
+#include <array>
+#include <cstring>
 #include <utility>
 #include <vector>
 
@@ -16,9 +19,33 @@ using namespace taipy;
 
 namespace {
 
+/// Elements of `size` bytes, `step` bytes apart. Those of other fields may lie
+/// in between.
 struct View {
-  uint64_t begin, bytes, digest;
+  uint64_t begin, size, step, count;
   bool isOnDevice;
+  uint64_t digest = 0;
+
+  /// The pieces that are compared: all elements, or some all over the field.
+  View sampled() const {
+    constexpr uint64_t bytes = 2048, alignment = 16;
+    if (count * size <= bytes)
+      return *this;
+    View some = *this;
+    if (step == size) {
+      // Pieces of several elements, which a device copies by aligned words.
+      constexpr uint64_t piece = 64;
+      some.count = bytes / piece;
+      some.step =
+          (count * size - piece) / (some.count - 1) / alignment * alignment;
+      some.size = piece;
+    } else {
+      some.count = std::max<uint64_t>(bytes / size, 2);
+      some.step = (count - 1) / (some.count - 1) * step;
+    }
+    return some;
+  }
+  bool isDense() const { return count == 1 || step == size; }
 };
 
 /// The views that a thread watches while it records.
@@ -40,11 +67,24 @@ struct Watched {
     return count ? PyLong_AsLongLong(count.ptr()) : -1;
   }
   /// False if a Python exception has been raised.
-  bool digestOf(const View &view, uint64_t &result) {
-    if (view.isOnDevice)
-      return digestOnDevice(view, result);
-    result = looksAtAll ? digest(view.begin, view.bytes)
-                        : sample(view.begin, view.bytes);
+  bool digestOf(const View &whole, uint64_t &result) {
+    View view = looksAtAll ? whole : whole.sampled();
+    uint64_t bytes = view.count * view.size;
+    if (view.isDense() && !view.isOnDevice) {
+      result = digest(view.begin, bytes);
+      return true;
+    }
+    copy.resize(bytes);
+    if (view.isOnDevice) {
+      if (!readOnDevice(view))
+        return false;
+    } else {
+      for (uint64_t i = 0; i < view.count; ++i)
+        std::memcpy(copy.data() + i * view.size,
+                    reinterpret_cast<const char *>(view.begin) + i * view.step,
+                    view.size);
+    }
+    result = digest(reinterpret_cast<uint64_t>(copy.data()), bytes);
     return true;
   }
   bool isComparable() const {
@@ -78,26 +118,20 @@ struct Watched {
 
 private:
   /// The host waits for the device, which costs some microseconds for a sample.
-  bool digestOnDevice(const View &view, uint64_t &result) {
-    constexpr uint64_t pieces = 32, size = 64, alignment = 16;
-    bool isWhole = looksAtAll || view.bytes <= pieces * size;
-    uint64_t rows = isWhole ? 1 : pieces, bytes = isWhole ? view.bytes : size;
-    uint64_t step =
-        isWhole ? 0
-                : (view.bytes - size) / (pieces - 1) / alignment * alignment;
-    copy.resize(rows * bytes);
+  bool readOnDevice(const View &view) {
+    bool isDense = view.isDense();
+    uint64_t bytes = isDense ? view.count * view.size : view.size;
     TaiStatus status = taiContextReadOnDevice(
         context->handle, reinterpret_cast<const void *>(view.begin),
-        static_cast<int64_t>(step), static_cast<int64_t>(bytes),
-        static_cast<int64_t>(rows), copy.data());
+        isDense ? 0 : static_cast<int64_t>(view.step),
+        static_cast<int64_t>(bytes),
+        isDense ? 1 : static_cast<int64_t>(view.count), copy.data());
     if (!afterCall())
       return false;
-    if (status != TAI_OK) {
-      setError(context->handle, status);
-      return false;
-    }
-    result = digest(reinterpret_cast<uint64_t>(copy.data()), copy.size());
-    return true;
+    if (status == TAI_OK)
+      return true;
+    setError(context->handle, status);
+    return false;
   }
 };
 /// Not an object itself: a thread ends without Python's lock.
@@ -116,13 +150,14 @@ bool taipy::renewViews() {
 }
 
 void taipy::bindWatchedViews(py::module_ &module) {
-  // The caller keeps the memory, until it calls this with no views. Some
-  // launches may have been recorded.
+  // The caller keeps the memory, until it calls this with no views. Each has an
+  // address, the bytes of an element and from one to the next, and a count.
+  // Some launches may have been recorded.
   module.def(
       "watch_views",
       [](const py::object &tape,
-         const std::vector<std::pair<uint64_t, uint64_t>> &memory,
-         bool looksAtAll, const ContextRef &context, bool hasLaunched) {
+         const std::vector<std::array<uint64_t, 4>> &memory, bool looksAtAll,
+         const ContextRef &context, bool hasLaunched) {
         delete std::exchange(watched, nullptr);
         if (memory.empty())
           return;
@@ -130,12 +165,12 @@ void taipy::bindWatchedViews(py::module_ &module) {
         made->tape = tape;
         made->context = context;
         made->looksAtAll = looksAtAll;
-        for (auto [begin, bytes] : memory) {
+        for (auto [begin, size, step, count] : memory) {
           bool isOnDevice = taiContextIsOnDevice(
               context->handle, reinterpret_cast<const void *>(begin));
           if (!afterCall())
             throw py::error_already_set();
-          made->views.push_back({begin, bytes, 0, isOnDevice});
+          made->views.push_back({begin, size, step, count, isOnDevice});
         }
         if (hasLaunched && !made->renew())
           throw py::error_already_set();

@@ -1,4 +1,4 @@
-"""Copies of NumPy arrays in pieces give what one call of NumPy gives."""
+"""Copies of NumPy arrays in pieces give the numbers that one call of NumPy gives."""
 
 import numpy as np
 import pytest

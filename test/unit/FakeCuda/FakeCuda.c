@@ -639,7 +639,7 @@ NOT_COUNTED static Result launch(const char *function, unsigned blocks,
   setLaunch(&node, function, blocks, threads, parameters);
   return submit(&node);
 }
-/// Those of a block of the last launch.
+/// The threads of a block of the last launch.
 int tai_fake_cuda_threads;
 enum { LaunchOutOfResources = 701 };
 Result cuLaunchKernel(void *function, unsigned blocks, unsigned by, unsigned bz,

@@ -113,7 +113,11 @@ def made_of(address: int, size: int, pairs: Iterable[tuple[int, int]]) -> Extent
     steps = [(n - 1, step) for n, step in pairs if n > 1 and step]
     begin = address + sum(n * step for n, step in steps if step < 0)
     end = address + size + sum(n * step for n, step in steps if step > 0)
-    step = math.gcd(*(step for _, step in steps)) if steps else size
+    # Elements that lie beside each other, such as components of a vector, are one.
+    apart = sorted((abs(step), n + 1) for n, step in steps)
+    while apart and apart[0][0] == size:
+        size *= apart.pop(0)[1]
+    step = math.gcd(*(step for step, _ in apart)) if apart else size
     return Extent(begin, end, step, size)
 
 

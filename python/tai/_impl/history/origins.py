@@ -37,8 +37,9 @@ _MOST_SITES = 4096
 class _OfThread(threading.local):
     def __init__(self) -> None:
         self.watches = False
-        # The code that has opened the tape.
+        # The code that has opened the tape, and the line in which it has.
         self.recording: Any = None
+        self.opened = 0
         # Fields that other libraries have views of, and the owners of their memory; the core of
         # the tape that watches them, and whether it compares all of them.
         self.views: list[tuple[Any, Any]] = []
@@ -58,7 +59,7 @@ def begin() -> None:
 def end() -> None:
     """Nothing is recorded or followed any more."""
     marks.clear()
-    _of_thread.watching = None
+    _of_thread.watching, _of_thread.opened = None, 0
     if _of_thread.views:
         native.watch_views(None, [], False, None, False)
         _of_thread.views.clear()
@@ -116,6 +117,7 @@ def note_tape(tape: Any, looks_at_all: bool) -> None:
     """
     frame = calling_frame()
     _of_thread.recording = None if frame is None else frame.f_code
+    _of_thread.opened = 0 if frame is None else frame.f_lineno
     _of_thread.watching = (tape, looks_at_all)
     if marks.has_views():
         begin()
@@ -135,7 +137,8 @@ def _watch_views() -> None:
         if has_history(field):
             known = former.get(id(field))
             views.append(known or (field, field._lend_memory()))
-            memory.append((extent.begin, extent.end - extent.begin))
+            count = (extent.end - extent.begin - extent.size) // extent.step + 1
+            memory.append((extent.begin, extent.size, extent.step, count))
     native.watch_views(tape, memory, looks_at_all, program.context, tape.records > 0)
     _of_thread.views = views
 
@@ -225,7 +228,7 @@ def is_new_place(frame: Any, what: Any) -> bool:
 
 
 def _read(frame: Any) -> Reading:
-    return Reading(frame, _of_thread.recording)
+    return Reading(frame, _of_thread.recording, _of_thread.opened)
 
 
 def _settle(frame: Any, what: Any, reading: Reading, has_warned: bool) -> None:

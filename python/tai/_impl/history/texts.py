@@ -71,6 +71,22 @@ def _find_body(filename: str, line: int, name: str) -> ast.AST | None:
     return module if name.startswith("<") else None
 
 
+def _block_of(body: ast.AST, line: int) -> ast.AST | None:
+    """The block of the `with` statement in a line, if there is one.
+
+    Numbers from outside of it were computed before the tape began, be it in an earlier round of a
+    loop: they belong to the point at which one differentiates.
+    """
+    found: ast.AST | None = None
+    for node in ast.walk(body):
+        if not isinstance(node, (ast.With, ast.AsyncWith)):
+            continue
+        heads = [node.lineno, *(i.context_expr.end_lineno or node.lineno for i in node.items)]
+        if min(heads) <= line <= max(heads):
+            found = ast.Module(node.body, [])
+    return found
+
+
 def _own_nodes(body: ast.AST | None) -> Iterator[ast.AST]:
     """The nodes of a text, but for those of functions that it defines."""
     waiting = [] if body is None else [body]
@@ -107,14 +123,15 @@ class Reading:
         asks_callers: whether an answer depends on the arguments that callers have given.
     """
 
-    def __init__(self, frame: Any, recording: Any):
+    def __init__(self, frame: Any, recording: Any, opened: int = 0):
         """
         Args:
             frame: of the place.
             recording: the code that has opened the tape.
+            opened: the line in which it has; 0 if none is open.
         """
         self.asks_callers = False
-        self._recording = recording
+        self._recording, self._opened = recording, opened
         self._frames = [frame, *callers(frame, recording)]
         self._scopes: dict[int, Scope] = {}
         self._kept: dict[int, float] | None = None
@@ -130,6 +147,8 @@ class Reading:
             frame = self._frames[number]
             code = frame.f_code
             body = _find_body(code.co_filename, code.co_firstlineno, code.co_name)
+            if body is not None and code is self._recording:
+                body = _block_of(body, self._opened) or body
             names = [frame.f_locals, frame.f_globals, vars(builtins)]
             scope = self._scopes[number] = Scope(self, body, names, _DEPTH, caller=number)
             scope.spread()
