@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 # Tables with a column "commit", whose first column names the row.
-TABLES = ("reliability-cpu", "reliability-gpu", "coverage", "mutants")
+TABLES = ("reliability-cpu", "reliability-gpu", "interrupts", "coverage", "mutants")
 OLD = 200
 
 

@@ -19,8 +19,8 @@ using namespace taipy;
 
 namespace {
 
-/// Elements of `size` bytes, `step` bytes apart. Those of other fields may lie
-/// in between.
+/// Elements of `size` bytes, `step` bytes apart. Elements of other fields may
+/// lie in between.
 struct View {
   uint64_t begin, size, step, count;
   bool isOnDevice;

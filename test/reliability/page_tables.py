@@ -1,4 +1,4 @@
-"""The tables of docs/reliability.md beside that of the bars: coverage, and mutants."""
+"""The tables of docs/reliability.md beside that of the bars: interrupts, coverage, mutants."""
 
 from __future__ import annotations
 
@@ -6,6 +6,13 @@ import csv
 from collections.abc import Callable
 from pathlib import Path
 
+INTERRUPTS = """\
+## Interrupts of large copies
+
+`test/reliability/interrupt_latency.py` sends SIGINT at random moments of an operation and counts the
+time to the `KeyboardInterrupt`. The operation takes `whole` without an interrupt. A sweep that is
+interrupted puts the last values back before it answers.
+"""
 COVERAGE = """\
 ## Coverage
 
@@ -42,6 +49,15 @@ def table(columns: list[str], rows: list[list[str]]) -> list[str]:
 def origin(row: dict[str, str], show_age: Callable[[list[str]], str]) -> list[str]:
     where = f"{row['date']}, {row['machine']}, {row['commit']}"
     return [where, show_age(row["commit"].split())]
+
+
+def interrupts(path: Path, show_age: Callable[[list[str]], str]) -> list[str]:
+    rows = [[row["operation"], row["where"], row["mb"], f"{row['takes_ms']} ms",
+             f"{row['median_ms']} ms", f"{row['worst_ms']} ms", row["interrupts"],
+             *origin(row, show_age)] for row in read(path)]  # fmt: skip
+    columns = ["operation", "on", "MB", "whole", "median", "worst", "interrupts",
+               "date, machine, commit", "commits since"]  # fmt: skip
+    return ["", INTERRUPTS, *table(columns, rows)] if rows else []
 
 
 def coverage(path: Path, show_age: Callable[[list[str]], str]) -> list[str]:

@@ -310,6 +310,7 @@ def make_page() -> str:
         lines.append(make_row(name, said, cpu.get(name), gpu.get(name)))
         misses.append(f"| {name} | {said['miss']} |")
     lines += ["", "The meaning of one miss:", "", "| bar | a miss |", "|---|---|", *misses]
+    lines += page_tables.interrupts(RESULTS["cpu"].with_name("interrupts.csv"), show_age)
     lines += page_tables.coverage(RESULTS["cpu"].with_name("coverage.csv"), show_age)
     lines += page_tables.mutants(RESULTS["cpu"].with_name("mutants.csv"), show_age)
     return "\n".join([*lines, ""])
