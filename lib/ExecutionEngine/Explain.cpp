@@ -134,11 +134,30 @@ static void describeMemory(llvm::raw_ostream &os, ModuleOp module,
     os << "  the kernel is run again, before its gradient, on what was saved\n";
 }
 
+/// The updates of the kernel that parallel loops do.
+static void describeUpdates(llvm::raw_ostream &os,
+                            ArrayRef<KeptRemark> remarks) {
+  for (const KeptRemark &remark : remarks) {
+    if (remark.category != "tai-reductions")
+      continue;
+    StringRef field = remark.get("Field"), digits = remark.get("Digits");
+    os << "  update of " << (field.empty() ? "an array" : field) << " at "
+       << formatPlace(remark.location) << ": " << remark.name;
+    if (!digits.empty())
+      os << ", digits " << digits << ", order " << remark.get("Order");
+    if (StringRef reason = remark.get("Reason"); !reason.empty())
+      os << ", because " << reason;
+    os << '\n';
+  }
+}
+
 std::string mlir::tai::explainAdjoint(ModuleOp module, StringRef name,
-                                      ArrayRef<KeptRemark> remarks) {
+                                      ArrayRef<KeptRemark> remarks,
+                                      ArrayRef<KeptRemark> lowering) {
   std::string text;
   llvm::raw_string_ostream os(text);
   os << "kernel '" << name << "'\n";
+  describeUpdates(os, lowering);
   auto kernel = module.lookupSymbol<KernelOp>(name);
   KernelOp adjoint;
   if (kernel && kernel.getAdjointAttr())

@@ -279,5 +279,9 @@ FailureOr<std::string> Session::explain(SessionKernel &kernel) {
       readModule(*text, ParserConfig(context.get()), "gradient");
   if (!module)
     return fail(FailureKind::Internal, "the gradient cannot be read back");
-  return explainAdjoint(*module, kernel.code->getName(), scope.getRemarks());
+  RemarkScope lowering;
+  if (failed(getIR(kernel, "scf")))
+    return failure();
+  return explainAdjoint(*module, kernel.code->getName(), scope.getRemarks(),
+                        lowering.getRemarks());
 }

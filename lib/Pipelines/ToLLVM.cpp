@@ -73,7 +73,6 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   pm.addPass(createLowerLayout(layout));
 
   ConvertTaiToSCFOptions scf;
-  scf.deterministic = options.deterministic;
   scf.debug = options.debug;
   pm.addPass(createConvertTaiToSCF(scf));
   if (fast) {

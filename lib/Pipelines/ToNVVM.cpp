@@ -62,7 +62,6 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   pm.addPass(createLowerLayout(layout));
 
   ConvertTaiToGPUOptions gpu;
-  gpu.deterministic = options.deterministic;
   gpu.debug = options.debug;
   pm.addPass(createConvertTaiToGPU(gpu));
   if (fast) {

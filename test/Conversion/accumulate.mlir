@@ -46,7 +46,7 @@ tai.field @loss = @t["loss"] : f32, rank 0
 tai.kernel @reduction(%x: f32, %n: index) {
   %c0 = arith.constant 0 : index
   tai.parallel_for (%i) = (%c0) to (%n) {
-    %0 = tai.atomic sub %x, @loss[] strategy register : f32
+    %0 = tai.atomic sub %x, @loss[] reduction <register own any block 8192> : f32
   }
   tai.return
 }
@@ -79,7 +79,7 @@ tai.kernel @slice(%t: index, %x: f32, %n: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   tai.parallel_for (%j) = (%c0) to (%n) {
-    %0 = tai.atomic add %x, @g[%t, %j] component [%c1] strategy private : f32
+    %0 = tai.atomic add %x, @g[%t, %j] component [%c1] reduction <buffer own any buffer 0> : f32
   }
   tai.return
 }
@@ -101,7 +101,7 @@ tai.kernel @wide(%j: index, %x: f32) {
   %c100 = arith.constant 100 : index
   %c300 = arith.constant 300 : index
   tai.parallel_for (%i, %k) = (%c0, %c0) to (%c300, %c100) {
-    %0 = tai.atomic add %x, @h[%k] strategy private : f32
+    %0 = tai.atomic add %x, @h[%k] reduction <buffer wide any buffer 0> : f32
   }
   tai.return
 }
@@ -114,7 +114,7 @@ tai.kernel @wide(%j: index, %x: f32) {
 tai.kernel @strided(%x: f32, %n: index) {
   %c0 = arith.constant 0 : index
   tai.parallel_for (%j) = (%c0) to (%n) {
-    %0 = tai.atomic add %x, @h[%j] strategy private : f32
+    %0 = tai.atomic add %x, @h[%j] reduction <buffer own any buffer 0> : f32
   }
   tai.return
 }
@@ -132,7 +132,7 @@ tai.kernel @conditional(%c: i1, %x: f32, %n: index) {
   %c0 = arith.constant 0 : index
   tai.parallel_for (%i) = (%c0) to (%n) {
     scf.if %c {
-      %0 = tai.atomic add %x, @loss[] strategy register : f32
+      %0 = tai.atomic add %x, @loss[] reduction <register own any block 8192> : f32
     }
   }
   tai.return

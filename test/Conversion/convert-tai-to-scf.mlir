@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --convert-tai-to-scf | FileCheck %s
 // RUN: tai-opt %s --convert-tai-to-scf=debug=true | FileCheck %s --check-prefix=DEBUG
-// RUN: tai-opt %s --convert-tai-to-scf=deterministic=true | FileCheck %s --check-prefix=DET
+// RUN: tai-opt %s --tai-relax-atomics=deterministic=true --tai-lower-layout --convert-tai-to-scf | FileCheck %s --check-prefix=DET
 
 tai.tree @s : !tai.root<dense<[i: 8], {a: f32}>>
 tai.tree @t : !tai.root<dense<[i: 8], {x: f32}>>
@@ -78,8 +78,8 @@ tai.kernel @tree() -> f32 {
 //       CHECK:   scf.for %{{.+}} = %[[B]] to %[[E]] step
 //       CHECK:   llvm.return
 //   DET-LABEL: llvm.func @range(
-//         DET:   %[[ONE:.+]] = arith.constant 1 : i32
-//         DET:   llvm.call @tai_rt_parts(%{{.+}}, %{{.+}}, %{{.+}}, %[[ONE]])
+//         DET:   %[[FIXED:.+]] = arith.constant 2 : i32
+//         DET:   llvm.call @tai_rt_parts(%{{.+}}, %{{.+}}, %{{.+}}, %[[FIXED]])
 tai.kernel @range(%x: f32) {
   %five = arith.constant 5.0 : f32
   %c0 = arith.constant 0 : index

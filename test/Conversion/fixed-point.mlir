@@ -1,15 +1,15 @@
 // RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" -o %t.relaxed.mlir
 // RUN: FileCheck %s --check-prefix=RELAX < %t.relaxed.mlir
-// RUN: tai-opt %t.relaxed.mlir --tai-lower-layout=on-device=true --convert-tai-to-gpu=deterministic=true -o %t.gpu.mlir
+// RUN: tai-opt %t.relaxed.mlir --tai-lower-layout=on-device=true --convert-tai-to-gpu -o %t.gpu.mlir
 // RUN: FileCheck %s --check-prefix=GPU < %t.gpu.mlir
 // RUN: FileCheck %s --check-prefix=HOST < %t.gpu.mlir
-// RUN: tai-opt %t.relaxed.mlir --tai-lower-layout="on-device=true bounds-check=true" --convert-tai-to-gpu=deterministic=true | FileCheck %s --check-prefix=CHECKED
+// RUN: tai-opt %t.relaxed.mlir --tai-lower-layout="on-device=true bounds-check=true" --convert-tai-to-gpu | FileCheck %s --check-prefix=CHECKED
 // RUN: tai-opt %s --tai-relax-atomics=on-device=true | FileCheck %s --check-prefix=ANY-ORDER
 
 // In deterministic mode, a GPU adds to elements that the data chooses in fixed
 // point, whose result does not depend on the order.
 
-// ANY-ORDER-NOT: strategy private
+// ANY-ORDER-NOT: reduction <fixed
 
 tai.tree @t : !tai.root<dense<[i: 20000], {at: i32, v: f32, y: f32, count: i32}>, dense<[i: 4, j: 50], {m: vector<2xf32>, d: f64}>, dense<[i: 100], {one: f32, other: f32}>, {total: f32}>
 tai.tree @large : !tai.root<dense<[i: 100000000], {far: f32}>>
@@ -27,7 +27,7 @@ tai.field @p = @s["p"] : f32, rank 1
 
 // A pass for the scales, one for the sums, and one over the elements.
 // RELAX-LABEL: tai.kernel @scatter
-//       RELAX:   tai.atomic sub %{{.+}}, @one[%{{.+}}] strategy private buffer 0 : f32
+//       RELAX:   tai.atomic sub %{{.+}}, @one[%{{.+}}] reduction <fixed own any buffer 0> : f32
 //   GPU-LABEL: llvm.func @scatter_0(
 //       GPU:     llvm.call @tai_dev_fixed_scale_f32(
 //   GPU-NOT:     @tai_dev_fixed_
@@ -58,8 +58,8 @@ tai.kernel @scatter() {
 // For a time slot and vectors there are accumulators for the varying part.
 // Other effects are those of the last pass, which is over the iterations then.
 // RELAX-LABEL: tai.kernel @effects
-// RELAX-COUNT-2: strategy private buffer
-//       RELAX:   strategy register
+// RELAX-COUNT-2: reduction <fixed own any buffer
+//       RELAX:   reduction <register own lanes>
 //  HOST-LABEL: llvm.func @effects(%
 //  HOST-COUNT-2: llvm.call @tai_rt_device_scratch(%{{.+}}, %c1{{[02]}}00_i64
 //       HOST:    gpu.launch_func @kernels::@effects_0
@@ -100,7 +100,7 @@ tai.kernel @effects(%t: index) {
 
 // An iteration has stacks of its own each time.
 // RELAX-LABEL: tai.kernel @stacks
-//       RELAX:   strategy private
+//       RELAX:   reduction <fixed
 //   GPU-LABEL: llvm.func @stacks_0(
 //       GPU:     call @tai_dev_fixed_scale_f32(
 //   GPU-LABEL: llvm.func @stacks_1(
@@ -130,8 +130,8 @@ tai.kernel @stacks() {
 
 // A value that an iteration reads after its own write would be missing.
 // RELAX-LABEL: tai.kernel @reads_its_own
-//   RELAX-NOT:   strategy private
-//       RELAX: } {in_warp}
+//   RELAX-NOT:   reduction <fixed
+//       RELAX: } {in_warp, order = #tai.loop_order<{{fixed|common}}>}
 tai.kernel @reads_its_own() {
   %c0 = arith.constant 0 : index
   %c20000 = arith.constant 20000 : index
@@ -148,8 +148,8 @@ tai.kernel @reads_its_own() {
 
 // The order of the program is that of all targets.
 // RELAX-LABEL: tai.kernel @strict
-//   RELAX-NOT:   strategy private
-//       RELAX: } {in_warp}
+//   RELAX-NOT:   reduction <fixed
+//       RELAX: } {in_warp, order = #tai.loop_order<{{fixed|common}}>}
 tai.kernel @strict() attributes {modes = {math = "strict"}} {
   %c0 = arith.constant 0 : index
   %c20000 = arith.constant 20000 : index
@@ -164,8 +164,8 @@ tai.kernel @strict() attributes {modes = {math = "strict"}} {
 
 // Few iterations do not pay for three launches.
 // RELAX-LABEL: tai.kernel @few
-//   RELAX-NOT:   strategy private
-//       RELAX: } {in_warp}
+//   RELAX-NOT:   reduction <fixed
+//       RELAX: } {in_warp, order = #tai.loop_order<{{fixed|common}}>}
 tai.kernel @few() {
   %c0 = arith.constant 0 : index
   %c100 = arith.constant 100 : index
@@ -180,8 +180,8 @@ tai.kernel @few() {
 
 // More memory than a launch may take.
 // RELAX-LABEL: tai.kernel @too_large
-//   RELAX-NOT:   strategy private
-//       RELAX: } {in_warp}
+//   RELAX-NOT:   reduction <fixed
+//       RELAX: } {in_warp, order = #tai.loop_order<{{fixed|common}}>}
 tai.kernel @too_large() {
   %c0 = arith.constant 0 : index
   %c20000 = arith.constant 20000 : index
@@ -196,9 +196,9 @@ tai.kernel @too_large() {
 
 // An addition may have to make a cell active; and an old value is used.
 // RELAX-LABEL: tai.kernel @others
-//   RELAX-NOT:   strategy private
+//   RELAX-NOT:   reduction <fixed
 //       RELAX: serialize
-//   RELAX-NOT:   strategy private
+//   RELAX-NOT:   reduction <fixed
 //       RELAX: serialize
 tai.kernel @others() {
   %c0 = arith.constant 0 : index

@@ -125,8 +125,8 @@ func.func @foreign(%strided: memref<4xf64, strided<[2], offset: 1>>,
 
 // Sums that tai-relax-atomics took out of memory stay for convert-tai-to-scf.
 // CHECK-LABEL: tai.kernel @kept
-//       CHECK:   tai.atomic add %{{.+}}, @x[{{.+}}] strategy private
+//       CHECK:   tai.atomic add %{{.+}}, @x[{{.+}}] reduction <buffer own any buffer 0>
 tai.kernel @kept(%i: index, %x: f32) {
-  %0 = tai.atomic add %x, @x[%i, %i] strategy private : f32
+  %0 = tai.atomic add %x, @x[%i, %i] reduction <buffer own any buffer 0> : f32
   tai.return
 }

@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-relax-atomics=deterministic=true | FileCheck %s --check-prefixes=RELAX,HOST
 // RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" | FileCheck %s --check-prefixes=RELAX,DEVICE
-// RUN: tai-opt %s --tai-relax-atomics=deterministic=true --tai-lower-layout --convert-tai-to-scf=deterministic=true | FileCheck %s --check-prefix=CPU
-// RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" --tai-lower-layout=on-device=true --convert-tai-to-gpu=deterministic=true | FileCheck %s --check-prefix=GPU
+// RUN: tai-opt %s --tai-relax-atomics=deterministic=true --tai-lower-layout --convert-tai-to-scf | FileCheck %s --check-prefix=CPU
+// RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" --tai-lower-layout=on-device=true --convert-tai-to-gpu | FileCheck %s --check-prefix=GPU
 
 // Strict and deterministic kernels add up in one order on all targets.
 
@@ -17,7 +17,7 @@ tai.field @h = @t["h"] : f16, rank 0
 // 20000 iterations are 27 chunks of 768, in 256 lanes of f64. Sums of integers
 // and extremes stay sums of partitions.
 // RELAX-LABEL: tai.kernel @sums
-//       RELAX: tai.atomic add %{{.+}}, @total[] strategy register
+//       RELAX: tai.atomic add %{{.+}}, @total[] reduction <register own common>
 //   CPU-LABEL: llvm.func @sums(
 //       CPU:     %[[COUNT:.+]] = arith.constant 27 : i64
 //       CPU:     tai_rt_parts(%{{.+}}, %[[COUNT]]
@@ -67,7 +67,7 @@ tai.kernel @sums() attributes {modes = {math = "strict"}} {
 //        HOST:   tai.atomic add %{{.+}}, @total[] exclusive : f64
 //      DEVICE:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f64
 //      DEVICE:   tai.atomic add %{{.+}}, @total[] : f64
-//      DEVICE: } {in_warp}
+//      DEVICE: } {in_warp, order = #tai.loop_order<common>}
 //   GPU-LABEL: llvm.func @scatter_0(
 //       GPU:     %[[TURNS:.+]] = llvm.call @tai_dev_ordered_turns(
 //       GPU:     llvm.call @tai_dev_ordered_append_f64(%[[TURNS]],
@@ -121,7 +121,7 @@ tai.kernel @inner_loop() attributes {modes = {math = "strict"}} {
 
 // Without strict floats, the targets choose for themselves.
 // RELAX-LABEL: tai.kernel @own_orders
-//       RELAX:   strategy private
+//       RELAX:   reduction <{{buffer|fixed}} own any buffer 0>
 //  DEVICE-NOT: in_warp
 tai.kernel @own_orders() {
   %c0 = arith.constant 0 : index
@@ -138,7 +138,7 @@ tai.kernel @own_orders() {
 // Few iterations are not simply added one after another, as they are on one
 // thread of a CPU otherwise: a device has the lanes.
 // RELAX-LABEL: tai.kernel @few
-//       RELAX:   strategy register
+//       RELAX:   reduction <register
 //   RELAX-NOT:   serialize
 //       RELAX: tai.return
 //   CPU-LABEL: llvm.func internal @few.loop0(

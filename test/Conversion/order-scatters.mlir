@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-scalarize --tai-lower-struct-for --tai-relax-atomics="deterministic=true on-device=true" -o %t.relaxed.mlir
 // RUN: FileCheck %s --check-prefix=RELAX < %t.relaxed.mlir
-// RUN: tai-opt %t.relaxed.mlir --tai-lower-layout=on-device=true --convert-tai-to-gpu=deterministic=true | FileCheck %s --check-prefix=GPU
-// RUN: tai-opt %t.relaxed.mlir --tai-lower-layout="on-device=true bounds-check=true" --convert-tai-to-gpu=deterministic=true | FileCheck %s --check-prefix=CHECKED
+// RUN: tai-opt %t.relaxed.mlir --tai-lower-layout=on-device=true --convert-tai-to-gpu | FileCheck %s --check-prefix=GPU
+// RUN: tai-opt %t.relaxed.mlir --tai-lower-layout="on-device=true bounds-check=true" --convert-tai-to-gpu | FileCheck %s --check-prefix=CHECKED
 // RUN: tai-opt %s --tai-scalarize --tai-lower-struct-for --tai-relax-atomics="deterministic=true" | FileCheck %s --check-prefix=CPU
 
 // Loops whose additions meet in memory, in deterministic mode on a GPU. One
@@ -25,7 +25,7 @@ tai.field @p = @s["p"] : f32, rank 1
 // Components and neighbours share a plan; the sum of all iterations stays in
 // registers, of which there are 32 and others that hold nothing.
 // RELAX-LABEL: tai.kernel @neighbours
-//       RELAX: } {in_warp}
+//       RELAX: } {in_warp, order = #tai.loop_order<{{fixed|common}}>}
 //   GPU-LABEL: llvm.func @neighbours_0(
 //    GPU-SAME: passthrough = {{\["tai.lowered", \["tai.block_size", "32"\]\]}}
 //       GPU:   %[[LANES:.+]] = llvm.call @tai_dev_ordered_lanes() : () -> i32
@@ -74,7 +74,7 @@ tai.kernel @neighbours() {
 // Additions leave the branches in which they stand. All else is done by threads
 // that have an iteration.
 // RELAX-LABEL: tai.kernel @conditions
-//       RELAX: } {in_warp}
+//       RELAX: } {in_warp, order = #tai.loop_order<{{fixed|common}}>}
 //   GPU-LABEL: llvm.func @conditions_0(
 //       GPU:   scf.for
 //       GPU:     %[[ACTIVE:.+]] = arith.cmpi slt
@@ -114,7 +114,7 @@ tai.kernel @conditions() {
 
 // Loops that all iterations go through alike; integers stay atomic.
 // RELAX-LABEL: tai.kernel @loops
-//       RELAX: } {in_warp}
+//       RELAX: } {in_warp, order = #tai.loop_order<{{fixed|common}}>}
 //   GPU-LABEL: llvm.func @loops_0(
 //       GPU:   scf.for
 //       GPU:     %[[ACTIVE:.+]] = arith.cmpi slt
@@ -245,7 +245,7 @@ tai.kernel @products() {
 // In fixed point, so that it is rounded once.
 // RELAX-LABEL: tai.kernel @half_precision
 //   RELAX-NOT: serialize
-//       RELAX: tai.atomic add {{.+}}, @h[{{.+}}] strategy private buffer 0 : f16
+//       RELAX: tai.atomic add {{.+}}, @h[{{.+}}] reduction <fixed own any buffer 0> : f16
 tai.kernel @half_precision() {
   %c0 = arith.constant 0 : index
   %c100 = arith.constant 100 : index

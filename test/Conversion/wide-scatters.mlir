@@ -24,7 +24,7 @@ tai.field @p = @sparse["p"] : f16, rank 1
 
 // One number of f64 for each element.
 // RELAX-LABEL: tai.kernel @halves
-//       RELAX: tai.atomic sub {{.+}}, @h[{{.+}}] strategy private buffer 0 : f16
+//       RELAX: tai.atomic sub {{.+}}, @h[{{.+}}] reduction <buffer wide any buffer 0> : f16
 //  HOST-LABEL: llvm.func @halves(
 //        HOST:   arith.constant 56 : i64
 //        HOST:   llvm.call @tai_rt_device_scratch
@@ -45,9 +45,9 @@ tai.kernel @halves() {
 
 // A sum and its error; a total of f64, too, while blocks add up f32 in f64.
 // RELAX-LABEL: tai.kernel @compensated
-//       RELAX: tai.atomic add {{.+}}, @d[{{.+}}] strategy private buffer {{.+}} : f64
-//       RELAX: tai.atomic add {{.+}}, @d[{{.+}}] strategy private buffer {{.+}} : f64
-//       RELAX: tai.atomic add {{.+}}, @s[{{.+}}] strategy register : f32
+//       RELAX: tai.atomic add {{.+}}, @d[{{.+}}] reduction <buffer pair any buffer {{.+}}> : f64
+//       RELAX: tai.atomic add {{.+}}, @d[{{.+}}] reduction <buffer pair any buffer {{.+}}> : f64
+//       RELAX: tai.atomic add {{.+}}, @s[{{.+}}] reduction <register wide any> : f32
 //  HOST-LABEL: llvm.func @compensated(
 //        HOST:   llvm.call @tai_rt_device_scratch
 tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
@@ -68,7 +68,7 @@ tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
 
 // For f32, if there are more than 2^15 for each element.
 // RELAX-LABEL: tai.kernel @many
-//       RELAX: tai.atomic add {{.+}}, @few[{{.+}}] strategy private buffer 0 : f32
+//       RELAX: tai.atomic add {{.+}}, @few[{{.+}}] reduction <buffer wide any buffer 0> : f32
 //       RELAX: tai.atomic add {{.+}}, @few[{{[^ ]+}}] : f32
 tai.kernel @many() {
   %c0 = arith.constant 0 : index

@@ -121,8 +121,6 @@ def ConvertTaiToSCF : Pass<"convert-tai-to-scf", "::mlir::ModuleOp"> {
     calls of the runtime. See tai/ABI/Abi.h. Control flow stays in `scf`.
   }];
   let options = [
-    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
-           "Cut loops in a way that does not depend on the number of threads">,
     Option<"debug", "debug", "bool", /*default=*/"false",
            "Keep tai.assert">,
   ];
@@ -179,8 +177,6 @@ def ConvertTaiToGPU : Pass<"convert-tai-to-gpu", "::mlir::ModuleOp"> {
     `tai-narrow-indices`, moves from the module to the `gpu.module`.
   }];
   let options = [
-    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
-           "Add up in an order that does not depend on timing">,
     Option<"debug", "debug", "bool", /*default=*/"false",
            "Keep tai.assert">,
   ];

@@ -40,10 +40,12 @@ private:
   RemarkScope *outer;
 };
 
-/// A text on how the gradient of kernel `name` handles loops and branches, and
-/// which memory it accesses. `module` holds the adjoint.
+/// A text on how kernel `name` does its updates, and how its gradient handles
+/// loops and branches and which memory it accesses. `module` holds the adjoint;
+/// the remarks are those of differentiation and of the kernel's lowering.
 std::string explainAdjoint(ModuleOp module, StringRef name,
-                           ArrayRef<KeptRemark> remarks);
+                           ArrayRef<KeptRemark> remarks,
+                           ArrayRef<KeptRemark> lowering);
 
 } // namespace mlir::tai
 

@@ -600,23 +600,27 @@ def RecognizeReductions : Pass<"tai-recognize-reductions", "::mlir::ModuleOp"> {
 }
 
 def RelaxAtomics : Pass<"tai-relax-atomics"> {
-  let summary = "choose a strategy for each accumulation of a parallel loop";
+  let summary = "choose how parallel loops do each of their updates";
   let description = [{
     An atomic update in a parallel loop is
     * a plain read and write (`exclusive`), where each iteration has elements of
       its own;
-    * a sum in a register (`strategy register`), one for each
+    * a sum in a register (`reduction <register ...>`), one for each
       partition, where all iterations update one element of a field, or of a
       small array (`memref.alloca`) that the kernel makes for such sums;
-    * an addition to a buffer of the partition (`strategy private`),
+    * an addition to a buffer of the partition (`reduction <buffer ...>`),
       where the updated part of the field is small against the number of
-      updates;
+      updates; on a GPU to sums beside the field, in f64 or in fixed point;
     * atomic otherwise.
 
+    `#tai.reduction` also has the digits of a sum and the order of its terms.
     Partial sums and buffers are combined in the order of the partitions, which
-    makes the result independent of timing. With `deterministic`, no float
-    accumulation stays atomic: a loop whose accumulations cannot be made
-    independent of timing runs on one thread.
+    makes the result independent of timing. With `deterministic`, a loop has an
+    `order`, and no float accumulation stays atomic: a loop whose accumulations
+    cannot be made independent of timing runs on one thread, or in one warp.
+
+    A remark of the category `tai-reductions` names the form of each update, and
+    for one that stays atomic the reason.
   }];
   let options = [
     Option<"deterministic", "deterministic", "bool", /*default=*/"false",

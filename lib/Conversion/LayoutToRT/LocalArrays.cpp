@@ -138,8 +138,8 @@ private:
     OpBuilder builder(atomic);
     Location loc = atomic.getLoc();
     AtomicKind kind = *toAtomicKind(atomic.getKind());
-    Attribute strategy = atomic->getAttr(kAccumulateAttrName);
-    if (!strategy) {
+    ReductionAttr reduction = getReduction(atomic);
+    if (!reduction) {
       auto loop = atomic->getParentOfType<ParallelForOp>();
       bool isAlone = !loop || loop.getSerialize();
       Value element = getElement(builder, loc, atomic.getIndices());
@@ -162,7 +162,7 @@ private:
         builder, loc, LLVM::AtomicBinOp::fadd,
         getElement(start, loc, constants), atomic.getValue(),
         LLVM::AtomicOrdering::monotonic);
-    update->setAttr(kAccumulateAttrName, strategy);
+    update->setAttr(kAccumulateAttrName, reduction);
     atomic.getResult().replaceAllUsesWith(update);
   }
 

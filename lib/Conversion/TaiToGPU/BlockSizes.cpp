@@ -14,9 +14,9 @@
 #include "WarpLoop.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "tai/ABI/DeviceAccesses.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/Support/BlockSize.h"
 #include "tai/Transforms/Utils/Accumulate.h"
-#include "tai/Transforms/Utils/Accumulation.h"
 #include "llvm/Support/MathExtras.h"
 
 using namespace mlir;

@@ -19,7 +19,6 @@
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/IndexMath.h"
-#include "llvm/Support/SaveAndRestore.h"
 
 namespace mlir::tai {
 #define GEN_PASS_DEF_CONVERTTAITOGPU
@@ -208,9 +207,9 @@ LogicalResult KernelOffload::run() {
     }
   }
 
-  auto split =
-      lowering.deterministic ? splitFixedPointLoops : splitWideScatters;
-  if (failed(split(host, frame, lowering)) || failed(prepareLoops()))
+  if (failed(splitFixedPointLoops(host, frame, lowering)) ||
+      failed(splitWideScatters(host, frame, lowering)) ||
+      failed(prepareLoops()))
     return failure();
   replaceTreeBases();
   replaceDrawKeys();
@@ -264,16 +263,11 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
                     builder.getUnitAttr());
     if (Attribute bits = module->removeAttr(kIndexBitsAttrName))
       kernels->setAttr(kIndexBitsAttrName, bits);
-    ModuleLowering host(module, deterministic, debug);
-    ModuleLowering device(module, deterministic, debug, kernels);
-    DeviceLowering lowering(host, device, kernels, deterministic);
+    ModuleLowering host(module, debug);
+    ModuleLowering device(module, debug, kernels);
+    DeviceLowering lowering(host, device, kernels);
     for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>())) {
-      llvm::SaveAndRestore fixed(
-          lowering.deterministic,
-          Modes::of(kernel).isDeterministic(deterministic));
       const Modes modes = Modes::of(kernel);
-      device.oneOrder = modes.hasOneOrder(deterministic);
-      lowering.compensated = modes.isCompensated();
       auto functions = [&] {
         SmallVector<LLVM::LLVMFuncOp> all;
         for (Region *region :

@@ -71,10 +71,14 @@ static bool isPrivate(ParallelForOp loop, Value pointer) {
          !loop.isDefinedOutsideOfLoop(pointer);
 }
 
+static bool isFixed(Operation *op) {
+  return isInBuffer(op, ReductionForm::Fixed);
+}
+
 /// True for an op that others can see the effect of, besides additions in
 /// fixed point.
 static bool isSeen(ParallelForOp loop, Operation *op) {
-  if (isInBuffer(op))
+  if (isFixed(op))
     return false;
   if (auto store = dyn_cast<LLVM::StoreOp>(op))
     return !isPrivate(loop, store.getAddr());
@@ -159,13 +163,13 @@ Value Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
 void Splitter::emitPass(ParallelForOp in, Pass pass) {
   SmallVector<AtomicOp> atomics;
   in.walk([&](AtomicOp atomic) {
-    if (isInBuffer(atomic))
+    if (isFixed(atomic))
       atomics.push_back(atomic);
   });
   for (AtomicOp atomic : atomics) {
     OpBuilder builder(atomic);
     Location loc = atomic.getLoc();
-    const Accumulators &to = all[*atomic.getBuffer()];
+    const Accumulators &to = all[*atomic.getReductionAttr().getBuffer()];
     Value number = emitSumNumber(builder, atomic, to);
     Value operand =
         pass == Pass::Round
@@ -226,7 +230,7 @@ LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
   bool visitsElements = isWorthVisiting(*groups, keepsLoop);
   for (auto [number, group] : llvm::enumerate(*groups))
     for (AtomicOp atomic : group.atomics)
-      atomic.setBuffer(number);
+      atomic.setReductionAttr(atomic.getReductionAttr().withBuffer(number));
   for (Pass pass : {Pass::Scale, Pass::Add}) {
     OpBuilder builder(loop);
     auto copy = cast<ParallelForOp>(builder.clone(*loop));
@@ -250,7 +254,7 @@ LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
   }
   SmallVector<AtomicOp> additions;
   loop.walk([&](AtomicOp atomic) {
-    if (isInBuffer(atomic))
+    if (isFixed(atomic))
       additions.push_back(atomic);
   });
   for (AtomicOp addition : additions)
@@ -262,7 +266,8 @@ LogicalResult Splitter::run(ArrayRef<AtomicOp> atomics) {
 LogicalResult tai::splitFixedPointLoops(LLVM::LLVMFuncOp host, Value frame,
                                         DeviceLowering &lowering) {
   return splitBufferedLoops(
-      host, [&](ParallelForOp loop, ArrayRef<AtomicOp> atomics) {
+      host, ReductionForm::Fixed,
+      [&](ParallelForOp loop, ArrayRef<AtomicOp> atomics) {
         return Splitter(loop, frame, lowering).run(atomics);
       });
 }

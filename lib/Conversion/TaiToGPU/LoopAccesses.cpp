@@ -34,9 +34,8 @@ static int64_t getSize(Type type) {
              : llvm::divideCeil(type.getIntOrFloatBitWidth(), 8);
 }
 
-LoopAccesses::LoopAccesses(ParallelForOp loop, bool deterministic)
-    : loop(loop), expressions(loop), deterministic(deterministic),
-      box(getConstantBox(loop)) {
+LoopAccesses::LoopAccesses(ParallelForOp loop)
+    : loop(loop), expressions(loop), box(getConstantBox(loop)) {
   // Numbers of iterations are counted from there on.
   constexpr int64_t most = int64_t(1) << 31;
   if (box)
@@ -84,7 +83,7 @@ void LoopAccesses::visit(Operation *op) {
     bool isFloat = kind == Kind::fadd || kind == Kind::fsub;
     bool isSum =
         update->use_empty() &&
-        (isFloat ? !deterministic : kind == Kind::add || kind == Kind::sub);
+        (isFloat ? !loop.getOrder() : kind == Kind::add || kind == Kind::sub);
     return add(update.getPtr(), type,
                isSum ? DeviceAccess::Sum : DeviceAccess::Write, digits);
   }
@@ -344,7 +343,7 @@ void LoopAccesses::addSum(Value target, Type type, bool isAddition,
   Type storage = getStorageType(type);
   if (threads == 0)
     return add(target, storage,
-               isAddition && (!deterministic || !isa<FloatType>(type))
+               isAddition && (!loop.getOrder() || !isa<FloatType>(type))
                    ? DeviceAccess::Sum
                    : DeviceAccess::Write,
                {});

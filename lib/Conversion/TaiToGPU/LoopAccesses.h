@@ -34,7 +34,7 @@ constexpr llvm::StringLiteral kSiteAttrName = "tai.site";
 /// parameters of the outlined function are known.
 class LoopAccesses {
 public:
-  LoopAccesses(ParallelForOp loop, bool deterministic);
+  explicit LoopAccesses(ParallelForOp loop);
 
   /// Adds a sum over all iterations that goes to this address, or whose
   /// `threads` partial sums are stored from there on.
@@ -86,7 +86,6 @@ private:
 
   ParallelForOp loop;
   IndexBuilder expressions;
-  bool deterministic;
   std::optional<LoopBox> box;
   bool isKnown = true;
   bool isGridStride = true;

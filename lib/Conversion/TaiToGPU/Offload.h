@@ -21,16 +21,12 @@ namespace mlir::tai {
 /// Shared state while one module is lowered.
 struct DeviceLowering {
   DeviceLowering(ModuleLowering &host, ModuleLowering &device,
-                 gpu::GPUModuleOp kernels, bool deterministic)
-      : host(host), device(device), kernels(kernels),
-        deterministic(deterministic) {}
+                 gpu::GPUModuleOp kernels)
+      : host(host), device(device), kernels(kernels) {}
 
   /// The lowerings of host code, and of the functions in `kernels`.
   ModuleLowering &host, &device;
   gpu::GPUModuleOp kernels;
-  bool deterministic;
-  /// Modes of the kernel that is being lowered.
-  bool compensated = false;
   /// Loops of this kernel that mayBeCountless.
   llvm::SmallPtrSet<Operation *, 4> countless;
 };
@@ -50,14 +46,6 @@ constexpr llvm::StringLiteral kAlignmentAttrName = "tai.alignment";
 /// The alignment, in bytes, of a tree on every device; enough for the widest
 /// access.
 constexpr int64_t kTreeAlignment = 16;
-
-/// On the cast with kSumTargetAttrName, in deterministic mode: the address is
-/// that of an array of partial sums, one for each thread.
-constexpr llvm::StringLiteral kPartialSumAttrName = "tai.partial_sum";
-
-/// On the same cast, by default: the address is that of an f64 for a sum of
-/// f32.
-constexpr llvm::StringLiteral kWideSumAttrName = "tai.wide_sum";
 
 /// On a module, by `tai-narrow-indices`, and then on its gpu.module: the width
 /// of an index in bits; 64 where absent.

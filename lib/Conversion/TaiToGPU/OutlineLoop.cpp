@@ -153,7 +153,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   block->getOperations().splice(block->getTerminator()->getIterator(),
                                 body.getOperations());
   if (isActive)
-    orderAdditions(block, isActive, lowering.device.oneOrder, runtime);
+    orderAdditions(block, isActive, loop.getOrder() == LoopOrder::Common,
+                   runtime);
   return {iterations, std::move(indices)};
 }
 
@@ -463,7 +464,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   if (loop.getInWarp())
     prepareWarpLoop(loop);
   llvm::MapVector<Value, bool> activated = findActivated(loop);
-  LoopAccesses accesses(loop, lowering.deterministic);
+  LoopAccesses accesses(loop);
   for (const Sum &sum : sums)
     accesses.addSum(sum.target, sum.isPartial ? sum.kept : sum.type,
                     sum.kind == AtomicKind::Add,

@@ -11,29 +11,28 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-bool tai::isInBuffer(Operation *op) {
+bool tai::isInBuffer(Operation *op, ReductionForm form) {
   auto atomic = dyn_cast<AtomicOp>(op);
-  return atomic && atomic.getStrategy() == AccumulationStrategy::Private;
+  ReductionAttr reduction = atomic ? atomic.getReductionAttr() : nullptr;
+  return reduction && reduction.getForm() == form;
 }
 
 LogicalResult tai::splitBufferedLoops(
-    LLVM::LLVMFuncOp host,
+    LLVM::LLVMFuncOp host, ReductionForm form,
     function_ref<LogicalResult(ParallelForOp, ArrayRef<AtomicOp>)> split) {
   llvm::MapVector<Operation *, SmallVector<AtomicOp>> atomics;
   WalkResult result = host.walk([&](AtomicOp atomic) {
-    if (!isInBuffer(atomic))
+    if (!isInBuffer(atomic, form))
       return WalkResult::advance();
     auto loop = atomic->getParentOfType<ParallelForOp>();
-    if (loop && isDeviceLoop(loop) && atomic.getBuffer() &&
-        atomic.getOld().use_empty() &&
-        isa<FloatType>(atomic.getValue().getType()) &&
-        (atomic.getKind() == AtomicKind::Add ||
-         atomic.getKind() == AtomicKind::Sub)) {
+    bool isWide = form == ReductionForm::Fixed ||
+                  atomic.getReductionAttr().getDigits() != SumDigits::Own;
+    if (loop && isDeviceLoop(loop) && isWide && atomic.getOld().use_empty()) {
       atomics[loop].push_back(atomic);
       return WalkResult::advance();
     }
-    atomic.emitOpError("has a private buffer, which on a GPU only additions "
-                       "of floats have whose old value nobody uses; expects "
+    atomic.emitOpError("has a buffer, which on a GPU only sums of floats in "
+                       "wide digits have whose old value nobody uses; expects "
                        "tai-relax-atomics=on-device to run before");
     return WalkResult::interrupt();
   });

@@ -15,7 +15,7 @@
 #define TAI_LIB_CONVERSION_TAITOGPU_SCATTERBUFFERS_H
 
 #include "Offload.h"
-#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
 
 namespace mlir::tai {
 
@@ -33,12 +33,12 @@ struct ScatterBuffer {
   Value fieldBase, sums;
 };
 
-bool isInBuffer(Operation *op);
+bool isInBuffer(Operation *op, ReductionForm form);
 
-/// Calls `split` for each loop of a host function with additions that have
-/// buffers. Fails at one that is no addition of floats.
+/// Calls `split` for each loop of a host function with additions of this form.
+/// Fails at one that a GPU cannot do.
 LogicalResult splitBufferedLoops(
-    LLVM::LLVMFuncOp host,
+    LLVM::LLVMFuncOp host, ReductionForm form,
     function_ref<LogicalResult(ParallelForOp, ArrayRef<AtomicOp>)> split);
 
 /// The term of an addition, with the sign.

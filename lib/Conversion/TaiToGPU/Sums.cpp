@@ -97,20 +97,6 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   return partials;
 }
 
-/// 16-bit floats keep their value when a two-thousandth of it is added.
-constexpr int64_t kFewTermsOf16Bits = 32;
-
-/// Whether the sums of blocks are added up in f64 as well.
-static bool isWide(ParallelForOp loop, AtomicKind kind, Type type,
-                   bool compensated) {
-  if (kind != AtomicKind::Add || !isa<FloatType>(type) || type.isF64() ||
-      loop.getInWarp())
-    return false;
-  std::optional<int64_t> count = getNumIterations(loop);
-  int64_t few = type.isF32() ? kFewTerms : kFewTermsOf16Bits;
-  return !count || *count > few || compensated;
-}
-
 /// A loop of one iteration behind `loop` that adds the sum of its blocks to
 /// the target. Yields the address of that sum, which is zero between launches.
 static Value emitWideSum(ParallelForOp loop, Value frame, Type type,
@@ -136,18 +122,16 @@ static Value emitWideSum(ParallelForOp loop, Value frame, Type type,
   return sum;
 }
 
+static bool hasLanes(ReductionAttr reduction) {
+  return reduction.getOrder() == ReductionOrder::Lanes ||
+         reduction.getOrder() == ReductionOrder::Common;
+}
+
 LogicalResult tai::prepareSums(ParallelForOp loop, Value frame,
                                DeviceLowering &lowering) {
-  if (lowering.deterministic && failed(checkOrderIsFixed(loop)))
+  if (failed(checkOrderIsFixed(loop)))
     return failure();
   FieldTable &fields = lowering.device.fields;
-  struct Found {
-    AtomicOp first;
-    Value target;
-  };
-  SmallVector<Found> sums;
-  SmallVector<Value> targets;
-  SmallVector<std::pair<AtomicKind, Type>> types;
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
   auto outside = [&](ValueRange values) {
@@ -157,78 +141,51 @@ LogicalResult tai::prepareSums(ParallelForOp loop, Value frame,
       return IndexMath(builder, loc).constant(*getConstantIntValue(value));
     });
   };
-  auto number = [&](Operation *op, size_t i) {
-    op->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
-  };
+  SmallVector<Operation *> updates;
   WalkResult result = loop.walk([&](Operation *op) {
-    if (auto update = dyn_cast<LLVM::AtomicRMWOp>(op);
-        update && isKeptInRegister(op)) {
-      auto *known = llvm::find(targets, update.getPtr());
-      number(op, known - targets.begin());
-      if (known == targets.end()) {
-        targets.push_back(update.getPtr());
-        types.push_back({AtomicKind::Add, update.getVal().getType()});
-      }
+    if (isKeptInRegister(op)) {
+      updates.push_back(op);
       return WalkResult::advance();
     }
-    auto atomic = dyn_cast<AtomicOp>(op);
-    if (!atomic || atomic->getParentOfType<ParallelForOp>() != loop)
+    if (!isa<AtomicOp>(op))
       return WalkResult::advance();
-    if (!isKeptInRegister(op)) {
-      atomic.emitOpError("cannot be lowered for a GPU; expects "
-                         "tai-lower-layout to run before");
-      return WalkResult::interrupt();
-    }
-    auto *known = llvm::find_if(sums, [&](Found &other) {
-      return getCombiningKind(other.first.getKind()) ==
-                 getCombiningKind(atomic.getKind()) &&
-             updatesSameComponent(other.first, atomic);
-    });
-    if (known != sums.end()) {
-      number(op, llvm::find(targets, known->target) - targets.begin());
-      return WalkResult::advance();
-    }
-    FailureOr<const FieldInfo *> field =
-        fields.lookup(atomic, atomic.getFieldAttr());
-    if (failed(field))
-      return WalkResult::interrupt();
-    SmallVector<Value> zeroBased =
-        emitZeroBased(builder, loc, **field, outside(atomic.getIndices()));
-    Value offset = emitElementOffset(builder, loc, **field, zeroBased,
-                                     outside(atomic.getComponents()));
-    Value target =
-        emitPointer(builder, loc, getStorageType((*field)->scalarType),
-                    emitFieldBase(builder, loc, **field), offset);
-    number(op, targets.size());
-    targets.push_back(target);
-    types.push_back(
-        {getCombiningKind(atomic.getKind()), atomic.getValue().getType()});
-    sums.push_back({atomic, target});
-    return WalkResult::advance();
+    op->emitOpError("cannot be lowered for a GPU; expects tai-lower-layout to "
+                    "run before");
+    return WalkResult::interrupt();
   });
   if (result.wasInterrupted())
     return failure();
-  for (auto [i, target] : llvm::enumerate(targets)) {
-    auto [kind, type] = types[i];
-    // Integers, minima and maxima do not depend on the order.
-    bool isPartial = lowering.deterministic && isa<FloatType>(type) &&
-                     (kind == AtomicKind::Add || kind == AtomicKind::Mul);
-    bool inWide = !lowering.deterministic &&
-                  isWide(loop, kind, type, lowering.compensated);
-    Value address = target;
-    if (isPartial)
-      address = emitPartialSums(loop, frame, kind, type, target,
-                                lowering.host.runtime);
-    else if (inWide)
-      address = emitWideSum(loop, frame, type, target, lowering.host.runtime);
+  for (auto [i, total] : llvm::enumerate(groupTotals(updates))) {
+    Operation *first = total.front();
+    builder.setInsertionPoint(loop);
+    Value target;
+    if (auto atomic = dyn_cast<AtomicOp>(first)) {
+      FailureOr<const FieldInfo *> field =
+          fields.lookup(atomic, atomic.getFieldAttr());
+      if (failed(field))
+        return failure();
+      SmallVector<Value> zeroBased =
+          emitZeroBased(builder, loc, **field, outside(atomic.getIndices()));
+      Value offset = emitElementOffset(builder, loc, **field, zeroBased,
+                                       outside(atomic.getComponents()));
+      target = emitPointer(builder, loc, getStorageType((*field)->scalarType),
+                           emitFieldBase(builder, loc, **field), offset);
+    } else {
+      target = cast<LLVM::AtomicRMWOp>(first).getPtr();
+    }
+    ReductionAttr reduction = getReduction(first);
+    Type type = getTermType(first);
+    if (hasLanes(reduction))
+      target = emitPartialSums(loop, frame, getCombiningKind(first), type,
+                               target, lowering.host.runtime);
+    else if (reduction.getDigits() == SumDigits::Wide)
+      target = emitWideSum(loop, frame, type, target, lowering.host.runtime);
     builder.setInsertionPointToStart(&loop.getBody().front());
-    auto marker = UnrealizedConversionCastOp::create(
-        builder, loc, address.getType(), address);
-    if (isPartial)
-      marker->setAttr(kPartialSumAttrName, builder.getUnitAttr());
-    if (inWide)
-      marker->setAttr(kWideSumAttrName, builder.getUnitAttr());
+    auto marker = UnrealizedConversionCastOp::create(builder, loc,
+                                                     target.getType(), target);
     marker->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
+    for (Operation *update : total)
+      update->setAttr(kSumTargetAttrName, builder.getI64IntegerAttr(i));
   }
   return success();
 }
@@ -252,21 +209,19 @@ SmallVector<Sum> tai::collectSums(ParallelForOp loop, FieldTable &fields) {
     Sum &sum = at(op);
     if (auto marker = dyn_cast<UnrealizedConversionCastOp>(op)) {
       sum.target = marker.getOperand(0);
-      sum.isPartial = marker->hasAttr(kPartialSumAttrName);
-      sum.isWide = marker->hasAttr(kWideSumAttrName);
       markers.push_back(marker);
       return;
     }
     sum.updates.push_back(op);
+    sum.kind = getCombiningKind(op);
+    sum.type = getTermType(op);
+    sum.isPartial = hasLanes(getReduction(op));
+    sum.isWide =
+        !sum.isPartial && getReduction(op).getDigits() == SumDigits::Wide;
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
-      sum.kind = getCombiningKind(atomic.getKind());
-      sum.type = atomic.getValue().getType();
       auto field = fields.lookup(atomic, atomic.getFieldAttr());
       if (succeeded(field))
         sum.scope = fields.getScopes(**field).own;
-    } else {
-      sum.kind = AtomicKind::Add;
-      sum.type = cast<LLVM::AtomicRMWOp>(op).getVal().getType();
     }
   });
   for (Operation *marker : markers)
@@ -280,7 +235,7 @@ SmallVector<Sum> tai::collectSums(ParallelForOp loop, FieldTable &fields) {
 }
 
 /// The function of the device library that adds up over a block, or none.
-static std::string getReduction(AtomicKind kind, Type type) {
+static std::string getBlockFunction(AtomicKind kind, Type type) {
   bool isFloat = type.isF32() || type.isF64();
   if (!isFloat && !type.isInteger(32) && !type.isInteger(64))
     return "";
@@ -344,7 +299,7 @@ void tai::emitSumEnd(OpBuilder &builder, Location loc, Sum &sum,
   Value value = emitSlotLoad(builder, loc, sum.kept, sum.slot);
   if (sum.kept != sum.type)
     value = arith::TruncFOp::create(builder, loc, sum.type, value);
-  std::string name = getReduction(sum.kind, sum.type);
+  std::string name = getBlockFunction(sum.kind, sum.type);
   if (name.empty())
     emitAtomicUpdate(builder, loc, sum.kind, value, sum.target, AliasScopes());
   else

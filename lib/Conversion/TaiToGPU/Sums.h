@@ -9,7 +9,7 @@
 #define TAI_LIB_CONVERSION_TAITOGPU_SUMS_H
 
 #include "Offload.h"
-#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 
 namespace mlir::tai {
 

@@ -20,8 +20,8 @@
 #include "mlir/IR/PatternMatch.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "mlir/Transforms/CSE.h"
+#include "tai/Analysis/Reductions/OrderedAdditions.h"
 #include "tai/Transforms/Utils/IndexMath.h"
-#include "tai/Transforms/Utils/OrderedAdditions.h"
 #include "tai/Transforms/Utils/SumOrder.h"
 
 using namespace mlir;

@@ -110,7 +110,8 @@ LogicalResult WideScatter::run(ArrayRef<AtomicOp> atomics) {
 LogicalResult tai::splitWideScatters(LLVM::LLVMFuncOp host, Value frame,
                                      DeviceLowering &lowering) {
   return splitBufferedLoops(
-      host, [&](ParallelForOp loop, ArrayRef<AtomicOp> atomics) {
+      host, ReductionForm::Buffer,
+      [&](ParallelForOp loop, ArrayRef<AtomicOp> atomics) {
         return WideScatter(loop, frame, lowering).run(atomics);
       });
 }

@@ -9,16 +9,11 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/ABI/SumModes.h"
 #include "tai/Analysis/Cost.h"
-#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/SumOrder.h"
 
 using namespace mlir;
 using namespace mlir::tai;
-
-/// From this many updates of an element on, a loop sums f32 in buffers of f64:
-/// one addition after another, their number is that of the roundings.
-constexpr double kWideUpdates = 256;
 
 /// Partial sums of two partitions do not share a cache line.
 constexpr int64_t kCacheLine = 64;
@@ -35,11 +30,11 @@ static SmallVector<Value> getOutside(ValueRange values, ParallelForOp loop) {
 }
 
 /// The type of partial sums: f32 for 16-bit floats, since those stop growing at
-/// 2048 of their terms; f64 for compensated sums.
-static Type getSumType(Type type, AtomicKind kind, bool compensated) {
+/// 2048 of their terms; f64 for sums with more digits.
+static Type getSumType(Type type, AtomicKind kind, SumDigits digits) {
   if (!isa<FloatType>(type) || kind != AtomicKind::Add)
     return type;
-  if (compensated)
+  if (digits != SumDigits::Own)
     return Float64Type::get(type.getContext());
   bool isNarrow = isa<Float16Type, BFloat16Type>(type);
   return isNarrow ? Float32Type::get(type.getContext()) : type;
@@ -61,129 +56,59 @@ static Value emitNarrowed(OpBuilder &builder, Location loc, Value sum,
   return arith::TruncFOp::create(builder, loc, type, sum);
 }
 
-/// A sum of n numbers one after another is off by about n roundings; in blocks
-/// of m it is off by the square root of m n of them, and adding the blocks up
-/// in f64 costs nothing.
-void Accumulators::Register::sumInBlocks() {
-  // A compensated sum has more digits than blocks could give it.
-  if (!isa<FloatType>(type) || kind != AtomicKind::Add ||
-      digits != Digits::Own || ordered)
-    return;
-  blocks = Blocks::Sums;
-  totalType = Float64Type::get(type.getContext());
-}
-
-/// The iterations of a loop, as far as they are known; 1 for those that are
-/// not.
-static double countIterations(ParallelForOp loop) {
-  double count = 1;
-  for (auto [from, to] :
-       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
-    std::optional<int64_t> low = getConstantIntValue(from);
-    std::optional<int64_t> high = getConstantIntValue(to);
-    if (low && high)
-      count *= std::max<double>(0, double(*high) - double(*low));
-  }
-  return count;
-}
-
-/// Whether a loop is known to have no more iterations than a block.
-static bool isShort(ParallelForOp loop) {
-  auto isKnown = [](Value bound) { return getConstantIntValue(bound); };
-  return llvm::all_of(loop.getLowerBounds(), isKnown) &&
-         llvm::all_of(loop.getUpperBounds(), isKnown) &&
-         countIterations(loop) <= Accumulators::kBlock;
-}
-
-Accumulators::Register::Register(const FieldInfo *field,
-                                 SmallVector<AtomicOp> atomics, AtomicKind kind,
-                                 Type type, SmallVector<Value> indices,
-                                 SmallVector<Value> components)
-    : field(field), atomics(std::move(atomics)), kind(kind), type(type),
-      totalType(type), indices(std::move(indices)),
-      components(std::move(components)) {}
-
-SmallVector<Operation *> Accumulators::Register::getUpdates() const {
-  SmallVector<Operation *> all(atomics.begin(), atomics.end());
-  llvm::append_range(all, updates);
-  return all;
+// A sum of n numbers one after another is off by about n roundings; in blocks
+// of m it is off by the square root of m n of them, and adding the blocks up
+// in f64 costs nothing.
+Accumulators::Register::Register(const FieldInfo *field, Total updates)
+    : field(field), updates(std::move(updates)),
+      reduction(getReduction(this->updates.front())),
+      kind(getCombiningKind(this->updates.front())),
+      termType(getTermType(this->updates.front())),
+      type(getSumType(termType, kind, reduction.getDigits())),
+      totalType(isBlocked() ? Float64Type::get(termType.getContext()) : type) {
+  if (reduction.getOrder() == ReductionOrder::Common)
+    ordered.emplace(kind, termType);
 }
 
 FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
                                               ModuleLowering &lowering) {
   Accumulators result(lowering);
-  result.compensated = Modes::of(loop).isCompensated();
-  // Otherwise LLVM sees the same loop whatever has been left out of it.
-  result.keepsOrder = loop.getFixedCostAttr() &&
-                      (loop.getOuterDims() ||
-                       loop.walk([&](LoopLikeOpInterface inner) {
-                             return inner == loop ? WalkResult::advance()
-                                                  : WalkResult::interrupt();
-                           })
-                           .wasInterrupted());
   SmallVector<AtomicOp> inBuffers;
-  WalkResult walked = loop.walk([&](AtomicOp atomic) {
-    std::optional<AccumulationStrategy> strategy = atomic.getStrategy();
-    if (!strategy) {
-      atomic.emitOpError("reaches the lowering of loops; expects "
-                         "tai-lower-layout to run before");
-      return WalkResult::interrupt();
+  SmallVector<Operation *> inRegisters;
+  WalkResult walked = loop.walk([&](Operation *op) {
+    auto atomic = dyn_cast<AtomicOp>(op);
+    if (isKeptInRegister(op)) {
+      inRegisters.push_back(op);
+      return WalkResult::advance();
     }
-    if (strategy == AccumulationStrategy::Private) {
+    if (!atomic)
+      return WalkResult::advance();
+    ReductionAttr reduction = atomic.getReductionAttr();
+    if (reduction && reduction.getForm() == ReductionForm::Buffer) {
       inBuffers.push_back(atomic);
       return WalkResult::advance();
+    }
+    op->emitOpError("reaches the lowering of loops; expects tai-lower-layout "
+                    "to run before");
+    return WalkResult::interrupt();
+  });
+  if (walked.wasInterrupted() || failed(checkOrderIsFixed(loop)))
+    return failure();
+  for (Total &total : groupTotals(inRegisters)) {
+    auto atomic = dyn_cast<AtomicOp>(total.front());
+    if (!atomic) {
+      result.registers.push_back(Register(nullptr, std::move(total)));
+      continue;
     }
     FailureOr<const FieldInfo *> field =
         lowering.fields.lookup(atomic, atomic.getFieldAttr());
     if (failed(field))
-      return WalkResult::interrupt();
-    auto found = llvm::find_if(result.registers, [&](Register &other) {
-      return other.kind == getCombiningKind(atomic.getKind()) &&
-             updatesSameComponent(other.atomics.front(), atomic);
-    });
-    if (found != result.registers.end()) {
-      found->atomics.push_back(atomic);
-      return WalkResult::advance();
-    }
-    result.registers.push_back(Register(
-        *field, {atomic}, getCombiningKind(atomic.getKind()),
-        getSumType(atomic.getValue().getType(),
-                   getCombiningKind(atomic.getKind()), result.compensated),
-        getOutside(atomic.getIndices(), loop),
-        getOutside(atomic.getComponents(), loop)));
-    return WalkResult::advance();
-  });
-  if (walked.wasInterrupted())
-    return failure();
-  result.collectLocalSums(loop);
-  if (result.compensated)
-    for (Register &sum : result.registers) {
-      Type own = sum.field ? sum.field->scalarType : sum.localType;
-      if (!isa<FloatType>(own) || sum.kind != AtomicKind::Add)
-        continue;
-      sum.digits = own.isF64() ? Digits::Pair : Digits::Wide;
-      if (sum.isPair() && PairLanes::canHold(sum.getUpdates(), loop))
-        sum.blocks = Blocks::Terms;
-    }
-  if (lowering.oneOrder)
-    for (Register &sum : result.registers) {
-      SmallVector<Operation *> updates = sum.getUpdates();
-      Type term =
-          sum.field ? sum.atomics.front().getValue().getType() : sum.localType;
-      if (isFloatTotal(updates.front()))
-        sum.ordered.emplace(sum.kind, term);
-    }
-  if (!isShort(loop))
-    for (Register &sum : result.registers)
-      sum.sumInBlocks();
-  if (!result.keepsOrder &&
-      llvm::all_of(result.registers, [&](const Register &sum) {
-        return !sum.isBlocked() ||
-               (sum.type.isF32() && areMadeOnce(sum.getUpdates(), loop));
-      }))
-    result.blockLength = kWidenedBlock;
-  if (lowering.deterministic && failed(checkOrderIsFixed(loop)))
-    return failure();
+      return failure();
+    result.registers.push_back(Register(*field, std::move(total)));
+    result.registers.back().indices = getOutside(atomic.getIndices(), loop);
+    result.registers.back().components =
+        getOutside(atomic.getComponents(), loop);
+  }
 
   FailureOr<SmallVector<AccumulationGroup>> groups =
       groupAccumulations(loop, inBuffers, lowering.fields);
@@ -196,46 +121,15 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
     if (!slice)
       return group.atomics.front().emitOpError(
           "updates a part of a field that is not evenly spaced in memory");
-    double updates = 0;
-    for (AtomicOp atomic : group.atomics)
-      updates += estimateRuns(atomic, loop);
     Buffer buffer;
+    buffer.digits = group.atomics.front().getReductionAttr().getDigits();
+    for (AtomicOp atomic : group.atomics)
+      buffer.updatesPerIteration += estimateRuns(atomic, loop);
     buffer.group = std::move(group);
     buffer.slice = std::move(*slice);
-    buffer.updatesPerIteration = updates;
-    bool isLong = updates * countIterations(loop) >=
-                  kWideUpdates * double(buffer.numElements());
-    Type scalar = buffer.group.field->scalarType;
-    // 16 bits stop growing after 2048 or 256 terms.
-    bool is16Bits = scalar.getIntOrFloatBitWidth() == 16;
-    if (is16Bits || (scalar.isF32() && (isLong || result.compensated)))
-      buffer.digits = Digits::Wide;
-    else if (scalar.isF64() && result.compensated)
-      buffer.digits = Digits::Pair;
     result.buffers.push_back(std::move(buffer));
   }
   return result;
-}
-
-void Accumulators::collectLocalSums(ParallelForOp loop) {
-  loop.walk([&](LLVM::AtomicRMWOp update) {
-    if (!isDoneByLoop(update))
-      return;
-    auto found = llvm::find_if(registers, [&](Register &other) {
-      return other.address == update.getPtr();
-    });
-    if (found != registers.end()) {
-      found->updates.push_back(update);
-      return;
-    }
-    Type type =
-        getSumType(update.getVal().getType(), AtomicKind::Add, compensated);
-    Register sum(nullptr, {}, AtomicKind::Add, type, {}, {});
-    sum.address = update.getPtr();
-    sum.localType = update.getVal().getType();
-    sum.updates.push_back(update);
-    registers.push_back(std::move(sum));
-  });
 }
 
 //===----------------------------------------------------------------------===//
@@ -396,28 +290,25 @@ static void emitCompensatedUpdate(OpBuilder &builder, Location loc, Pair sum,
 /// Adds the sum of all iterations to its element.
 void Accumulators::emitTotal(OpBuilder &builder, Location loc,
                              const Register &sum, Pair total) {
-  if (sum.address && sum.digits != Digits::Own)
-    return emitCompensatedUpdate(builder, loc, total, sum.localType,
-                                 sum.address, {});
-  if (sum.address) {
-    Value narrowed = emitNarrowed(builder, loc, total.sum,
-                                  sum.ordered ? sum.localType : sum.type);
-    emitPlainUpdate(builder, loc, sum.kind, narrowed, sum.address, {});
-    return;
+  Value address;
+  AliasScopes scopes;
+  if (sum.field) {
+    const FieldInfo &field = *sum.field;
+    SmallVector<Value> zeroBased =
+        emitZeroBased(builder, loc, field, sum.indices);
+    Value offset =
+        emitElementOffset(builder, loc, field, zeroBased, sum.components);
+    address = emitPointer(builder, loc, getStorageType(field.scalarType),
+                          emitFieldBase(builder, loc, field), offset);
+    scopes = lowering->fields.getScopes(field);
+  } else {
+    address = cast<LLVM::AtomicRMWOp>(sum.updates.front()).getPtr();
   }
-  const FieldInfo &field = *sum.field;
-  SmallVector<Value> zeroBased =
-      emitZeroBased(builder, loc, field, sum.indices);
-  Value offset =
-      emitElementOffset(builder, loc, field, zeroBased, sum.components);
-  Value address = emitPointer(builder, loc, getStorageType(field.scalarType),
-                              emitFieldBase(builder, loc, field), offset);
-  if (sum.digits != Digits::Own)
-    return emitCompensatedUpdate(builder, loc, total, field.scalarType, address,
-                                 lowering->fields.getScopes(field));
-  Value narrowed = emitNarrowed(builder, loc, total.sum, field.scalarType);
-  emitPlainUpdate(builder, loc, sum.kind, narrowed, address,
-                  lowering->fields.getScopes(field));
+  if (sum.reduction.getDigits() != SumDigits::Own)
+    return emitCompensatedUpdate(builder, loc, total, sum.termType, address,
+                                 scopes);
+  Value narrowed = emitNarrowed(builder, loc, total.sum, sum.termType);
+  emitPlainUpdate(builder, loc, sum.kind, narrowed, address, scopes);
 }
 
 void Accumulators::emitAfter(OpBuilder &builder, Location loc, Value frame,
@@ -529,9 +420,9 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
     if (sum.isPair()) {
       sum.rest = emitStackSlots(builder, loc, 1);
       emitSlotStore(builder, loc, identity, sum.rest);
-      if (sum.blocks == Blocks::Terms)
-        sum.lanes.emplace(builder, loc,
-                          sum.atomics.size() + sum.updates.size());
+      if (sum.storesTerms())
+        sum.lanes.emplace(builder, loc, sum.updates.size(),
+                          sum.reduction.getBlock());
     }
     if (!sum.isBlocked())
       continue;
@@ -636,18 +527,20 @@ void Accumulators::rewriteUpdates() {
     Value next = emitCombination(builder, loc, kind, old, term);
     // The order of a sum over iterations is ours to choose; LLVM needs to
     // know to vectorise it.
-    if (!keepsOrder && isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
+    if (sum.reduction.getOrder() == ReductionOrder::Any &&
+        isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
       next.getDefiningOp()->setAttr("fastmath", reassociable);
     emitSlotStore(builder, loc, next, sum.slot);
     update->erase();
   };
-  for (Register &sum : registers) {
-    size_t i = 0;
-    for (AtomicOp atomic : sum.atomics)
-      rewrite(sum, i++, atomic, atomic.getValueMutable(), atomic.getKind());
-    for (LLVM::AtomicRMWOp update : sum.updates)
-      rewrite(sum, i++, update, update.getValMutable(), AtomicKind::Add);
-  }
+  for (Register &sum : registers)
+    for (auto [i, update] : llvm::enumerate(sum.updates)) {
+      if (auto atomic = dyn_cast<AtomicOp>(update))
+        rewrite(sum, i, update, atomic.getValueMutable(), atomic.getKind());
+      else
+        rewrite(sum, i, update, cast<LLVM::AtomicRMWOp>(update).getValMutable(),
+                AtomicKind::Add);
+    }
   for (Buffer &buffer : buffers) {
     const FieldInfo &field = *buffer.group.field;
     // A buffer stands for its field: accesses that do not reach the one do not
@@ -705,18 +598,17 @@ void Accumulators::rewriteUpdates() {
   }
 }
 
-bool Accumulators::keepsTerms() const {
-  return llvm::any_of(registers, [](const Register &sum) {
-    return sum.blocks == Blocks::Terms;
-  });
+bool Accumulators::storesTerms() const {
+  return llvm::any_of(registers,
+                      [](const Register &sum) { return sum.storesTerms(); });
 }
 
 int64_t Accumulators::getBlockLength() const {
-  if (keepsTerms())
-    return PairLanes::kBlock;
-  bool inBlocks = llvm::any_of(
-      registers, [](const Register &sum) { return sum.isBlocked(); });
-  return inBlocks ? blockLength : 0;
+  int64_t length = 0;
+  for (const Register &sum : registers)
+    if (int64_t block = sum.reduction.getBlock())
+      length = length == 0 ? block : std::min(length, block);
+  return length;
 }
 
 void Accumulators::emitBlockEnd(OpBuilder &builder, Location loc,

@@ -17,7 +17,7 @@
 #include "LaneSums.h"
 #include "Lowering.h"
 #include "PairSums.h"
-#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 #include <optional>
 #include <vector>
 
@@ -25,14 +25,6 @@ namespace mlir::tai {
 
 class Accumulators {
 public:
-  /// Iterations in a block with a sum of its own: few enough that the rounding
-  /// error of a sum in the type itself is small, and enough to amortise the
-  /// horizontal addition of vector lanes.
-  static constexpr int64_t kBlock = 2048;
-  /// The same where WidenSums keeps the sums in f64: where all updates are in
-  /// the innermost loop itself.
-  static constexpr int64_t kWidenedBlock = 8192;
-
   /// Collects the accumulations of `loop`.
   static FailureOr<Accumulators> collect(ParallelForOp loop,
                                          ModuleLowering &lowering);
@@ -55,7 +47,7 @@ public:
   /// no sum needs blocks.
   int64_t getBlockLength() const;
   /// Whether that limit is strict, in loops over rows, too.
-  bool keepsTerms() const;
+  bool storesTerms() const;
   /// After each block of iterations, run by `loop`: adds its sums to the
   /// totals.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
@@ -78,49 +70,20 @@ public:
   void emitAfterChunks(OpBuilder &builder, Location loc, Value chunks);
 
 private:
-  /// The numbers in which a sum is kept.
-  enum class Digits {
-    /// The type of the field, or f32 for 16 bits.
-    Own,
-    /// A wider type than the field's: the sum is rounded once, when it is added
-    /// to the field.
-    Wide,
-    /// A sum of f64 with the sum of its rounding errors.
-    Pair
-  };
-  /// The sum that is formed over a block of iterations of the innermost loop.
-  enum class Blocks {
-    /// There are no blocks.
-    None,
-    /// A sum in the own type, which is added to a total in f64.
-    Sums,
-    /// The terms of a pair are stored, and added up in lanes; see PairSums.h.
-    Terms
-  };
-
   /// A sum of one component in a register.
   struct Register {
-    Register(const FieldInfo *field, SmallVector<AtomicOp> atomics,
-             AtomicKind kind, Type type, SmallVector<Value> indices,
-             SmallVector<Value> components);
-    /// Enables sums by blocks of iterations, for floats.
-    void sumInBlocks();
-    SmallVector<Operation *> getUpdates() const;
+    /// `field` is null for a sum in an array of the kernel.
+    Register(const FieldInfo *field, Total updates);
 
     const FieldInfo *field;
-    SmallVector<AtomicOp> atomics;
+    Total updates;
+    ReductionAttr reduction;
     AtomicKind kind; // how partial sums are combined
-    /// The type of the sum over a block, and of the totals over blocks and
-    /// partitions.
-    Type type, totalType;
-    Digits digits = Digits::Own;
-    Blocks blocks = Blocks::None;
+    /// The type of the terms, of the sum over a block, and of the totals over
+    /// blocks and partitions.
+    Type termType, type, totalType;
     // In the kernel:
     SmallVector<Value> indices, components;
-    /// The address of the target of a local sum, which belongs to no field.
-    Value address;
-    SmallVector<LLVM::AtomicRMWOp> updates;
-    Type localType;
     // In the outlined function: the sum of the block, the total of earlier
     // blocks, and the rounding error of a pair.
     Value slot, total, rest;
@@ -129,16 +92,17 @@ private:
     /// For sums in the order of all targets.
     std::optional<LaneSum> ordered;
 
-    bool isPair() const { return digits == Digits::Pair; }
-    bool isBlocked() const { return blocks == Blocks::Sums; }
+    bool isPair() const { return reduction.getDigits() == SumDigits::Pair; }
+    bool isBlocked() const { return reduction.getBlock() != 0 && !isPair(); }
+    bool storesTerms() const { return reduction.getBlock() != 0 && isPair(); }
   };
   /// Sums of a part of a field in a buffer.
   struct Buffer {
     AccumulationGroup group;
     FieldSlice slice;
-    double updatesPerIteration;
+    double updatesPerIteration = 0;
     /// For `Wide` and `Pair` every partition has a buffer.
-    Digits digits = Digits::Own;
+    SumDigits digits = SumDigits::Own;
     // In the kernel:
     Value target, memory, partStride, cellStride;
     // In the function of the loop:
@@ -150,19 +114,19 @@ private:
     /// Bytes of a number in the buffer.
     int64_t scalarSize() const {
       switch (digits) {
-      case Digits::Own:
+      case SumDigits::Own:
         return group.field->scalarSize;
-      case Digits::Wide:
+      case SumDigits::Wide:
         return sizeof(double);
-      case Digits::Pair:
+      case SumDigits::Pair:
         return 2 * sizeof(double);
       }
       llvm_unreachable("unknown digits");
     }
     /// Whether every partition has a buffer, so that none updates the field
     /// itself.
-    bool isApart() const { return digits != Digits::Own; }
-    bool isPair() const { return digits == Digits::Pair; }
+    bool isApart() const { return digits != SumDigits::Own; }
+    bool isPair() const { return digits == SumDigits::Pair; }
     int64_t compactStride() const {
       return group.field->numComponents * group.field->scalarSize;
     }
@@ -170,8 +134,6 @@ private:
   };
 
   explicit Accumulators(ModuleLowering &lowering) : lowering(&lowering) {}
-  /// Collects sums in local arrays of the kernel.
-  void collectLocalSums(ParallelForOp loop);
   Value emitTarget(OpBuilder &builder, Location loc, const Buffer &buffer);
   void emitBlockSums(OpBuilder &builder, Location loc);
   void emitTotal(OpBuilder &builder, Location loc, const Register &sum,
@@ -180,12 +142,6 @@ private:
   int64_t getPartialBytes() const;
 
   ModuleLowering *lowering;
-  /// For sums that are not compensated.
-  int64_t blockLength = kBlock;
-  /// Whether sums are kept with twice the digits of their type.
-  bool compensated = false;
-  /// Whether LLVM may not reorder the sums.
-  bool keepsOrder = false;
   std::vector<Register> registers;
   std::vector<Buffer> buffers;
   /// The innermost loop, in the function, and its iteration of the first lane.

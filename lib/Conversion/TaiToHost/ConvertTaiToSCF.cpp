@@ -22,7 +22,6 @@
 #include "tai/Dialect/Tai/IR/Ownership.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/Analysis/TargetLibraryInfo.h"
-#include "llvm/Support/SaveAndRestore.h"
 #include "llvm/TargetParser/Triple.h"
 
 namespace mlir::tai {
@@ -33,10 +32,9 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-ModuleLowering::ModuleLowering(ModuleOp module, bool deterministic, bool debug,
-                               Operation *table)
+ModuleLowering::ModuleLowering(ModuleOp module, bool debug, Operation *table)
     : module(module), runtime(table ? table : module.getOperation()),
-      fields(module), deterministic(deterministic), debug(debug) {
+      fields(module), debug(debug) {
   for (auto [i, tree] : llvm::enumerate(module.getOps<TreeOp>()))
     treeIndex[tree.getSymNameAttr()] = i;
   functions = collectLowered(module);
@@ -62,10 +60,6 @@ static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
 }
 
 LogicalResult tai::lowerKernel(KernelOp kernel, ModuleLowering &lowering) {
-  llvm::SaveAndRestore deterministic(
-      lowering.deterministic,
-      Modes::of(kernel).isDeterministic(lowering.deterministic));
-  lowering.oneOrder = Modes::of(kernel).hasOneOrder(lowering.deterministic);
   std::string name = getEntryPointName(kernel.getSymName());
   Location loc = kernel.getLoc();
   RuntimeCalls &runtime = lowering.runtime;
@@ -148,7 +142,7 @@ struct ConvertTaiToSCF : tai::impl::ConvertTaiToSCFBase<ConvertTaiToSCF> {
 
   void runOnOperation() override {
     ModuleOp module = getOperation();
-    ModuleLowering lowering(module, deterministic, debug);
+    ModuleLowering lowering(module, debug);
     for (auto kernel : llvm::make_early_inc_range(module.getOps<KernelOp>()))
       if (failed(lowerKernel(kernel, lowering)))
         return signalPassFailure();

@@ -8,7 +8,7 @@
 #include "LaneSums.h"
 #include "Lowering.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/SumOrder.h"
 

@@ -21,16 +21,12 @@ namespace mlir::tai {
 struct ModuleLowering {
   /// `table`: the symbol table for declarations of runtime functions, by
   /// default the module itself.
-  ModuleLowering(ModuleOp module, bool deterministic, bool debug,
-                 Operation *table = nullptr);
+  ModuleLowering(ModuleOp module, bool debug, Operation *table = nullptr);
 
   ModuleOp module;
   RuntimeCalls runtime;
   FieldTable fields;
-  bool deterministic, debug;
-  /// A mode of the kernel that is being lowered: sums have the order of all
-  /// targets.
-  bool oneOrder = false;
+  bool debug;
   /// Position of each tree in TaiFrame::trees.
   llvm::DenseMap<StringAttr, int64_t> treeIndex;
   /// The functions that are lowered, with the helpers that could not be

@@ -13,11 +13,6 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Loops that are known to be shorter add one term after another.
-constexpr int64_t kFewIterations = 64;
-/// So many terms of an iteration are kept at the most.
-constexpr size_t kMostUpdates = 4;
-
 /// A number of which LLVM does not see where it comes from.
 static Value emitFenced(OpBuilder &builder, Location loc, Value x) {
   auto name = builder.getStringAttr("llvm.arithmetic.fence");
@@ -70,26 +65,6 @@ static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x,
   return {sum, LLVM::FAddOp::create(builder, loc, pair.rest, lost)};
 }
 
-bool tai::areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop) {
-  for (Operation *update : updates)
-    for (Operation *parent = update->getParentOp(); parent != loop;
-         parent = parent->getParentOp())
-      // tai-split-index-sets takes an interior out of the loop.
-      if (!isa<scf::IfOp>(parent) || parent->hasAttr("tai.interior"))
-        return false;
-  return true;
-}
-
-bool PairLanes::canHold(ArrayRef<Operation *> updates, ParallelForOp loop) {
-  if (updates.size() > kMostUpdates || !areMadeOnce(updates, loop))
-    return false;
-  std::optional<int64_t> lower =
-      getConstantIntValue(loop.getLowerBounds().back());
-  std::optional<int64_t> upper =
-      getConstantIntValue(loop.getUpperBounds().back());
-  return !lower || !upper || *upper - *lower >= kFewIterations;
-}
-
 /// Memory for so many vectors, at the entry of the function.
 static Value emitRoom(OpBuilder &builder, Location loc, VectorType type,
                       int64_t count) {
@@ -100,14 +75,15 @@ static Value emitRoom(OpBuilder &builder, Location loc, VectorType type,
       size, /*alignment=*/64);
 }
 
-PairLanes::PairLanes(OpBuilder &builder, Location loc, size_t updates)
+PairLanes::PairLanes(OpBuilder &builder, Location loc, size_t updates,
+                     int64_t block)
     : type(VectorType::get({kLanes}, builder.getF64Type())) {
   auto function =
       cast<LLVM::LLVMFuncOp>(builder.getInsertionBlock()->getParentOp());
   OpBuilder entry = OpBuilder::atBlockBegin(&function.getBody().front());
   // The last terms are followed by zeros, up to whole vectors.
   for (size_t i = 0; i < updates; ++i)
-    terms.push_back(emitRoom(entry, loc, type, kBlock / kLanes + kVectors));
+    terms.push_back(emitRoom(entry, loc, type, block / kLanes + kVectors));
   Value zero =
       arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
   for (int64_t v = 0; v < kVectors; ++v) {

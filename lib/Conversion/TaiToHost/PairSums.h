@@ -31,21 +31,12 @@ Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x);
 /// The pair as one number.
 Value emitRounded(OpBuilder &builder, Location loc, Pair pair);
 
-/// Whether each update runs at most once in an iteration of the innermost loop
-/// that `loop` is lowered to, directly in its body.
-bool areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop);
-
 /// A pair for each vector lane, and the terms of a block of iterations.
 class PairLanes {
 public:
-  /// Iterations in a block. Their terms fit into the L1 cache.
-  static constexpr int64_t kBlock = 1024;
-
-  /// Whether these updates can be summed this way, and are worth the memory.
-  static bool canHold(ArrayRef<Operation *> updates, ParallelForOp loop);
-
-  /// At the entry of a function, for `updates` updates in an iteration.
-  PairLanes(OpBuilder &builder, Location loc, size_t updates);
+  /// At the entry of a function, for `updates` updates in each of the `block`
+  /// iterations of a block.
+  PairLanes(OpBuilder &builder, Location loc, size_t updates, int64_t block);
 
   /// At update number `update`, in the innermost loop: stores its term. Must
   /// run in every iteration; the term of a skipped update is zero.

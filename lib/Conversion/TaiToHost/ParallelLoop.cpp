@@ -18,7 +18,6 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/ABI/SumModes.h"
 #include "tai/Analysis/Cost.h"
-#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/SumOrder.h"
 
@@ -132,8 +131,8 @@ static SmallVector<Value> delinearize(OpBuilder &builder, Location loc,
 }
 
 /// Emits the loops of a partition and moves the body into them. `byRows`: the
-/// range counts rows. Sums end a block with each row, or after
-/// Accumulators::kBlock iterations.
+/// range counts rows. Sums end a block with each row, or after the iterations
+/// of a block.
 static void emitPartition(OpBuilder &builder, ParallelForOp loop,
                           const Box &box, Value begin, Value end, bool byRows,
                           Accumulators &accumulators) {
@@ -171,7 +170,7 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
     return;
   }
   // Rows are blocks of their own, however long, unless terms are kept.
-  bool cutsRows = inBlocks && accumulators.keepsTerms();
+  bool cutsRows = inBlocks && accumulators.storesTerms();
 
   // One loop for each dimension: the partition counts the first.
   if (loop.getOuterDims()) {
@@ -279,8 +278,7 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   IndexMath math(builder, loc);
   Box box(loop, builder);
   std::optional<int64_t> total = box.constantCount(box.rank());
-  bool isOrdered =
-      lowering.oneOrder && !(total && *total == 0) && hasFloatTotals(loop);
+  bool isOrdered = !(total && *total == 0) && hasCommonTotals(loop);
   if (loop.getSerialize() || loop->getParentOfType<ParallelForOp>() ||
       (total && *total <= 1 && !isOrdered)) {
     return ::lowerSerially(loop, box, lowering.fields);
@@ -295,11 +293,10 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
   // If the partition decides the order of sums, which must not change, it does
   // not use results that a pass may drop.
-  bool isFixed = Modes::of(loop).isDeterministic(false);
-  bool keepsSums =
-      !accumulators->empty() && (isFixed || lowering.deterministic);
-  double cost =
-      estimateIteration(loop, keepsSums || loop->hasAttr(kIndependentAttrName));
+  bool isFixed = loop.getOrder().has_value();
+  bool reduces = !accumulators->empty();
+  double cost = estimateIteration(
+      loop, (reduces && isFixed) || loop->hasAttr(kIndependentAttrName));
   if (FloatAttr fixed = loop.getFixedCostAttr())
     cost = fixed.getValueAsDouble();
   // Iterations in one unit of the partition.
@@ -341,10 +338,8 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
     builder.setInsertionPoint(loop);
   }
 
-  bool reduces = !accumulators->empty();
-  Value fixed = runtime.i32(builder, loc,
-                            isFixed ? int(kPartsFixed)
-                                    : int(reduces || lowering.deterministic));
+  Value fixed =
+      runtime.i32(builder, loc, isFixed ? int(kPartsFixed) : int(reduces));
   Value nanoseconds =
       runtime.i64(builder, loc, std::max<int64_t>(1, std::llround(cost)));
   if (isOrdered)

@@ -33,8 +33,8 @@
 #include "SharedUpdate.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/Transforms/Passes.h"
-#include "tai/Transforms/Utils/Accumulation.h"
 #include "llvm/ADT/StringSet.h"
 
 namespace mlir::tai {

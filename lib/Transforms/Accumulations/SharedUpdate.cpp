@@ -12,8 +12,8 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/Transforms/Utils/Accumulate.h"
-#include "tai/Transforms/Utils/Accumulation.h"
 #include "llvm/ADT/TypeSwitch.h"
 
 using namespace mlir;

@@ -35,9 +35,9 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Analysis/LoopBox.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Transforms/Passes.h"
-#include "tai/Transforms/Utils/Accumulation.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 #include "tai/Transforms/Utils/SumOrder.h"
@@ -96,8 +96,8 @@ static bool isSimple(ParallelForOp loop, int64_t maxOps) {
     if (isa<StoreOp, scf::IfOp, scf::YieldOp, YieldOp>(op))
       return WalkResult::advance();
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
-      bool isSum = atomic.getStrategy() == AccumulationStrategy::Register;
-      return atomic.getOld().use_empty() && (atomic.getExclusive() || isSum)
+      return atomic.getOld().use_empty() &&
+                     (atomic.getExclusive() || isKeptInRegister(op))
                  ? WalkResult::advance()
                  : WalkResult::interrupt();
     }
@@ -504,7 +504,7 @@ struct CoarsenThreads : tai::impl::CoarsenThreadsBase<CoarsenThreads> {
     std::optional<FieldTable> fields;
     for (LoopBox &box : findConstantBoxes(getOperation())) {
       // Strips are not the iterations by which all targets order sums.
-      if (Modes::of(box.loop).hasOneOrder(true) && hasFloatTotals(box.loop))
+      if (hasCommonTotals(box.loop))
         continue;
       std::optional<int64_t> count = getNumIterations(box.loop);
       if (!count || *count < minIterations || !isSimple(box.loop, maxOps))

@@ -12,22 +12,9 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-bool tai::isKeptInRegister(Operation *update) {
-  if (auto atomic = dyn_cast<AtomicOp>(update))
-    return atomic.getStrategy() == AccumulationStrategy::Register;
-  auto strategy = update->getAttrOfType<StringAttr>(kAccumulateAttrName);
-  return strategy && strategy.getValue() == kRegister;
-}
-
-bool tai::isDoneByLoop(Operation *update) {
-  if (auto atomic = dyn_cast<AtomicOp>(update))
-    return atomic.getStrategy().has_value();
-  return update->hasAttr(kAccumulateAttrName);
-}
-
 LogicalResult tai::checkOrderIsFixed(ParallelForOp loop) {
   // The additions of a warp are put in order when the loop is lowered.
-  if (loop.getSerialize() || loop.getInWarp())
+  if (!loop.getOrder() || loop.getSerialize() || loop.getInWarp())
     return success();
   WalkResult result = loop.walk([&](LLVM::AtomicRMWOp update) {
     bool isSum = update.getBinOp() == LLVM::AtomicBinOp::fadd ||
@@ -38,10 +25,9 @@ LogicalResult tai::checkOrderIsFixed(ParallelForOp loop) {
       memory = element.getBase();
     if (!isSum || isDoneByLoop(update) || !loop.isDefinedOutsideOfLoop(memory))
       return WalkResult::advance();
-    update->emitError("the order of these additions is not fixed, as "
-                      "deterministic mode asks for; expects "
-                      "tai-relax-atomics=deterministic to run before, and no "
-                      "pass in between to drop '")
+    update->emitError("the order of these additions is not fixed, as that of "
+                      "the loop is; expects tai-relax-atomics to run before, "
+                      "and no pass in between to drop '")
         << kAccumulateAttrName << "'";
     return WalkResult::interrupt();
   });

@@ -6,9 +6,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Transforms/Utils/SumOrder.h"
-#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
-#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/IndexMath.h"
 
 using namespace mlir;
@@ -60,24 +59,4 @@ void tai::emitLaneTree(OpBuilder &builder, Location loc, AtomicKind kind,
           scf::YieldOp::create(b, loc);
         });
   }
-}
-
-bool tai::isFloatTotal(Operation *update) {
-  if (!isKeptInRegister(update))
-    return false;
-  if (auto atomic = dyn_cast<AtomicOp>(update)) {
-    AtomicKind kind = getCombiningKind(atomic.getKind());
-    return isa<FloatType>(getElementTypeOrSelf(atomic.getValue().getType())) &&
-           (kind == AtomicKind::Add || kind == AtomicKind::Mul);
-  }
-  return isa<LLVM::AtomicRMWOp, memref::AtomicRMWOp>(update);
-}
-
-bool tai::hasFloatTotals(ParallelForOp loop) {
-  return loop
-      .walk([](Operation *op) {
-        return isFloatTotal(op) ? WalkResult::interrupt()
-                                : WalkResult::advance();
-      })
-      .wasInterrupted();
 }

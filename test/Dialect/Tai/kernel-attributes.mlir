@@ -48,14 +48,14 @@ tai.kernel @no_fields() attributes {tai.before = @x} {
 tai.tree @t : !tai.root<dense<[i: 8], {x: f32}>>
 tai.field @x = @t["x"] : f32, rank 1
 // CHECK-LABEL: tai.kernel @notes
-//       CHECK:   tai.atomic add %{{.+}}, @x[%{{.+}}] strategy private buffer 2 : f32
+//       CHECK:   tai.atomic add %{{.+}}, @x[%{{.+}}] reduction <buffer wide any buffer 2> : f32
 //       CHECK:   tai.assert %{{.+}}, "m"(%{{.+}}) : f32 {failure = 2 : i32, shapes = array<i32: 1>}
-//       CHECK: } {fixed_cost = 2.000000e+00 : f64, in_warp, outer_dims = 1 : i64, reach = -1 : i64}
+//       CHECK: } {fixed_cost = 2.000000e+00 : f64, in_warp, order = #tai.loop_order<fixed>, outer_dims = 1 : i64, reach = -1 : i64}
 tai.kernel @notes(%v: f32, %c: i1) {
   tai.parallel_for (%i) in @x {
-    %0 = tai.atomic add %v, @x[%i] strategy private buffer 2 : f32
+    %0 = tai.atomic add %v, @x[%i] reduction <buffer wide any buffer 2> : f32
     tai.assert %c, "m"(%v) : f32 {failure = 2 : i32, shapes = array<i32: 1>}
-  } {fixed_cost = 2.0 : f64, in_warp, outer_dims = 1 : i64, reach = -1 : i64}
+  } {fixed_cost = 2.0 : f64, in_warp, order = #tai.loop_order<fixed>, outer_dims = 1 : i64, reach = -1 : i64}
   tai.return
 }
 

@@ -18,7 +18,7 @@ tai.field @count = @t["count"] : i32, rank 0
 // CHECK-LABEL: tai.kernel @own
 //       CHECK:   tai.parallel_for
 //       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] exclusive : f32
-//       CHECK:   } {tai.independent}
+//       CHECK:   } {{{.*}}tai.independent}
 tai.kernel @own() {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -33,8 +33,8 @@ tai.kernel @own() {
 
 // Two different elements: the neighbour's iteration updates this one too.
 // CHECK-LABEL: tai.kernel @neighbours
-//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] strategy private buffer 0 : f32
-//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] strategy private buffer 0 : f32
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] reduction <buffer {{own|wide}} any buffer 0> : f32
+//       CHECK:     tai.atomic add %{{.+}}, @y[%{{.+}}] reduction <buffer {{own|wide}} any buffer 0> : f32
 //       CHECK:   }
 //   CHECK-NOT:   tai.independent
 //       CHECK:   tai.return
@@ -53,9 +53,9 @@ tai.kernel @neighbours() {
 
 // All iterations share one element: sums in registers.
 // CHECK-LABEL: tai.kernel @reduction
-//       CHECK:     tai.atomic add %{{.+}}, @loss[] strategy register : f32
-//       CHECK:     tai.atomic add %{{.+}}, @count[] strategy register : i32
-//       CHECK:   } {tai.independent}
+//       CHECK:     tai.atomic add %{{.+}}, @loss[] reduction <register own any block 8192> : f32
+//       CHECK:     tai.atomic add %{{.+}}, @count[] reduction <register own any> : i32
+//       CHECK:   } {{{.*}}tai.independent}
 tai.kernel @reduction() {
   %c0 = arith.constant 0 : index
   %one = arith.constant 1 : i32
@@ -74,7 +74,7 @@ tai.kernel @reduction() {
 //  CHECK-SAME:     %[[T:.+]]: index
 //       CHECK:   %[[NEXT:.+]] = arith.addi %[[T]], %{{.+}} : index
 //       CHECK:   tai.parallel_for
-//       CHECK:     tai.atomic add %{{.+}}, @grid[%[[NEXT]], {{.+}}] strategy private buffer 0 : f32
+//       CHECK:     tai.atomic add %{{.+}}, @grid[%[[NEXT]], {{.+}}] reduction <buffer {{own|wide}} any buffer 0> : f32
 tai.kernel @slice(%t: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -210,7 +210,7 @@ tai.kernel @array(%m: memref<?xf32>) {
 // Many sums of one field are neighbours: they share a buffer.
 // CHECK-LABEL: tai.kernel @row
 //  CHECK-SAME:     %[[T:.+]]: index
-// CHECK-COUNT-9:   tai.atomic add %{{.+}}, @grid[%[[T]], {{.+}}] strategy private buffer 0 : f32
+// CHECK-COUNT-9:   tai.atomic add %{{.+}}, @grid[%[[T]], {{.+}}] reduction <buffer {{own|wide}} any buffer 0> : f32
 tai.kernel @row(%t: index) {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -258,9 +258,9 @@ tai.kernel @wraps(%n: index) {
 // whatever the mode.
 // CHECK-LABEL: tai.kernel @local_sums
 //       CHECK:   tai.parallel_for
-//       CHECK:     memref.atomic_rmw addf {{.+}} {tai.accumulate = "register"}
-//       CHECK:     memref.atomic_rmw addf {{.+}} {tai.accumulate = "register"}
-//       CHECK:   } {tai.independent}
+//       CHECK:     memref.atomic_rmw addf {{.+}} {tai.accumulate = #tai.reduction<register own any block 8192>}
+//       CHECK:     memref.atomic_rmw addf {{.+}} {tai.accumulate = #tai.reduction<register own any block 8192>}
+//       CHECK:   } {{{.*}}tai.independent}
 tai.kernel @local_sums() -> f32 {
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
@@ -282,7 +282,7 @@ tai.kernel @local_sums() -> f32 {
 // One that is read in the loop, or indexed by it, is added to in memory.
 // CHECK-LABEL: tai.kernel @local_array
 //  FREE:   tai.parallel_for
-//   CHECK-NOT: {{strategy|tai.accumulate}}
+//   CHECK-NOT: {{reduction|tai.accumulate}}
 //  DET:    serialize
 tai.kernel @local_array() -> f32 {
   %c0 = arith.constant 0 : index
@@ -301,7 +301,7 @@ tai.kernel @local_array() -> f32 {
 // Counts of few bins have buffers of their own, too, in any mode: the order of
 // whole numbers does not matter. Not so maxima, and numbers of 16 bits.
 // CHECK-LABEL: tai.kernel @counts
-//       CHECK:     tai.atomic add %{{.+}}, @bins[%{{.+}}] strategy private buffer 0 : i32
+//       CHECK:     tai.atomic add %{{.+}}, @bins[%{{.+}}] reduction <buffer own any buffer 0> : i32
 //       CHECK:     tai.atomic add %{{.+}}, @narrow[%{{.+}}] : i16
 //       CHECK:   tai.return
 tai.kernel @counts() {

@@ -137,7 +137,7 @@ tai.kernel @vectors() {
     %0 = tai.load @v[%i] component [%c0] : f32
     %isLess = arith.cmpf olt, %0, %zero : f32
     scf.if %isLess {
-      %1 = tai.atomic add %0, @sum[] strategy register : f32
+      %1 = tai.atomic add %0, @sum[] reduction <register own any> : f32
     }
     tai.store %zero, @v[%i] component [%c0] : f32
   }

@@ -48,11 +48,6 @@ void emitLaneTree(OpBuilder &builder, Location loc, AtomicKind kind, Type type,
                   Value lanes, Value first, int64_t step,
                   const AliasScopes &scopes = {});
 
-/// True for a float sum or product of all iterations that a loop keeps out of
-/// memory.
-bool isFloatTotal(Operation *update);
-bool hasFloatTotals(ParallelForOp loop);
-
 } // namespace mlir::tai
 
 #endif // TAI_TRANSFORMS_UTILS_SUMORDER_H

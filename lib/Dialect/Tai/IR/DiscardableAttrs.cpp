@@ -19,7 +19,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-enum class Kind { Unit, Integer, Float, String, Symbol, List, Numbers, Any };
+enum class Kind { Unit, Integer, Float, Symbol, List, Numbers, Register, Any };
 
 /// Attributes that people write, and attributes by which passes communicate.
 struct KnownAttr {
@@ -53,7 +53,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.interior", Kind::Numbers},
     {"tai.tiles", Kind::Any},
     // Attributes of ops that mean the same without, as far as the program goes.
-    {"tai.accumulate", Kind::String},
+    {"tai.accumulate", Kind::Register},
     {"tai.adjoint_branch", Kind::Unit},
     {"tai.guard", Kind::Unit},
     {"tai.guard_infinite", Kind::Unit},
@@ -62,11 +62,9 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.device_slot", Kind::Unit},
     {"tai.keeps_order", Kind::Unit},
     {"tai.ordered_scope", Kind::Any},
-    {"tai.partial_sum", Kind::Unit},
     {"tai.rerun_read", Kind::Integer},
     {"tai.site", Kind::Integer},
     {"tai.sum_target", Kind::Integer},
-    {"tai.wide_sum", Kind::Unit},
 };
 
 static constexpr RenamedAttr kRenamed[] = {
@@ -95,14 +93,16 @@ static bool isOfKind(Attribute attr, Kind kind) {
     return isa<IntegerAttr>(attr);
   case Kind::Float:
     return isa<FloatAttr>(attr);
-  case Kind::String:
-    return isa<StringAttr>(attr);
   case Kind::Symbol:
     return isa<FlatSymbolRefAttr>(attr);
   case Kind::List:
     return isa<ArrayAttr>(attr);
   case Kind::Numbers:
     return isa<DenseI64ArrayAttr>(attr);
+  case Kind::Register: {
+    auto reduction = dyn_cast<ReductionAttr>(attr);
+    return reduction && reduction.getForm() == ReductionForm::Register;
+  }
   case Kind::Any:
     return true;
   }
@@ -117,14 +117,14 @@ static StringRef describe(Kind kind) {
     return "an integer";
   case Kind::Float:
     return "a float";
-  case Kind::String:
-    return "a string";
   case Kind::Symbol:
     return "the name of a function, such as @f";
   case Kind::List:
     return "a list";
   case Kind::Numbers:
     return "numbers, such as array<i64: 0, 2>";
+  case Kind::Register:
+    return "a #tai.reduction in a register";
   case Kind::Any:
     break;
   }

@@ -330,6 +330,7 @@ void ParallelForOp::copyNotesFrom(ParallelForOp other) {
   setFixedCostAttr(other.getFixedCostAttr());
   setInWarp(other.getInWarp());
   setInOrder(other.getInOrder());
+  setOrderAttr(other.getOrderAttr());
 }
 
 SmallVector<Region *> ParallelForOp::getLoopRegions() { return {&getRegion()}; }

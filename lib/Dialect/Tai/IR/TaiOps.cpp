@@ -397,6 +397,42 @@ LogicalResult AtomicOp::verify() {
   if (isOfIntegers && !element.isInteger())
     return emitOpError() << "'" << stringifyAtomicKind(getKind())
                          << "' expects integers, but got " << element;
+  // (atomic_c6)
+  ReductionAttr reduction = getReductionAttr();
+  if (!reduction)
+    return success();
+  if (getExclusive())
+    return emitOpError("is exclusive, and has a reduction");
+  bool isFloatSum = isa<FloatType>(element) && (getKind() == AtomicKind::Add ||
+                                                getKind() == AtomicKind::Sub);
+  if (!isFloatSum && (reduction.getDigits() != SumDigits::Own ||
+                      reduction.getForm() == ReductionForm::Fixed))
+    return emitOpError("has ")
+           << reduction << ", which only sums of floats have";
+  return success();
+}
+
+LogicalResult ReductionAttr::verify(function_ref<InFlightDiagnostic()> error,
+                                    ReductionForm form, SumDigits digits,
+                                    ReductionOrder order, int64_t block,
+                                    std::optional<int64_t> buffer) {
+  bool isInRegister = form == ReductionForm::Register;
+  if (isInRegister == buffer.has_value() || buffer.value_or(0) < 0)
+    return error() << "expects the number of a buffer with the forms 'buffer' "
+                      "and 'fixed', and with no other";
+  bool hasLanes =
+      order == ReductionOrder::Lanes || order == ReductionOrder::Common;
+  if (!isInRegister && order != ReductionOrder::Any)
+    return error() << "expects the order 'any' of what is in a buffer";
+  if (block < 0 ||
+      (block != 0 && (!isInRegister || hasLanes || digits == SumDigits::Wide)))
+    return error() << "expects a block, of at least one iteration, with sums "
+                      "in a register alone, of own digits or pairs, and not in "
+                      "lanes";
+  if (digits != SumDigits::Own &&
+      (form == ReductionForm::Fixed || order == ReductionOrder::Common))
+    return error() << "expects own digits in fixed point and in the common "
+                      "order";
   return success();
 }
 

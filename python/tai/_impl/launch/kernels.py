@@ -169,9 +169,11 @@ class Kernel(native.Launcher):
         return self._find(args).core.ir(stage)
 
     def explain(self, *args: Any) -> str:
-        """Describes the gradient of the kernel in words.
+        """Describes the sums and the gradient of the kernel in words.
 
-        For each serial loop: the number of its iterations, the values saved of them, and the class
+        For each update in a parallel loop: its form, the digits of the sum and the order of its
+        terms (see docs/guides/precision.md), or why it stays atomic. The gradient has for each
+        serial loop: the number of its iterations, the values saved of them, and the class
         of each value that it carries from one to the next: *linear*, of a *closed form*,
         *invertible* or a *trajectory* (see docs/guides/loops.md). For each branch: whether it was
         flattened, or why not. Then the fields that the gradient reads and adds to, and the data

@@ -116,14 +116,15 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", "Combine", "Value", [
     integers.
 
     `exclusive` states that no other iteration of the enclosing parallel loop
-    reaches the element, so that a non-atomic update is enough. `strategy` is
-    the decision of `tai-relax-atomics`: `register`, each thread accumulates in
-    a register, or `private`, in a private buffer, with the number `buffer` in
-    the loop; without it the update is atomic.
+    reaches the element, so that a non-atomic update is enough. `reduction` is
+    the decision of `tai-relax-atomics` (see `#tai.reduction`); without it the
+    update is atomic.
 
     1. (atomic_c1) to (atomic_c4): those of `tai.load`.
     2. (atomic_c5) `and`, `or`, `xor`, `minu` and `maxu` combine integers; the last two
        take them as unsigned, `min` and `max` as signed.
+    3. (atomic_c6) An `exclusive` update has no `reduction`. A reduction with other digits
+       than its own, or in fixed point, adds or subtracts floats.
 
     Example:
 
@@ -134,13 +135,13 @@ def Tai_AtomicOp : Tai_AccessOp<"atomic", "Combine", "Value", [
   let arguments = (ins Tai_AtomicKindAttr:$kind, Tai_Value:$value,
                        FlatSymbolRefAttr:$field, Variadic<Index>:$indices,
                        Variadic<Index>:$components,
-                       OptionalAttr<Tai_AccumulationStrategyAttr>:$strategy,
-                       OptionalAttr<I64Attr>:$buffer, UnitAttr:$exclusive);
+                       OptionalAttr<Tai_ReductionAttr>:$reduction,
+                       UnitAttr:$exclusive);
   let results = (outs Tai_Value:$old);
   let assemblyFormat = [{
     `` $kind $value `,` $field `[` $indices `]`
     (`component` `[` $components^ `]`)? (`exclusive` $exclusive^)?
-    (`strategy` $strategy^)? (`buffer` $buffer^)? attr-dict `:` type($value)
+    (`reduction` $reduction^)? attr-dict `:` type($value)
   }];
   let hasVerifier = 1;
   let builders = [OpBuilder<(ins "::mlir::tai::AtomicKind":$kind,

@@ -26,16 +26,81 @@ def Tai_AtomicKindAttr
   let assemblyFormat = "$value";
 }
 
-def Tai_AccumulationStrategy
-    : I32EnumAttr<"AccumulationStrategy", "how updates of a loop are done", [
+def Tai_ReductionForm
+    : I32EnumAttr<"ReductionForm", "where the updates of a loop go", [
     I32EnumAttrCase<"Register", 0, "register">,
-    I32EnumAttrCase<"Private", 1, "private">]> {
+    I32EnumAttrCase<"Buffer", 1, "buffer">,
+    I32EnumAttrCase<"Fixed", 2, "fixed">]> {
   let cppNamespace = "::mlir::tai";
   let genSpecializedAttr = 0;
 }
-def Tai_AccumulationStrategyAttr
-    : EnumAttr<Tai_Dialect, Tai_AccumulationStrategy, "strategy"> {
-  let assemblyFormat = "$value";
+
+def Tai_SumDigits : I32EnumAttr<"SumDigits", "the numbers that hold a sum", [
+    I32EnumAttrCase<"Own", 0, "own">, I32EnumAttrCase<"Wide", 1, "wide">,
+    I32EnumAttrCase<"Pair", 2, "pair">]> {
+  let cppNamespace = "::mlir::tai";
+  let genSpecializedAttr = 0;
+}
+
+def Tai_ReductionOrder
+    : I32EnumAttr<"ReductionOrder", "in which order a sum adds its terms", [
+    I32EnumAttrCase<"Any", 0, "any">,
+    I32EnumAttrCase<"Iterations", 1, "iterations">,
+    I32EnumAttrCase<"Lanes", 2, "lanes">,
+    I32EnumAttrCase<"Common", 3, "common">]> {
+  let cppNamespace = "::mlir::tai";
+  let genSpecializedAttr = 0;
+}
+
+/// How a parallel loop does an update.
+def Tai_ReductionAttr : AttrDef<Tai_Dialect, "Reduction"> {
+  let mnemonic = "reduction";
+  let summary = "how a parallel loop does an update";
+  let description = [{
+    `#tai.reduction<register own any block 2048>` and
+    `#tai.reduction<buffer wide any buffer 0>`; `tai-relax-atomics` chooses.
+
+    * `form`: a sum in a `register` of each partition or thread, where all
+      iterations update one element; a `buffer` beside the field, with the
+      number `buffer` in the loop; on a GPU, sums in `fixed` point, which have
+      such a number as well.
+    * `digits`: the type of the field (`own`; f32 for sums of 16-bit floats);
+      a type with more digits, rounded once (`wide`); an f64 with the sum of its
+      rounding errors (`pair`).
+    * `order` of the terms: `any`; that of `iterations` in each partition;
+      `lanes`, of which a loop has a fixed number whatever the number of
+      threads; `common`, such lanes with the same iterations on all targets.
+    * `block`: after so many iterations a sum in its own digits is added to a
+      total of f64, or the terms of a pair, stored until then, are summed.
+  }];
+  let parameters = (ins
+    EnumParameter<Tai_ReductionForm>:$form,
+    EnumParameter<Tai_SumDigits>:$digits,
+    EnumParameter<Tai_ReductionOrder>:$order,
+    DefaultValuedParameter<"int64_t", "0">:$block,
+    OptionalParameter<"std::optional<int64_t>">:$buffer
+  );
+  let assemblyFormat = [{
+    `<` $form $digits $order (`block` $block^)? (`buffer` $buffer^)? `>`
+  }];
+  let genVerifyDecl = 1;
+  let extraClassDeclaration = [{
+    /// The same in the buffer with this number.
+    ReductionAttr withBuffer(int64_t buffer) {
+      return get(getContext(), getForm(), getDigits(), getOrder(), getBlock(),
+                 buffer);
+    }
+  }];
+}
+
+def Tai_LoopOrder : I32EnumAttr<"LoopOrder", "what a result may depend on", [
+    I32EnumAttrCase<"Fixed", 0, "fixed">,
+    I32EnumAttrCase<"Common", 1, "common">]> {
+  let cppNamespace = "::mlir::tai";
+  let genSpecializedAttr = 0;
+}
+def Tai_LoopOrderAttr : EnumAttr<Tai_Dialect, Tai_LoopOrder, "loop_order"> {
+  let assemblyFormat = "`<` $value `>`";
 }
 
 def Tai_FieldUse : I32EnumAttr<"FieldUse", "how a kernel uses a field", [

@@ -194,7 +194,8 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     divide only this many of the first dimensions; `fixed_cost`, the nanoseconds
     of an iteration used for partitioning, which also fixes the order of its
     sums independently of the lowering; `in_warp`, one warp of a GPU runs the
-    loop, with its additions in a fixed order.
+    loop, with its additions in a fixed order; `order`, no result may depend on
+    timing or on the number of threads (`fixed`), nor on the target (`common`).
 
     `in_order`, which `tai-keep-order` sets, promises less: one thread runs the
     loop, and its iterations read and write memory as if they ran one after
@@ -223,7 +224,8 @@ def Tai_ParallelForOp : Tai_Op<"parallel_for", [
     OptionalAttr<I64Attr>:$outer_dims,
     OptionalAttr<F64Attr>:$fixed_cost,
     UnitAttr:$in_warp,
-    UnitAttr:$in_order
+    UnitAttr:$in_order,
+    OptionalAttr<Tai_LoopOrderAttr>:$order
   );
   let regions = (region SizedRegion<1>:$body);
   let hasCustomAssemblyFormat = 1;

@@ -5,17 +5,46 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Groups the atomic updates of a parallel loop by their targets. Used to choose
-// a strategy (`tai-relax-atomics`) and to lower it (`convert-tai-to-scf`).
+// Groups the updates of a parallel loop by their targets, and reads how the
+// loop does them. ReductionPlan.h decides that; lowerings carry it out.
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_TRANSFORMS_UTILS_ACCUMULATION_H
-#define TAI_TRANSFORMS_UTILS_ACCUMULATION_H
+#ifndef TAI_ANALYSIS_REDUCTIONS_ACCUMULATION_H
+#define TAI_ANALYSIS_REDUCTIONS_ACCUMULATION_H
 
-#include "tai/Transforms/Utils/Accumulate.h"
+#include "tai/Analysis/FieldTable.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 
 namespace mlir::tai {
+
+/// On tai.parallel_for: no iteration accesses memory that another writes, so
+/// that LLVM may vectorise without a dependence check.
+constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
+
+/// On an update of memory other than tai.atomic, which has an inherent
+/// attribute for this: the #tai.reduction. Without it, the update is atomic.
+constexpr llvm::StringLiteral kAccumulateAttrName = "tai.accumulate";
+
+/// How the loop does an update; null for one that the lowering of memory
+/// accesses does, as an atomic or a plain one.
+ReductionAttr getReduction(Operation *update);
+inline bool isDoneByLoop(Operation *update) {
+  return getReduction(update) != nullptr;
+}
+/// True for an update of which a register holds the sum.
+bool isKeptInRegister(Operation *update);
+
+/// Updates of one element, in the order of the program: the loop keeps their
+/// sum in one register.
+using Total = SmallVector<Operation *>;
+SmallVector<Total> groupTotals(ArrayRef<Operation *> updates);
+/// How partial results of an update are combined, and the type of its terms.
+AtomicKind getCombiningKind(Operation *update);
+Type getTermType(Operation *update);
+
+/// True if a sum of the loop adds its terms in the order of all targets.
+bool hasCommonTotals(ParallelForOp loop);
 
 /// Updates of one part of one field.
 struct AccumulationGroup {
@@ -39,8 +68,8 @@ groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
 /// Merges two groups of one field: an index that differs counts as varying.
 void mergeGroups(AccumulationGroup &into, const AccumulationGroup &from);
 
-/// On a device in deterministic mode: the number of elements of the part of the
-/// field, and the bytes of an accumulator in fixed point of each.
+/// For sums in fixed point: the number of elements of the part of the field,
+/// and the bytes of the accumulator of each.
 int64_t getNumAccumulators(const AccumulationGroup &group);
 int64_t getAccumulatorBytes(Type scalar);
 
@@ -77,4 +106,4 @@ AtomicKind getCombiningKind(AtomicKind kind);
 
 } // namespace mlir::tai
 
-#endif // TAI_TRANSFORMS_UTILS_ACCUMULATION_H
+#endif // TAI_ANALYSIS_REDUCTIONS_ACCUMULATION_H

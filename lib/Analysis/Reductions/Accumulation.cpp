@@ -5,13 +5,93 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
 
 using namespace mlir;
 using namespace mlir::tai;
+
+ReductionAttr tai::getReduction(Operation *update) {
+  if (auto atomic = dyn_cast<AtomicOp>(update))
+    return atomic.getReductionAttr();
+  return dyn_cast_or_null<ReductionAttr>(
+      update->getDiscardableAttr(kAccumulateAttrName));
+}
+
+bool tai::isKeptInRegister(Operation *update) {
+  ReductionAttr reduction = getReduction(update);
+  return reduction && reduction.getForm() == ReductionForm::Register;
+}
+
+AtomicKind tai::getCombiningKind(Operation *update) {
+  auto atomic = dyn_cast<AtomicOp>(update);
+  return atomic ? getCombiningKind(atomic.getKind()) : AtomicKind::Add;
+}
+
+Type tai::getTermType(Operation *update) {
+  if (auto atomic = dyn_cast<AtomicOp>(update))
+    return atomic.getValue().getType();
+  if (auto lowered = dyn_cast<LLVM::AtomicRMWOp>(update))
+    return lowered.getVal().getType();
+  return cast<memref::AtomicRMWOp>(update).getValue().getType();
+}
+
+static bool areEqual(ValueRange a, ValueRange b) {
+  return a.size() == b.size() &&
+         llvm::all_of(llvm::zip_equal(a, b), [](auto pair) {
+           auto [p, q] = pair;
+           std::optional<int64_t> constant = getConstantIntValue(p);
+           return p == q || (constant && constant == getConstantIntValue(q));
+         });
+}
+
+/// True if both update the same element, in a way that one register can hold.
+static bool haveOneTotal(Operation *a, Operation *b) {
+  if (a->getName() != b->getName() ||
+      getCombiningKind(a) != getCombiningKind(b))
+    return false;
+  if (auto atomic = dyn_cast<AtomicOp>(a))
+    return updatesSameComponent(atomic, cast<AtomicOp>(b));
+  if (auto lowered = dyn_cast<LLVM::AtomicRMWOp>(a))
+    return lowered.getPtr() == cast<LLVM::AtomicRMWOp>(b).getPtr();
+  auto x = cast<memref::AtomicRMWOp>(a), y = cast<memref::AtomicRMWOp>(b);
+  return x.getMemref() == y.getMemref() &&
+         areEqual(x.getIndices(), y.getIndices());
+}
+
+SmallVector<Total> tai::groupTotals(ArrayRef<Operation *> updates) {
+  SmallVector<Total> totals;
+  for (Operation *update : updates) {
+    auto *known = llvm::find_if(totals, [&](const Total &total) {
+      return haveOneTotal(total.front(), update);
+    });
+    if (known == totals.end())
+      totals.push_back({update});
+    else
+      known->push_back(update);
+  }
+  return totals;
+}
+
+bool tai::hasCommonTotals(ParallelForOp loop) {
+  return loop
+      .walk([](Operation *op) {
+        ReductionAttr reduction = getReduction(op);
+        return reduction && reduction.getOrder() == ReductionOrder::Common
+                   ? WalkResult::interrupt()
+                   : WalkResult::advance();
+      })
+      .wasInterrupted();
+}
+
+/// The buffer in which an update adds, or none.
+static std::optional<int64_t> getBuffer(AtomicOp atomic) {
+  ReductionAttr reduction = atomic.getReductionAttr();
+  return reduction ? reduction.getBuffer() : std::nullopt;
+}
 
 FailureOr<SmallVector<AccumulationGroup>>
 tai::groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
@@ -25,12 +105,12 @@ tai::groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
     SmallVector<Value> fixed;
     for (Value index : atomic.getIndices())
       fixed.push_back(loop.isDefinedOutsideOfLoop(index) ? index : Value());
-    IntegerAttr buffer = atomic.getBufferAttr();
+    std::optional<int64_t> buffer = getBuffer(atomic);
     AccumulationGroup single{*field, fixed, {atomic}};
     auto *group = llvm::find_if(groups, [&](AccumulationGroup &other) {
       if (other.field != *field)
         return false;
-      return buffer ? other.atomics.front().getBufferAttr() == buffer
+      return buffer ? getBuffer(other.atomics.front()) == buffer
                     : other.fixed == fixed;
     });
     if (group == groups.end())
@@ -64,16 +144,9 @@ int64_t tai::getAccumulatorBytes(Type scalar) {
 }
 
 bool tai::updatesSameComponent(AtomicOp a, AtomicOp b) {
-  auto same = [](ValueRange x, ValueRange y) {
-    return llvm::all_of(llvm::zip_equal(x, y), [](auto pair) {
-      auto [p, q] = pair;
-      std::optional<int64_t> constant = getConstantIntValue(p);
-      return p == q || (constant && constant == getConstantIntValue(q));
-    });
-  };
-  return a.getField() == b.getField() && same(a.getIndices(), b.getIndices()) &&
-         a.getComponents().size() == b.getComponents().size() &&
-         same(a.getComponents(), b.getComponents());
+  return a.getField() == b.getField() &&
+         areEqual(a.getIndices(), b.getIndices()) &&
+         areEqual(a.getComponents(), b.getComponents());
 }
 
 bool tai::isInjective(ParallelForOp loop, ValueRange indices) {

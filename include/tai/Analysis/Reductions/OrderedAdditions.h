@@ -11,11 +11,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
-#define TAI_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
+#ifndef TAI_ANALYSIS_REDUCTIONS_ORDEREDADDITIONS_H
+#define TAI_ANALYSIS_REDUCTIONS_ORDEREDADDITIONS_H
 
-#include "tai/Dialect/Tai/IR/Tai.h"
-#include "tai/Transforms/Utils/FieldAddress.h"
+#include "tai/Analysis/FieldTable.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 
 namespace mlir::tai {
 
@@ -29,20 +29,23 @@ Operation *findDivergence(ParallelForOp loop, OpPredicate isAddition);
 /// True if the additions of `loop` that are neither exclusive nor sums over all
 /// iterations can be executed in the order of iteration numbers while the rest
 /// of the iterations runs in parallel: nothing in the loop reads the writes of
-/// other iterations.
-bool canOrderAdditions(ParallelForOp loop, FieldTable &fields);
+/// other iterations. `plan` says which additions those are.
+bool canOrderAdditions(ParallelForOp loop, FieldTable &fields,
+                       const ReductionPlan &plan);
 
 /// The same for the order of iterations: no element gets more than one of the
 /// additions of an iteration, so that it does not matter that threads do one
 /// addition of 32 iterations after another.
-bool canQueueAdditions(ParallelForOp loop, FieldTable &fields);
+bool canQueueAdditions(ParallelForOp loop, FieldTable &fields,
+                       const ReductionPlan &plan);
 
 /// True if the values that the loop adds, in `additions`, can be computed
 /// several times, without its other effects, and always are the same. All are
 /// additions to fields whose old value nobody uses.
 bool canAddInAnyOrder(ParallelForOp loop, FieldTable &fields,
+                      const ReductionPlan &plan,
                       SmallVectorImpl<AtomicOp> &additions);
 
 } // namespace mlir::tai
 
-#endif // TAI_TRANSFORMS_UTILS_ORDEREDADDITIONS_H
+#endif // TAI_ANALYSIS_REDUCTIONS_ORDEREDADDITIONS_H

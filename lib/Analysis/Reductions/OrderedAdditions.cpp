@@ -5,13 +5,13 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Transforms/Utils/OrderedAdditions.h"
+#include "tai/Analysis/Reductions/OrderedAdditions.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/Accesses.h"
-#include "tai/Transforms/Utils/Accumulation.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -86,8 +86,8 @@ struct PlaceAccesses {
 
 class Checker {
 public:
-  Checker(ParallelForOp loop, FieldTable &fields)
-      : loop(loop), fields(fields) {}
+  Checker(ParallelForOp loop, FieldTable &fields, const ReductionPlan &plan)
+      : loop(loop), fields(fields), plan(plan) {}
   bool run();
   bool runInAnyOrder(SmallVectorImpl<AtomicOp> &found);
   bool haveElementsOfTheirOwn();
@@ -103,6 +103,7 @@ private:
 
   ParallelForOp loop;
   FieldTable &fields;
+  const ReductionPlan &plan;
   /// Iterations may take memory of their own, and add 16-bit floats.
   bool inAnyOrder = false;
   llvm::MapVector<const void *, PlaceAccesses> places;
@@ -129,12 +130,12 @@ bool Checker::visitField(FieldAccessOpInterface op) {
   auto atomic = dyn_cast<AtomicOp>(op.getOperation());
   if (!atomic)
     return false;
-  if (atomic.getExclusive())
+  if (plan.isExclusive(op))
     return add(place.writes, atomic.getIndices());
   if (!atomic.getOld().use_empty())
     return false;
   // Sums of all iterations leave memory alone until the end.
-  if (isDoneByLoop(op))
+  if (plan.isDoneByLoop(op))
     return true;
   Type type = atomic.getValue().getType();
   AtomicKind kind = atomic.getKind();
@@ -170,7 +171,7 @@ bool Checker::visitArray(Operation *op) {
     return add(place.writes, store.getIndices());
   if (!atomic.getResult().use_empty())
     return false;
-  if (isDoneByLoop(op))
+  if (plan.isDoneByLoop(op))
     return true;
   Type type = atomic.getValue().getType();
   bool isExtreme = atomic.getKind() == arith::AtomicRMWKind::minimumf ||
@@ -266,8 +267,9 @@ bool Checker::run() {
          });
 }
 
-bool tai::canOrderAdditions(ParallelForOp loop, FieldTable &fields) {
-  return Checker(loop, fields).run();
+bool tai::canOrderAdditions(ParallelForOp loop, FieldTable &fields,
+                            const ReductionPlan &plan) {
+  return Checker(loop, fields, plan).run();
 }
 
 /// True if an iteration reads nothing of the place that it has written.
@@ -306,7 +308,7 @@ bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
     auto update = dyn_cast<AtomicOp>(op);
     bool usesOld = update && !update.getOld().use_empty();
     // Updates without an instruction of their own become loops.
-    bool isLoop = update && !update.getExclusive() && !isDoneByLoop(op) &&
+    bool isLoop = update && !plan.isExclusive(op) && !plan.isDoneByLoop(op) &&
                   (update.getKind() == AtomicKind::Mul ||
                    update.getValue().getType().isInteger(1));
     return usesOld || isLoop || (local && loop.isDefinedOutsideOfLoop(local))
@@ -330,8 +332,9 @@ bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
 }
 
 bool tai::canAddInAnyOrder(ParallelForOp loop, FieldTable &fields,
+                           const ReductionPlan &plan,
                            SmallVectorImpl<AtomicOp> &additions) {
-  return Checker(loop, fields).runInAnyOrder(additions);
+  return Checker(loop, fields, plan).runInAnyOrder(additions);
 }
 
 /// The constant components of an element that an update names.
@@ -369,7 +372,8 @@ bool Checker::haveElementsOfTheirOwn() {
   return true;
 }
 
-bool tai::canQueueAdditions(ParallelForOp loop, FieldTable &fields) {
-  Checker checker(loop, fields);
+bool tai::canQueueAdditions(ParallelForOp loop, FieldTable &fields,
+                            const ReductionPlan &plan) {
+  Checker checker(loop, fields, plan);
   return checker.run() && checker.haveElementsOfTheirOwn();
 }

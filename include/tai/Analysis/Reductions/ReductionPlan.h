@@ -1,0 +1,60 @@
+//===- ReductionPlan.h - How a parallel loop does its updates ---*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The plan of a loop has for each update its form, the digits of its sum and
+// the order of its terms, as #tai.reduction. It alone reads the modes of the
+// kernel; lowerings read the attributes. See docs/decisions/0061-reductions.md.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_REDUCTIONS_REDUCTIONPLAN_H
+#define TAI_ANALYSIS_REDUCTIONS_REDUCTIONPLAN_H
+
+#include "tai/Dialect/Tai/IR/Tai.h"
+#include "llvm/ADT/MapVector.h"
+
+namespace mlir::tai {
+
+class FieldTable;
+
+struct ReductionPlan {
+  struct Update {
+    /// No other iteration reaches the element.
+    bool isExclusive = false;
+    /// Null for an update that is exclusive or atomic.
+    ReductionAttr reduction;
+    /// Why an update is atomic, or empty.
+    StringRef reason;
+  };
+  /// `tai.atomic`, and updates of arrays from outside the loop.
+  llvm::MapVector<Operation *, Update> updates;
+  /// The order of the loop, where its results may not depend on threads.
+  std::optional<LoopOrder> order;
+  /// One thread runs the loop; one warp does.
+  bool isSerial = false, inWarp = false;
+  /// No iteration accesses memory that another one writes.
+  bool isIndependent = false;
+
+  bool isExclusive(Operation *op) const {
+    return updates.lookup(op).isExclusive;
+  }
+  bool isDoneByLoop(Operation *op) const {
+    return updates.lookup(op).reduction != nullptr;
+  }
+  /// Writes the plan to the loop and its updates.
+  void apply(ParallelForOp loop) const;
+};
+
+/// Plans a loop from which invariant code has been moved: such indices tell
+/// which part of a field is updated. `onDevice`: for a GPU. Fails after an
+/// error at a sum for which the kernel asks for digits that it cannot have.
+FailureOr<ReductionPlan> planReductions(ParallelForOp loop, FieldTable &fields,
+                                        bool deterministic, bool onDevice);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_REDUCTIONS_REDUCTIONPLAN_H

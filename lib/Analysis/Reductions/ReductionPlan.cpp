@@ -1,0 +1,744 @@
+//===- ReductionPlan.cpp - How a parallel loop does its updates -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// An atomic float addition is a loop around a compare-and-exchange on CPUs, and
+// nothing vectorises around it. Nearly all accumulations of simulators and of
+// their adjoints do not need it: each iteration has its own element, or all
+// share one, or the updated part of the field is small.
+//
+//===----------------------------------------------------------------------===//
+
+#include "tai/Analysis/Reductions/ReductionPlan.h"
+#include "mlir/Dialect/MemRef/IR/MemRef.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/Cost.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
+#include "tai/Analysis/Reductions/OrderedAdditions.h"
+#include "tai/Dialect/Tai/IR/Modes.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Iterations in a block with a sum of its own: few enough that the rounding
+/// error of a sum in the type itself is small, and enough to amortise the
+/// horizontal addition of vector lanes.
+constexpr int64_t kBlock = 2048;
+/// The same where WidenSums keeps the sums in f64: where all updates are in the
+/// innermost loop itself.
+constexpr int64_t kWidenedBlock = 8192;
+/// The same for the terms of pairs, which fit into the L1 cache.
+constexpr int64_t kBlockOfTerms = 1024;
+/// Loops that are known to be shorter add the terms of pairs one after another,
+/// as do loops with more updates in an iteration.
+constexpr int64_t kFewIterations = 64;
+constexpr size_t kMostUpdates = 4;
+
+/// From this many updates of an element on, a loop sums f32 in buffers of f64:
+/// one addition after another, their number is that of the roundings.
+constexpr double kWideUpdates = 256;
+
+/// 16-bit floats keep their value when a two-thousandth of it is added.
+constexpr int64_t kFewTermsOf16Bits = 32;
+
+/// More sums than this in one field are held in a buffer rather than in
+/// registers: they are neighbours as a rule (the weights of a sum written out),
+/// which LLVM updates as vectors, while it would spill so many registers.
+constexpr size_t kMaxRegisters = 8;
+
+/// Iterations of a loop on a GPU whose sums do not meet in a block: its
+/// threads.
+constexpr int64_t kMaxWarpSums = 1024;
+
+/// Private buffers larger than this are left alone: they would fill the memory
+/// of a machine with many cores.
+constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
+
+/// In deterministic mode on a GPU: an iteration of a loop that one warp runs,
+/// measured; three passes over the iterations instead, and a byte of their
+/// accumulators; and how many bytes a launch may take.
+constexpr double kWarpNanoseconds = 80, kPassesNanoseconds = 10000;
+constexpr double kNanosecondsPerByte = 1e-3;
+constexpr double kMaxAccumulatorBytes = int64_t(1) << 29;
+
+/// Local arrays up to this size are summed in registers: a matrix.
+constexpr int64_t kMaxLocalSums = 16;
+
+namespace {
+/// The accesses of a loop to one field.
+struct FieldAccesses {
+  SmallVector<AtomicOp> atomics; // those that are not exclusive yet
+  SmallVector<Operation *> others;
+};
+
+class Planner {
+public:
+  Planner(ParallelForOp loop, FieldTable &fields, bool deterministic,
+          const Modes &modes, bool onDevice)
+      : loop(loop), fields(fields), compensated(modes.isCompensated()),
+        onDevice(onDevice) {
+    if (modes.hasOneOrder(deterministic))
+      plan.order = LoopOrder::Common;
+    else if (modes.isDeterministic(deterministic))
+      plan.order = LoopOrder::Fixed;
+  }
+
+  FailureOr<ReductionPlan> run();
+
+private:
+  bool isDeterministic() const { return plan.order.has_value(); }
+  /// All targets must choose alike.
+  bool hasOneOrder() const { return plan.order == LoopOrder::Common; }
+  ReductionForm getForm(Operation *op) const {
+    return plan.updates.lookup(op).reduction.getForm();
+  }
+  /// Chooses the form; chooseDigits completes the choice.
+  void setForm(Operation *op, ReductionForm form,
+               std::optional<int64_t> buffer = std::nullopt) {
+    plan.updates[op].reduction =
+        ReductionAttr::get(op->getContext(), form, SumDigits::Own,
+                           ReductionOrder::Any, /*block=*/0, buffer);
+  }
+  bool isFloatTotal(Operation *op) const;
+  bool hasFloatTotals() const;
+  void serialize();
+  bool isIndependentOfTiming(AtomicOp atomic);
+  bool mayReach(ValueRange a, ValueRange b);
+  StringRef planField(FieldAccesses &accesses);
+  bool isWorthPrivate(const AccumulationGroup &group);
+  bool isWarpSum(AtomicOp atomic);
+  bool isWorthWide(const AccumulationGroup &group);
+  bool hasWideSums();
+  bool canRunInWarp();
+  bool useFixedPoint();
+  LogicalResult checkCompensated();
+  SumDigits getTotalDigits(Operation *update);
+  void chooseDigits();
+
+  ParallelForOp loop;
+  FieldTable &fields;
+  bool compensated, onDevice;
+  /// Groups of updates by the number of their buffer.
+  SmallVector<AccumulationGroup> buffers;
+  ReductionPlan plan;
+};
+} // namespace
+
+/// True if the update is a sum in a small array that the kernel makes for it,
+/// and nothing else in the loop touches the array: adjoints of values that the
+/// body of a loop captures.
+static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
+  auto array = atomic.getMemref().getDefiningOp<memref::AllocaOp>();
+  if (!array || loop->isAncestor(array) ||
+      array.getType().getNumElements() > kMaxLocalSums)
+    return false;
+  return llvm::all_of(array->getUsers(), [&](Operation *user) {
+    if (!loop->isAncestor(user))
+      return true;
+    auto other = dyn_cast<memref::AtomicRMWOp>(user);
+    return other && other.getKind() == arith::AtomicRMWKind::addf &&
+           other.getResult().use_empty() &&
+           llvm::all_of(other.getIndices(), [](Value index) {
+             return getConstantIntValue(index).has_value();
+           });
+  });
+}
+
+/// Runs the loop on one thread, where every update is plain.
+void Planner::serialize() {
+  plan.isSerial = true;
+  for (auto &[op, update] : plan.updates)
+    update = {isa<AtomicOp>(op), ReductionAttr(), ""};
+}
+
+/// Integer updates give the same result in any order, unless the former value
+/// is used.
+bool Planner::isIndependentOfTiming(AtomicOp atomic) {
+  if (!atomic.getOld().use_empty())
+    return false;
+  Type type = getElementTypeOrSelf(atomic.getValue().getType());
+  return !isa<FloatType>(type) || atomic.getKind() == AtomicKind::Min ||
+         atomic.getKind() == AtomicKind::Max;
+}
+
+static bool is16Bits(Type type) {
+  return isa<FloatType>(type) && type.getIntOrFloatBitWidth() == 16;
+}
+
+static bool isSum(AtomicKind kind) {
+  return kind == AtomicKind::Add || kind == AtomicKind::Sub;
+}
+
+static bool isFloatSum(AtomicOp atomic) {
+  return isa<FloatType>(getElementTypeOrSelf(atomic.getValue().getType())) &&
+         isSum(atomic.getKind());
+}
+
+/// True for a float sum or product of all iterations that the loop keeps out of
+/// memory.
+bool Planner::isFloatTotal(Operation *op) const {
+  if (!plan.isDoneByLoop(op) || getForm(op) != ReductionForm::Register)
+    return false;
+  AtomicKind kind = getCombiningKind(op);
+  return isa<FloatType>(getElementTypeOrSelf(getTermType(op))) &&
+         (kind == AtomicKind::Add || kind == AtomicKind::Mul);
+}
+
+bool Planner::hasFloatTotals() const {
+  return llvm::any_of(plan.updates,
+                      [&](auto &entry) { return isFloatTotal(entry.first); });
+}
+
+/// The slice of the field that a group updates.
+static std::optional<FieldSlice> getSlice(const AccumulationGroup &group) {
+  SmallVector<bool> fixed =
+      llvm::map_to_vector(group.fixed, [](Value index) { return bool(index); });
+  return FieldTable::getSlice(*group.field, fixed);
+}
+
+/// True if buffers for the updated part of the field cost less than the atomic
+/// updates.
+bool Planner::isWorthPrivate(const AccumulationGroup &group) {
+  const FieldInfo &field = *group.field;
+  bool isFloat = isa<FloatType>(field.scalarType);
+  if (!isFloat && !field.scalarType.isInteger(32) &&
+      !field.scalarType.isInteger(64))
+    return false;
+  double updates = 0;
+  for (AtomicOp atomic : group.atomics) {
+    if (!isSum(atomic.getKind()))
+      return false;
+    updates += estimateRuns(atomic, loop);
+  }
+  std::optional<FieldSlice> slice = getSlice(group);
+  if (!slice)
+    return false;
+  int64_t elements = slice->numCells * field.numComponents;
+  if (elements > kMaxPrivateElements)
+    return false;
+  // Sums of 16 bits would stop growing after some hundred additions.
+  if (isFloat && (compensated || is16Bits(field.scalarType)))
+    return true;
+  // If the number of iterations is known at run time only, so is the gain: too
+  // few of them run in one partition, which needs no buffers.
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
+}
+
+/// True if a buffer for the group has the layout of the field, so that all its
+/// addresses are known to LLVM.
+static bool isContiguous(const AccumulationGroup &group) {
+  std::optional<FieldSlice> slice = getSlice(group);
+  return slice && slice->cellStride ==
+                      group.field->numComponents * group.field->scalarSize;
+}
+
+static ValueRange getIndices(Operation *access) {
+  return cast<FieldAccessOpInterface>(access).getIndices();
+}
+
+/// False if accesses at `a` and `b` reach different elements in any two
+/// iterations: an index that is the same in all of them tells them apart, such
+/// as the time slot.
+bool Planner::mayReach(ValueRange a, ValueRange b) {
+  for (auto [x, y] : llvm::zip_equal(a, b))
+    if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
+        areProvablyDistinct(x, y))
+      return false;
+  return true;
+}
+
+/// True for sums that a GPU takes with one atomic addition of each warp: of so
+/// few warps, that is quicker than to bring them together in their block.
+bool Planner::isWarpSum(AtomicOp atomic) {
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  if (isDeterministic() || compensated || !iterations ||
+      *iterations > kMaxWarpSums || atomic.getKind() != AtomicKind::Add ||
+      !atomic.getValue().getType().isF32())
+    return false;
+  // In an inner loop there would be one for each of its iterations.
+  Operation *around = atomic->getParentOp();
+  while (isa<scf::IfOp>(around))
+    around = around->getParentOp();
+  return around == loop;
+}
+
+/// Whether host code may run the loop several times in a launch.
+static bool isRepeated(ParallelForOp loop) {
+  for (Operation *at = loop->getParentOp(); !isa<FunctionOpInterface>(at);
+       at = at->getParentOp())
+    if (!isa<scf::IfOp>(at))
+      return true;
+  return false;
+}
+
+/// True if the additions of a loop on a GPU are rounded once, from sums in f64
+/// beside the field: compensated ones, those of 16-bit floats, which stop
+/// growing at some thousand terms, and those of f32 that are many for each
+/// element.
+bool Planner::isWorthWide(const AccumulationGroup &group) {
+  Type scalar = group.field->scalarType;
+  if (!onDevice || isDeterministic() || !isa<FloatType>(scalar))
+    return false;
+  double elements = double(getNumAccumulators(group)), updates = 0;
+  for (AtomicOp atomic : group.atomics)
+    updates += estimateRuns(atomic, loop);
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  bool hasMany = scalar.isF32() && iterations &&
+                 double(*iterations) * updates > double(kFewTerms) * elements;
+  if (!compensated && !is16Bits(scalar) && !hasMany)
+    return false;
+  // Host code that repeats the loop would have as many sums.
+  return !isRepeated(loop) && elements * 16 <= kMaxAccumulatorBytes &&
+         llvm::all_of(group.atomics,
+                      [](AtomicOp atomic) { return isSum(atomic.getKind()); });
+}
+
+/// Chooses for the updates of one field. Returns why they stay atomic, if they
+/// do.
+StringRef Planner::planField(FieldAccesses &accesses) {
+  SmallVector<AtomicOp> &atomics = accesses.atomics;
+  auto sameElement = [&](AtomicOp atomic) {
+    return llvm::equal(atomic.getIndices(), atomics.front().getIndices());
+  };
+  // A store of another iteration would be lost to a plain addition of zero,
+  // which a branch that was turned into a select makes.
+  bool meetsStore = llvm::any_of(accesses.others, [&](Operation *other) {
+    ValueRange indices = atomics.front().getIndices();
+    return isa<StoreOp>(other) && !llvm::equal(getIndices(other), indices) &&
+           mayReach(getIndices(other), indices);
+  });
+  if (llvm::all_of(atomics, sameElement) && !meetsStore &&
+      isInjective(loop, atomics.front().getIndices())) {
+    for (AtomicOp atomic : atomics)
+      plan.updates[atomic].isExclusive = true;
+    return "";
+  }
+  // The reads of iterations in between would miss the updates.
+  if (llvm::any_of(atomics, [](AtomicOp atomic) {
+        return !atomic.getOld().use_empty();
+      }))
+    return "the value before an update is used";
+  if (llvm::any_of(atomics, [&](AtomicOp atomic) {
+        return llvm::any_of(accesses.others, [&](Operation *other) {
+          return mayReach(atomic.getIndices(), getIndices(other));
+        });
+      }))
+    return "the loop has other accesses to the field";
+  FailureOr<SmallVector<AccumulationGroup>> groups =
+      groupAccumulations(loop, atomics, fields);
+  if (failed(groups))
+    return "the field cannot be lowered";
+  if (llvm::any_of(*groups, [](const AccumulationGroup &group) {
+        return !group.field->sparse.empty();
+      }))
+    return "an update may have to make its cell active";
+  // Groups of one field may overlap: all must leave the field alone until the
+  // end, or none.
+  SmallVector<AccumulationGroup> sums, inBuffers;
+  for (AccumulationGroup &group : *groups) {
+    auto isFixed = [&](AtomicOp atomic) {
+      return llvm::all_of(atomic.getComponents(), [&](Value component) {
+        return getConstantIntValue(component) ||
+               loop.isDefinedOutsideOfLoop(component);
+      });
+    };
+    bool isTotal = group.isFixed() && llvm::all_of(group.atomics, isFixed);
+    // A GPU's blocks add up totals in f64, too.
+    bool isWideTotal = isTotal && !group.field->scalarType.isF64();
+    if (!isWideTotal && isWorthWide(group))
+      inBuffers.push_back(std::move(group));
+    else if (isTotal)
+      sums.push_back(std::move(group));
+    else if (!onDevice && !hasOneOrder() && isWorthPrivate(group))
+      inBuffers.push_back(std::move(group));
+    else
+      return onDevice        ? "a GPU adds quickly to elements that vary"
+             : hasOneOrder() ? "buffers would add in another order than a GPU"
+                             : "buffers would cost more than the updates";
+  }
+  if ((onDevice || hasOneOrder()) && sums.size() > kMaxRegisters)
+    return "there are more sums than registers for them";
+  if (onDevice &&
+      llvm::all_of(atomics, [&](AtomicOp atomic) { return isWarpSum(atomic); }))
+    return "few warps have an addition each";
+  if (sums.size() > kMaxRegisters) {
+    AccumulationGroup merged = sums.front();
+    for (const AccumulationGroup &group : ArrayRef(sums).drop_front())
+      mergeGroups(merged, group);
+    // Compensated sums have a buffer of their own in any case.
+    if (isWorthPrivate(merged) && (compensated || isContiguous(merged))) {
+      inBuffers.push_back(std::move(merged));
+      sums.clear();
+    }
+  }
+  for (AccumulationGroup &group : sums)
+    for (AtomicOp atomic : group.atomics)
+      setForm(atomic, ReductionForm::Register);
+  for (AccumulationGroup &group : inBuffers) {
+    for (AtomicOp atomic : group.atomics)
+      setForm(atomic, ReductionForm::Buffer, buffers.size());
+    buffers.push_back(std::move(group));
+  }
+  return "";
+}
+
+/// True if the loop has float sums, not those of one iteration, that are kept
+/// with more digits than their field has.
+bool Planner::hasWideSums() {
+  return llvm::any_of(plan.updates, [&](auto &entry) {
+    auto atomic = dyn_cast<AtomicOp>(entry.first);
+    return atomic && isFloatSum(atomic) && !entry.second.isExclusive &&
+           (compensated ||
+            (entry.second.reduction &&
+             is16Bits(getElementTypeOrSelf(atomic.getValue().getType()))));
+  });
+}
+
+/// Fails at a float sum that would be rounded to its type at each addition.
+LogicalResult Planner::checkCompensated() {
+  constexpr StringLiteral what =
+      "sums=\"compensated\" cannot be had for this sum: ";
+  if (!compensated)
+    return success();
+  for (auto &[op, update] : plan.updates) {
+    if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      // On a device, blocks add up in f64, which is twice the digits of f32.
+      bool isWideTotal =
+          isFloatTotal(op) && !atomic.getValue().getType().isF64();
+      bool isWide = isWideTotal ||
+                    (update.reduction && getForm(op) == ReductionForm::Buffer);
+      if (!isFloatSum(atomic) || update.isExclusive ||
+          (update.reduction && (!onDevice || isWide)))
+        continue;
+      StringRef why = "its field is sparse or large, or takes other updates "
+                      "or reads in the same loop";
+      if (!atomic.getOld().use_empty())
+        why = "the value before the addition is used";
+      else if (onDevice && isDeterministic())
+        why = "on a GPU its bits would depend on the order of threads";
+      return op->emitError(what) << why << "; give the kernel sums=\"default\"";
+    }
+    auto atomic = cast<memref::AtomicRMWOp>(op);
+    if (atomic.getKind() != arith::AtomicRMWKind::addf || update.reduction ||
+        isInjective(loop, atomic.getIndices()))
+      continue;
+    return op->emitError(what)
+           << "it is in an array of the caller; give the kernel "
+              "sums=\"default\", or add up in a field";
+  }
+  return success();
+}
+
+/// True if a warp of a GPU can run the loop.
+bool Planner::canRunInWarp() {
+  if (!hasOneOrder())
+    return canOrderAdditions(loop, fields, plan);
+  // Another target has one thread for all of it: sums of all iterations take
+  // their turns too.
+  bool hasLocalSums = false;
+  for (auto &[op, update] : plan.updates) {
+    if (!isFloatTotal(op))
+      continue;
+    if (isa<AtomicOp>(op))
+      update.reduction = {};
+    else
+      hasLocalSums = true;
+  }
+  return !hasLocalSums && canQueueAdditions(loop, fields, plan);
+}
+
+/// Lets the additions of a loop be done in fixed point by all threads of a GPU:
+/// three passes over the iterations, and accumulators that are zeroed first.
+bool Planner::useFixedPoint() {
+  // Host code that repeats the loop would zero as many accumulators.
+  SmallVector<AtomicOp> additions;
+  if (hasOneOrder() || compensated || isRepeated(loop) ||
+      !canAddInAnyOrder(loop, fields, plan, additions))
+    return false;
+  FailureOr<SmallVector<AccumulationGroup>> found =
+      groupAccumulations(loop, additions, fields);
+  if (failed(found))
+    return false;
+  // One group for each place: two could not add to one element at a time.
+  SmallVector<AccumulationGroup> groups;
+  for (AccumulationGroup &group : *found) {
+    auto *known = llvm::find_if(groups, [&](const AccumulationGroup &other) {
+      return other.field->scope == group.field->scope;
+    });
+    if (known == groups.end())
+      groups.push_back(std::move(group));
+    else if (known->field == group.field)
+      mergeGroups(*known, group);
+    else
+      return false;
+  }
+  double bytes = 0;
+  bool hasHalves = false;
+  for (const AccumulationGroup &group : groups) {
+    if (!group.field->sparse.empty())
+      return false;
+    hasHalves |= is16Bits(group.field->scalarType);
+    bytes += double(getNumAccumulators(group)) *
+             getAccumulatorBytes(group.field->scalarType);
+  }
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  double inWarp = iterations ? double(*iterations) * kWarpNanoseconds
+                             : std::numeric_limits<double>::infinity();
+  // Each addition of 16-bit floats would be rounded otherwise.
+  if (bytes > kMaxAccumulatorBytes ||
+      (!hasHalves && inWarp < kPassesNanoseconds + bytes * kNanosecondsPerByte))
+    return false;
+  for (auto [number, group] : llvm::enumerate(groups))
+    for (AtomicOp atomic : group.atomics)
+      setForm(atomic, ReductionForm::Fixed, number);
+  return true;
+}
+
+/// The iterations of a loop, as far as they are known; 1 for those that are
+/// not.
+static double countIterations(ParallelForOp loop) {
+  double count = 1;
+  for (auto [from, to] :
+       llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
+    std::optional<int64_t> low = getConstantIntValue(from);
+    std::optional<int64_t> high = getConstantIntValue(to);
+    if (low && high)
+      count *= std::max<double>(0, double(*high) - double(*low));
+  }
+  return count;
+}
+
+/// Whether each update runs at most once in an iteration of the innermost loop
+/// that `loop` is lowered to, directly in its body.
+static bool areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop) {
+  for (Operation *update : updates)
+    for (Operation *parent = update->getParentOp(); parent != loop;
+         parent = parent->getParentOp())
+      // tai-split-index-sets takes an interior out of the loop.
+      if (!isa<scf::IfOp>(parent) || parent->hasAttr("tai.interior"))
+        return false;
+  return true;
+}
+
+/// Whether the terms of these updates can be stored, and are worth the memory.
+static bool canStoreTerms(ArrayRef<Operation *> updates, ParallelForOp loop) {
+  if (updates.size() > kMostUpdates || loop.isStructFor() ||
+      !areMadeOnce(updates, loop))
+    return false;
+  std::optional<int64_t> lower =
+      getConstantIntValue(loop.getLowerBounds().back());
+  std::optional<int64_t> upper =
+      getConstantIntValue(loop.getUpperBounds().back());
+  return !lower || !upper || *upper - *lower >= kFewIterations;
+}
+
+/// The digits of a sum of all iterations.
+SumDigits Planner::getTotalDigits(Operation *update) {
+  Type type = getTermType(update);
+  if (!isa<FloatType>(type) || getCombiningKind(update) != AtomicKind::Add)
+    return SumDigits::Own;
+  if (!onDevice)
+    return !compensated   ? SumDigits::Own
+           : type.isF64() ? SumDigits::Pair
+                          : SumDigits::Wide;
+  // Each thread adds up in f64; this is about the sum of the blocks.
+  if (isDeterministic() || type.isF64())
+    return SumDigits::Own;
+  std::optional<int64_t> count = getNumIterations(loop);
+  int64_t few = type.isF32() ? kFewTerms : kFewTermsOf16Bits;
+  return !count || *count > few || compensated ? SumDigits::Wide
+                                               : SumDigits::Own;
+}
+
+/// Chooses digits and orders for the updates that the loop does.
+void Planner::chooseDigits() {
+  // Otherwise LLVM sees the same loop whatever has been left out of it.
+  bool keepsOrder = loop.getFixedCostAttr() &&
+                    (loop.getOuterDims() ||
+                     loop.walk([&](LoopLikeOpInterface inner) {
+                           return inner == loop ? WalkResult::advance()
+                                                : WalkResult::interrupt();
+                         })
+                         .wasInterrupted());
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  bool isShort = iterations && *iterations <= kBlock;
+  SmallVector<Operation *> inRegisters;
+  for (auto &[op, update] : plan.updates)
+    if (update.reduction && getForm(op) == ReductionForm::Register)
+      inRegisters.push_back(op);
+  SmallVector<Total> totals = groupTotals(inRegisters);
+  auto isInBlocks = [&](const Total &total) {
+    Operation *update = total.front();
+    return !onDevice && !isShort && isa<FloatType>(getTermType(update)) &&
+           getCombiningKind(update) == AtomicKind::Add &&
+           getTotalDigits(update) == SumDigits::Own && !hasOneOrder();
+  };
+  bool areWidened =
+      !keepsOrder && llvm::all_of(totals, [&](const Total &total) {
+        return !isInBlocks(total) || (!getTermType(total.front()).isF64() &&
+                                      areMadeOnce(total, loop));
+      });
+  MLIRContext *context = loop.getContext();
+  for (const Total &total : totals) {
+    SumDigits digits = getTotalDigits(total.front());
+    int64_t block = 0;
+    if (isInBlocks(total))
+      block = areWidened ? kWidenedBlock : kBlock;
+    else if (digits == SumDigits::Pair && canStoreTerms(total, loop))
+      block = kBlockOfTerms;
+    ReductionOrder order =
+        keepsOrder ? ReductionOrder::Iterations : ReductionOrder::Any;
+    if (isDeterministic() && isFloatTotal(total.front()) &&
+        (onDevice || hasOneOrder()))
+      order = hasOneOrder() ? ReductionOrder::Common : ReductionOrder::Lanes;
+    auto reduction = ReductionAttr::get(context, ReductionForm::Register,
+                                        digits, order, block, std::nullopt);
+    for (Operation *op : total)
+      plan.updates[op].reduction = reduction;
+  }
+  for (auto [number, group] : llvm::enumerate(buffers)) {
+    Type scalar = group.field->scalarType;
+    bool isWide = onDevice || is16Bits(scalar) || compensated;
+    if (!isWide && scalar.isF32()) {
+      double updates = 0;
+      for (AtomicOp atomic : group.atomics)
+        updates += estimateRuns(atomic, loop);
+      std::optional<FieldSlice> slice = getSlice(group);
+      int64_t elements = slice->numCells * group.field->numComponents;
+      isWide =
+          updates * countIterations(loop) >= kWideUpdates * double(elements);
+    }
+    SumDigits digits = !isWide || !isa<FloatType>(scalar) ? SumDigits::Own
+                       : scalar.isF64()                   ? SumDigits::Pair
+                                                          : SumDigits::Wide;
+    for (AtomicOp atomic : group.atomics)
+      plan.updates[atomic].reduction =
+          ReductionAttr::get(context, ReductionForm::Buffer, digits,
+                             ReductionOrder::Any, /*block=*/0, number);
+  }
+}
+
+FailureOr<ReductionPlan> Planner::run() {
+  llvm::MapVector<Attribute, FieldAccesses> places;
+  WalkResult result = loop.walk([&](Operation *op) {
+    if (auto sum = dyn_cast<memref::AtomicRMWOp>(op);
+        sum && loop.isDefinedOutsideOfLoop(sum.getMemref()))
+      plan.updates[op].reason = "it is in an array";
+    auto access = dyn_cast<FieldAccessOpInterface>(op);
+    if (!access || !access.isElementAccess())
+      return WalkResult::advance();
+    FailureOr<const FieldInfo *> field =
+        fields.lookup(op, access.getFieldAttr());
+    if (failed(field))
+      return WalkResult::interrupt();
+    FieldAccesses &accesses = places[(*field)->scope];
+    auto atomic = dyn_cast<AtomicOp>(op);
+    if (atomic)
+      plan.updates[op].isExclusive = atomic.getExclusive();
+    if (!atomic || atomic.getExclusive())
+      accesses.others.push_back(op);
+    else
+      accesses.atomics.push_back(atomic);
+    return WalkResult::advance();
+  });
+  if (result.wasInterrupted())
+    return failure();
+  if (loop.getSerialize()) {
+    serialize();
+    return std::move(plan);
+  }
+  for (auto &[place, accesses] : places)
+    if (!accesses.atomics.empty()) {
+      StringRef reason = planField(accesses);
+      for (AtomicOp atomic : accesses.atomics)
+        plan.updates[atomic].reason = reason;
+    }
+
+  // Sums in registers are no memory.
+  bool inMemory = false, dependsOnTiming = false;
+  for (auto &[op, update] : plan.updates) {
+    if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      if (update.isExclusive)
+        continue;
+      inMemory |= !update.reduction || getForm(op) != ReductionForm::Register;
+      dependsOnTiming |= !update.reduction && !isIndependentOfTiming(atomic);
+      continue;
+    }
+    auto atomic = cast<memref::AtomicRMWOp>(op);
+    if (isLocalSum(atomic, loop)) {
+      setForm(op, ReductionForm::Register);
+      update.reason = "";
+      continue;
+    }
+    inMemory = true;
+    bool isExtreme = atomic.getKind() == arith::AtomicRMWKind::minimumf ||
+                     atomic.getKind() == arith::AtomicRMWKind::maximumf;
+    dependsOnTiming |=
+        (isa<FloatType>(atomic.getValue().getType()) && !isExtreme) ||
+        !atomic.getResult().use_empty();
+  }
+
+  if (failed(checkCompensated()))
+    return failure();
+  std::optional<int64_t> iterations = getNumIterations(loop);
+  bool isSmall =
+      !onDevice && iterations && !hasWideSums() &&
+      !(hasOneOrder() && hasFloatTotals()) &&
+      *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
+  bool needsOrder = isDeterministic() && dependsOnTiming;
+  if (needsOrder && onDevice && useFixedPoint()) {
+    // All threads run it.
+  } else if (needsOrder && onDevice && canRunInWarp()) {
+    plan.inWarp = true;
+  } else if (isSmall || needsOrder) {
+    for (auto &[op, update] : plan.updates)
+      inMemory |= isa<AtomicOp>(op) && !update.isExclusive;
+    serialize();
+  }
+  plan.isIndependent = !inMemory && !loop.getInOrder();
+  if (!plan.isSerial)
+    chooseDigits();
+  return std::move(plan);
+}
+
+void ReductionPlan::apply(ParallelForOp loop) const {
+  MLIRContext *context = loop.getContext();
+  for (auto &[op, update] : updates) {
+    if (auto atomic = dyn_cast<AtomicOp>(op)) {
+      atomic.setExclusive(update.isExclusive);
+      if (update.reduction)
+        atomic.setReductionAttr(update.reduction);
+      else
+        atomic.removeReductionAttr();
+    } else if (update.reduction) {
+      op->setAttr(kAccumulateAttrName, update.reduction);
+    } else {
+      op->removeAttr(kAccumulateAttrName);
+    }
+  }
+  if (order)
+    loop.setOrder(*order);
+  if (inWarp)
+    loop.setInWarp(true);
+  if (isIndependent)
+    loop->setAttr(kIndependentAttrName, UnitAttr::get(context));
+  if (!isSerial)
+    return;
+  loop.setSerialize(true);
+  // tai-split-index-sets would run the borders after the interior.
+  if (order == LoopOrder::Common)
+    loop.walk([](scf::IfOp branch) { branch->removeAttr("tai.interior"); });
+}
+
+FailureOr<ReductionPlan> tai::planReductions(ParallelForOp loop,
+                                             FieldTable &fields,
+                                             bool deterministic,
+                                             bool onDevice) {
+  return Planner(loop, fields, deterministic, Modes::of(loop), onDevice).run();
+}
