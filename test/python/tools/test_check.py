@@ -8,15 +8,36 @@ ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT / "scripts"))
 import run_tests  # noqa: E402
 
+# Rooms without lit tests: unit tests run whole, and test/python has tests of the other three.
+OTHERS = {"python", "unit", "fuzz", "mutation", "reliability"}
+
 
 def test_lit_tests_of_each_folder():
     chosen = run_tests.sample_of_lit()
-    others = {"python", "fuzz", "Inputs", "reliability", "unit"}
-    found = {path.parent for path in (ROOT / "test").rglob("*.mlir")}
-    found = {path for path in found if not others & set(path.relative_to(ROOT / "test").parts)}
-    assert len(found) > 8
-    assert found <= {path.parent for path in chosen}
+    parts = {path: path.relative_to(ROOT / "test").parts for path in (ROOT / "test").rglob("*.*")}
+    there = {
+        path.parent
+        for path, words in parts.items()
+        if path.suffix in (".mlir", ".test") and not (OTHERS | {"Inputs"}) & set(words)
+    }
+    assert len(there) > 15
+    assert there == {path.parent for path in chosen}
     assert len(chosen) < 100
+
+
+def test_every_room_has_a_part():
+    rooms = {path.name for path in (ROOT / "test").iterdir() if path.is_dir()}
+    rooms -= {"__pycache__"}
+    assert OTHERS < rooms
+    lit = {path.relative_to(ROOT / "test").parts[0] for path in run_tests.sample_of_lit()}
+    assert lit == rooms - OTHERS
+    files = {path.name: path.read_text() for path in (ROOT / "test/python").rglob("test_*.py")}
+    for room, name in (
+        ("fuzz", "test_random_kernels.py"),
+        ("mutation", "test_mutation.py"),
+        ("reliability", "test_reliability.py"),
+    ):
+        assert f'"{room}"' in files[name] or f"test/{room}" in files[name]
 
 
 def test_one_test_of_each_file():
