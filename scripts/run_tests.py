@@ -7,6 +7,7 @@ finds no test counts as a failure.
 from __future__ import annotations
 
 import argparse
+import compileall
 import json
 import os
 import subprocess
@@ -286,6 +287,8 @@ def main() -> int:
         everything.remove("emulated")
     kinds = args.only or everything
 
+    # With PYTHONDONTWRITEBYTECODE, each of the programs that tests start would compile the package.
+    compileall.compile_dir(ROOT / "python/tai", quiet=2)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         runners = {
