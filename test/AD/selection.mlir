@@ -38,11 +38,14 @@ func.func @step() {
   tai.launch @called() : () -> ()
   return
 }
+func.func private @elsewhere()
 func.func @main() {
   tai.launch @unused() : () -> ()
   tai.tape loss(@loss) {
     tai.launch @direct() : () -> ()
     func.call @step() : () -> ()
+    func.call @step() : () -> ()
+    func.call @elsewhere() : () -> ()
     tai.launch @replaced() : () -> ()
   }
   return

@@ -7,7 +7,7 @@
 tai.tree @data : !tai.root<
     dense<[i: 8], {x: f64, x_grad: f64, y: f64, y_grad: f64, z: f64, z_grad: f64, n: i32}>,
     dense<[i: 8], {v: !v, v_grad: !v}>,
-    {loss: f64, loss_grad: f64}>
+    {loss: f64, loss_grad: f64, b: f64, b_grad: f64}>
 tai.field @x_grad = @data["x_grad"] : f64, rank 1
 tai.field @y_grad = @data["y_grad"] : f64, rank 1
 tai.field @z_grad = @data["z_grad"] : f64, rank 1
@@ -17,6 +17,8 @@ tai.field @x = @data["x"] : f64, rank 1, adjoint @x_grad
 tai.field @y = @data["y"] : f64, rank 1, adjoint @y_grad
 tai.field @z = @data["z"] : f64, rank 1, adjoint @z_grad
 tai.field @v = @data["v"] : !v, rank 1, adjoint @v_grad
+tai.field @b_grad = @data["b_grad"] : f64, rank 0
+tai.field @b = @data["b"] : f64, rank 0, adjoint @b_grad
 tai.field @n = @data["n"] : i32, rank 1
 tai.field @loss = @data["loss"] : f64, rank 0, adjoint @loss_grad
 
@@ -189,6 +191,84 @@ tai.kernel @sum() {
   tai.return
 }
 
+// Iterations that are run again in two places, and after a branch.
+tai.kernel @rerun_twice() {
+  %c0 = arith.constant 0 : index
+  %0 = tai.load @b[] : f64
+  %1 = math.sin %0 : f64
+  tai.store %1, @b[] : f64
+  %2 = tai.load @b[] : f64
+  %3 = math.exp %2 : f64
+  tai.store %3, @b[] : f64
+  tai.parallel_for (%i) in @y {
+    %4 = tai.load @y[%i] : f64
+    %5 = arith.mulf %4, %2 : f64
+    %6 = math.sin %5 : f64
+    tai.store %6, @y[%i] : f64
+    %7 = tai.load @y[%i] : f64
+    %8 = math.sin %7 : f64
+    tai.store %8, @y[%i] : f64
+  }
+  tai.return
+}
+tai.kernel @rerun_branch(%c: i1) {
+  tai.parallel_for (%i) in @y {
+    %r = scf.if %c -> f64 {
+      %0 = tai.load @y[%i] : f64
+      %1 = math.sin %0 : f64
+      scf.yield %1 : f64
+    } else {
+      %0 = tai.load @y[%i] : f64
+      scf.yield %0 : f64
+    }
+    %s = math.exp %r : f64
+    tai.store %s, @y[%i] : f64
+    %2 = tai.load @y[%i] : f64
+    %3 = arith.mulf %2, %r : f64
+    %4 = math.sin %3 : f64
+    tai.store %4, @y[%i] : f64
+  }
+  tai.return
+}
+tai.kernel @set_b() {
+  %c0 = arith.constant 0 : index
+  %0 = tai.load @x[%c0] : f64
+  tai.store %0, @b[] : f64
+  tai.return
+}
+
+// Integers that a loop carries, and that are found again from their end: counted
+// down, subtracted from another that changes, and vectors times an odd number.
+tai.kernel @counters(%n: index, %by: i32) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %start = arith.constant 7 : i32
+  %c3 = arith.constant 3 : i32
+  %v = arith.constant dense<[3, 5]> : vector<2xi32>
+  %three = arith.constant dense<3> : vector<2xi32>
+  %small = arith.constant 0.05 : f64
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f64
+    %r:5 = scf.for %k = %c0 to %n step %c1 iter_args(%a = %0, %d = %start, %e = %start, %w = %v, %h = %start) -> (f64, i32, i32, vector<2xi32>, i32) {
+      %p = vector.extract %w[0] : i32 from vector<2xi32>
+      %q = arith.addi %d, %e : i32
+      %t = arith.muli %q, %p : i32
+      %t2 = arith.addi %t, %h : i32
+      %f = arith.sitofp %t2 : i32 to f64
+      %g = arith.mulf %f, %small : f64
+      %b = arith.mulf %a, %g : f64
+      %sin = math.sin %b : f64
+      %d2 = arith.subi %d, %by : i32
+      %e2 = arith.subi %c3, %e : i32
+      %w2 = arith.muli %w, %three : vector<2xi32>
+      %h2 = arith.subi %h, %d : i32
+      scf.yield %sin, %d2, %e2, %w2, %h2 : f64, i32, i32, vector<2xi32>, i32
+    }
+    tai.atomic add %r#0, @loss[] : f64
+  }
+  tai.return
+}
+
 // A greatest value of serial loops that count in narrow integers, by steps.
 tai.kernel @greatest(%from: i32, %to: i32) {
   %c0 = arith.constant 0 : index
@@ -239,6 +319,21 @@ func.func @main() {
     tai.launch @rerun(%true) : (i1) -> ()
     tai.launch @rerun(%false) : (i1) -> ()
     tai.launch @sum() : () -> ()
+  }
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-7 {
+    tai.store %zero, @loss[] : f64
+    tai.launch @copy() : () -> ()
+    tai.launch @set_b() : () -> ()
+    tai.launch @rerun_twice() : () -> ()
+    tai.launch @rerun_branch(%true) : (i1) -> ()
+    tai.launch @rerun_branch(%false) : (i1) -> ()
+    tai.launch @sum() : () -> ()
+  }
+  tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-6 {
+    %five = arith.constant 5 : index
+    %two = arith.constant 2 : i32
+    tai.store %zero, @loss[] : f64
+    tai.launch @counters(%five, %two) : (index, i32) -> ()
   }
   tai_check.gradient loss(@loss) wrt [@x] tolerance 1.0e-8 {
     tai.store %low, @loss[] : f64
