@@ -144,11 +144,10 @@ Operation *Slice::copyOp(Operation *op) {
 }
 
 void Slice::copyBlock(Block *from, Block *to) {
-  bool isUnit = from == unit;
-  if (!isUnit)
+  if (from != unit)
     b.setInsertionPointToEnd(to);
   for (Operation &op : *from) {
-    if (!live.contains(&op) || (isUnit && &op == from->getTerminator()))
+    if (!live.contains(&op))
       continue;
     b.setLoc(op.getLoc());
     auto loop = dyn_cast<scf::WhileOp>(op);
@@ -164,7 +163,7 @@ void Slice::copyBlock(Block *from, Block *to) {
 void Slice::checkCopy(Operation *op, Operation *copy) {
   if (auto access = dyn_cast<DifferentiableAccessInterface>(op)) {
     Value array = access.getAccessedStorage().memref;
-    bool isOwn = array && unit->getParentOp()->isProperAncestor(
+    bool isOwn = array && unit->getParentOp()->isAncestor(
                               array.getParentBlock()->getParentOp());
     if (access.getAccessKind() == AccessKind::Read) {
       copy->setAttr(kRepeatedReadAttrName, b.getIndexAttr(reads.size()));
@@ -180,7 +179,8 @@ void Slice::checkCopy(Operation *op, Operation *copy) {
   }
   if (op->getNumRegions() == 0 && !isa<RandomOp>(op) &&
       !isMemoryEffectFree(op) && !hasSingleEffect<MemoryEffects::Read>(op) &&
-      !hasSingleEffect<MemoryEffects::Allocate>(op))
+      !hasSingleEffect<MemoryEffects::Allocate>(op) &&
+      !hasSingleEffect<MemoryEffects::Free>(op))
     b.emitError(op, "the result of '" + op->getName().getStringRef() +
                         "' is needed by the gradient and cannot be computed "
                         "again");

@@ -199,7 +199,7 @@ TEST_F(ModuleFile, LongMapsAreRefused) {
     EXPECT_FALSE(
         StringRef(nestMap(name, "<(", ") -> (0)", 1000)).contains(message));
   }
-  // Of results there may be many, and a word alone is no map.
+  // A map may have many results, and a word alone is no map.
   EXPECT_EQ(read(nest("module attributes {m = affine_map<(d) -> (", "d, ", "d",
                       "", ")>} {}", 2000)),
             "");

@@ -33,8 +33,8 @@ struct TextProblem {
 
 /// Where the text of a module, an attribute or a type asks for what MLIR's
 /// parser dies of or does not finish. Strings and comments are passed over;
-/// brackets of all kinds count, and those of the aliases that are used. Of
-/// MLIR's bytecode, which is no text, looks at the parts that are.
+/// brackets of all kinds count, and those of the aliases that are used. MLIR's
+/// bytecode is no text, but holds affine maps as text: looks at these.
 std::optional<TextProblem> findTextProblem(StringRef text);
 /// Reports a type of more dimensions than text may have.
 LogicalResult checkDimensions(Operation *module);
