@@ -171,6 +171,31 @@ def test_how_a_gpu_describes_the_memory_of_a_field():
         sharing.cuda_interface(ti.field(ti.bf16, shape=3, name="y"))
 
 
+def test_how_a_gpu_describes_members_of_structs_and_parts_of_trees():
+    points = ti.types.struct(a=ti.f32, v=ti.types.vector(3, ti.f64)).field(shape=7)
+    inside, sparse, single = ti.field(ti.i32), ti.field(ti.f32), ti.field(ti.f64, shape=())
+    ti.root.dense(ti.ij, (5, 3)).place(inside)
+    ti.root.pointer(ti.i, 4).dense(ti.i, 2).place(sparse)
+    points.v.from_numpy(np.arange(21.0).reshape(7, 3))
+    for field in (points.a, points.v, inside, single):
+        found, _ = sharing.cuda_interface(field)
+        assert found["version"] == 3 and found["data"][1] is False
+
+        class Described:
+            __array_interface__ = {name: found[name] for name in found if name != "stream"}
+
+        view = np.asarray(Described())
+        view.flat[-1] = 5  # not read-only, and of the field
+        np.testing.assert_array_equal(view, field.to_numpy())
+        assert view.dtype == field.dtype.numpy
+    with pytest.raises(AttributeError):
+        sharing.cuda_interface(sparse)
+    # Memory of the host, as that of the emulated device is, so that other libraries copy it.
+    arrays = (ti.ndarray(ti.f32, 4), ti.Vector.ndarray(2, ti.f64, 5))
+    for thing in (points, points.a, points.v, inside, single, sparse, *arrays):
+        assert not hasattr(thing, "__cuda_array_interface__")
+
+
 def _energy():
     g = ti.field(ti.f64, shape=3, needs_grad=True)
     g.fill(0.3)
