@@ -269,3 +269,58 @@ def test_programs_of_the_page(number, tmp_path):
 def test_tai_does_not_import_jax():
     code = "import sys, tai; tai.ad; assert 'jax' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@ti.kernel
+def parts(x: ti.types.ndarray(dtype=ti.f64, ndim=1), w: ti.types.ndarray(), a: ti.f64,
+          y: ti.types.ndarray(), z: ti.types.ndarray(dtype=ti.f64)):  # fmt: skip
+    n = x.shape[0]
+    for i in range(n):
+        y[i] = a * x[i] * x[i]
+    z[0] = x[n - 1] * w[0]
+    for i in x:
+        z[i] += y[i] * y[i] * w[i]
+
+
+def same_parts(x, w, a):
+    y = a * x * x
+    return y, (y * y * w).at[0].add(x[-1] * w[0])
+
+
+@pytest.mark.parametrize("axes", [(0, None), (None, 0), (0, 0), (1, None), (0, 1)])
+@pytest.mark.parametrize("size", [1, 2, 65])
+def test_a_batch_is_one_launch(axes, size):
+    function = ti.jax.wrap(parts, outputs={"y": "x", "z": "x"})
+    shapes = {0: (size, 3), 1: (3, size), None: (3,)}
+    x, w = (sample(*shapes[axis], seed=n) for n, axis in enumerate(axes))
+
+    def results(of):
+        one = jax.grad(lambda x, w, a: (of(x, w, a)[1] ** 2).sum(), argnums=(0, 1))
+        shared = jax.grad(lambda x, w: jax.vmap(of, (*axes, None))(x, w, 0.5)[1].sum(), (0, 1))
+        jacobian = jax.jacrev(lambda x, w, a: of(x, w, a)[1])
+        return jax.jit(lambda x, w: (
+            [jax.vmap(f, (*axes, None))(x, w, 0.5) for f in (of, one, jacobian)], shared(x, w)
+        ))(x, w)  # fmt: skip
+
+    for found, wanted in zip(jax.tree.leaves(results(function)),
+                             jax.tree.leaves(results(same_parts)), strict=True):  # fmt: skip
+        np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12)
+    assert function.one_by_one == {} and (function._in_batches or size == 1)
+
+
+def test_batches_that_launch_for_each_element():
+    function = ti.jax.wrap(parts, outputs={"y": "x", "z": "x"})
+    x, w, a = sample(4, 3), sample(3, seed=1), sample(4, seed=2)
+    found = jax.vmap(function, (0, None, 0))(x, w, a)[1]  # a number for each
+    np.testing.assert_allclose(found, jax.vmap(same_parts, (0, None, 0))(x, w, a)[1], rtol=1e-12)
+    assert not function._in_batches
+
+    @ti.kernel
+    def bounded(n: ti.types.ndarray(), x: ti.types.ndarray(), y: ti.types.ndarray()):
+        for i in range(n[0]):
+            y[i] = 2 * x[i]
+
+    function = ti.jax.wrap(bounded, outputs={"y": "x"})
+    n = jnp.array([[0], [1], [3], [2]])
+    np.testing.assert_allclose(jax.vmap(function)(n, x), 2 * x * (jnp.arange(3) < n))
+    assert "array 'n' has a part for each element" in str(function.one_by_one)

@@ -354,3 +354,97 @@ def test_tai_does_not_import_torch():
     code = "import sys, tai; assert 'torch' not in sys.modules; tai.ad; tai.testing; " \
            "assert 'torch' not in sys.modules"  # fmt: skip
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@ti.kernel
+def parts(x: ti.types.ndarray(dtype=ti.f64, ndim=1), w: ti.types.ndarray(), y: ti.types.ndarray(),
+          z: ti.types.ndarray(dtype=ti.f64)):  # fmt: skip
+    n = x.shape[0]
+    for i in range(n):
+        y[i] = x[i] * x[i]
+    z[0] = x[n - 1] * w[0]
+    for i in x:
+        z[i] += y[i] * y[i] * w[i]
+
+
+def same_parts(x, w):
+    y = x * x
+    last = torch.zeros_like(x)
+    last[0] = 1.0
+    return y, y * y * w + last * x[-1] * w[0]
+
+
+@pytest.mark.parametrize("in_dims", [(0, None), (None, 0), (0, 0), (1, None), (0, 1)])
+@pytest.mark.parametrize("size", [1, 2, 65])
+def test_a_batch_is_one_launch(in_dims, size):
+    operator = wrap(parts, outputs={"y": "x", "z": "x"})
+    torch.manual_seed(size)
+    shapes = {0: (size, 3), 1: (3, size), None: (3,)}
+    x, w = (torch.rand(shapes[d], dtype=torch.float64) for d in in_dims)
+    for found, wanted in zip(torch.vmap(operator, in_dims)(x, w),
+                             torch.vmap(same_parts, in_dims)(x, w), strict=True):  # fmt: skip
+        torch.testing.assert_close(found, wanted)
+
+    def slopes(function):
+        one = torch.func.grad(lambda x, w: (function(x, w)[1] ** 2).sum(), argnums=(0, 1))
+        return torch.vmap(one, in_dims)(x, w)
+
+    for found, wanted in zip(slopes(operator), slopes(same_parts), strict=True):
+        torch.testing.assert_close(found, wanted)
+    jacobians = torch.vmap(torch.func.jacrev(lambda x, w: operator(x, w)[1]), in_dims)(x, w)
+    wanted = torch.vmap(torch.func.jacrev(lambda x, w: same_parts(x, w)[1]), in_dims)(x, w)
+    torch.testing.assert_close(jacobians, wanted)
+    assert operator._in_batches and all("batch already" in r for r in operator.one_by_one.values())
+
+
+def test_a_batch_whose_gradient_is_by_what_all_elements_share():
+    operator = wrap(parts, outputs={"y": "x", "z": "x"})
+    x = torch.rand(5, 3, dtype=torch.float64, requires_grad=True)
+    w = torch.rand(3, dtype=torch.float64, requires_grad=True)
+    found = torch.autograd.grad(torch.vmap(operator, (0, None))(x, w)[1].sum(), (x, w))
+    wanted = torch.autograd.grad(torch.vmap(same_parts, (0, None))(x, w)[1].sum(), (x, w))
+    for one, other in zip(found, wanted, strict=True):
+        torch.testing.assert_close(one, other)
+    assert operator.one_by_one == {}
+
+
+def test_batches_that_launch_for_each_element():
+    total = ti.field(ti.f64, shape=())
+
+    @ti.kernel
+    def counting(x: ti.types.ndarray(), y: ti.types.ndarray()):
+        for i in range(x.shape[0]):
+            y[i] = x[i]
+            total[None] += 1
+
+    @ti.kernel
+    def bounded(n: ti.types.ndarray(), x: ti.types.ndarray(), y: ti.types.ndarray()):
+        for i in range(n[0]):
+            y[i] = 2 * x[i]
+
+    @ti.kernel
+    def summing(x: ti.types.ndarray(), y: ti.types.ndarray()):
+        s = 0.0
+        for i in range(x.shape[0]):
+            s += x[i]
+        y[0] = s
+
+    x = torch.rand(4, 3, dtype=torch.float64)
+    operator = wrap(counting, outputs={"y": "x"})
+    torch.testing.assert_close(torch.vmap(operator)(x), x)
+    assert total[None] == 12
+    assert "writes to field 'total'" in str(operator.one_by_one)
+    operator = wrap(bounded, outputs={"y": "x"})
+    n = torch.tensor([[0], [1], [3], [2]])
+    found = torch.vmap(operator)(n, x)
+    torch.testing.assert_close(found, 2 * x * (torch.arange(3) < n))
+    assert "array 'n' has a part for each element" in str(operator.one_by_one)
+    operator = wrap(summing, outputs={"y": lambda x: 1})
+    torch.testing.assert_close(torch.vmap(operator)(x)[:, 0], x.sum(1))
+    assert "'s' would be one variable" in str(operator.one_by_one)
+    operator = wrap(chain, outputs={"y": "x"})
+    torch.testing.assert_close(
+        torch.vmap(operator, (0, None))(x, x[0]),
+        torch.stack([operator(one, x[0]) for one in x]),
+    )
+    assert "a function, and no kernel" in str(operator.one_by_one)

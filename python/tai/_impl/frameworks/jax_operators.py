@@ -8,21 +8,23 @@ from __future__ import annotations
 
 import functools
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ...errors import TaiAutodiffError, TaiCompilationError, TaiRuntimeError, TaiRuntimeTypeError
 from ..ad.tape import Tape
 from ..base import native, state
 from ..fields.arrays import Ndarray
 from ..interop.streams import let_stream_wait, wait_for_stream
 from ..launch.kernels import Kernel
+from ..launch.stacked import StackedKernel
 from ..tracking import tracked
 from .parameters import check_outputs, kinds_of
+from .stacked import Stacks
 from .xla_buffers import DeviceBuffer, number_of, store_number, zeros_like
 
 _TARGET = "tai_call"
@@ -84,22 +86,49 @@ class _Task:
         # The dimensions of a batch come first.
         depth = operands[0].ndim - self._ranks[0] if operands else 0
         if depth == 0:
-            self._run_one(operands, results)
+            self._run_with(self._operator, operands, results)
             return
-        batch = results[0].shape[:depth]
-        for index in np.ndindex(*batch):
+        if depth == 1 and self._run_batch(operands, results):
+            return
+        for number in range(results[0].shape[0]):
             # Operands that are the same for all elements have an extent of 1.
-            one = [
-                o[(*(i if n > 1 else 0 for i, n in zip(index, o.shape, strict=False)), ...)]
-                for o in operands
-            ]
-            self._run_one(one, [r[(*index, ...)] for r in results])
+            one = [o[(number if o.shape[0] > 1 else 0, ...)] for o in operands]
+            self._run(one, [r[(number, ...)] for r in results])
 
-    def _run_one(self, operands: list[Any], results: list[Any]) -> None:
+    def _run_batch(self, operands: list[Any], results: list[Any]) -> bool:
+        """Runs the call for all elements of a batch at once, unless that is not possible."""
+        operator, size = self._operator, results[0].shape[0]
+        given, names = list(operands), []
+        for number, operand in enumerate(operands):
+            is_input = number < len(operator.inputs)
+            has_batch = operand.shape[0] == size
+            if not has_batch and self._wanted is not None:
+                if number in self._wanted or not is_input:  # a gradient for each element
+                    if not isinstance(operand, np.ndarray):
+                        return False
+                    operand = np.broadcast_to(operand, (size, *operand.shape[1:]))
+                    given[number], has_batch = np.ascontiguousarray(operand), True
+            if has_batch and is_input:
+                if operator._kinds[number] != "array":
+                    return False
+                names.append(operator.inputs[number])
+            if not has_batch:
+                given[number] = operand[(0, ...)]
+        found = operator._of_batch(names) if size > 1 else None
+        if found is None:
+            return False
+        try:
+            self._run_with(found, given, results)
+        except TaiCompilationError as error:
+            operator._stacks.refuse([*names, *operator.outputs], error)
+            return False
+        return True
+
+    def _run_with(self, operator: Operator, operands: list[Any], results: list[Any]) -> None:
         if self._wanted is None:
-            self._operator._compute(operands, results)
+            operator._compute(operands, results)
         else:
-            self._operator._differentiate(operands, results, self._wanted)
+            operator._differentiate(operands, results, self._wanted)
 
 
 def _called(attributes: dict, operands: list, results: list, stream: int) -> None:
@@ -173,6 +202,9 @@ class Operator:
         # the kernel is compiled.
         self._needs_tape: bool | None = None if isinstance(function, Kernel) else True
         self._numbers: dict[tuple, int] = {}
+        self._stacks = Stacks(function)
+        # Operators for batches, by the inputs that have a batch.
+        self._in_batches: dict[frozenset[str], _OfBatch] = {}
         _register()
         self._differentiable = jax.custom_vjp(self._call)
         self._differentiable.defvjp(self._forward, self._backward, symbolic_zeros=True)
@@ -181,6 +213,12 @@ class Operator:
 
     def __repr__(self) -> str:
         return f"<tai.jax function '{self.__name__}'>"
+
+    @property
+    def one_by_one(self) -> dict[frozenset[str], str]:
+        """Why `vmap` launches once for each element: the reason, by the names of the arrays that
+        have a batch. Elsewhere one launch runs for the whole batch."""
+        return dict(self._stacks.reasons)
 
     # What JAX traces
 
@@ -311,6 +349,16 @@ class Operator:
             "ti.ad.hvp differentiates kernels of fields twice",
         )
 
+    def _of_batch(self, names: list[str]) -> Operator | None:
+        """The operator for a batch of the inputs with these names; None if there is none."""
+        kernel = self._stacks.find([*names, *self.outputs]) if names else None
+        if kernel is None:
+            return None
+        key = frozenset(names)
+        if key not in self._in_batches:
+            self._in_batches[key] = _OfBatch(self, kernel, names)
+        return self._in_batches[key]
+
     # Launches
 
     def _launch(self, inputs: Sequence[Any], outputs: Sequence[Any], call: Any = None) -> Any:
@@ -375,3 +423,26 @@ class Operator:
             pairs = zip(self._order, found.specs, strict=True)
             self._needs_tape = any(s.is_loaded for n, s in pairs if n in self.outputs)
         return self._needs_tape
+
+
+class _OfBatch(Operator):
+    """An operator whose kernel runs for all elements of a batch at once."""
+
+    def __init__(self, one: Operator, kernel: StackedKernel, names: Iterable[str]):
+        """
+        Args:
+            one: the operator for one element.
+            kernel: that of the batch.
+            names: of the inputs that have a batch, along their first dimension.
+        """
+        super().__init__(kernel, one._shapes)
+        self._has_batch = [name in names for name in one.inputs]
+
+    def _result_types(self, inputs: Sequence[Any]) -> list[Any]:
+        pairs = list(zip(inputs, self._has_batch, strict=True))
+        size = next(i.shape[0] for i, has_batch in pairs if has_batch)
+        ones = [jax.ShapeDtypeStruct(i.shape[1:], i.dtype) if b else i for i, b in pairs]
+        return [
+            jax.ShapeDtypeStruct((size, *type_.shape), type_.dtype)
+            for type_ in super()._result_types(ones)
+        ]

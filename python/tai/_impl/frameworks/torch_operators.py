@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import torch
 
-from ...errors import TaiAutodiffError, TaiRuntimeError, TaiRuntimeTypeError
+from ...errors import (
+    TaiAutodiffError,
+    TaiCompilationError,
+    TaiRuntimeError,
+    TaiRuntimeTypeError,
+)
 from ..ad.tape import Tape, clear_all_gradients
 from ..base import state
 from ..launch.kernels import Kernel
+from ..launch.stacked import StackedKernel
 from .parameters import check_outputs, kinds_of
+from .stacked import Stacks
 
 _numbers = itertools.count()
 # Types of parameters in schemas of torch.
@@ -52,6 +59,9 @@ class Operator:
             for s in (outputs[n] for n in self.outputs)
         ]
         self._known: set[tuple] = set()
+        self._stacks = Stacks(function)
+        # Operators for batches, by the inputs that have a batch.
+        self._in_batches: dict[frozenset[str], _OfBatch] = {}
         # Whether a gradient needs values of outputs that later stores overwrite.
         self._needs_tape = not isinstance(function, Kernel)
         plain = re.sub(r"\W", "_", self.__name__)
@@ -61,6 +71,12 @@ class Operator:
 
     def __repr__(self) -> str:
         return f"<tai.torch operator '{self.name}'>"
+
+    @property
+    def one_by_one(self) -> dict[frozenset[str], str]:
+        """Why `vmap` launches once for each element: the reason, by the names of the arrays that
+        have a batch. Elsewhere one launch runs for the whole batch."""
+        return dict(self._stacks.reasons)
 
     # What torch calls
 
@@ -136,12 +152,54 @@ class Operator:
         )
 
     def _batch(self, info: Any, in_dims: tuple, *args: Any) -> Any:
-        return _stacked([self._op(*one) for one in _slices(info.batch_size, in_dims, args)])
+        return self._in_batch(lambda op, given: op._op(*given), info, in_dims, args)
 
     def _batch_gradient(self, info: Any, in_dims: tuple, *args: Any) -> Any:
-        found = [self._gradient_op(*one) for one in _slices(info.batch_size, in_dims, args)]
-        stacked = [torch.stack(parts) for parts in zip(*found, strict=True)]
-        return stacked, [0] * len(stacked)
+        call: Any = lambda op, given: tuple(op._gradient_op(*given, args[-1]))  # noqa: E731
+        found, _ = self._in_batch(call, info, in_dims[:-1], args[:-1], args[-1])
+        return list(found), [0] * len(found)
+
+    def _in_batch(
+        self, call: Callable[[Operator, list], Any], info: Any, in_dims: Sequence,
+        args: Sequence[Any], wanted: Sequence[bool] | None = None,
+    ) -> Any:  # fmt: skip
+        """Calls the operator or its gradient for each element of a batch, if possible at once.
+
+        Args:
+            call: calls an operator.
+            info, in_dims, args: as torch gives them; the inputs, and the adjoints of outputs.
+            wanted: for a gradient, which tensors it is by.
+        """
+        moved = [a if d is None else a.movedim(d, 0) for a, d in zip(args, in_dims, strict=True)]
+        flags = iter(() if wanted is None else wanted)
+        names = []
+        for number, is_tensor in enumerate([*self._is_tensor, *[True] * len(args)][: len(args)]):
+            is_input = number < len(self.inputs)
+            is_wanted = is_tensor and wanted is not None and (not is_input or next(flags))
+            if is_wanted and in_dims[number] is None:
+                one = moved[number]
+                moved[number] = one.unsqueeze(0).expand(info.batch_size, *one.shape)
+            if is_input and (is_wanted or in_dims[number] is not None):
+                names.append(self.inputs[number])
+        found = self._of_batch(names)
+        if found is not None:
+            try:
+                answer = call(found, moved)
+                return answer, (0,) * len(answer) if isinstance(answer, tuple) else 0
+            except (TaiCompilationError, TaiAutodiffError) as error:
+                self._stacks.refuse([*names, *self.outputs], error)
+        slices = _slices(info.batch_size, in_dims, args)
+        return _stacked([call(self, one) for one in slices])
+
+    def _of_batch(self, names: list[str]) -> Operator | None:
+        """The operator for a batch of the inputs with these names; None if there is none."""
+        kernel = self._stacks.find([*names, *self.outputs]) if names else None
+        if kernel is None:
+            return None
+        key = frozenset(names)
+        if key not in self._in_batches:
+            self._in_batches[key] = _OfBatch(self, kernel, names)
+        return self._in_batches[key]
 
     # Launches
 
@@ -287,6 +345,35 @@ class Operator:
         return self._op(*_without_autocast(inputs))
 
 
+class _OfBatch(Operator):
+    """An operator whose kernel runs for all elements of a batch at once."""
+
+    def __init__(self, one: Operator, kernel: StackedKernel, names: Iterable[str]):
+        """
+        Args:
+            one: the operator for one element.
+            kernel: that of the batch.
+            names: of the inputs that have a batch, along their first dimension.
+        """
+        self._one, self._has_batch = one, [name in names for name in one.inputs]
+        super().__init__(kernel, one._shapes, "_".join([one.name, "for", *names]))
+
+    def _allocate(self, inputs: Sequence[Any], make: Callable[..., Any]) -> list[torch.Tensor]:
+        pairs = list(zip(inputs, self._has_batch, strict=True))
+        size = next(i.shape[0] for i, has_batch in pairs if has_batch)
+        ones = super()._allocate([i[0] if b else i for i, b in pairs], torch.empty)
+        return [make((size, *o.shape), dtype=o.dtype, device=o.device) for o in ones]
+
+    @property
+    def _needs_tape(self) -> bool:
+        return self._one._needs_tape
+
+    @_needs_tape.setter
+    def _needs_tape(self, value: bool) -> None:
+        # Gradients of batches run without a launch that has found out.
+        self._one._needs_tape |= value
+
+
 class _Eager(torch.autograd.Function):
     """The operator for plain calls, with less between torch and the kernel."""
 
@@ -328,8 +415,8 @@ class _Functional(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, operator: Operator, *inputs: Any) -> Any:
-        slices = _slices(info.batch_size, in_dims[1:], inputs)
-        return _stacked([_Functional.apply(operator, *one) for one in slices])
+        call: Any = lambda op, given: _Functional.apply(op, *given)  # noqa: E731
+        return operator._in_batch(call, info, in_dims[1:], inputs)
 
 
 class _FunctionalGradient(torch.autograd.Function):
@@ -349,8 +436,8 @@ class _FunctionalGradient(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, operator: Operator, wanted: tuple, *args: Any) -> Any:
-        slices = _slices(info.batch_size, in_dims[2:], args)
-        return _stacked([_FunctionalGradient.apply(operator, wanted, *one) for one in slices])
+        call: Any = lambda op, given: _FunctionalGradient.apply(op, wanted, *given)  # noqa: E731
+        return operator._in_batch(call, info, in_dims[2:], args, wanted)
 
 
 def _stacked(found: list) -> Any:
@@ -388,7 +475,7 @@ def _bytes_of(tensor: torch.Tensor) -> torch.Tensor:
     return tensor.reshape(-1).view(torch.uint8)
 
 
-def _slices(count: int, in_dims: tuple, args: tuple) -> Any:
+def _slices(count: int, in_dims: Sequence[Any], args: Sequence[Any]) -> Any:
     """The arguments of each launch of a batch."""
     moved = [a if d is None else a.movedim(d, 0) for a, d in zip(args, in_dims, strict=True)]
     for number in range(count):

@@ -150,7 +150,7 @@ class ParallelLoops(Part):
             first = list(field.offset or (0,) * rank)
             last = [a + n for a, n in zip(first, field.shape, strict=True)]
             bounds = Bounds(first, last)
-        size = worlds.batch.size
+        size = worlds.size(self.emitter)
         made = Bounds([0, *bounds.lower], [size, *bounds.upper], bounds.step, [1, *bounds.steps])
         return made, len(made.lower)
 

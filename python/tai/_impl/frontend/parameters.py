@@ -87,7 +87,11 @@ class Parameters(Part):
         if spec.kind == "template":
             return Bound(spec.constant)
         if spec.kind == "array":
-            return Bound(ArrayArgument(self.emitter, name, handles, spec))
+            array = ArrayArgument(self.emitter, name, handles, spec)
+            worlds = self.emitter.worlds
+            if worlds is not None and worlds.is_stacked(name) and worlds.sized_by is None:
+                worlds.sized_by = handles[0]
+            return Bound(array)
         value = self.emitter.value(handles[0], spec.dt, spec.shape)
         if not spec.shape and spec.dt.kind == "i":
             value.index = "cast"

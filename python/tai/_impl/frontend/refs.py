@@ -351,7 +351,7 @@ class ArrayElement(Place):
     def __init__(self, emitter: Emitter, array: ArrayArgument, indices: list[Any]):
         self.emitter, self.array, self.indices = emitter, array, indices
         self.dt = array.dt
-        self.shape = array.element_shape[len(indices) - array.ndim :]
+        self.shape = array.element_shape[len(indices) - array.spec.ndim :]
 
     def load(self) -> Value:
         self.array.spec.is_read = self.array.spec.is_loaded = True
@@ -410,7 +410,10 @@ class ArrayArgument(Elements):
         self.emitter, self.name, self.spec = emitter, name, spec
         # The array, and its gradient if it has one.
         self.handle, self._gradient = handles[0], handles[1:]
-        self.dt, self.ndim, self.element_shape = spec.dt, spec.ndim, spec.element_shape
+        self.dt, self.element_shape = spec.dt, spec.element_shape
+        # The dimension of the worlds of a batch is not seen by the kernel.
+        self._is_stacked = emitter.worlds is not None and emitter.worlds.is_stacked(name)
+        self.ndim = spec.ndim - self._is_stacked
 
     def _described(self) -> str:
         return f"array '{self.name}'"
@@ -434,7 +437,7 @@ class ArrayArgument(Elements):
     def shape(self) -> tuple[Value, ...]:
         """The extents, which are known when the kernel runs."""
         emitter, extents = self.emitter, []
-        for dimension in range(self.ndim):
+        for dimension in range(self._is_stacked, self.spec.ndim):
             at = emitter.index(dimension)
             handle = emitter.builder.extent(self.handle, at)
             extents.append(emitter.from_index(handle))
@@ -449,12 +452,16 @@ class ArrayArgument(Elements):
                 "pass a ti.ndarray that was made with needs_grad=True",
             )
         self.spec.uses_gradient = True
-        return ArrayArgument(self.emitter, f"{self.name}.grad", self._gradient, self.spec)
+        found = ArrayArgument(self.emitter, self.name, self._gradient, self.spec)
+        found.name = f"{self.name}.grad"
+        return found
 
     def element(self, key: Any) -> ArrayElement:
         indices = flatten_indices(key)
         if len(indices) != self.ndim:
             raise TaiIndexError(_count_message("array", self.name, self.ndim, len(indices)))
+        if self._is_stacked:
+            indices.insert(0, self.emitter.worlds.index_of_array(self.name))
         return ArrayElement(self.emitter, self, [self.emitter.to_index(i) for i in indices])
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
+from collections.abc import Iterable
 from typing import Any
 
 from ...errors import TaiIndexError, TaiSyntaxError
@@ -42,17 +43,56 @@ def batch_of(field: Any) -> Any:
     return getattr(field, "batch", None)
 
 
+class Stack:
+    """The worlds of a kernel whose arrays are given with one dimension more, in front.
+
+    Attributes:
+        names: of the parameters that are such arrays; others are the same for all worlds.
+    """
+
+    is_masked = False
+
+    def __init__(self, names: Iterable[str]):
+        self.names = frozenset(names)
+
+
 class Worlds:
     """The worlds of the kernel that is compiled.
 
     Attributes:
-        batch: the `ti.batch`.
+        batch: the `ti.batch`, or a `Stack`.
         index: that of the world in the loop that is compiled, or None between loops.
+        sized_by: an array whose first extent is the number of worlds, for a `Stack`.
     """
 
     def __init__(self, batch: Any):
         self.batch = batch
         self.index: Any = None
+        self.sized_by: Any = None
+
+    def size(self, emitter: Any) -> Any:
+        """The number of worlds."""
+        if not isinstance(self.batch, Stack):
+            return self.batch.size
+        return emitter.from_index(emitter.builder.extent(self.sized_by, emitter.index(0)))
+
+    def is_stacked(self, name: str) -> bool:
+        """Whether a parameter is an array with a part for each world."""
+        return isinstance(self.batch, Stack) and name in self.batch.names
+
+    def index_of_array(self, name: str) -> Any:
+        """The first index of an element of such an array.
+
+        Raises:
+            TaiSyntaxError: the statement does not belong to a world.
+        """
+        if self.index is None:
+            raise TaiSyntaxError(
+                f"array '{name}' has a part for each element of the batch, and this statement "
+                "belongs to none of them",
+                f"read {name} inside of the loop",
+            )
+        return self.index
 
     def has(self, field: Any) -> bool:
         """Whether a field has an element, or a part, for each world."""
