@@ -342,9 +342,9 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "torch.md"
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", range(3))
 def test_programs_of_the_page(number, tmp_path):
-    assert len(PROGRAMS) == 2
+    assert len(PROGRAMS) == 3
     file = tmp_path / "program.py"
     file.write_text(PROGRAMS[number])
     subprocess.run([sys.executable, "-W", "error::UserWarning", str(file)], check=True)
