@@ -226,3 +226,24 @@ tai.kernel @serial() {
   tai.atomic mul %0, @g[%c0] : f64
   tai.return
 }
+
+// An infinite tangent stays one in an array of the function: a factor of zero
+// takes nothing of it.
+// CHECK-LABEL: func.func @infinite_in_array_fwd(
+//       CHECK:   %[[Z:.+]] = memref.load %arg1
+//       CHECK:   arith.mulf %{{.+}}, %[[Z]]
+//       CHECK:   %[[NONE:.+]] = arith.cmpf oeq, %[[Z]],
+//       CHECK:   arith.select %[[NONE]], %{{.+}}, %{{.+}} {tai.guard}
+func.func @infinite_in_array(%x: memref<4xf64>, %z: memref<4xf64>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %m = memref.alloca() : memref<1xf64>
+  %0 = memref.load %x[%c0] : memref<4xf64>
+  %1 = math.sqrt %0 : f64
+  memref.store %1, %m[%c0] : memref<1xf64>
+  %2 = memref.load %z[%c0] : memref<4xf64>
+  %3 = memref.load %m[%c0] : memref<1xf64>
+  %4 = arith.mulf %3, %2 : f64
+  memref.store %4, %x[%c1] : memref<4xf64>
+  return
+}

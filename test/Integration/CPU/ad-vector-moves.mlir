@@ -118,7 +118,12 @@ tai.kernel @reductions() {
     %less = vector.reduction <minnumf>, %f, %a : vector<6xf64> into f64
     %most = vector.reduction <maximumf>, %f, %a : vector<6xf64> into f64
     %more = vector.reduction <maxnumf>, %f : vector<6xf64> into f64
-    %0 = arith.mulf %sum, %product : f64
+    %first = vector.extract %f[0] : f64 from vector<6xf64>
+    %single = vector.from_elements %first : vector<1xf64>
+    %thrice = vector.broadcast %single : vector<1xf64> to vector<3xf64>
+    %cube = vector.reduction <mul>, %thrice, %a : vector<3xf64> into f64
+    %rest = arith.addf %product, %cube : f64
+    %0 = arith.mulf %sum, %rest : f64
     %1 = arith.mulf %least, %most : f64
     %2 = arith.mulf %less, %more : f64
     %3 = arith.addf %0, %1 : f64
