@@ -49,3 +49,52 @@ tai.kernel @combined_under_a_condition(%c: i1) {
   }
   tai.return
 }
+
+// A loop that cannot be reversed is found in the condition of another one, and
+// in its body.
+tai.kernel @in_a_condition(%n: i32) {
+  %c0 = arith.constant 0 : index
+  %k0 = arith.constant 0 : i32
+  %k1 = arith.constant 1 : i32
+  %ten = arith.constant 10.0 : f32
+  %0 = tai.load @x[%c0] : f32
+  %r = scf.while (%a = %0) : (f32) -> f32 {
+    // expected-error @+2 {{cannot reverse a loop with unsigned bounds}}
+    // expected-note @+1 {{count in 'index', from zero to the number of iterations}}
+    %s = scf.for unsigned %j = %k0 to %n step %k1 iter_args(%b = %a) -> (f32) : i32 {
+      %t = math.sin %b : f32
+      scf.yield %t : f32
+    }
+    %more = arith.cmpf olt, %s, %ten : f32
+    scf.condition(%more) %s : f32
+  } do {
+  ^bb0(%p: f32):
+    %q = arith.mulf %p, %p : f32
+    scf.yield %q : f32
+  }
+  tai.store %r, @y[%c0] : f32
+  tai.return
+}
+
+tai.kernel @in_a_body(%n: i32) {
+  %c0 = arith.constant 0 : index
+  %k0 = arith.constant 0 : i32
+  %k1 = arith.constant 1 : i32
+  %ten = arith.constant 10.0 : f32
+  %0 = tai.load @x[%c0] : f32
+  %r = scf.while (%a = %0) : (f32) -> f32 {
+    %more = arith.cmpf olt, %a, %ten : f32
+    scf.condition(%more) %a : f32
+  } do {
+  ^bb0(%p: f32):
+    // expected-error @+2 {{cannot reverse a loop with unsigned bounds}}
+    // expected-note @+1 {{count in 'index', from zero to the number of iterations}}
+    %s = scf.for unsigned %j = %k0 to %n step %k1 iter_args(%b = %p) -> (f32) : i32 {
+      %t = math.sin %b : f32
+      scf.yield %t : f32
+    }
+    scf.yield %s : f32
+  }
+  tai.store %r, @y[%c0] : f32
+  tai.return
+}

@@ -132,3 +132,40 @@ tai.kernel @lists_of_cells(%one: f32) {
   }
   tai.return
 }
+
+// A loop that compares without a sign counts on to negative numbers: an upper
+// limit is none from below.
+// CHECK-LABEL: tai.kernel @unsigned_loop(
+//  CHECK-SAME:     attributes {checks_indices}
+//       CHECK:   tai.store %{{.+}}, @k[%{{.+}}] : i32
+// CHECK-LABEL: tai.kernel @signed_loop(
+//   CHECK-NOT:     checks_indices
+//       CHECK:   tai.store %{{.+}}, @k[%{{.+}}] {tai.in_range} : i32
+tai.kernel @unsigned_loop() {
+  %c0 = arith.constant 0 : i32
+  %c2 = arith.constant 2 : i32
+  %c8 = arith.constant 8 : i32
+  %most = arith.constant -1 : i32
+  scf.for unsigned %j = %c0 to %most step %c2 : i32 {
+    %if = arith.cmpi slt, %j, %c8 : i32
+    scf.if %if {
+      %at = arith.index_cast %j : i32 to index
+      tai.store %c2, @k[%at] : i32
+    }
+  }
+  tai.return
+}
+tai.kernel @signed_loop() {
+  %c0 = arith.constant 0 : i32
+  %c2 = arith.constant 2 : i32
+  %c8 = arith.constant 8 : i32
+  %most = arith.constant 100 : i32
+  scf.for %j = %c0 to %most step %c2 : i32 {
+    %if = arith.cmpi slt, %j, %c8 : i32
+    scf.if %if {
+      %at = arith.index_cast %j : i32 to index
+      tai.store %c2, @k[%at] : i32
+    }
+  }
+  tai.return
+}
