@@ -308,6 +308,13 @@ def measure(name: str, count: int) -> dict[str, Any]:
             "worst_ms": f"{max(found):.0f}" if found else "", "interrupts": len(found)}  # fmt: skip
 
 
+def write(rows: list[dict[str, Any]]) -> None:
+    with TABLE.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="", help="a part of the names of operations")
@@ -336,11 +343,8 @@ def main() -> None:
         (row,) = csv.DictReader(done.stdout.splitlines(), COLUMNS)
         rows.append({**row, **origin})
         print(", ".join(f"{key} {value}" for key, value in row.items() if value), flush=True)
-    if args.write:
-        with TABLE.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        if args.write:
+            write(rows)
 
 
 if __name__ == "__main__":

@@ -9,9 +9,9 @@ from pathlib import Path
 INTERRUPTS = """\
 ## Interrupts of large copies
 
-`test/reliability/interrupt_latency.py` sends SIGINT at random moments of an operation and counts the
-time to the `KeyboardInterrupt`. The operation takes `whole` without an interrupt. A sweep that is
-interrupted puts the last values back before it answers.
+`test/reliability/interrupt_latency.py` sends SIGINT at random moments of an operation and counts
+the time to the `KeyboardInterrupt`. The operation takes `whole` without an interrupt. A sweep that
+is interrupted puts the last values back before it answers.
 """
 COVERAGE = """\
 ## Coverage

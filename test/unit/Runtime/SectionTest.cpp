@@ -69,6 +69,44 @@ TEST_F(Sections, AreClosedToHandlersInTheirMiddle) {
   EXPECT_TRUE(safepoint::look());
 }
 
+// Values that are put back are put back whole, and the handler's own work may
+// stop.
+TEST_F(Sections, GoOnWhileTheyAreUnstoppable) {
+  static int inner;
+  inner = 0;
+  safepoint::setHandler([] {
+    if (safepoint::handlerDepth() == 1) {
+      EXPECT_FALSE(safepoint::Unstoppable::wasAsked());
+      inner += safepoint::look() ? 1 : 100;
+    }
+    return 0;
+  });
+  EXPECT_FALSE(safepoint::look());
+  EXPECT_EQ(inner, 100);
+  int64_t done = 0;
+  auto copy = [&] {
+    return safepoint::runInPieces(1000, 10, /*canStop=*/true,
+                                  [&](int64_t, int64_t count) {
+                                    done += count;
+                                    return Status::success();
+                                  });
+  };
+  {
+    safepoint::Unstoppable whole;
+    EXPECT_FALSE(safepoint::Unstoppable::wasAsked());
+    {
+      safepoint::Unstoppable nested;
+      EXPECT_OK(copy());
+    }
+    EXPECT_EQ(done, 1000);
+    EXPECT_TRUE(safepoint::Unstoppable::wasAsked());
+    EXPECT_EQ(inner % 100, 0);
+  }
+  EXPECT_FALSE(safepoint::Unstoppable::wasAsked());
+  EXPECT_EQ(copy().code(), StatusCode::Interrupted);
+  EXPECT_EQ(done, 1000);
+}
+
 TEST_F(Sections, AreClosedToHandlersOfHandlers) {
   Section section;
   int depth = 0;
