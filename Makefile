@@ -53,7 +53,7 @@ test-differential: build ## run examples and scenes in all ways, at larger sizes
 
 fuzz: build ## differentiate 5000 random kernels (ARGS="--count 500 --first 9000")
 	@$(PYTHON) test/fuzz/run.py --jobs $(JOBS) --log $(BUILD)/fuzz.jsonl $(ARGS)
-	@$(PYTHON) test/fuzz/run_updates.py
+	@$(PYTHON) test/fuzz/run_updates.py --jobs $(JOBS) --log $(BUILD)/fuzz-updates.jsonl
 
 fuzz-sparse: build ## play 10000 random sequences on random sparse trees (ARGS="--first 900")
 	@$(PYTHON) test/fuzz/run_sparse.py --jobs $(JOBS) --log $(BUILD)/fuzz-sparse.jsonl $(ARGS)
