@@ -484,6 +484,32 @@ TEST(RuntimeTape, GivesReverseTheSameRandomNumbers) {
             (std::vector<int64_t>{12, 0, 1, 2, 2, 1, 0, 3, 4, 5, 5, 4, 3}));
 }
 
+// A record that there is not cannot be launched again, nor one of a tape that
+// is still being recorded.
+TEST(RuntimeTape, RefusesRecordsThatAreNotThere) {
+  Scene scene;
+  scene.startAt(0.3);
+  auto tape = scene.begin();
+  scene.launch(scene.sineOf(scene.x, scene.y));
+  EXPECT_EQ(tape->runRecord(0).message(),
+            "a record cannot be launched again while its tape records");
+  ASSERT_OK(tape->backward());
+  EXPECT_EQ(tape->runRecord(-1).message(), "the tape has no record -1");
+  EXPECT_EQ(tape->runRecord(1).message(), "the tape has no record 1");
+  EXPECT_OK(tape->runRecord(0));
+  EXPECT_FALSE(tape->setCheckpoints({CheckpointPolicy::Kind::Periodic}).ok());
+  // A host function in between is no overwrite.
+  tape = scene.begin();
+  auto step = scene.sineOf(scene.x, scene.y);
+  scene.launch(step);
+  tape->recordCallback({nullptr, nullptr});
+  scene.launch(step);
+  ASSERT_EQ(tape->overwrites().size(), 1u);
+  EXPECT_EQ(tape->overwrites()[0].record, 2);
+  ASSERT_OK(tape->backward());
+  EXPECT_OK(tape->runRecord(1));
+}
+
 TEST(RuntimeTape, RefusesWhatMakesNoSense) {
   Scene scene;
   std::unique_ptr<Tape> tape, second;
@@ -607,6 +633,113 @@ TEST(RuntimeHost, ReportsErrors) {
                    })
                    .ok());
   EXPECT_EQ(scene.runtime.recordingTape(), nullptr);
+}
+
+// Programs of the host have kernels, fields and trees; kernels have no program.
+TEST(RuntimeHost, ReportsWhatIsMissing) {
+  Scene scene;
+  for (TaiKernelFn function : std::initializer_list<TaiKernelFn>{
+           [](TaiFrame *frame) {
+             return tai_rt_host_launch(frame, "step", nullptr, 0, nullptr, 0);
+           },
+           [](TaiFrame *frame) {
+             return tai_rt_host_tape_begin(frame, "loss");
+           },
+           [](TaiFrame *frame) { return tai_rt_host_tape_end(frame); },
+           [](TaiFrame *frame) {
+             return tai_rt_host_check_gradient(frame, "loss", nullptr, 0, 1e-9,
+                                               body, nullptr, nullptr);
+           }})
+    EXPECT_EQ(launchOnce(scene.runtime, function).code(), StatusCode::Usage);
+
+  Program program(scene);
+  program.kernels["step"] = scene.sineOf(scene.x, scene.y);
+  auto messageOf = [&](TaiKernelFn function) {
+    std::string message(program.run(function).message());
+    EXPECT_EQ(scene.runtime.recordingTape(), nullptr);
+    return message;
+  };
+  EXPECT_EQ(messageOf([](TaiFrame *frame) {
+              uint64_t scale = slotOf(2), result = 0;
+              return tai_rt_host_launch(frame, "step", &scale, 1, &result, 1);
+            }),
+            "kernel '" + program.kernels["step"]->name() +
+                "' returns 0 slots, but the launch expects 1");
+  // A tape of no loss, and one within the other.
+  EXPECT_EQ(messageOf([](TaiFrame *frame) {
+              return tai_rt_host_tape_begin(frame, nullptr);
+            }),
+            "");
+  EXPECT_NE(messageOf([](TaiFrame *frame) -> int32_t {
+              return tai_rt_host_tape_begin(frame, "@loss") ||
+                     tai_rt_host_check_gradient(frame, "@loss", nullptr, 0,
+                                                1e-9, body, nullptr, nullptr);
+            }),
+            "");
+  EXPECT_EQ(messageOf([](TaiFrame *frame) {
+              return tai_rt_host_check_gradient(frame, "nothing", nullptr, 0,
+                                                1e-9, body, nullptr, nullptr);
+            }),
+            "there is no field 'nothing'");
+  static const char *wrt;
+  auto check = [](TaiFrame *frame) {
+    return tai_rt_host_check_gradient(frame, "loss", &wrt, 1, 1e-9, body,
+                                      nullptr, nullptr);
+  };
+  wrt = "nothing";
+  EXPECT_EQ(messageOf(check), "there is no field 'nothing'");
+  FieldPtr whole = makeField(scene.runtime, "whole", ScalarKind::I32, {});
+  wrt = "whole";
+  EXPECT_EQ(messageOf(check), "field 'whole' has no adjoint to be checked");
+  whole = makeDifferentiable(scene.runtime, "counts", ScalarKind::I32, {});
+  wrt = "counts";
+  EXPECT_EQ(messageOf(check), "field 'counts' has no adjoint to be checked");
+
+  // A program that knows no kernels, or whose tree has gone.
+  program.module.findKernel = nullptr;
+  EXPECT_EQ(messageOf([](TaiFrame *frame) {
+              return tai_rt_host_launch(frame, "step", nullptr, 0, nullptr, 0);
+            }),
+            "there is no kernel 'step' in this module");
+  TreePtr tree = scene.tree(*scene.loss);
+  ASSERT_OK(scene.runtime.destroyTree(tree->name()));
+  Status gone = runHost(
+      scene.runtime, [](TaiFrame *) { return 0; }, {tree}, program.module,
+      nullptr, nullptr);
+  EXPECT_EQ(gone.message(), "the host program uses tree '" + tree->name() +
+                                "', which has been destroyed");
+}
+
+// The region may fail at each of its evaluations.
+TEST(RuntimeHost, ChecksOfWhatFails) {
+  static int left;
+  auto failing = [](TaiFrame *frame, void *) -> int32_t {
+    return left-- == 0 || body(frame, nullptr);
+  };
+  static int32_t (*region)(TaiFrame *, void *);
+  region = failing;
+  auto check = [](TaiFrame *frame) {
+    const char *wrt[] = {"x"};
+    return tai_rt_host_check_gradient(frame, "loss", wrt, 1, 1e-9, region,
+                                      nullptr, nullptr);
+  };
+  int failures = 0;
+  for (int fails = 0; fails != 200; ++fails) {
+    Scene scene;
+    Program program(scene);
+    program.kernels["step"] = scene.sineOf(scene.x, scene.y);
+    program.kernels["sum"] = scene.squaresOf(scene.y);
+    scene.startAt(0.3);
+    left = fails;
+    Status status = program.run(check);
+    EXPECT_EQ(scene.runtime.recordingTape(), nullptr);
+    if (status)
+      break;
+    ++failures;
+    EXPECT_EQ(status.message(), "the host program failed");
+  }
+  // The recorded run, one for what is written, and 4 by 18 pairs.
+  EXPECT_EQ(failures, 1 + 1 + 4 * 18 * 2);
 }
 
 static int32_t checkX(TaiFrame *frame) {

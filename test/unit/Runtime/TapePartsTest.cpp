@@ -149,6 +149,21 @@ TEST(SweepSeeds, StartsFromLosses) {
   EXPECT_FALSE(seeds.store().ok());
 }
 
+TEST(SweepSeeds, RefusesWhatIsNoLoss) {
+  Scene scene;
+  SweepSeeds seeds(scene.services);
+  FieldPtr count =
+      makeDifferentiable(scene.runtime, "count", ScalarKind::I32, {});
+  EXPECT_EQ(seeds.add(count, scene.holds).message(),
+            "the loss 'count' is not a field of floating-point numbers");
+  // The loss may go before its adjoint, and before the sweep.
+  ASSERT_OK(seeds.add(scene.loss, scene.holds));
+  ASSERT_OK(scene.runtime.destroyTree(scene.loss->tree().name()));
+  seeds.clearSums();
+  EXPECT_EQ(seeds.store().message(),
+            "the tree of the loss 'loss' has been destroyed");
+}
+
 TEST(SweepSeeds, FindsLiveFields) {
   Scene scene;
   SweepSeeds seeds(scene.services);
@@ -423,7 +438,12 @@ TEST(Rematerialiser, RefusesBadPolicies) {
   EXPECT_FALSE(
       rematerialiser.setPolicy({CheckpointPolicy::Kind::Periodic, -1}).ok());
   EXPECT_FALSE(rematerialiser.isOn());
+  EXPECT_FALSE(
+      rematerialiser.setPolicy({CheckpointPolicy::Kind::Mixed, 0, -1}).ok());
+  EXPECT_FALSE(rematerialiser.isOn());
   EXPECT_OK(rematerialiser.setPolicy({CheckpointPolicy::Kind::Periodic, 2}));
+  // A sequence of nothing has nothing to be recomputed.
+  EXPECT_OK(rematerialiser.sweep());
   EXPECT_TRUE(rematerialiser.isOn());
 
   // Four doublings, and back without any adjoint: memory is as it was.

@@ -12,6 +12,8 @@
 #include "../../../lib/Runtime/Tape/AdjointForms.h"
 #include "../../../lib/Runtime/Tape/TapeReport.h"
 #include "RuntimeTestUtils.h"
+#include <random>
+#include <set>
 
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::test;
@@ -26,6 +28,8 @@ int32_t neverCalled(TaiFrame *) {
 }
 
 struct Scene {
+  explicit Scene(Options options = {}) : runtime(options) {}
+
   Runtime runtime;
   TapeServices services{runtime};
   TapeRecording recording;
@@ -163,6 +167,43 @@ TEST(StoredOutputs, LosesWhatIsStoredAgain) {
   EXPECT_TRUE(isLost(7));
   outputs.lose(-1, lost);
   EXPECT_FALSE(outputs.any());
+}
+
+// The records that lose what they have stored, against all changes so far.
+TEST(StoredOutputs, AgreesWithEnumeration) {
+  std::mt19937_64 random(20251128);
+  auto pick = [&](int64_t low, int64_t high) {
+    return std::uniform_int_distribution<int64_t>(low, high)(random);
+  };
+  for (int round = 0; round < 2000; ++round) {
+    StoredOutputs outputs;
+    std::vector<bool> lost;
+    // Stores of (record, slab), and whether they are lost.
+    std::vector<std::pair<uint32_t, int64_t>> stores;
+    std::set<uint32_t> expected;
+    uint32_t stamp = 0;
+    auto change = [&](int64_t slab, uint32_t keeps) {
+      for (auto [record, at] : stores)
+        if (record != keeps && (at < 0 || slab < 0 || at == slab))
+          expected.insert(record);
+    };
+    for (int64_t step = pick(1, 12); step > 0; --step) {
+      int64_t slab = pick(-1, n - 1);
+      if (pick(0, 2) == 0) {
+        outputs.lose(slab, lost);
+        change(slab, 0);
+      } else {
+        stamp += stamp == 0 ? 1 : static_cast<uint32_t>(pick(0, 1));
+        outputs.mark(slab, n, stamp, lost);
+        change(slab, stamp);
+        stores.emplace_back(stamp, slab);
+      }
+    }
+    for (uint32_t record = 1; record <= stamp; ++record)
+      ASSERT_EQ(record < lost.size() && lost[record],
+                expected.count(record) > 0)
+          << round << ": " << record;
+  }
 }
 
 TEST(Overwrites, TellsFixedIndicesApart) {
@@ -315,4 +356,31 @@ TEST(TapeReport, SaysWhatBecomesOfRecords) {
   scene.decide({});
   report.checkEffect(scene.recording, scene.plan, "'y'");
   EXPECT_EQ(report.notes.size(), 1u);
+}
+
+// A launch without effect is replayed where nothing is skipped, and a constant
+// that is stored first has no one to tell.
+TEST(TapeReport, SaysWhyNothingIsDone) {
+  for (bool skips : {true, false}) {
+    Options options;
+    options.skips.set(mlir::tai::Skip::DeadLaunches, skips);
+    Scene scene(options);
+    FieldPtr x = scene.field("x"), y = scene.field("y");
+    scene.record(scene.stores(x, y));
+    scene.record(scene.make({{y, AccessKind::Accumulate}}));
+    TapeMemory memory(scene.runtime);
+    AdjointForms forms(scene.services, scene.recording, scene.plan, memory);
+    TapeReport report;
+    scene.decide({x.get()});
+    report.addRecord(scene.recording, scene.plan, forms, 0, 0, 0);
+    scene.decide({y.get()});
+    report.addRecord(scene.recording, scene.plan, forms, 1, 0, 0);
+    EXPECT_EQ(report.get(),
+              skips ? "0: @k0: skipped: no adjoint reaches @y\n"
+                      "1: @k1: skipped: it reads no field that has an adjoint\n"
+                    : "0: @k0: replayed, without effect: 'dead-launches' is "
+                      "off\n"
+                      "1: @k1: replayed, without effect: 'dead-launches' is "
+                      "off\n");
+  }
 }
