@@ -1,5 +1,5 @@
 // RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s
-// RUN: tai-opt %s --tai-make-adjoint=takes --canonicalize --cse | FileCheck %s --check-prefix=TAKES
+// RUN: tai-opt %s --tai-make-adjoint=zero-overwritten --canonicalize --cse | FileCheck %s --check-prefix=TAKES
 
 // Elements that a kernel stores more than once, or reads before it stores them.
 

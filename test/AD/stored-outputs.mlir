@@ -1,5 +1,5 @@
 // RUN: tai-opt %s --tai-make-adjoint=stored-outputs --canonicalize --cse | FileCheck %s
-// RUN: tai-opt %s --tai-make-adjoint="stored-outputs takes" --canonicalize --cse | FileCheck %s --check-prefix=TAKES
+// RUN: tai-opt %s --tai-make-adjoint="stored-outputs zero-overwritten" --canonicalize --cse | FileCheck %s --check-prefix=TAKES
 // RUN: tai-opt %s --tai-make-adjoint --canonicalize --cse | FileCheck %s --check-prefix=OFF
 
 // The form of adjoints that loads what kernels have stored.

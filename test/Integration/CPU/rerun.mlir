@@ -1,5 +1,5 @@
-// RUN: tai-opt %s --tai-make-adjoint="kernel=many,until takes=true" | sed "s/launch @adjoint_of_\([a-z]*\)/launch @\1_grad/" | tai-run - --no-cache
-// RUN: tai-opt %s --tai-make-adjoint="kernel=many,until takes=true" | sed "s/launch @adjoint_of_\([a-z]*\)/launch @\1_grad/" | tai-run - --no-cache --opt-level=0 --threads=2
+// RUN: tai-opt %s --tai-make-adjoint="kernel=many,until zero-overwritten=true" | sed "s/launch @adjoint_of_\([a-z]*\)/launch @\1_grad/" | tai-run - --no-cache
+// RUN: tai-opt %s --tai-make-adjoint="kernel=many,until zero-overwritten=true" | sed "s/launch @adjoint_of_\([a-z]*\)/launch @\1_grad/" | tai-run - --no-cache --opt-level=0 --threads=2
 
 // Adjoints that run their kernel forward again, launched by hand on the former
 // values. Each stack grows many times.
