@@ -10,6 +10,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/Matchers.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
+#include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -334,6 +335,31 @@ SameIteration::SameIteration(ParallelForOp loop) {
   });
 }
 
+/// True if nothing is written to the storage of two reads between them.
+static bool haveNoWriteBetween(Operation *first, Operation *second) {
+  const void *key = getStorageKey(cast<DifferentiableAccessInterface>(first));
+  if (!findCommonBlock(first, second))
+    return false;
+  if (second->isBeforeInBlock(first))
+    std::swap(first, second);
+  auto writes = [&](Operation *op) {
+    return op
+        ->walk([&](DifferentiableAccessInterface access) {
+          return access.getAccessKind() != AccessKind::Read &&
+                         getStorageKey(access) == key
+                     ? WalkResult::interrupt()
+                     : WalkResult::advance();
+        })
+        .wasInterrupted();
+  };
+  for (Operation *op = first;; op = op->getNextNode()) {
+    if (writes(op))
+      return false;
+    if (op == second)
+      return true;
+  }
+}
+
 bool SameIteration::areEqual(Value lhs, Value rhs, unsigned depth) const {
   if (lhs == rhs)
     return true;
@@ -350,7 +376,7 @@ bool SameIteration::areEqual(Value lhs, Value rhs, unsigned depth) const {
   if (!isMemoryEffectFree(x)) {
     auto access = dyn_cast<DifferentiableAccessInterface>(x);
     if (!access || access.getAccessKind() != AccessKind::Read ||
-        written.contains(getStorageKey(access)))
+        (written.contains(getStorageKey(access)) && !haveNoWriteBetween(x, y)))
       return false;
   }
   return llvm::all_of(llvm::zip(x->getOperands(), y->getOperands()),

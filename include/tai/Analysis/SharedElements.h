@@ -56,7 +56,7 @@ std::optional<IndexLimits> getLimits(Operation *access, ParallelForOp loop);
 
 /// Compares values and accesses of one iteration of a loop. Equal expressions
 /// are equal values; so are two loads of an element that the loop does not
-/// write.
+/// write in between.
 class SameIteration {
 public:
   explicit SameIteration(ParallelForOp loop);

@@ -81,7 +81,10 @@ bool Guards::canRunAlways(Operation *op, Operation *before) const {
   // Fields without dimensions, the element that the loop visits, and elements
   // that the loop reads in any case.
   FlatSymbolRefAttr field = read.getAccessedStorage().field;
-  if (field && !mayBeWritten(read) && read.getAccessComponents().empty() &&
+  bool areConstant = llvm::all_of(read.getAccessComponents(), [](Value part) {
+    return matchPattern(part, m_Constant());
+  });
+  if (field && !mayBeWritten(read) && areConstant &&
       (read.getAccessIndices().empty() ||
        isInside(field, read.getAccessIndices())))
     return true;

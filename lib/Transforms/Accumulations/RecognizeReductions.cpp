@@ -33,6 +33,7 @@
 #include "SharedUpdate.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/Reductions/Accumulation.h"
 #include "tai/Transforms/Passes.h"
 #include "llvm/ADT/StringSet.h"
@@ -59,7 +60,15 @@ public:
   LogicalResult run(bool oneThread, bool atLaunch, bool atRun);
 
 private:
+  using Reads =
+      llvm::DenseMap<const void *, SmallVector<DifferentiableAccessInterface>>;
+
   OtherIterations findOthers(ArrayRef<DifferentiableAccessInterface> refused);
+  static bool isCandidate(DifferentiableAccessInterface access,
+                          const Reads &reads);
+  void findOwned(Reads &reads);
+  bool mayMeet(DifferentiableAccessInterface store,
+               DifferentiableAccessInterface other) const;
   void check(DifferentiableAccessInterface store);
   bool isAlone(SharedUpdate &update);
   void report(DifferentiableAccessInterface store);
@@ -67,7 +76,11 @@ private:
   ParallelForOp loop;
   SameIteration same;
   SmallVector<DifferentiableAccessInterface> accesses;
+  /// Updates of elements that other iterations may reach.
   SmallVector<std::unique_ptr<SharedUpdate>> updates;
+  /// Updates of elements that no other iteration reaches in the same way, but
+  /// in another one.
+  SmallVector<std::unique_ptr<SharedUpdate>> owned;
 };
 } // namespace
 
@@ -84,28 +97,68 @@ void LoopUpdates::report(DifferentiableAccessInterface store) {
                        "later loop";
 }
 
+/// True for a store to a storage that the loop reads.
+bool LoopUpdates::isCandidate(DifferentiableAccessInterface access,
+                              const Reads &reads) {
+  return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
+         reads.contains(getStorageKey(access));
+}
+
+/// True unless the indices or the components prove that they are apart.
+bool LoopUpdates::mayMeet(DifferentiableAccessInterface store,
+                          DifferentiableAccessInterface other) const {
+  return getStorageKey(store) == getStorageKey(other) &&
+         !areProvablyDistinct(store.getAccessIndices(),
+                              other.getAccessIndices()) &&
+         (store.getAccessComponents().empty() ||
+          !areProvablyDistinct(store.getAccessComponents(),
+                               other.getAccessComponents()));
+}
+
+static ElementPlace getPlace(DifferentiableAccessInterface access) {
+  return {access.getAccessIndices(), access.getAccessComponents()};
+}
+
+/// Finds the updates of elements that belong to an iteration as far as their
+/// own indices say, while other accesses may write the same elements in other
+/// iterations.
+void LoopUpdates::findOwned(Reads &reads) {
+  auto isMetBy = [&](DifferentiableAccessInterface access, auto other) {
+    return other != access && other.getAccessKind() != AccessKind::Read &&
+           getStorageKey(other) == getStorageKey(access) &&
+           tai::mayMeet(loop, getPlace(access), getPlace(other));
+  };
+  for (DifferentiableAccessInterface access : accesses) {
+    if (!isCandidate(access, reads) ||
+        getSharing(access, loop) != Sharing::Own ||
+        llvm::none_of(accesses,
+                      [&](auto other) { return isMetBy(access, other); }))
+      continue;
+    auto update = std::make_unique<SharedUpdate>(
+        access, loop, reads[getStorageKey(access)], same);
+    if (update->readsElement() && update->match())
+      owned.push_back(std::move(update));
+  }
+}
+
 /// True if all that the loop does with the element is updates of one kind.
 bool LoopUpdates::isAlone(SharedUpdate &update) {
   DifferentiableAccessInterface store = update.getStore();
-  const void *key = getStorageKey(store);
   for (DifferentiableAccessInterface other : accesses) {
-    if (getStorageKey(other) != key || other == store ||
-        llvm::is_contained(update.getLoads(), other) ||
-        areProvablyDistinct(store.getAccessIndices(),
-                            other.getAccessIndices()) ||
-        (!store.getAccessComponents().empty() &&
-         areProvablyDistinct(store.getAccessComponents(),
-                             other.getAccessComponents())))
+    if (other == store || llvm::is_contained(update.getLoads(), other) ||
+        !mayMeet(store, other))
       continue;
     auto atomic = dyn_cast<AtomicOp>(other.getOperation());
     if (atomic && getCombiningKind(atomic.getKind()) == update.getFamily())
       continue;
-    bool isOfUpdate = llvm::any_of(updates, [&](auto &known) {
+    auto isOfUpdate = [&](const std::unique_ptr<SharedUpdate> &known) {
       return known->getFamily() == update.getFamily() &&
              (known->getStore() == other ||
               llvm::is_contained(known->getLoads(), other));
-    });
-    if (isOfUpdate)
+    };
+    if (llvm::any_of(
+            llvm::concat<std::unique_ptr<SharedUpdate>>(updates, owned),
+            isOfUpdate))
       continue;
     // Reads of an element that is not certainly the same are left to the
     // program, as beside an atomic.
@@ -148,9 +201,9 @@ LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
     // Iterations that store the same to an element tell each other something.
     return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
            (isOwn || !storesTheSame(access, loop)) &&
-           llvm::none_of(updates, [&](auto &update) {
-             return update->getStore() == access;
-           });
+           llvm::none_of(
+               llvm::concat<std::unique_ptr<SharedUpdate>>(updates, owned),
+               [&](auto &update) { return update->getStore() == access; });
   };
   for (DifferentiableAccessInterface access : accesses) {
     Value memref = access.getAccessedStorage().memref;
@@ -170,20 +223,15 @@ LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
 }
 
 LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
-  llvm::DenseMap<const void *, SmallVector<DifferentiableAccessInterface>>
-      reads;
+  Reads reads;
   loop.walk([&](DifferentiableAccessInterface access) {
     accesses.push_back(access);
     if (access.getAccessKind() == AccessKind::Read)
       reads[getStorageKey(access)].push_back(access);
   });
-  auto isCandidate = [&](DifferentiableAccessInterface access) {
-    return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
-           reads.contains(getStorageKey(access));
-  };
   // Before anything is remembered about the branches.
   for (DifferentiableAccessInterface access : accesses) {
-    if (!isCandidate(access))
+    if (!isCandidate(access, reads))
       continue;
     SharedUpdate update(access, loop, reads[getStorageKey(access)], same);
     if (update.readsElement() && !update.match())
@@ -191,7 +239,7 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
   }
   SmallVector<DifferentiableAccessInterface> others, certain, possible;
   for (DifferentiableAccessInterface access : accesses) {
-    if (!isCandidate(access))
+    if (!isCandidate(access, reads))
       continue;
     auto update = std::make_unique<SharedUpdate>(
         access, loop, reads[getStorageKey(access)], same);
@@ -204,10 +252,14 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
     else if (!storesTheSame(access, loop))
       others.push_back(access);
   }
+  findOwned(reads);
   // Taking one away may take the reason of another one away.
   bool changed = true;
   while (changed) {
     changed = false;
+    llvm::erase_if(owned, [&](std::unique_ptr<SharedUpdate> &update) {
+      return !isAlone(*update) && (changed = true);
+    });
     llvm::erase_if(updates, [&](std::unique_ptr<SharedUpdate> &update) {
       if (isAlone(*update))
         return false;
@@ -235,7 +287,8 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
     llvm::for_each(possible, [&](auto store) { check(store); });
     otherIterations.check();
   }
-  for (std::unique_ptr<SharedUpdate> &update : updates)
+  for (std::unique_ptr<SharedUpdate> &update :
+       llvm::concat<std::unique_ptr<SharedUpdate>>(updates, owned))
     update->rewrite();
   return success();
 }

@@ -346,59 +346,60 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
 }
 
 /// A branch around the store whose condition compares the value with the
-/// element, and that does nothing else.
+/// element, and that does nothing else. The other conditions, which must hold
+/// as well, may be computed before the comparison.
 bool SharedUpdate::matchGuard(scf::IfOp branch, bool inThen) {
   Operation *op = store;
   Value value = store.getAccessedValue();
   if (op->getParentOp() != branch || branch->getNumResults() != 0 ||
       dependsOnOld(value) || !doesNothing(branch, op))
     return false;
-  // The other conditions, which must hold as well.
-  SmallVector<std::pair<Value, bool>, 1> others;
-  SmallVector<Value> parts;
-  std::function<void(Value)> split = [&](Value condition) {
-    auto both = condition.getDefiningOp<arith::AndIOp>();
-    if (!both || !inThen || !dependsOnOld(condition)) {
-      parts.push_back(condition);
-      return;
+  OpOperand *part = &branch.getConditionMutable();
+  while (inThen) {
+    Operation *conjunction = part->get().getDefiningOp();
+    if (isa_and_nonnull<arith::AndIOp>(conjunction)) {
+      bool isLeft = dependsOnOld(conjunction->getOperand(0));
+      if (isLeft == dependsOnOld(conjunction->getOperand(1)))
+        return false;
+      part = &conjunction->getOpOperand(isLeft ? 0 : 1);
+    } else if (auto nested = dyn_cast_or_null<scf::IfOp>(conjunction);
+               nested && nested->getNumResults() == 1 && doesNothing(nested) &&
+               !dependsOnOld(nested.getCondition()) &&
+               matchPattern(nested.elseYield().getOperand(0), m_Zero())) {
+      part = &nested.thenYield()->getOpOperand(0);
+      conjunctions.push_back(nested->getResult(0));
+    } else {
+      break;
     }
-    path.insert(both);
-    split(both.getLhs());
-    split(both.getRhs());
-  };
-  split(branch.getCondition());
-  std::optional<Extremum> extremum;
-  for (Value part : parts) {
-    if (!dependsOnOld(part)) {
-      others.emplace_back(part, inThen);
-      continue;
-    }
-    bool holds = inThen;
-    while (Value turned = getNegated(part)) {
-      path.insert(part.getDefiningOp());
-      part = turned;
-      holds = !holds;
-    }
-    Operation *compare = part.getDefiningOp();
-    if (extremum || !isa_and_nonnull<arith::CmpFOp, arith::CmpIOp>(compare))
-      return false;
-    Value lhs = compare->getOperand(0), rhs = compare->getOperand(1);
-    if (isOld(lhs) == isOld(rhs))
-      return false;
-    Value old = isOld(lhs) ? lhs : rhs, given = isOld(lhs) ? rhs : lhs;
-    if (!same.areEqual(given, value))
-      return false;
-    extremum =
-        holds ? getExtremum(part, given, old) : getExtremum(part, old, given);
-    if (!extremum)
-      return false;
+    path.insert(conjunction);
   }
+  comparison = part;
+  Value test = part->get();
+  bool holds = inThen;
+  while (Value turned = getNegated(test)) {
+    path.insert(test.getDefiningOp());
+    test = turned;
+    holds = !holds;
+  }
+  Operation *compare = test.getDefiningOp();
+  if (!isa_and_nonnull<arith::CmpFOp, arith::CmpIOp>(compare))
+    return false;
+  Value lhs = compare->getOperand(0), rhs = compare->getOperand(1);
+  if (isOld(lhs) == isOld(rhs))
+    return false;
+  Value old = isOld(lhs) ? lhs : rhs, given = isOld(lhs) ? rhs : lhs;
+  std::optional<Extremum> extremum;
+  if (same.areEqual(given, value))
+    extremum =
+        holds ? getExtremum(test, given, old) : getExtremum(test, old, given);
   if (!extremum)
     return false;
   guard = branch;
+  inThenOfGuard = inThen;
   path.insert(branch);
-  return addStep(
-      {branch, extremum->kind, extremum->value, value.getType(), others});
+  // The compared number is known at the store, unless a branch computes it.
+  Value number = conjunctions.empty() ? given : value;
+  return addStep({store, extremum->kind, number, number.getType(), {}});
 }
 
 /// True if only the store uses the former value.
@@ -412,10 +413,11 @@ bool SharedUpdate::isOnlyUsedHere() {
   };
   auto isOnlyOurs = [&](Operation *op) {
     if (auto branch = dyn_cast<scf::IfOp>(op); branch && branch != guard)
-      return llvm::all_of(branches, [&](OpResult result) {
-        return result.getOwner() != branch ||
-               llvm::all_of(result.getUsers(), isOurs);
-      });
+      return llvm::all_of(llvm::concat<OpResult>(branches, conjunctions),
+                          [&](OpResult result) {
+                            return result.getOwner() != branch ||
+                                   llvm::all_of(result.getUsers(), isOurs);
+                          });
     return llvm::all_of(op->getUsers(), isOurs);
   };
   // A branch on the path may hand on other things, too.
@@ -424,8 +426,9 @@ bool SharedUpdate::isOnlyUsedHere() {
       auto branch = dyn_cast<scf::IfOp>(use.getOwner()->getParentOp());
       return isa<scf::YieldOp>(use.getOwner()) &&
              !(branch &&
-               llvm::is_contained(branches, OpResult(branch->getResult(
-                                                use.getOperandNumber()))));
+               llvm::is_contained(
+                   llvm::concat<OpResult>(branches, conjunctions),
+                   OpResult(branch->getResult(use.getOperandNumber()))));
     });
   };
   auto isFine = [&](Operation *op) {
@@ -614,7 +617,7 @@ void SharedUpdate::rewrite() {
   joinSteps(steps);
   for (Step &step : steps) {
     OpBuilder b(step.at);
-    Location loc = step.at == guard ? store->getLoc() : step.at->getLoc();
+    Location loc = step.at->getLoc();
     for (auto [condition, holds] : step.conditions) {
       Value test = condition;
       if (!holds)
@@ -628,7 +631,16 @@ void SharedUpdate::rewrite() {
   store->erase();
   if (guard) {
     path.remove(guard);
-    guard.erase();
+    if (comparison->getOwner() == guard) {
+      Block *block = inThenOfGuard ? guard.thenBlock() : guard.elseBlock();
+      for (Operation &op :
+           llvm::make_early_inc_range(block->without_terminator()))
+        op.moveBefore(guard);
+      guard.erase();
+    } else {
+      OpBuilder b(comparison->getOwner());
+      comparison->set(arith::ConstantIntOp::create(b, guard.getLoc(), 1, 1));
+    }
   }
   // The results have no users any more: without them, the former value has no
   // user either.

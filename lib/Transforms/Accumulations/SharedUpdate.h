@@ -106,6 +106,11 @@ private:
   /// The branch around the store that compares with the element, if there is
   /// one: it goes with the store.
   scf::IfOp guard;
+  /// The comparison among its conditions, and the arm of the store.
+  OpOperand *comparison = nullptr;
+  bool inThenOfGuard = true;
+  /// Branches that compute `a and b` for the condition of the guard.
+  SmallVector<OpResult> conjunctions;
   /// Values that are computed, in the same iteration, from the element or from
   /// a component of it.
   llvm::DenseSet<Value> dependents;

@@ -434,3 +434,182 @@ tai.kernel @flag() {
   }
   tai.return
 }
+
+// -----
+
+!t = !tai.root<dense<[i: 64], {x: f32, n: i32, b: i32}>, dense<[i: 8], {h: f32}>>
+tai.tree @t : !t
+tai.field @x = @t["x"] : f32, rank 1
+tai.field @n = @t["n"] : i32, rank 1
+tai.field @b = @t["b"] : i32, rank 1
+tai.field @h = @t["h"] : f32, rank 1
+
+// A comparison behind another condition, which guards what is read: the branch
+// keeps that condition.
+// CHECK-LABEL: tai.kernel @behind_a_condition
+// CHECK: %[[C:.*]] = arith.cmpf ogt
+// CHECK: scf.if %[[C]] {
+// CHECK: tai.atomic min %{{.*}}, @h[%{{.*}}] : f32
+// CHECK-NOT: tai.store
+// CHECK: tai.return
+tai.kernel @behind_a_condition() {
+  %false = arith.constant false
+  %one = arith.constant 1.0 : f32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.cmpf ogt, %0, %one : f32
+    %2 = scf.if %1 -> (i1) {
+      %3 = tai.load @b[%i] : i32
+      %4 = arith.index_cast %3 : i32 to index
+      %5 = tai.load @h[%4] : f32
+      %6 = arith.cmpf olt, %0, %5 : f32
+      scf.yield %6 : i1
+    } else {
+      scf.yield %false : i1
+    }
+    scf.if %2 {
+      %3 = tai.load @b[%i] : i32
+      %4 = arith.index_cast %3 : i32 to index
+      tai.store %0, @h[%4] : f32
+    }
+  }
+  tai.return
+}
+
+// Not if the condition decides on something else, too.
+// CHECK-LABEL: tai.kernel @behind_a_shared_condition
+// CHECK-NOT: tai.atomic
+// CHECK: tai.return
+tai.kernel @behind_a_shared_condition() {
+  %false = arith.constant false
+  %one = arith.constant 1.0 : f32
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.cmpf ogt, %0, %one : f32
+    %2 = scf.if %1 -> (i1) {
+      %3 = tai.load @b[%i] : i32
+      %4 = arith.index_cast %3 : i32 to index
+      %5 = tai.load @h[%4] : f32
+      %6 = arith.cmpf olt, %0, %5 : f32
+      scf.yield %6 : i1
+    } else {
+      scf.yield %false : i1
+    }
+    scf.if %2 {
+      %3 = tai.load @b[%i] : i32
+      %4 = arith.index_cast %3 : i32 to index
+      tai.store %0, @h[%4] : f32
+    }
+    scf.if %2 {
+      tai.store %one, @x[%i] : f32
+    }
+  }
+  tai.return
+}
+
+// Elements that are an iteration's own by each index alone, but not by both.
+// CHECK-LABEL: tai.kernel @own_by_either_index
+// CHECK: tai.atomic max %{{.*}}, @n[%{{.*}}] : i32
+// CHECK: tai.atomic max %{{.*}}, @n[%{{.*}}] : i32
+// CHECK-NOT: tai.store
+// CHECK: tai.return
+tai.kernel @own_by_either_index() {
+  %c1 = arith.constant 1 : index
+  %c63 = arith.constant 63 : index
+  tai.parallel_for (%i) = (%c1) to (%c63) {
+    %0 = arith.index_cast %i : index to i32
+    %1 = tai.load @n[%i] : i32
+    %2 = arith.maxsi %1, %0 : i32
+    tai.store %2, @n[%i] : i32
+    %j = arith.addi %i, %c1 : index
+    %3 = tai.load @n[%j] : i32
+    %4 = arith.maxsi %3, %0 : i32
+    tai.store %4, @n[%j] : i32
+  }
+  tai.return
+}
+
+// CHECK-LABEL: tai.kernel @own_beside_shared
+// CHECK: tai.atomic mul %{{.*}}, @h[%{{.*}}] : f32
+// CHECK: tai.atomic mul %{{.*}}, @h[%{{.*}}] : f32
+// CHECK-NOT: tai.store
+// CHECK: tai.return
+tai.kernel @own_beside_shared() {
+  %c0 = arith.constant 0 : index
+  %c8 = arith.constant 8 : index
+  tai.parallel_for (%i) = (%c0) to (%c8) {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @h[%i] : f32
+    %2 = arith.mulf %1, %0 : f32
+    tai.store %2, @h[%i] : f32
+    %3 = tai.load @b[%i] : i32
+    %j = arith.index_cast %3 : i32 to index
+    %4 = tai.load @h[%j] : f32
+    %5 = arith.mulf %4, %0 : f32
+    tai.store %5, @h[%j] : f32
+  }
+  tai.return
+}
+
+// Elements that no iteration shares keep their stores.
+// CHECK-LABEL: tai.kernel @halves
+// CHECK-NOT: tai.atomic
+// CHECK: tai.return
+tai.kernel @halves() {
+  %c0 = arith.constant 0 : index
+  %c32 = arith.constant 32 : index
+  tai.parallel_for (%i) = (%c0) to (%c32) {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.mulf %0, %0 : f32
+    tai.store %1, @x[%i] : f32
+    %j = arith.addi %i, %c32 : index
+    %2 = tai.load @x[%j] : f32
+    %3 = arith.addf %2, %2 : f32
+    tai.store %3, @x[%j] : f32
+  }
+  tai.return
+}
+
+// The compared value is loaded twice; the loop writes it, but not in between.
+// CHECK-LABEL: tai.kernel @written_before
+// CHECK: tai.store %{{.*}}, @x
+// CHECK: tai.atomic max %{{.*}}, @h[%{{.*}}] : f32
+// CHECK-NOT: tai.store
+// CHECK: tai.return
+tai.kernel @written_before() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = arith.mulf %0, %0 : f32
+    tai.store %1, @x[%i] : f32
+    %2 = tai.load @b[%i] : i32
+    %j = arith.index_cast %2 : i32 to index
+    %3 = tai.load @x[%i] : f32
+    %4 = tai.load @h[%j] : f32
+    %5 = arith.cmpf ogt, %3, %4 : f32
+    scf.if %5 {
+      %6 = tai.load @x[%i] : f32
+      tai.store %6, @h[%j] : f32
+    }
+  }
+  tai.return
+}
+
+// CHECK-LABEL: tai.kernel @written_between
+// CHECK-NOT: tai.atomic
+// CHECK: tai.return
+tai.kernel @written_between() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %2 = tai.load @b[%i] : i32
+    %j = arith.index_cast %2 : i32 to index
+    %4 = tai.load @h[%j] : f32
+    %5 = arith.cmpf ogt, %0, %4 : f32
+    %1 = arith.mulf %0, %0 : f32
+    tai.store %1, @x[%i] : f32
+    scf.if %5 {
+      %6 = tai.load @x[%i] : f32
+      tai.store %6, @h[%j] : f32
+    }
+  }
+  tai.return
+}
