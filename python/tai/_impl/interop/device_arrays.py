@@ -90,12 +90,16 @@ def numpy_type(dtype: Any) -> np.dtype:
     """
     name = str(dtype).removeprefix("torch.")
     try:
-        return np.dtype(name)
+        found = np.dtype(name)
     except TypeError:
+        found = None
+    # Libraries add types to NumPy, as ml_dtypes, which jax loads, does with bfloat16.
+    if found is None or found.isbuiltin != 1:
         raise TaiRuntimeTypeError(
             f"kernels have no numbers of type {name}, which the tensor holds",
             "convert it: t.float()",
-        ) from None
+        )
+    return found
 
 
 def as_device_array(value: Any) -> DeviceArray | None:
