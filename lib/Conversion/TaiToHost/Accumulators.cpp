@@ -97,7 +97,9 @@ FailureOr<Accumulators> Accumulators::collect(ParallelForOp loop,
   for (Total &total : groupTotals(inRegisters)) {
     auto atomic = dyn_cast<AtomicOp>(total.front());
     if (!atomic) {
+      Value address = cast<LLVM::AtomicRMWOp>(total.front()).getPtr();
       result.registers.push_back(Register(nullptr, std::move(total)));
+      result.registers.back().address = address;
       continue;
     }
     FailureOr<const FieldInfo *> field =
@@ -290,7 +292,7 @@ static void emitCompensatedUpdate(OpBuilder &builder, Location loc, Pair sum,
 /// Adds the sum of all iterations to its element.
 void Accumulators::emitTotal(OpBuilder &builder, Location loc,
                              const Register &sum, Pair total) {
-  Value address;
+  Value address = sum.address;
   AliasScopes scopes;
   if (sum.field) {
     const FieldInfo &field = *sum.field;
@@ -301,8 +303,6 @@ void Accumulators::emitTotal(OpBuilder &builder, Location loc,
     address = emitPointer(builder, loc, getStorageType(field.scalarType),
                           emitFieldBase(builder, loc, field), offset);
     scopes = lowering->fields.getScopes(field);
-  } else {
-    address = cast<LLVM::AtomicRMWOp>(sum.updates.front()).getPtr();
   }
   if (sum.reduction.getDigits() != SumDigits::Own)
     return emitCompensatedUpdate(builder, loc, total, sum.termType, address,

@@ -82,8 +82,10 @@ private:
     /// The type of the terms, of the sum over a block, and of the totals over
     /// blocks and partitions.
     Type termType, type, totalType;
-    // In the kernel:
+    // In the kernel: the place in a field, or the address in an array. The
+    // operands of the updates change when their loop becomes a function.
     SmallVector<Value> indices, components;
+    Value address;
     // In the outlined function: the sum of the block, the total of earlier
     // blocks, and the rounding error of a pair.
     Value slot, total, rest;
