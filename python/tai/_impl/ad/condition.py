@@ -54,14 +54,13 @@ class Condition:
     __repr__ = __str__
 
 
-def weigh_inputs(core: Any, loss: Any) -> tuple[dict[str, float], list[Any], list[str]]:
+def weigh_inputs(found: Accesses) -> tuple[dict[str, float], list[Any], list[str]]:
     """The inputs of a tape whose gradients are those of its last sweep.
 
     Returns:
         Σ |x · ∂L/∂x| by the name of the field; the fields; and the names of those that are
         overwritten, which are in neither.
     """
-    found = Accesses(core, loss)
     weights: dict[str, float] = {}
     fields, overwritten = [], []
     mine = {f.symbol for f in own_fields()}
@@ -96,7 +95,7 @@ def take_condition(core: Any, loss: Any, replay: Callable[[], Any]) -> Condition
         core.clear_gradients()
         core.backward()
         size = abs(float(number_of(loss)))
-        weights, fields, overwritten = weigh_inputs(core, loss)
+        weights, fields, overwritten = weigh_inputs(Accesses(core, loss))
         norm = math.hypot(*(np.linalg.norm(Snapshot._take(f._companions["grad"])) for f in fields))
         largest = sorted(weights.items(), key=lambda item: -item[1])
         return Condition(

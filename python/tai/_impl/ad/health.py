@@ -174,8 +174,9 @@ def _report(core: Any, loss: Any) -> HealthReport:
     _find_nans(report, core, loss, place)
     _find_growth(report)
     _find_amplification(report, loss, place)
-    _find_flat(report, core, loss)
-    _find_cancellation(report, core, loss)
+    found = Accesses(core, loss)
+    _find_flat(report, found)
+    _find_cancellation(report, found, loss)
     return report
 
 
@@ -381,9 +382,8 @@ def _find_amplification(report: HealthReport, loss: Any, place: Any) -> None:
         return
 
 
-def _find_flat(report: HealthReport, core: Any, loss: Any) -> None:
+def _find_flat(report: HealthReport, found: Accesses) -> None:
     """Fields that are read before they are written, whose gradient is exactly zero."""
-    found = Accesses(core, loss)
     alive = {row.symbol for row in report.rows if row.norm or row.nans or row.infs}
     for symbol, reads in found.masks.items():
         f = found.known[symbol]
@@ -402,7 +402,7 @@ def _find_flat(report: HealthReport, core: Any, loss: Any) -> None:
             )
 
 
-def _find_cancellation(report: HealthReport, core: Any, loss: Any) -> None:
+def _find_cancellation(report: HealthReport, found: Accesses, loss: Any) -> None:
     """A loss of which the sums of its inputs, rounded on their way, leave no digit.
 
     Compensated sums keep twice the digits, and are right where the inputs are exact.
@@ -410,7 +410,7 @@ def _find_cancellation(report: HealthReport, core: Any, loss: Any) -> None:
     if loss is None or report.findings or get_program().options.sums == "compensated":
         return
     size = abs(float(number_of(loss)))
-    weights, _, _ = weigh_inputs(core, loss)
+    weights, _, _ = weigh_inputs(found)
     total = sum(weights.values())
     eps = float(np.finfo(loss.dtype.numpy).eps)
     if not math.isfinite(total) or total * eps <= size:

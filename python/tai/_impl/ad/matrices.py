@@ -354,6 +354,25 @@ def hessian(function: Function, loss: Any, inputs: Any, pattern: Any = None) -> 
     return _blocks(matrix, numbers, numbers, inputs, inputs)
 
 
+def _as_operator(
+    products: _Products | _HessianProducts, shape: tuple[int, int],
+    forward: Callable[[np.ndarray], np.ndarray], reverse: Callable[[np.ndarray], np.ndarray],
+) -> Any:  # fmt: skip
+    """An operator of SciPy, each product of which leaves the fields as it finds them."""
+    _, linalg = get_scipy("operators need")
+
+    def kept(product: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+        def apply(vector: np.ndarray) -> np.ndarray:
+            with products:
+                return product(np.asarray(vector, np.float64).ravel())
+
+        return apply
+
+    return linalg.LinearOperator(
+        shape, matvec=kept(forward), rmatvec=kept(reverse), dtype=np.float64
+    )
+
+
 def jacobian_operator(function: Function, inputs: Any, outputs: Any) -> Any:
     """The Jacobian matrix as an operator of SciPy, for its iterative solvers.
 
@@ -370,19 +389,9 @@ def jacobian_operator(function: Function, inputs: Any, outputs: Any) -> Any:
     Raises:
         TaiRuntimeTypeError: something that is no field.
     """
-    _, linalg = get_scipy("operators need")
     products = _Products(function, inputs, outputs)
-
-    def forward(v: np.ndarray) -> np.ndarray:
-        with products:
-            return products.forward(np.asarray(v, np.float64).ravel())
-
-    def reverse(w: np.ndarray) -> np.ndarray:
-        with products:
-            return products.reverse(np.asarray(w, np.float64).ravel())
-
     shape = (products.rows.size, products.columns.size)
-    return linalg.LinearOperator(shape, matvec=forward, rmatvec=reverse, dtype=np.float64)
+    return _as_operator(products, shape, products.forward, products.reverse)
 
 
 def hessian_operator(function: Function, loss: Any, inputs: Any) -> Any:
@@ -398,12 +407,6 @@ def hessian_operator(function: Function, loss: Any, inputs: Any) -> Any:
     Raises:
         TaiRuntimeTypeError: something that is no field.
     """
-    _, linalg = get_scipy("operators need")
     products = _HessianProducts(function, loss, inputs)
-
-    def product(v: np.ndarray) -> np.ndarray:
-        with products:
-            return products.product(np.asarray(v, np.float64).ravel())
-
     shape = (products.numbers.size, products.numbers.size)
-    return linalg.LinearOperator(shape, matvec=product, rmatvec=product, dtype=np.float64)
+    return _as_operator(products, shape, products.product, products.product)
