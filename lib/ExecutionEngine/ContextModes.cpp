@@ -50,9 +50,9 @@ std::string ContextModes::findContradiction() const {
   auto word = [](StringRef name, StringRef value) {
     return name.str() + "=\"" + value.str() + "\"";
   };
-  std::string fast = fastMath         ? "fast_math"
-                     : math == "fast" ? word("math", math)
-                                      : "";
+  std::string fast = has(Shorthand::FastMath) ? "fast_math"
+                     : math == "fast"         ? word("math", math)
+                                              : "";
   if (fast.empty())
     return "";
   auto say = [&](const std::string &first, StringRef does, StringRef other) {
@@ -64,7 +64,7 @@ std::string ContextModes::findContradiction() const {
   constexpr StringRef reorders = "reorders them";
   if (math == "strict")
     return say(word("math", math), rounds, reorders);
-  if (strict)
+  if (has(Shorthand::Strict))
     return say("strict", rounds, reorders);
   if (shadow)
     return say("shadow", rounds, reorders);
@@ -89,8 +89,9 @@ void ContextModes::addTo(ModuleOp module) const {
   add("sums", sums);
   // As in Python: `accurate` stays with `strict`, which `shadow`
   // implies.
-  add("math",
-      (strict || shadow) && math != "accurate" ? "strict" : StringRef(math));
+  add("math", (has(Shorthand::Strict) || shadow) && math != "accurate"
+                  ? "strict"
+                  : StringRef(math));
   if (ftz)
     words.append("ftz", builder.getBoolAttr(true));
   if (words.empty())

@@ -157,9 +157,9 @@ LogicalResult Session::setModes(const ContextModes &wanted) {
   return success();
 }
 
-static ContextModes with(ContextModes modes, bool ContextModes::*mode,
+static ContextModes with(ContextModes modes, ContextModes::Shorthand option,
                          bool on) {
-  modes.*mode = on;
+  modes.shorthands.set(static_cast<unsigned>(option), on);
   return modes;
 }
 
@@ -170,11 +170,11 @@ LogicalResult Session::setThreads(int threads) {
 }
 
 LogicalResult Session::setDeterministic(bool on) {
-  return setModes(with(modes, &ContextModes::deterministic, on));
+  return setModes(with(modes, ContextModes::Shorthand::Deterministic, on));
 }
 
 LogicalResult Session::setStrict(bool on) {
-  return setModes(with(modes, &ContextModes::strict, on));
+  return setModes(with(modes, ContextModes::Shorthand::Strict, on));
 }
 
 LogicalResult Session::setWord(StringRef name, StringRef word) {
@@ -198,7 +198,9 @@ LogicalResult Session::setAdjoints(StringRef word) {
 }
 
 LogicalResult Session::setFtz(bool on) {
-  return setModes(with(modes, &ContextModes::ftz, on));
+  ContextModes wanted = modes;
+  wanted.ftz = on;
+  return setModes(wanted);
 }
 
 LogicalResult Session::setDebug(bool on) {
@@ -208,11 +210,12 @@ LogicalResult Session::setDebug(bool on) {
 }
 
 LogicalResult Session::setFastMath(bool on) {
-  return setModes(with(modes, &ContextModes::fastMath, on));
+  return setModes(with(modes, ContextModes::Shorthand::FastMath, on));
 }
 
 LogicalResult Session::setShadow(bool on) {
-  ContextModes wanted = with(modes, &ContextModes::shadow, on);
+  ContextModes wanted = modes;
+  wanted.shadow = on;
   if (std::string problem = wanted.findContradiction(); !problem.empty())
     return fail(FailureKind::Usage, problem);
   if (on && (rt->getDevice() || compileOptions.interpret))

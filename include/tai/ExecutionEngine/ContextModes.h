@@ -15,6 +15,7 @@
 #define TAI_EXECUTIONENGINE_CONTEXTMODES_H
 
 #include "tai/Dialect/Tai/IR/Tai.h"
+#include <bitset>
 #include <string>
 
 namespace mlir::tai {
@@ -27,14 +28,18 @@ struct ContextModes {
   /// "f64": gradients of fields are fields of f64.
   std::string adjoints = "default";
   /// Options that are short forms of modes.
-  bool fastMath = false, strict = false, deterministic = false;
+  enum class Shorthand : unsigned { FastMath, Strict, Deterministic };
+  std::bitset<3> shorthands;
   /// Not a mode, but it excludes the modes that strict arithmetic excludes.
   bool shadow = false;
 
-  bool isFast() const { return fastMath || math == "fast"; }
-  bool isStrict() const { return strict || math == "strict"; }
+  bool has(Shorthand option) const {
+    return shorthands.test(static_cast<unsigned>(option));
+  }
+  bool isFast() const { return has(Shorthand::FastMath) || math == "fast"; }
+  bool isStrict() const { return has(Shorthand::Strict) || math == "strict"; }
   bool isDeterministic() const {
-    return deterministic || sums == "deterministic";
+    return has(Shorthand::Deterministic) || sums == "deterministic";
   }
 
   /// Sets one of the five modes by name. Returns "" or, for an invalid value, a

@@ -53,7 +53,7 @@ void LoopAccesses::addSlot(Value value) {
   Operation *definition = value.getDefiningOp();
   if (definition && definition->hasAttr(kDeviceSlotAttrName) &&
       loop.isDefinedOutsideOfLoop(value)) {
-    isTileable = false;
+    ruleOutTiles();
     add(definition->getOperand(0), value.getType(), DeviceAccess::Read, {});
   }
 }
@@ -72,7 +72,7 @@ void LoopAccesses::visit(Operation *op) {
     return add(store.getAddr(), store.getValue().getType(), DeviceAccess::Write,
                digits, op);
   if (isa<LLVM::AtomicCmpXchgOp, LLVM::AtomicRMWOp>(op))
-    isTileable = false;
+    ruleOutTiles();
   if (auto exchange = dyn_cast<LLVM::AtomicCmpXchgOp>(op))
     return add(exchange.getPtr(), exchange.getVal().getType(),
                DeviceAccess::Write, digits);
@@ -338,8 +338,7 @@ void LoopAccesses::foldIterations() {
 
 void LoopAccesses::addSum(Value target, Type type, bool isAddition,
                           int64_t threads) {
-  isTileable = false;
-  hasSums = true;
+  effects = Effects::Sums;
   Type storage = getStorageType(type);
   if (threads == 0)
     return add(target, storage,
@@ -383,7 +382,7 @@ DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
   result.isGridStride = isGridStride;
   // A warp that meets in front of the loop and behind it is like one thread.
   bool inWarp = loop.getInWarp();
-  bool isSingle = inWarp && box && !hasSums;
+  bool isSingle = inWarp && box && effects != Effects::Sums;
   if (isSingle)
     foldIterations();
   else if (inWarp)

@@ -78,6 +78,7 @@ private:
   void add(Value pointer, Type type, runtime::DeviceAccess::Kind kind,
            DenseI64ArrayAttr digits, Operation *op = nullptr);
   void mergeNeighbours();
+  void ruleOutTiles() { effects = std::max(effects, Effects::Other); }
   void foldIterations();
   bool addIndex(Address &address, Value index, int64_t size,
                 ArrayRef<int64_t> digits);
@@ -89,8 +90,9 @@ private:
   std::optional<LoopBox> box;
   bool isKnown = true;
   bool isGridStride = true;
-  bool hasSums = false;
-  bool isTileable = true;
+  /// Everything but loads and stores rules out tiles, which repeat iterations.
+  enum class Effects { LoadsAndStores, Other, Sums };
+  Effects effects = Effects::LoadsAndStores;
   SmallVector<Address> addresses;
   std::vector<Site> sites;
 };

@@ -31,7 +31,7 @@ static constexpr size_t kMostSites = 64;
 static constexpr size_t kMostDimensions = 3;
 
 bool LoopAccesses::canRunInTiles() {
-  return isKnown && isTileable && isGridStride && box &&
+  return isKnown && effects == Effects::LoadsAndStores && isGridStride && box &&
          !loop.getInductionVars().empty() &&
          loop.getInductionVars().size() <= kMostDimensions &&
          llvm::any_of(sites, [](const Site &site) {
@@ -41,8 +41,9 @@ bool LoopAccesses::canRunInTiles() {
 
 void LoopAccesses::addSite(Operation *op, const Address &address, Value pointer,
                            DenseI64ArrayAttr digits) {
-  if (!isTileable || !box || sites.size() == kMostSites) {
-    isTileable = false;
+  if (effects != Effects::LoadsAndStores || !box ||
+      sites.size() == kMostSites) {
+    ruleOutTiles();
     return;
   }
   op->setAttr(kSiteAttrName,

@@ -444,7 +444,7 @@ Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
 /// A block on each multiprocessor leaves room for launches beside.
 Status CudaDevice::fillByKernel(const std::vector<const DeviceFill *> &fills) {
   return kernels.fill(fills, doesOverlap(),
-                      isFillingAside ? most.multiprocessors : 0);
+                      branch == Branch::Capturing ? most.multiprocessors : 0);
 }
 
 Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
@@ -456,8 +456,8 @@ Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
 /// A large one is by itself: there is nothing to gain.
 Status CudaDevice::fillAlone(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
-  bool byKernel =
-      (doesOverlap() || isFillingAside) && bytesOf(rows) < largeFillBytes();
+  bool byKernel = (doesOverlap() || branch == Branch::Capturing) &&
+                  bytesOf(rows) < largeFillBytes();
   return isDense(rows) && !byKernel && !fill.isJoined
              ? this->fill(rows.address, &fill.pattern, fill.patternBytes,
                           rows.rowBytes / fill.patternBytes)

@@ -35,6 +35,13 @@ struct CudaFunction : DeviceFunction {
   std::unique_ptr<RepeatedLaunch> repeated;
 };
 
+/// The capture of a graph.
+struct GraphCapture {
+  bool isOpen = false;
+  /// Whether the runtime's own kernels overlap in the graph.
+  bool overlaps = false;
+};
+
 class CudaDevice final : public Device {
 public:
   CudaDevice(const Driver &driver, int number) : cu(driver), number(number) {}
@@ -145,7 +152,7 @@ private:
   Status fillAlone(const DeviceFill &fill);
   /// Whether the runtime's own kernels are launched with programmatic dependent
   /// launch now.
-  bool doesOverlap() const { return isCapturing && capturesOverlaps; }
+  bool doesOverlap() const { return capture.isOpen && capture.overlaps; }
 
   /// Small copies go through pinned host memory.
   static constexpr int64_t stagingBytes = 256 << 10;
@@ -155,14 +162,14 @@ private:
   DeviceNumber number;
   Context context = nullptr;
   Stream stream = nullptr;
-  /// Whether a graph is being captured, and whether its last node is a kernel.
-  bool isCapturing = false, isAfterKernel = false;
-  /// Whether the runtime's own kernels overlap in the graph being captured.
-  bool capturesOverlaps = false;
-  /// A second stream, for a branch of a graph, or null. Whether the branch has
-  /// not been joined yet, and whether it is being captured.
+  GraphCapture capture;
+  /// Whether the last work of the stream is a kernel.
+  bool isAfterKernel = false;
+  /// A second stream, for a branch of a graph, or null.
   Stream side = nullptr;
-  bool isAside = false, isFillingAside = false;
+  /// The branch that has not been joined yet.
+  enum class Branch { None, Capturing, Captured };
+  Branch branch = Branch::None;
   Pool pool = nullptr;
   std::string label, architecture;
   DeviceLimits most;

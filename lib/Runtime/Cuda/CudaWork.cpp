@@ -186,7 +186,7 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
   // graph.
   if (Status status = enterOnce(); !status)
     return status;
-  if (!isCapturing && !shape.cooperative &&
+  if (!capture.isOpen && !shape.cooperative &&
       called.repeated->queue(handle, stream, shape, slots, count, parameters))
     return Status::success();
   unsigned threads = shape.threads;
@@ -259,13 +259,13 @@ Status CudaDevice::launchOverlapped(Function handle, const LaunchShape &shape,
 
 Status CudaDevice::beginCapture(size_t changeable, bool overlaps) {
   Status status = enter();
-  capturesOverlaps = overlaps && most.hasOverlaps;
+  capture.overlaps = overlaps && most.hasOverlaps;
   isAfterKernel = false;
   numChangeable = changeable;
   if (status)
     status = check(cu.streamBeginCapture(stream, kCaptureThreadLocal),
                    "no graph can be recorded");
-  isCapturing = bool(status);
+  capture.isOpen = bool(status);
   return status;
 }
 
@@ -273,7 +273,7 @@ Status CudaDevice::endCapture(std::unique_ptr<DeviceGraph> &graph) {
   Graph recorded = nullptr;
   // The driver takes no graph of which a branch stays open.
   (void)joinAside();
-  isCapturing = false;
+  capture.isOpen = false;
   Status status = check(cu.streamEndCapture(stream, &recorded),
                         "a graph cannot be recorded");
   if (!status || !recorded)
@@ -520,28 +520,29 @@ Status CudaDevice::order(Stream first, Stream second) {
 /// In a branch of the graph: the work of another stream while this one is
 /// recorded.
 Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
-  if (!side || !isCapturing || isAside)
+  if (!side || !capture.isOpen || branch != Branch::None)
     return fillAll(fills);
   Status status = order(stream, side);
   if (!status)
     return status;
-  bool wasAfterKernel = isAfterKernel, overlapped = capturesOverlaps;
-  isAside = isFillingAside = true;
-  capturesOverlaps = false;
+  bool wasAfterKernel = isAfterKernel, overlapped = capture.overlaps;
+  branch = Branch::Capturing;
+  capture.overlaps = false;
   std::swap(stream, side);
   status = fillAll(fills);
   std::swap(stream, side);
-  capturesOverlaps = overlapped;
+  capture.overlaps = overlapped;
   isAfterKernel = wasAfterKernel;
-  isFillingAside = false;
+  branch = Branch::Captured;
   return status;
 }
 
 /// Later work does not wait for one kernel alone, so it waits for the end of
 /// both.
 Status CudaDevice::joinAside() {
-  if (!isAside)
+  if (branch == Branch::None)
     return Status::success();
-  isAside = isAfterKernel = false;
+  branch = Branch::None;
+  isAfterKernel = false;
   return order(side, stream);
 }

@@ -115,6 +115,13 @@ public:
 using ProgramStarter =
     std::function<std::unique_ptr<ProgramJob>(ProgramPlan plan)>;
 
+/// The open collection of launches, or the last one.
+struct LaunchCollection {
+  bool isReplay = false;
+  /// Whether its sequence ran as a program.
+  bool hasProgram = false;
+};
+
 /// The form in which sequences are run; set for tests and measurements.
 enum class ProgramMode {
   Automatic,
@@ -344,13 +351,7 @@ private:
   std::unique_ptr<Sequence> prefix;
   std::unique_ptr<SequencePrefixes> prefixes;
   std::unique_ptr<RecordedLaunches> recorded;
-  /// The open collection, or the last one.
-  struct Collection {
-    bool isReplay = false;
-    /// Whether its sequence ran as a program.
-    bool hasProgram = false;
-  };
-  Collection collection;
+  LaunchCollection collection;
   /// The failure of a call that could not return it.
   Status failure;
   /// Memory of the device by address, and memory that was given back while
