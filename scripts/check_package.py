@@ -120,7 +120,8 @@ def check_ahead(package: Package, build: Path) -> None:
 
 
 def check_capi(package: Package, build: Path) -> None:
-    expect(run(build / "rest_length"), r"rest length 1\.\d{4}, loss \d\.\de-")
+    file = ROOT / "examples/capi/rest_length.mlir"
+    expect(run(build / "rest_length", file), r"rest length 1\.\d{4}, loss \d\.\de-")
 
 
 def check_embedding(package: Package, build: Path) -> None:

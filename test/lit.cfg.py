@@ -85,6 +85,12 @@ if ptxas:
     config.substitutions.append(("%ptxas", ptxas))
 else:
     lit_config.note("no ptxas in CUDA_HOME or PATH: PTX is not assembled by any test")
+rustc = shutil.which("rustc")
+if rustc:
+    config.available_features.add("rustc")
+    config.substitutions.append(("%rustc", rustc))
+else:
+    lit_config.note("no rustc in PATH: the C API is not called from Rust")
 if any(os.path.exists(f"{root}/nvvm/libdevice/libdevice.10.bc") for root in toolkits):
     config.available_features.add("libdevice")
 else:

@@ -46,6 +46,7 @@ typedef struct TaiContextImpl *TaiContext;
 typedef struct TaiFieldImpl *TaiField;
 typedef struct TaiKernelImpl *TaiKernel;
 typedef struct TaiTapeImpl *TaiTape;
+typedef struct TaiProgramImpl *TaiProgram;
 
 typedef enum TaiStatus {
   TAI_OK = 0,
@@ -409,6 +410,96 @@ TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
 /// the gradient. Owned by the kernel, valid until the next call.
 TAI_EXPORT TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
                                     const char **text);
+
+//===----------------------------------------------------------------------===//
+// Programs: whole files
+//===----------------------------------------------------------------------===//
+//
+// Null arguments of these functions are refused with TAI_ERROR_USAGE, and names
+// may begin with '@'.
+
+/// Loads a module with trees, fields, kernels, and functions that run on the
+/// host: what `tai-run` runs. `bytes` is text or the output of taiModuleWrite,
+/// and `file` names it in diagnostics. Its trees and fields become those of the
+/// context. On failure, the context has nothing of it.
+TAI_EXPORT TaiStatus taiProgramLoad(TaiContext context, const char *bytes,
+                                    size_t size, const char *file,
+                                    TaiProgram *program);
+/// The same for the file at a path.
+TAI_EXPORT TaiStatus taiProgramLoadFile(TaiContext context, const char *path,
+                                        TaiProgram *program);
+/// The same for a module, which is owned by the program afterwards, also on
+/// failure.
+TAI_EXPORT TaiStatus taiProgramCreate(TaiContext context, MlirModule module,
+                                      TaiProgram *program);
+/// Destroys its kernels and functions, with their handles. Trees and fields
+/// stay; see taiContextDestroyTree.
+TAI_EXPORT void taiProgramDestroy(TaiProgram program);
+
+typedef enum TaiSymbolKind {
+  TAI_SYMBOL_TREE = 0,
+  TAI_SYMBOL_FIELD = 1,
+  TAI_SYMBOL_KERNEL = 2,
+  TAI_SYMBOL_FUNCTION = 3 // that runs on the host
+} TaiSymbolKind;
+/// Name number `number` of a kind, in the order of the file; null after the
+/// last one. Owned by the program.
+TAI_EXPORT const char *taiProgramGetSymbol(TaiProgram program,
+                                           TaiSymbolKind kind, int64_t number);
+/// A handle of a kernel of the program. The handle is the same each time, and
+/// destroyed with the program; taiKernelDestroy leaves the kernel in it.
+TAI_EXPORT TaiStatus taiProgramGetKernel(TaiProgram program, const char *name,
+                                         TaiKernel *kernel);
+/// Runs a `func.func` without arguments and results, such as "main". Its tapes
+/// are its own; its launches are recorded by the active tape. Under a tape it
+/// must not access fields other than by launches.
+TAI_EXPORT TaiStatus taiProgramRun(TaiProgram program, const char *function);
+
+/// A handle of a field of the context, by name.
+TAI_EXPORT TaiStatus taiContextFindField(TaiContext context, const char *name,
+                                         TaiField *field);
+/// The gradient of a field; TAI_ERROR_USAGE for a field without one.
+TAI_EXPORT TaiStatus taiFieldGetAdjoint(TaiField field, TaiField *adjoint);
+
+/// Runs `run(user)` under a tape, and compares the gradient of `loss` by each
+/// of `count` fields with central differences along four random directions. A
+/// relative error above `tolerance` is TAI_ERROR_RUNTIME, with both numbers in
+/// the message. `run` is called about 150 times, each from the same contents of
+/// the fields; it must not open a tape. Not for contexts with sparse trees.
+typedef TaiStatus (*TaiRun)(void *user);
+TAI_EXPORT TaiStatus taiCheckGradient(TaiContext context, TaiField loss,
+                                      const TaiField *fields, int64_t count,
+                                      double tolerance, TaiRun run, void *user);
+
+/// Loads a library of dialects, of passes or of both, as `mlir-opt` does,
+/// before the context has kernels. It must use the same shared libraries of
+/// LLVM and MLIR as libtai; the libtai of the portable bundle refuses plugins.
+TAI_EXPORT TaiStatus taiContextLoadPlugin(TaiContext context, const char *path);
+/// Reads a module without verifying it, for taiModuleRunPasses and
+/// taiProgramCreate; arguments as those of taiProgramLoad. Owned by the caller.
+TAI_EXPORT TaiStatus taiModuleRead(TaiContext context, const char *bytes,
+                                   size_t size, const char *file,
+                                   MlirModule *module);
+/// Runs passes on a module: those of tai, those of plugins, and `canonicalize`,
+/// `cse`, `inline` and the other general ones of MLIR. `pipeline` is the text
+/// of
+/// `--pass-pipeline`.
+TAI_EXPORT TaiStatus taiModuleRunPasses(TaiContext context, MlirModule module,
+                                        const char *pipeline);
+
+/// A kernel, or a function of the host, that `tai-to-llvm` has compiled ahead
+/// of time.
+struct TaiFrame;
+typedef int32_t (*TaiFunction)(struct TaiFrame *frame);
+/// Runs it with a frame and the runtime of the context. `trees` has the names
+/// of `num_trees` trees, in the order of the `tai.tree` ops of its module; they
+/// must have the layouts that it was compiled for. Slots are those of
+/// taiKernelLaunch, for a number of them that the code itself knows. If the
+/// function launches kernels, those are kernels of the context by name. Fails
+/// while a tape records, which knows nothing of the accesses of such code.
+TAI_EXPORT TaiStatus taiContextRunFunction(
+    TaiContext context, TaiFunction function, const char *const *trees,
+    int64_t num_trees, const uint64_t *args, uint64_t *results);
 
 //===----------------------------------------------------------------------===//
 // Tape

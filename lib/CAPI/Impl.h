@@ -11,7 +11,7 @@
 // The plain functions are defined here, without the macros of tai-c/Sizes.h.
 #define TAI_PLAIN_FUNCTIONS
 #include "tai-c/Tai.h"
-#include "tai/ExecutionEngine/Session.h"
+#include "tai/ExecutionEngine/Program.h"
 #include "tai/Runtime/Tape/Tape.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <mutex>
@@ -48,6 +48,7 @@ struct TaiContextImpl {
   mlir::tai::Session session;
   Handles<TaiFieldImpl> fields;
   Handles<TaiKernelImpl> kernels;
+  Handles<TaiProgramImpl> programs;
   Handles<TaiTapeImpl> tapes;
   std::vector<mlir::tai::runtime::ProfileRow> profile;
   std::vector<TaiProfileRow> profileRows;
@@ -165,9 +166,20 @@ struct TaiKernelImpl {
   TaiContextImpl &context;
   mlir::tai::SessionKernel *kernel;
   std::string text;
+  /// The program that owns the kernel, or null.
+  TaiProgramImpl *program = nullptr;
   /// Cached for launches: the runtime of `context`, the kernel of `kernel`.
   mlir::tai::runtime::Runtime &runtime = context.session.getRuntime();
   mlir::tai::runtime::Kernel &launched = *kernel->kernel;
+};
+
+struct TaiProgramImpl {
+  TaiContextImpl &context;
+  std::unique_ptr<mlir::tai::Program> program;
+  /// The handles of its kernels, by name.
+  llvm::StringMap<TaiKernel> kernels;
+  /// The names of each TaiSymbolKind.
+  std::array<std::vector<std::string>, 4> symbols;
 };
 
 struct TaiTapeImpl {
@@ -177,5 +189,11 @@ struct TaiTapeImpl {
   std::vector<TaiTapeHealthRow> health;
   std::vector<TaiViolation> violations;
 };
+
+/// Calls back into the host's language; a failure there is the context's last
+/// error, or unknown and then `otherwise`.
+mlir::tai::runtime::Status callBack(TaiContextImpl &context,
+                                    TaiStatus (*callback)(void *user),
+                                    void *user, llvm::StringRef otherwise);
 
 #endif // TAI_LIB_CAPI_IMPL_H

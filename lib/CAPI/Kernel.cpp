@@ -71,7 +71,10 @@ void taiKernelDestroy(TaiKernel kernel) {
   callQuietly(kernel->context, [&] {
     TaiContextImpl &context = kernel->context;
     context.session.getRuntime().running().waitForVisits();
-    context.session.destroyKernel(kernel->kernel);
+    if (TaiProgramImpl *program = kernel->program)
+      program->kernels.erase(kernel->kernel->code->getName());
+    else
+      context.session.destroyKernel(kernel->kernel);
     context.kernels.drop(kernel);
   });
 }
@@ -202,21 +205,25 @@ TaiStatus taiTapeReplay(TaiTape tape, bool forward, bool backward) {
   });
 }
 
-/// Calls back into the host's language; a failure there is the context's last
-/// error, or unknown.
+runtime::Status callBack(TaiContextImpl &context,
+                         TaiStatus (*callback)(void *user), void *user,
+                         StringRef otherwise) {
+  TaiStatus status = callback(user);
+  if (status == TAI_OK)
+    return runtime::Status::success();
+  Failure failure = context.session.getFailure();
+  if (failure.kind != static_cast<FailureKind>(status))
+    failure = Failure::get(static_cast<FailureKind>(status), otherwise);
+  return context.session.keepFailure(std::move(failure));
+}
+
 static std::function<runtime::Status()>
 wrapCallback(TaiContextImpl &context, TaiTapeCallback callback, void *user) {
   if (!callback)
     return nullptr;
   return [&context, callback, user] {
-    TaiStatus status = callback(user);
-    if (status == TAI_OK)
-      return runtime::Status::success();
-    Failure failure = context.session.getFailure();
-    if (failure.kind != static_cast<FailureKind>(status))
-      failure = Failure::get(static_cast<FailureKind>(status),
-                             "a function recorded by the tape failed");
-    return context.session.keepFailure(std::move(failure));
+    return callBack(context, callback, user,
+                    "a function recorded by the tape failed");
   };
 }
 

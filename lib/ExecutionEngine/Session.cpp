@@ -226,32 +226,60 @@ LogicalResult Session::prepareReverse(runtime::Tape &tape, bool cleared) {
   return failed ? fail(statuses[*failed]) : success();
 }
 
-LogicalResult Session::runHost(ModuleOp module, StringRef name) {
+CompileOptions Session::getHostOptions() const {
+  CompileOptions options = compileOptions;
+  options.device = std::nullopt;
+  options.deviceTarget.clear();
+  return options;
+}
+
+bool Session::fusesLaunches() const {
+  return fuseLaunches && !compileOptions.interpret && !compileOptions.debug &&
+         compileOptions.codegen.optLevel > 0 &&
+         compileOptions.bounds == BoundsMode::Off;
+}
+
+FailureOr<Session::HostFunction> Session::compileHost(ModuleOp module,
+                                                      StringRef name) {
   OwningOpRef<ModuleOp> host = makeHostModule(module, name);
   Failure failure;
-  // The program itself runs on the CPU wherever its kernels do.
-  CompileOptions hostOptions = compileOptions;
-  hostOptions.device = std::nullopt;
-  hostOptions.deviceTarget.clear();
+  HostFunction function{name.str(), {}, getHostOptions(), usesFields(*host)};
   auto compiled = compiler->compile({*host, name, CompileRequest::Goal::Primal},
-                                    hostOptions, failure);
+                                    function.options, failure);
   if (!compiled)
     return failures.fail(std::move(failure));
   reports.printProfile(name, CompileRequest::Goal::Primal, *compiled);
+  function.code = std::move(*compiled);
+  return function;
+}
+
+LogicalResult Session::runHost(
+    const HostFunction &function,
+    const std::function<SessionKernel *(StringRef name)> &findKernel) {
+  // Its own loads and stores are no launches, and a tape sees launches.
+  const runtime::Recorder *tape = rt->recordingTape();
+  if (function.usesFields && tape && !tape->isSuspended())
+    return fail(FailureKind::Usage,
+                "a tape cannot record the loads and stores of fields in '@" +
+                    function.name +
+                    "' itself; move them into a kernel, or open the tape in "
+                    "the function");
   runtime::HostModule hostModule;
-  hostModule.usesTrees = usesFields(module);
-  hostModule.findKernel = [this](std::string_view kernelName) {
+  hostModule.usesTrees = function.usesFields;
+  hostModule.findKernel = [&](std::string_view kernelName) {
     SessionKernel *kernel = findKernel(kernelName);
     return kernel ? kernel->kernel.get() : nullptr;
   };
   std::vector<runtime::TreePtr> trees;
-  for (const std::string &tree : compiled->trees)
+  for (const std::string &tree : function.code.trees) {
     trees.push_back(rt->findTree(tree));
-  LogicalResult result = check(
-      runtime::runHost(*rt, reinterpret_cast<TaiKernelFn>(compiled->address),
-                       trees, hostModule, nullptr, nullptr));
-  compiler->unload(*compiled);
-  return result;
+    if (!trees.back())
+      return fail(FailureKind::Usage, "'@" + function.name + "' uses tree '" +
+                                          tree + "', which has been destroyed");
+  }
+  return check(runtime::runHost(
+      *rt, reinterpret_cast<TaiKernelFn>(function.code.address), trees,
+      hostModule, nullptr, nullptr));
 }
 
 FailureOr<std::string> Session::getIR(SessionKernel &kernel, StringRef stage) {

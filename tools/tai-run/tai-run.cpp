@@ -14,13 +14,10 @@
 #include "PrintField.h"
 #include "mlir/Bytecode/BytecodeReader.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
-#include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Parser/Parser.h"
-#include "mlir/Pass/PassManager.h"
-#include "mlir/Tools/Plugins/DialectPlugin.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
-#include "tai/ExecutionEngine/Session.h"
-#include "tai/Transforms/Passes.h"
+#include "tai/ExecutionEngine/Plugins.h"
+#include "tai/ExecutionEngine/Program.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Support/CommandLine.h"
 #include "llvm/Support/InitLLVM.h"
@@ -108,6 +105,12 @@ struct Options {
   cl::list<std::string> dialectPlugins{
       "load-dialect-plugin", cl::value_desc("file"),
       cl::desc("Load a library of dialects, such as levels of other kinds")};
+  cl::list<std::string> passPlugins{"load-pass-plugin", cl::value_desc("file"),
+                                    cl::desc("Load a library of passes")};
+  cl::opt<std::string> passPipeline{
+      "pass-pipeline", cl::value_desc("passes"),
+      cl::desc("Run these passes on the file first, such as those that lower "
+               "the dialects of plugins")};
   cl::opt<bool> skips{"skips", cl::desc("Print what was left out")};
 };
 } // namespace
@@ -168,43 +171,9 @@ static OwningOpRef<ModuleOp> parse(Session &session, const Options &given) {
   return module;
 }
 
-/// A module with one kernel and the functions, kernels and global arrays that
-/// it names.
-static OwningOpRef<ModuleOp> extract(ModuleOp file, KernelOp kernel) {
-  llvm::SetVector<Operation *> needed;
-  needed.insert(kernel);
-  for (size_t i = 0; i < needed.size(); ++i) {
-    needed[i]->walk([&](Operation *op) {
-      op->getAttrDictionary().walk([&](SymbolRefAttr symbol) {
-        Operation *named = file.lookupSymbol(symbol.getRootReference());
-        if (isa_and_nonnull<KernelOp, func::FuncOp, memref::GlobalOp>(named))
-          needed.insert(named);
-      });
-    });
-  }
-  OwningOpRef<ModuleOp> module = ModuleOp::create(kernel.getLoc());
-  for (Operation *op : needed)
-    module->push_back(op->clone());
-  return module;
-}
-
-/// Declares the symbols of the file.
-static LogicalResult declare(Session &session, ModuleOp file) {
-  for (TreeOp tree : file.getOps<TreeOp>())
-    if (failed(session.addTree(tree)))
-      return failure();
-  for (FieldOp field : file.getOps<FieldOp>())
-    if (failed(session.addField(field)))
-      return failure();
-  for (KernelOp kernel : file.getOps<KernelOp>())
-    if (failed(
-            session.createKernel(extract(file, kernel), kernel.getSymName())))
-      return failure();
-  return success();
-}
-
-static LogicalResult launchKernel(Session &session, StringRef name) {
-  SessionKernel *kernel = session.findKernel(name);
+static LogicalResult launchKernel(Session &session, const Program &program,
+                                  StringRef name) {
+  SessionKernel *kernel = program.findKernel(name);
   if (!kernel)
     return session.fail(FailureKind::Usage,
                         "the file holds no kernel '" + name + "'");
@@ -216,58 +185,35 @@ static LogicalResult launchKernel(Session &session, StringRef name) {
   return session.launch(*kernel, nullptr, 0, results.data());
 }
 
-/// Makes the dialects of plugins known.
-static LogicalResult loadPlugins(Session &session, const Options &given) {
-  DialectRegistry registry;
-  for (const std::string &file : given.dialectPlugins) {
-    llvm::Expected<DialectPlugin> plugin = DialectPlugin::load(file);
-    if (!plugin)
-      return session.fail(FailureKind::Usage,
-                          "cannot load '" + file +
-                              "': " + llvm::toString(plugin.takeError()));
-    plugin->registerDialectRegistryCallbacks(registry);
-  }
-  session.getContext()->appendDialectRegistry(registry);
-  return success();
-}
-
-/// Makes one kernel of those that @main launches one after another.
-static LogicalResult fuseLaunches(Session &session, ModuleOp file,
-                                  const Options &given) {
-  if (given.noFuseLaunches || given.interpret || given.debug ||
-      given.optLevel == 0 || given.bounds != "off")
-    return success();
-  DiagnosticCollector collector(session.getContext());
-  FuseLaunchesOptions options;
-  options.deterministic = given.deterministic || given.sums == "deterministic";
-  PassManager manager(session.getContext());
-  manager.addPass(createFuseLaunches(options));
-  if (succeeded(manager.run(file)))
-    return success();
-  return session.fail(
-      collector.take(FailureKind::Internal, "launches cannot be fused"));
-}
-
 static LogicalResult run(Session &session, const Options &given) {
-  if (failed(setOptions(session, given)) || failed(loadPlugins(session, given)))
+  if (failed(setOptions(session, given)))
     return failure();
+  // Each library is both, if it can be.
+  llvm::SetVector<StringRef> plugins;
+  for (const std::string &plugin : given.dialectPlugins)
+    plugins.insert(plugin);
+  for (const std::string &plugin : given.passPlugins)
+    plugins.insert(plugin);
+  for (StringRef plugin : plugins)
+    if (failed(loadPlugin(session, plugin)))
+      return failure();
   OwningOpRef<ModuleOp> file = parse(session, given);
-  if (!file || failed(fuseLaunches(session, *file, given)) ||
-      failed(declare(session, *file)))
+  if (!file)
+    return failure();
+  if (given.passPipeline.getNumOccurrences() &&
+      failed(runPasses(session, *file, given.passPipeline)))
+    return failure();
+  auto program = Program::load(session, std::move(file));
+  if (failed(program))
     return failure();
   if (given.kernelName.getNumOccurrences())
-    return launchKernel(session, StringRef(given.kernelName).ltrim('@'));
-  auto main = file->lookupSymbol<func::FuncOp>("main");
-  if (!main)
+    return launchKernel(session, **program,
+                        StringRef(given.kernelName).ltrim('@'));
+  if (!(*program)->getModule().lookupSymbol<func::FuncOp>("main"))
     return session.fail(FailureKind::Usage,
                         "the file holds no 'func.func @main'; name a kernel "
                         "with --kernel to launch it alone");
-  if (main.getNumArguments() || main.getNumResults()) {
-    DiagnosticCollector collector(session.getContext());
-    main.emitError("@main takes no arguments and returns nothing");
-    return session.fail(collector.take(FailureKind::Type));
-  }
-  return session.runHost(*file, "main");
+  return (*program)->run("main");
 }
 
 static LogicalResult printFields(Session &session, const Options &given) {

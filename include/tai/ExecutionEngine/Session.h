@@ -134,9 +134,31 @@ public:
   /// `cleared`: gradients will be cleared before the sweep.
   LogicalResult prepareReverse(runtime::Tape &tape, bool cleared);
 
-  /// Compiles the host function of the given name in the module and runs it.
-  /// The kernels that it launches are those of the session.
-  LogicalResult runHost(ModuleOp module, StringRef name);
+  /// A compiled function that runs on the host.
+  struct HostFunction {
+    std::string name;
+    Compiler::Function code;
+    CompileOptions options;
+    /// Whether it accesses fields itself, and not by launches alone.
+    bool usesFields = false;
+  };
+  /// Compiles the host function of the given name in the module.
+  FailureOr<HostFunction> compileHost(ModuleOp module, StringRef name);
+  /// Whether the function was compiled with the options that hold now.
+  bool isCurrent(const HostFunction &function) const {
+    return function.options == getHostOptions();
+  }
+  /// Runs it with the kernels that `findKernel` gives for the names that it
+  /// launches.
+  LogicalResult
+  runHost(const HostFunction &function,
+          const std::function<SessionKernel *(StringRef name)> &findKernel);
+  /// Frees a function that is not running.
+  void unload(const HostFunction &function) { compiler->unload(function.code); }
+
+  /// Whether launches in a row may become one; see FuseLaunches.
+  bool fusesLaunches() const;
+  bool isDeterministic() const { return compileOptions.deterministic; }
 
   /// The IR of a kernel at a stage (see Compiler::getStages), or the result of
   /// `explain` for "explain".
@@ -153,6 +175,9 @@ public:
   SessionObjects countObjects();
 
 private:
+  /// The options of functions of the host, which run on the CPU wherever their
+  /// kernels do.
+  CompileOptions getHostOptions() const;
   KernelServices getServices();
   /// Compiles the kernel and its adjoint before their first launch.
   LogicalResult compileEagerly(runtime::Kernel &kernel);

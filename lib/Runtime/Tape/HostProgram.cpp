@@ -439,6 +439,25 @@ private:
 };
 } // namespace
 
+static int32_t checkGradients(Launch &launch, const FieldPtr &loss,
+                              const std::vector<FieldPtr> &wrt,
+                              double tolerance,
+                              int32_t (*region)(TaiFrame *, void *),
+                              void *closure, const char *where) {
+  for (const FieldPtr &field : wrt)
+    if (!field->adjoint() || !isFloat(field->scalar()))
+      return reportUsage(
+          launch, "field '" + field->name() + "' has no adjoint to be checked",
+          where);
+  GradientCheck check(launch, loss, region, closure);
+  if (check.run(where) != 0)
+    return 1;
+  for (const FieldPtr &field : wrt)
+    if (check.check(*field, tolerance, where) != 0)
+      return 1;
+  return 0;
+}
+
 extern "C" int32_t
 tai_rt_host_check_gradient(TaiFrame *frame, const char *lossName,
                            const char **wrt, int64_t count, double tolerance,
@@ -457,17 +476,41 @@ tai_rt_host_check_gradient(TaiFrame *frame, const char *lossName,
     if (!field)
       return reportUsage(
           launch, std::string("there is no field '") + wrt[i] + "'", where);
-    if (!field->adjoint() || !isFloat(field->scalar()))
-      return reportUsage(
-          launch, "field '" + field->name() + "' has no adjoint to be checked",
-          where);
     fields.push_back(std::move(field));
   }
-  GradientCheck check(launch, std::move(loss), region, closure);
-  if (check.run(where) != 0)
-    return 1;
-  for (const FieldPtr &field : fields)
-    if (check.check(*field, tolerance, where) != 0)
-      return 1;
-  return 0;
+  return checkGradients(launch, loss, fields, tolerance, region, closure,
+                        where);
+}
+
+Status mlir::tai::runtime::checkGradient(Runtime &runtime, const FieldPtr &loss,
+                                         const std::vector<FieldPtr> &wrt,
+                                         double tolerance,
+                                         std::function<Status()> region) {
+  std::vector<TreePtr> trees;
+  for (const auto &entry : runtime.store().trees())
+    trees.push_back(entry.second);
+  HostModule module;
+  HostState state;
+  state.module = &module;
+  state.trees = &trees;
+  Launch *launch = runtime.acquireLaunch();
+  launch->host = &state;
+  // A closure of C gets the function through its argument.
+  struct Closure {
+    Launch &launch;
+    const std::function<Status()> &region;
+  } closure{*launch, region};
+  auto run = [](TaiFrame *, void *data) -> int32_t {
+    auto &[launch, region] = *static_cast<Closure *>(data);
+    return report(launch, region());
+  };
+  (void)orFail(launch, 1, [&] {
+    return checkGradients(*launch, loss, wrt, tolerance, run, &closure, "");
+  });
+  state.tape.reset();
+  launch->host = nullptr;
+  Status status =
+      launch->hasFailed() ? launch->takeFailure() : Status::success();
+  runtime.releaseLaunch(launch);
+  return status ? runtime.synchronize() : std::move(status);
 }

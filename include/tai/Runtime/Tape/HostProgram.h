@@ -25,6 +25,13 @@ Status runHost(Runtime &runtime, TaiKernelFn function,
                const std::vector<TreePtr> &trees, HostModule &module,
                const uint64_t *args, uint64_t *results);
 
+/// Runs `region` under a tape, and compares the gradient of `loss` by each
+/// field of `wrt` with central differences along random directions. Afterwards
+/// all fields are as the first run and its sweep left them.
+Status checkGradient(Runtime &runtime, const FieldPtr &loss,
+                     const std::vector<FieldPtr> &wrt, double tolerance,
+                     std::function<Status()> region);
+
 } // namespace mlir::tai::runtime
 
 #endif // TAI_RUNTIME_TAPE_HOSTPROGRAM_H
