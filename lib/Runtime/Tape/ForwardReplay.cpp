@@ -10,6 +10,27 @@
 using namespace mlir::tai::runtime;
 using Kind = TapeRecording::Kind;
 
+/// Repeats a write of the host. A value that the host writes is a constant; but
+/// before the first launch, it is the point at which one differentiates.
+static Status replayWrite(const TapeServices &services,
+                          const TapeRecording &recording, size_t index) {
+  constexpr auto canStop = FieldCopies::Interrupts::Stop;
+  HostWrite write = recording.write(recording[index]);
+  Status status = services.activateFor(write);
+  if (status && !services.perform(write, canStop))
+    status = failAsInterrupted();
+  if (!status || !services.isForward() || !recording.launchesBefore(index))
+    return status;
+  const char zeros[8] = {};
+  write.field = write.field->dual();
+  write.bytes = zeros;
+  if (write.what == HostWrite::What::Array)
+    write.what = HostWrite::What::Fill;
+  if (write.field && !services.perform(write, canStop))
+    status = failAsInterrupted();
+  return status;
+}
+
 Status ForwardReplay::run() {
   Status status;
   for (size_t i = 0; i < recording.size() && status; ++i) {
@@ -29,7 +50,6 @@ Status ForwardReplay::replay(size_t index) {
   const TapeRecording::Record &record = recording[index];
   switch (record.kind) {
   case Kind::Launch: {
-    launched = true;
     uint64_t number = recording.number(record);
     TapedKernel::lastLaunch(*record.kernel)
         .store(number, std::memory_order_relaxed);
@@ -37,32 +57,12 @@ Status ForwardReplay::replay(size_t index) {
                         number);
   }
   case Kind::Write:
-    return replayWrite(recording.write(record));
+    return replayWrite(services, recording, index);
   case Kind::Callback:
     break;
   }
   const TapeCallback &callback = recording.callback(record);
   return callback.forward ? callback.forward() : Status::success();
-}
-
-Status ForwardReplay::replayWrite(HostWrite write) {
-  constexpr auto canStop = FieldCopies::Interrupts::Stop;
-  Status status = services.activateFor(write);
-  if (status && !services.perform(write, canStop))
-    status = failAsInterrupted();
-  if (!status)
-    return status;
-  // A value that the host writes is a constant; before the first launch, it is
-  // the point at which one differentiates.
-  const char zeros[8] = {};
-  write.field =
-      services.isForward() && launched ? write.field->dual() : nullptr;
-  write.bytes = zeros;
-  if (write.what == HostWrite::What::Array)
-    write.what = HostWrite::What::Fill;
-  if (write.field && !services.perform(write, canStop))
-    status = failAsInterrupted();
-  return status;
 }
 
 Status mlir::tai::runtime::replayRecord(const TapeServices &services,
@@ -75,14 +75,8 @@ Status mlir::tai::runtime::replayRecord(const TapeServices &services,
   case Kind::Launch:
     return services.run(launch, *record.kernel, recording.args(record), nullptr,
                         number);
-  case Kind::Write: {
-    HostWrite write = recording.write(record);
-    if (Status status = services.activateFor(write); !status)
-      return status;
-    return services.perform(write, FieldCopies::Interrupts::Stop)
-               ? Status::success()
-               : failAsInterrupted();
-  }
+  case Kind::Write:
+    return replayWrite(services, recording, index);
   case Kind::Callback:
     break;
   }

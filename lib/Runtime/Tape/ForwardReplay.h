@@ -28,15 +28,12 @@ public:
 
 private:
   Status replay(size_t index);
-  Status replayWrite(HostWrite write);
 
   TapeServices services;
   const TapeRecording &recording;
   TapeMemory &memory;
   TapeTopology &topology;
   Launch &launch;
-  /// Whether a record so far was a launch.
-  bool launched = false;
 };
 
 /// Re-executes one record, with the same random numbers. `changesMemory`: the

@@ -12,11 +12,6 @@
 using namespace mlir::tai::runtime;
 
 Status Rematerialiser::setPolicy(CheckpointPolicy policy) {
-  if (policy.kind != CheckpointPolicy::Kind::None && services.isForward())
-    return Status::failure(
-        StatusCode::Usage,
-        "a tape that recomputes values cannot be recorded in "
-        "forward mode: snapshots hold no tangents");
   if (policy.snapshots < 0 || policy.budget < 0)
     return Status::failure(StatusCode::Usage,
                            "the number of snapshots and the memory budget of a "
@@ -211,10 +206,8 @@ Status Rematerialiser::replay(Launch &launch) {
 }
 
 Status Rematerialiser::sweep() {
-  if (services.isForward())
-    return Status::failure(StatusCode::Usage,
-                           "a tape that recomputes values cannot be swept in "
-                           "forward mode: snapshots hold no tangents");
+  if (services.isForward() && checkpoints->lackTangents())
+    return TapeMemory::failWithoutTangents();
   if (recording.empty())
     return Status::success();
   if (memory.lostChanges())

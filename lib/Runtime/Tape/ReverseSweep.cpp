@@ -115,9 +115,13 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
   zero.bytes = zeros;
   if (zero.what == HostWrite::What::Array)
     zero.what = HostWrite::What::Fill;
-  return services.perform(zero, FieldCopies::Interrupts::Stop)
-             ? Status::success()
-             : failAsInterrupted();
+  if (!services.perform(zero, FieldCopies::Interrupts::Stop))
+    return failAsInterrupted();
+  // Tangents go along.
+  zero.field = services.isForward() ? adjoint->dual() : nullptr;
+  if (zero.field && !services.perform(zero, FieldCopies::Interrupts::Stop))
+    return failAsInterrupted();
+  return Status::success();
 }
 
 Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {

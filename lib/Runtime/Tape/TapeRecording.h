@@ -17,6 +17,7 @@
 #include "tai/Runtime/Host/FieldCopies.h"
 #include "tai/Runtime/Launch/Kernel.h"
 #include "tai/Runtime/Tape/TapeTypes.h"
+#include <algorithm>
 
 namespace mlir::tai::runtime {
 
@@ -62,6 +63,12 @@ public:
   bool onlyLaunches() const { return callbacks.empty() && writes.empty(); }
   /// Whether some host function has a reverse.
   bool callsInReverse() const { return reverseCallbacks; }
+  /// Whether a record before this one is a launch.
+  bool launchesBefore(size_t index) const {
+    return std::any_of(
+        records.begin(), records.begin() + static_cast<ptrdiff_t>(index),
+        [](const Record &record) { return record.kind == Kind::Launch; });
+  }
 
   /// By the summaries of kernels, in the order of the records.
   std::vector<FieldOverwrite> overwrites() const;

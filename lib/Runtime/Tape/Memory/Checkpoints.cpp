@@ -72,6 +72,7 @@ void Checkpoints::restart() {
   finals.clear();
   growing.clear();
   unsettled = 0;
+  lacksTangents = false;
   stride = 1;
   total = finalBytes = largest = most = 0;
 }
@@ -125,6 +126,16 @@ void Checkpoints::thin() {
 }
 
 Status Checkpoints::log(Track &track, int64_t slab) {
+  Status status = logOne(track, slab);
+  if (!runtime.isForward()) {
+    lacksTangents |= track.field->dual() != nullptr;
+    return status;
+  }
+  Track *tangent = track.tangentIn(runtime);
+  return status && tangent ? logOne(*tangent, slab) : std::move(status);
+}
+
+Status Checkpoints::logOne(Track &track, int64_t slab) {
   Log &top = logs.back();
   track.refresh();
   track.loggedBy.resize(static_cast<size_t>(track.numCells()));

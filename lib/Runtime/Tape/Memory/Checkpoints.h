@@ -49,6 +49,8 @@ public:
   /// of cells that did not change.
   Status log(Track &track, int64_t slab);
   void settle();
+  /// Whether a copy was made out of forward mode, without its tangents.
+  bool lackTangents() const { return lacksTangents; }
 
   /// Pushes a new snapshot, at a record.
   void push(uint32_t record);
@@ -84,6 +86,7 @@ private:
     /// Later pieces hold older contents.
     std::vector<Piece> pieces;
   };
+  Status logOne(Track &track, int64_t slab);
   Status copyFinals();
   void mergeIntoPrevious(size_t index);
   void thin();
@@ -94,6 +97,7 @@ private:
   std::vector<Log> logs;
   std::vector<Piece> finals;
   size_t unsettled = 0;
+  bool lacksTangents = false;
   /// Sparse fields whose cells the running record may activate.
   std::vector<Track *> growing;
   uint32_t ids = 0;

@@ -175,10 +175,29 @@ void TapeMemory::afterPart(const KernelUses &uses, const uint64_t *args) {
     parts.push_back({use.track, use.locate(args)});
 }
 
-Status TapeMemory::beforeWrite(const FieldPtr &field, const int64_t *index,
+/// The field whose memory is followed for a write of the host: in forward mode,
+/// for a dual the field that it belongs to; and none for the tangent of a
+/// gradient, which the tape does not restore.
+static FieldPtr followedFor(const FieldPtr &written, const Runtime &runtime) {
+  if (!runtime.isForward())
+    return written;
+  const std::vector<FieldPtr> &fields = runtime.fields();
+  auto primal =
+      std::find_if(fields.begin(), fields.end(), [&](const FieldPtr &field) {
+        return field->dual() == written.get();
+      });
+  if (primal == fields.end())
+    return written;
+  return (*primal)->isAdjoint() ? nullptr : *primal;
+}
+
+Status TapeMemory::beforeWrite(const FieldPtr &written, const int64_t *index,
                                uint32_t record) {
   if (Status status = safepoints.checkHandler(); !status)
     return status;
+  FieldPtr field = followedFor(written, runtime);
+  if (!field)
+    return Status::success();
   Track &track = trackOf(field, std::nullopt);
   int dimension = track.slabs.dimension();
   int64_t slab = -1;
@@ -224,6 +243,21 @@ Status TapeMemory::propose(Candidate candidate) {
 }
 
 Status TapeMemory::save(const Candidate &candidate) {
+  Track &track = *candidate.track;
+  Status status = saveOne(candidate);
+  if (!runtime.isForward()) {
+    lacksTangents |= track.field->dual() != nullptr;
+    return status;
+  }
+  Track *tangent = track.tangentIn(runtime);
+  if (!status || !tangent)
+    return status;
+  Candidate its = candidate;
+  its.track = tangent;
+  return saveOne(its);
+}
+
+Status TapeMemory::saveOne(const Candidate &candidate) {
   Track &track = *candidate.track;
   track.refresh();
   track.savedAt.resize(static_cast<size_t>(track.numCells()));
@@ -333,6 +367,7 @@ void TapeMemory::beginSegment(uint32_t record) {
   growing.clear();
   unsettled = 0;
   saved = 0;
+  lacksTangents = false;
   nextCandidate = firstCandidate(record);
 }
 
@@ -365,7 +400,8 @@ int64_t TapeMemory::mostBytes(uint32_t from, uint32_t to) const {
        i < candidates.size() && candidates[i].record < to; ++i)
     if (candidates[i].stamp >= stampOf(from))
       bytes += candidates[i].track->slabBytes(candidates[i].slab);
-  return bytes;
+  // The duals have the size of their fields.
+  return runtime.isForward() ? 2 * bytes : bytes;
 }
 
 int64_t TapeMemory::bytesAt(uint32_t record) const {
@@ -489,6 +525,14 @@ Status TapeMemory::swapAll(FieldCopies::Interrupts interrupts) {
   return Status::success();
 }
 
+Status TapeMemory::failWithoutTangents() {
+  return Status::failure(
+      StatusCode::Usage,
+      "the tape has saved values that were overwritten without their tangents, "
+      "because it was not recorded in forward mode; replay it in forward mode "
+      "before its gradient is taken there: tape.replay()");
+}
+
 Status TapeMemory::beginReverse() {
   if (Status status = safepoints.checkHandler(); !status)
     return status;
@@ -503,14 +547,8 @@ Status TapeMemory::beginReverse() {
                                  piece.track->field->name() +
                                  "', whose tree has been destroyed");
   // Values would come back without their tangents.
-  if (runtime.isForward() && !pieces.empty())
-    return Status::failure(
-        StatusCode::Usage,
-        "the reverse sweep brings back values of field '" +
-            pieces.front().track->field->name() +
-            "' that were overwritten, but in forward mode not their tangents; "
-            "store new values to other elements, such as one more time step of "
-            "the field");
+  if (runtime.isForward() && lacksTangents)
+    return failWithoutTangents();
   return Status::success();
 }
 

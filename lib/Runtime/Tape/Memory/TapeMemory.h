@@ -115,8 +115,10 @@ public:
   // Reverse
   //===--------------------------------------------------------------------===//
 
-  /// Fails if a tree has been destroyed.
+  /// Fails if a tree has been destroyed, and in forward mode if values were
+  /// saved without their tangents.
   Status beginReverse();
+  static Status failWithoutTangents();
   /// Restores memory to the state after the record, or, for fields that its
   /// adjoint reads in the version before, to that. If the adjoint `reexecutes`
   /// (re-executes) its kernel, it changes such fields; `leave` then restores
@@ -170,6 +172,7 @@ private:
   Status propose(Candidate candidate);
   size_t firstCandidate(uint32_t record) const;
   Status save(const Candidate &candidate);
+  Status saveOne(const Candidate &candidate);
   Status addPiece(const Candidate &candidate, int64_t cell, int64_t endCell);
   void stampSaved(const Candidate &candidate, int64_t cell, int64_t endCell);
   /// Saves zeros for cells that the record has activated.
@@ -199,6 +202,8 @@ private:
   std::vector<Piece> pieces;
   /// Pieces from here on have not been compared yet.
   size_t unsettled = 0;
+  /// Whether values were saved out of forward mode, without their tangents.
+  bool lacksTangents = false;
   /// Passed by the save, comparison or restoration that runs.
   CopySafepoints safepoints;
   /// For the running record: copies of sparse fields.

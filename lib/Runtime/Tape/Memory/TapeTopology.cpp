@@ -181,12 +181,20 @@ void TapeTopology::seek(uint32_t position) {
   }
 }
 
+/// Visits the adjoints in the cells of a level, and in forward mode their
+/// tangents.
 template <typename Body>
 void TapeTopology::forEachAdjoint(const SparseNode &node,
                                   const Body &body) const {
-  for (const FieldPtr &field : runtime.fields())
-    if (field->isAdjoint() && field->sparseNode() == &node)
+  for (const FieldPtr &field : runtime.fields()) {
+    if (!field->isAdjoint())
+      continue;
+    if (field->sparseNode() == &node)
       body(*field);
+    Field *tangent = runtime.isForward() ? field->dual() : nullptr;
+    if (tangent && tangent->valid() && tangent->sparseNode() == &node)
+      body(*tangent);
+  }
 }
 
 void TapeTopology::findEver() {
@@ -349,7 +357,8 @@ void TapeTopology::endReverse(std::vector<std::string> &notes) {
     if (change.cleared.empty())
       continue;
     forEachAdjoint(*change.node, [&](Field &field) {
-      if (int64_t lost = dropAdjoints(change, field, passed))
+      int64_t lost = dropAdjoints(change, field, passed);
+      if (lost > 0 && field.isAdjoint())
         notes.push_back(
             "the gradient '" + field.name() + "' is lost in " +
             std::to_string(lost) + " cells of " + change.node->info().label +

@@ -37,6 +37,13 @@ Track::Track(FieldPtr fieldPtr, int dimension)
   cellsPerSlab = (slabs.elements() + cellElements - 1) / cellElements;
 }
 
+Track *Track::tangentIn(const Runtime &runtime) {
+  if (!tangent && field->dual())
+    if (FieldPtr dual = runtime.findField(field->dual()->name()))
+      tangent = std::make_unique<Track>(std::move(dual), slabs.dimension());
+  return tangent.get();
+}
+
 Status Track::bring() const {
   Mirror *mirror = field->tree().mirror();
   return mirror && !slabs.onDevice() ? mirror->toHost() : Status::success();

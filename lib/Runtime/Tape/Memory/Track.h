@@ -44,11 +44,17 @@ struct Track {
   /// The last snapshot that copied each cell, and marks for counting cells.
   std::vector<uint32_t> loggedBy, marks;
   bool everSaved = false;
+  /// See tangentIn.
+  std::unique_ptr<Track> tangent;
   /// The list of all cells, if all are kept.
   ActiveListPtr everyCell;
 
   /// Stored outputs that adjoints may load.
   StoredOutputs stored;
+
+  /// The track of the field's dual, or null. In forward mode the dual is saved
+  /// and restored wherever the field is.
+  Track *tangentIn(const Runtime &runtime);
 
   /// Makes the host's copy current, if that is the one that is saved.
   Status bring() const;

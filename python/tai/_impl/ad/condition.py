@@ -31,7 +31,7 @@ class Condition:
         loss: Σ |x · ∂L/∂x| / |L| over all inputs; infinite if L is 0 and the sum is not.
         gradient: ‖H diag(x)‖ / ‖g‖ in the Frobenius norm, estimated by products with random
             signs (within a factor of 2 as a rule); None where second derivatives are not to be
-            had: inputs without duals, overwritten values, kernels without a rule.
+            had: inputs without duals, overwritten inputs, kernels without a rule.
         fields: the share of each field in `loss`, by name, largest first.
         overwritten: names of inputs that the kernels overwrite. Their first values are gone, and
             they are left out: `loss` is then a lower bound.
