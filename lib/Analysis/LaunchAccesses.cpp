@@ -12,6 +12,7 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
+#include "llvm/ADT/StringMap.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -67,13 +68,14 @@ evaluateOnLaunch(const IndexExpr &form, size_t dimension,
   return fixed;
 }
 
-/// The first index that is a sum of constants and integer arguments.
-static std::optional<runtime::FixedIndex>
-getFixedIndex(ValueRange indices, const ArgumentSlots &slots) {
+/// The indices that are sums of constants and integer arguments.
+static std::vector<runtime::FixedIndex>
+getFixedIndices(ValueRange indices, const ArgumentSlots &slots) {
+  std::vector<runtime::FixedIndex> found;
   for (auto [dimension, index] : llvm::enumerate(indices))
     if (auto fixed = evaluateOnLaunch(getIndexExpr(index), dimension, slots))
-      return fixed;
-  return std::nullopt;
+      found.push_back(std::move(*fixed));
+  return found;
 }
 
 //===----------------------------------------------------------------------===//
@@ -195,14 +197,18 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
   using Boxes = std::vector<runtime::StoredBox>;
   // Boxes of each access, unless something else stores there too.
   std::vector<std::optional<Boxes>> found(accesses.size(), Boxes());
-  auto add = [&](StringRef field,
-                 const std::optional<runtime::FixedIndex> &fixed,
+  auto add = [&](StringRef field, const std::vector<runtime::FixedIndex> &fixed,
                  std::optional<runtime::StoredBox> box) {
     for (auto [access, boxes] : llvm::zip(accesses, found)) {
       if (access.kind != runtime::AccessKind::Write || field != access.field ||
-          !(access.fixed == fixed) || !boxes)
+          !boxes)
         continue;
-      if (box)
+      // The access may stand for stores whose other indices do not count.
+      bool isPart = access.fixed.size() == 1 && fixed.size() > 1 &&
+                    access.fixed.front() == fixed.front();
+      if (access.fixed != fixed && !isPart)
+        continue;
+      if (box && !isPart)
         boxes->push_back(*box);
       else
         boxes.reset();
@@ -213,7 +219,7 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
       continue;
     root.walk([&](StoreOp store) {
       bool mayBeBox = isa<KernelOp>(root) && store.getComponents().empty();
-      add(store.getField(), getFixedIndex(store.getIndices(), slots),
+      add(store.getField(), getFixedIndices(store.getIndices(), slots),
           mayBeBox ? findStoredBox(store, store.getIndices(), slots)
                    : std::nullopt);
     });
@@ -252,17 +258,28 @@ mlir::tai::findStoredBoxes(KernelOp kernel, BlockArgument array) {
 // Accesses
 //===----------------------------------------------------------------------===//
 
+/// If a field is accessed at more places, only the first fixed index of further
+/// ones counts.
+static constexpr unsigned mostPlaces = 64;
+
 std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
   using Kind = runtime::AccessKind;
   auto module = root->getParentOfType<ModuleOp>();
   DenseMap<Value, int64_t> slots =
       findIntegerArguments(module ? module : cast<ModuleOp>(root));
   std::vector<NamedAccess> list;
+  llvm::StringMap<unsigned> places;
   auto add = [&](FlatSymbolRefAttr field, Kind kind, ValueRange indices = {}) {
     NamedAccess access{field.getValue().str(), kind,
-                       getFixedIndex(indices, slots)};
-    if (!llvm::is_contained(list, access))
-      list.push_back(std::move(access));
+                       getFixedIndices(indices, slots)};
+    // Each element of a matrix of weights may be named by constants.
+    unsigned &count = places[access.field];
+    if (count >= mostPlaces && access.fixed.size() > 1)
+      access.fixed.erase(access.fixed.begin() + 1, access.fixed.end());
+    if (llvm::is_contained(list, access))
+      return;
+    ++count;
+    list.push_back(std::move(access));
   };
   // An op that has effects and names a field without describing its access may
   // do anything to it.

@@ -215,16 +215,17 @@ static void addReads(Writer &writer, const std::vector<NamedAccess> &reads) {
   writer.add(static_cast<int64_t>(reads.size()));
   for (const NamedAccess &access : reads) {
     writer.add(access.field);
-    writer.add(access.fixed ? access.fixed->dimension : int64_t(-1));
-    if (!access.fixed)
-      continue;
-    writer.add(access.fixed->constant);
-    writer.add(access.fixed->bits);
-    writer.add(static_cast<int64_t>(access.fixed->terms.size()));
-    for (const runtime::LaunchTerm &term : access.fixed->terms) {
-      writer.add(term.slot);
-      writer.add(term.bits);
-      writer.add(term.factor);
+    writer.add(static_cast<int64_t>(access.fixed.size()));
+    for (const runtime::FixedIndex &fixed : access.fixed) {
+      writer.add(fixed.dimension);
+      writer.add(fixed.constant);
+      writer.add(fixed.bits);
+      writer.add(static_cast<int64_t>(fixed.terms.size()));
+      for (const runtime::LaunchTerm &term : fixed.terms) {
+        writer.add(term.slot);
+        writer.add(term.bits);
+        writer.add(term.factor);
+      }
     }
   }
 }
@@ -259,10 +260,11 @@ std::string ToBeRecorded::serialize() const {
 static void takeReads(Reader &reader, std::vector<NamedAccess> &reads) {
   for (int64_t i = reader.length(); i > 0; --i) {
     NamedAccess access{reader.text(), runtime::AccessKind::Read, {}};
-    int64_t dimension = reader.number();
-    if (dimension >= 0) {
+    for (int64_t f = reader.length(); f > 0; --f) {
+      int64_t dimension = reader.number();
       runtime::FixedIndex fixed{
           dimension, reader.number(), {}, reader.number()};
+      reader.ok &= dimension >= 0;
       auto isWidth = [](int64_t bits) { return bits >= 1 && bits <= 64; };
       reader.ok &= isWidth(fixed.bits);
       for (int64_t t = reader.length(); t > 0; --t) {
@@ -271,7 +273,7 @@ static void takeReads(Reader &reader, std::vector<NamedAccess> &reads) {
         reader.ok &= isWidth(bits);
         fixed.terms.push_back({slot, bits, reader.number()});
       }
-      access.fixed = std::move(fixed);
+      access.fixed.push_back(std::move(fixed));
     }
     reads.push_back(std::move(access));
   }

@@ -42,10 +42,11 @@ TaiStatus taiTapeRecordAccesses(TaiTape tape, int64_t record,
       for (const runtime::Access &access : kernel->summary()) {
         TaiTapeAccess row{access.field->name().c_str(),
                           static_cast<int32_t>(access.kind), -1, 0};
-        if (access.fixed) {
-          row.dimension = static_cast<int32_t>(access.fixed->dimension);
-          row.index = access.fixed->evaluate(args) -
-                      access.field->firstIndex(access.fixed->dimension);
+        if (!access.fixed.empty()) {
+          const runtime::FixedIndex &first = access.fixed.front();
+          row.dimension = static_cast<int32_t>(first.dimension);
+          row.index =
+              first.evaluate(args) - access.field->firstIndex(first.dimension);
         }
         tape->accesses.push_back(row);
       }

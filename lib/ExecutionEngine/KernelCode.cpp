@@ -133,7 +133,11 @@ void KernelCode::count(const Compiler::Function &function, bool isAdjoint) {
 static bool alwaysZeroes(const std::vector<runtime::Access> &summary) {
   using Kind = runtime::AccessKind;
   auto areApart = [](const runtime::Access &a, const runtime::Access &b) {
-    return a.fixed && b.fixed && a.fixed->isApart(*b.fixed);
+    return llvm::any_of(a.fixed, [&](const runtime::FixedIndex &index) {
+      return llvm::any_of(b.fixed, [&](const runtime::FixedIndex &other) {
+        return index.isApart(other);
+      });
+    });
   };
   for (const runtime::Access &store : summary) {
     if (store.kind != Kind::Write || !store.field->adjoint())

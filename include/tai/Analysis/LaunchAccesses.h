@@ -27,7 +27,8 @@ int64_t countSlots(TypeRange types);
 struct NamedAccess {
   std::string field;
   runtime::AccessKind kind;
-  std::optional<runtime::FixedIndex> fixed;
+  /// As in runtime::Access.
+  std::vector<runtime::FixedIndex> fixed;
 
   bool operator==(const NamedAccess &other) const {
     return field == other.field && kind == other.kind && fixed == other.fixed;

@@ -40,7 +40,7 @@ bool HostWrites::perform(const HostWrite &write,
 /// Compares an array with the field, piece by piece. False too if the host has
 /// interrupted it.
 static bool isEqual(const Field &field, const char *array) {
-  Slabs slabs(field, -1);
+  Slabs slabs(field);
   std::shared_ptr<void> memory = field.tree().sharedMemory();
   int64_t element = byteSize(field.scalar()) * field.numComponents();
   int64_t count = field.numElements();

@@ -233,9 +233,9 @@ int64_t Kernel::touchedBytes() const {
     if (field.sparseNode())
       return -1;
     int64_t bytes = field.hostBytes();
-    if (access.fixed)
+    for (const FixedIndex &fixed : access.fixed)
       bytes /= std::max<int64_t>(
-          field.shape()[static_cast<size_t>(access.fixed->dimension)], 1);
+          field.shape()[static_cast<size_t>(fixed.dimension)], 1);
     Touched &touched = fields[&field];
     if (access.kind != AccessKind::Write)
       touched.read = std::max(touched.read, bytes);

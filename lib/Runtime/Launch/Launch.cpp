@@ -231,11 +231,11 @@ int64_t Launch::partition(int64_t n, int64_t cost, bool reduces) {
 
 bool mlir::tai::runtime::mayAlias(const OwedZeros &zeros, const Access &access,
                                   const uint64_t *args) {
-  if (!access.fixed)
-    return true;
-  int64_t dimension = access.fixed->dimension;
-  return zeros.contains(dimension, access.fixed->evaluate(args) -
-                                       access.field->firstIndex(dimension));
+  return std::all_of(
+      access.fixed.begin(), access.fixed.end(), [&](const FixedIndex &index) {
+        int64_t first = access.field->firstIndex(index.dimension);
+        return zeros.contains(index.dimension, index.evaluate(args) - first);
+      });
 }
 
 bool mlir::tai::runtime::findElements(const StoredBox &box, const Field &field,

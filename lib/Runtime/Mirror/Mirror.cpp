@@ -373,8 +373,9 @@ bool Mirror::fill(const Field &field, const void *scalarBytes) {
 
 DeviceRows Slabs::rowsOf(int64_t first, int64_t count) const {
   const Mirror &mirror = *field->tree().mirror();
-  if (slowDimension <= 0)
+  if (isRowMajor)
     return mirror.rows(*field, first, count);
+  int slowDimension = slowDimensions.front();
   int64_t rowBytes = bytes;
   for (int d = slowDimension + 1; d < field->rank(); ++d)
     rowBytes *= field->shape()[d];

@@ -48,7 +48,7 @@ bool OwedZeros::contains(int64_t dimension, int64_t position) const {
 /// consecutive elements.
 static void storeBox(const Field &field, const OwedZeros::Box &box) {
   int rank = field.rank();
-  Slabs all(field, -1);
+  Slabs all(field);
   int run = rank;
   int64_t runElements = 1;
   while (run > 0) {

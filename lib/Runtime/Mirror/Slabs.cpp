@@ -19,12 +19,39 @@ struct Slabs::Numbers {
   int64_t count = 0, capacity = 0;
 };
 
-Slabs::Slabs(const Field &field, int dimension, bool byCell)
-    : field(&field), slowDimension(dimension),
+/// Whether these are the first dimensions of all.
+static bool areFirst(const std::vector<int> &dimensions) {
+  return dimensions.empty() ||
+         dimensions.back() + 1 == static_cast<int>(dimensions.size());
+}
+
+std::vector<int> Slabs::choose(const Field &field,
+                               const std::vector<FixedIndex> &fixed) {
+  // Smaller slabs take more memory for their numbers than they save.
+  constexpr int64_t fewestBytes = 64;
+  std::vector<int> chosen;
+  int64_t slabBytes = field.hostBytes();
+  for (const FixedIndex &index : fixed) {
+    int64_t extent = std::max<int64_t>(field.shape()[index.dimension], 1);
+    chosen.push_back(static_cast<int>(index.dimension));
+    slabBytes /= extent;
+    bool isGood = slabBytes >= fewestBytes && !field.sparseNode() &&
+                  (!field.tree().mirror() || areFirst(chosen));
+    if (chosen.size() > 1 && !isGood) {
+      chosen.pop_back();
+      break;
+    }
+  }
+  return chosen;
+}
+
+Slabs::Slabs(const Field &field, std::vector<int> dimensions, bool byCell)
+    : field(&field), slowDimensions(std::move(dimensions)),
+      isRowMajor(areFirst(slowDimensions)),
       bytes(field.numComponents() * byteSize(field.scalar())),
       isEven(!byCell &&
-             (dimension <= 0 ? field.evenStep() != 0 : field.contiguous())),
-      isContiguous(field.contiguous() && dimension <= 0) {
+             (isRowMajor ? field.evenStep() != 0 : field.contiguous())),
+      isContiguous(field.contiguous() && isRowMajor) {
   if (byCell) {
     cells = std::make_shared<CellElements>(field);
     bytes = cells->bytes();
@@ -33,16 +60,17 @@ Slabs::Slabs(const Field &field, int dimension, bool byCell)
       field.tree().mirror()->context().note(std::move(status));
     numbersOnDevice = std::make_shared<Numbers>();
     // A slab must be made of whole cells.
-    if (dimension >= 0 && !cells->separates(dimension))
-      slowDimension = -1;
-    if (slowDimension >= 0) {
-      slabs = field.shape()[slowDimension];
+    slowDimensions.resize(std::min<size_t>(slowDimensions.size(), 1));
+    if (!slowDimensions.empty() && !cells->separates(slowDimensions.front()))
+      slowDimensions.clear();
+    if (!slowDimensions.empty()) {
+      slabs = field.shape()[slowDimensions.front()];
       slabCells.resize(static_cast<size_t>(slabs));
     }
     return;
   }
-  if (dimension >= 0)
-    slabs = field.shape()[dimension];
+  for (int d : slowDimensions)
+    slabs *= field.shape()[d];
   slabElements = slabs ? field.numElements() / slabs : 0;
   if (isContiguous)
     return;
@@ -55,12 +83,13 @@ Slabs::Slabs(const Field &field, int dimension, bool byCell)
         for (const LayoutLevel &level : levels)
           entry.table[i] += i / level.divisor % level.extent * level.stride;
     }
-    dimensions.push_back(std::move(entry));
+    order.push_back(std::move(entry));
   };
-  if (dimension >= 0)
-    add(dimension);
+  for (int d : slowDimensions)
+    add(d);
   for (int d = 0; d < field.rank(); ++d)
-    if (d != dimension)
+    if (std::find(slowDimensions.begin(), slowDimensions.end(), d) ==
+        slowDimensions.end())
       add(d);
 }
 
@@ -104,9 +133,10 @@ int64_t Slabs::addCells(const ActiveListPtr &list) {
   std::merge(known.begin(), known.end(), numbered.begin() + before,
              numbered.end(), all.begin());
   known = std::move(all);
-  if (slowDimension >= 0)
+  if (!slowDimensions.empty())
     for (int64_t i = before; i < numCells(); ++i)
-      slabCells[cells->position(numbered[i], slowDimension)].push_back(i);
+      slabCells[cells->position(numbered[i], slowDimensions.front())].push_back(
+          i);
   return before;
 }
 
@@ -156,20 +186,20 @@ bool Slabs::forEachRun(Data *data, int64_t first, int64_t count,
         return false;
     return true;
   };
-  if (dimensions.empty())
+  if (order.empty())
     return element(data, 0);
-  std::vector<int64_t> index(dimensions.size());
+  std::vector<int64_t> index(order.size());
   int64_t rest = first;
   for (size_t d = index.size(); d-- > 0;) {
-    index[d] = rest % dimensions[d].extent;
-    rest /= dimensions[d].extent;
+    index[d] = rest % order[d].extent;
+    rest /= order[d].extent;
   }
   size_t last = index.size() - 1;
-  const Dimension &row = dimensions[last];
+  const Dimension &row = order[last];
   for (int64_t done = 0; done < count;) {
     Data *base = data;
     for (size_t d = 0; d < last; ++d)
-      base += dimensions[d].at(index[d]);
+      base += order[d].at(index[d]);
     int64_t length = std::min(count - done, row.extent - index[last]);
     if (dense && row.table.empty() && row.step == bytes) {
       if (!run(base + index[last] * bytes, length * bytes, done * bytes))
@@ -182,7 +212,7 @@ bool Slabs::forEachRun(Data *data, int64_t first, int64_t count,
     done += length;
     index[last] = 0;
     for (size_t d = last; d-- > 0;) {
-      if (++index[d] < dimensions[d].extent)
+      if (++index[d] < order[d].extent)
         break;
       index[d] = 0;
     }

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Numbers the elements of a field so that all with the same index along one
-// dimension are consecutive, and copies ranges of such numbers, for any layout.
+// Numbers the elements of a field so that all with the same indices along some
+// dimensions are consecutive, and copies ranges of such numbers, for any
+// layout.
 //
 // In a sparse field, only elements in cells that have ever been active are
 // numbered, in the order in which the cells were first seen. The others are
@@ -23,12 +24,30 @@ namespace mlir::tai::runtime {
 
 struct DeviceRows;
 
+/// Consecutive slabs, or all of a field.
+struct SlabRange {
+  int64_t first = -1, count = 0;
+
+  static SlabRange one(int64_t slab) { return {slab, 1}; }
+  bool isAll() const { return first < 0; }
+  int64_t end() const { return first + count; }
+  bool operator==(const SlabRange &other) const {
+    return first == other.first && count == other.count;
+  }
+};
+
 class Slabs {
 public:
-  /// One slab for each position along the dimension; a single one for -1.
-  Slabs(const Field &field, int dimension, bool byCell = false);
+  /// One slab for each position along these dimensions, which ascend, in
+  /// row-major order; a single one without any. `byCell`: of a sparse field,
+  /// where no slab is smaller than a cell, and one dimension counts at most.
+  explicit Slabs(const Field &field, std::vector<int> dimensions = {},
+                 bool byCell = false);
+  /// The first dimensions of these that a field can be cut along.
+  static std::vector<int> choose(const Field &field,
+                                 const std::vector<FixedIndex> &fixed);
 
-  int dimension() const { return slowDimension; }
+  const std::vector<int> &dimensions() const { return slowDimensions; }
   /// Number of slabs, and of elements in each.
   int64_t count() const { return slabs; }
   int64_t elements() const { return slabElements; }
@@ -59,8 +78,9 @@ public:
   void zero(int64_t first, int64_t count) const;
 
   /// Whether the field is on a device that can save ranges of it in device
-  /// memory; then: save, restore, and exchange. Unless the dimension is the
-  /// first, a range must be one slab.
+  /// memory; then: save, restore, and exchange. Unless they are in row-major
+  /// order, a range must be one slab.
+  bool inRowMajorOrder() const { return isRowMajor; }
   bool onDevice() const {
     return mover || (isEven && field->tree().mirror() != nullptr);
   }
@@ -88,12 +108,14 @@ private:
                   const Run &run) const;
 
   const Field *field;
-  int slowDimension;
+  std::vector<int> slowDimensions;
+  /// Whether numbers are in row-major order.
+  bool isRowMajor;
   int64_t slabs = 1;
   int64_t slabElements = 1;
   int64_t bytes;
-  /// Whether the stride is uniform, as `onDevice` requires; and whether numbers
-  /// are in row-major order and elements contiguous.
+  /// Whether the stride is uniform, as `onDevice` requires; and whether
+  /// elements are contiguous in the order of numbers.
   bool isEven, isContiguous;
   /// A dimension, the slow one first: its extent, and the address offset of an
   /// index: by a constant step, or by a table.
@@ -106,7 +128,7 @@ private:
       return table.empty() ? index * step : table[index];
     }
   };
-  std::vector<Dimension> dimensions;
+  std::vector<Dimension> order;
 
   std::shared_ptr<CellElements> cells;
   /// If byCell() on a device: the mover, and a copy of `numbered` there.

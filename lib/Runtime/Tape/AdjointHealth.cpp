@@ -99,16 +99,15 @@ void AdjointHealth::examine(const TapeRecording &recording, size_t index) {
     for (const Access &access : record.kernel->summary()) {
       if (access.field.get() != field || access.kind != AccessKind::Read)
         continue;
-      if (!access.fixed) {
+      if (access.fixed.empty()) {
         whole = true;
         break;
       }
-      int64_t here = access.fixed->evaluate(args) -
-                     field->firstIndex(access.fixed->dimension);
-      whole |=
-          any && (dimension != access.fixed->dimension || position != here);
+      const FixedIndex &fixed = access.fixed.front();
+      int64_t here = fixed.evaluate(args) - field->firstIndex(fixed.dimension);
+      whole |= any && (dimension != fixed.dimension || position != here);
       any = true;
-      dimension = access.fixed->dimension;
+      dimension = fixed.dimension;
       position = here;
     }
     if (whole || !any || position < 0 || position >= field->shape()[dimension])

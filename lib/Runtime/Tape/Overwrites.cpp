@@ -17,7 +17,7 @@ namespace {
 /// the first dimension in which a launch fixes its index.
 struct Used {
   const Field *field;
-  int64_t dimension;
+  int64_t dimension = -1;
   std::vector<char> positions;
   bool anywhere = false;
   bool any = false;
@@ -28,12 +28,15 @@ struct Used {
 
   /// The position of an access, or -1 if it is not known.
   int64_t locate(const Access &access, const uint64_t *args) const {
-    if (!access.fixed || access.fixed->dimension != dimension)
-      return -1;
-    int64_t position =
-        access.fixed->evaluate(args) - access.field->firstIndex(dimension);
-    bool inRange = position >= 0 && position < int64_t(positions.size());
-    return inRange ? position : -1;
+    for (const FixedIndex &fixed : access.fixed) {
+      if (fixed.dimension != dimension)
+        continue;
+      int64_t position =
+          fixed.evaluate(args) - access.field->firstIndex(dimension);
+      bool inRange = position >= 0 && position < int64_t(positions.size());
+      return inRange ? position : -1;
+    }
+    return -1;
   }
   bool has(int64_t position) const {
     return anywhere || (position < 0 ? any : positions[position] != 0);
@@ -79,26 +82,6 @@ std::shared_ptr<const OwedZeros> Used::take(const Field &field) {
                              : std::make_shared<OwedZeros>(std::move(boxes));
 }
 
-/// Whether an access stores all elements at its fixed index, in all launches.
-bool storesSlab(const Access &access) {
-  if (!access.fixed || !access.boxes || access.boxes->size() != 1)
-    return false;
-  const StoredBox &box = access.boxes->front();
-  if (!box.loops.empty())
-    return false;
-  for (size_t d = 0; d < box.ranges.size(); ++d) {
-    const auto &[lower, upper] = box.ranges[d];
-    if (static_cast<int64_t>(d) == access.fixed->dimension)
-      continue;
-    int64_t first = access.field->firstIndex(static_cast<int64_t>(d));
-    if (!lower.terms.empty() || !upper.terms.empty() ||
-        lower.constant > first ||
-        upper.constant < first + access.field->shape()[d])
-      return false;
-  }
-  return true;
-}
-
 /// The facts that launches of a kernel after the first look at.
 struct Repeated {
   enum class Effect {
@@ -124,24 +107,47 @@ struct Repeated {
 };
 } // namespace
 
-Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
-                                              uint64_t mark) {
+bool mlir::tai::runtime::storesSlab(const Access &access) {
+  if (!access.boxes || access.boxes->size() != 1)
+    return false;
+  const StoredBox &box = access.boxes->front();
+  if (!box.loops.empty())
+    return false;
+  auto next = access.fixed.begin();
+  for (size_t d = 0; d < box.ranges.size(); ++d) {
+    auto dimension = static_cast<int64_t>(d);
+    if (next != access.fixed.end() && next->dimension == dimension) {
+      ++next;
+      continue;
+    }
+    const auto &[lower, upper] = box.ranges[d];
+    int64_t first = access.field->firstIndex(dimension);
+    if (!lower.terms.empty() || !upper.terms.empty() ||
+        lower.constant > first ||
+        upper.constant < first + access.field->shape()[d])
+      return false;
+  }
+  return true;
+}
+
+Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
   Overwrites result;
   result.isRepeated.assign(recording.size(), false);
   std::vector<Used> used;
+  std::unordered_map<const Field *, size_t> numbers;
   auto lookup = [&](const Access &access) -> size_t {
-    Field &field = *access.field;
-    bool isNew = false;
-    size_t number = TapedField::number(field, mark, used.size(), isNew);
+    const Field &field = *access.field;
+    auto [number, isNew] = numbers.try_emplace(&field, used.size());
     if (isNew) {
       Used entry;
       entry.field = &field;
-      entry.dimension = access.fixed ? access.fixed->dimension : -1;
-      if (access.fixed)
+      if (!access.fixed.empty()) {
+        entry.dimension = access.fixed.front().dimension;
         entry.positions.resize(field.shape()[entry.dimension]);
+      }
       used.push_back(std::move(entry));
     }
-    return number;
+    return number->second;
   };
   std::unordered_map<const Kernel *, Repeated> known;
   std::vector<int64_t> positions;
@@ -175,11 +181,16 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording,
           continue;
         auto effect = Repeated::Effect::None;
         if (access.kind == AccessKind::Write)
-          effect = storesSlab(access) ? Repeated::Effect::StoresSlab
-                                      : Repeated::Effect::StoresElements;
+          effect = access.fixed.size() == 1 && storesSlab(access)
+                       ? Repeated::Effect::StoresSlab
+                       : Repeated::Effect::StoresElements;
         size_t index = lookup(access);
-        bool varies = access.fixed && !access.fixed->terms.empty() &&
-                      access.fixed->dimension == used[index].dimension;
+        bool varies =
+            std::any_of(access.fixed.begin(), access.fixed.end(),
+                        [&](const FixedIndex &fixed) {
+                          return fixed.dimension == used[index].dimension &&
+                                 !fixed.terms.empty();
+                        });
         repeated.uses.push_back({index, &access, effect, varies});
       }
     }

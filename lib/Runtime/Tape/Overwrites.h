@@ -35,8 +35,10 @@ struct Overwrites {
   Zeros storedOnce;
 };
 
-/// `mark`: a number that no analysis has used; see TapeServices::nextMark.
-Overwrites findOverwrites(const TapeRecording &recording, uint64_t mark);
+Overwrites findOverwrites(const TapeRecording &recording);
+
+/// Whether an access stores all elements at its fixed indices, in all launches.
+bool storesSlab(const Access &access);
 
 } // namespace mlir::tai::runtime
 

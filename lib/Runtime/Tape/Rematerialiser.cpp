@@ -29,7 +29,7 @@ void Rematerialiser::restart() {
   executedAt.clear();
 }
 
-/// Calls body(track, slab) for all that the record may change.
+/// Calls body(track, range) for all that the record may change.
 template <typename Body>
 Status Rematerialiser::forEachChange(size_t index, const Body &body) {
   const TapeRecording::Record &record = recording[index];
@@ -44,7 +44,7 @@ Status Rematerialiser::forEachChange(size_t index, const Body &body) {
   }
   const std::vector<TapeMemory::Part> &changes = memory.partsAt(index);
   for (const TapeMemory::Part &part : changes) {
-    Status status = body(*part.track, part.slab);
+    Status status = body(*part.track, part.range);
     if (!status)
       return status;
   }
@@ -54,8 +54,8 @@ Status Rematerialiser::forEachChange(size_t index, const Body &body) {
 Status Rematerialiser::recompute(Launch &launch, size_t index, bool saving,
                                  size_t oldest) {
   topology.goBefore(static_cast<uint32_t>(index));
-  Status status = forEachChange(index, [&](Track &track, int64_t slab) {
-    return checkpoints->log(track, slab);
+  Status status = forEachChange(index, [&](Track &track, SlabRange range) {
+    return checkpoints->log(track, range);
   });
   if (status && saving)
     status = memory.beforeReplay(static_cast<uint32_t>(index),
@@ -136,8 +136,8 @@ Status Rematerialiser::dropTop() {
 Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
   Status status;
   while (status) {
-    while (to > from && !mayNeed(to - 1))
-      --to;
+    for (; to > from && !mayNeed(to - 1); --to)
+      services.count(SkipCount::TapeSkipped);
     if (to == from)
       return status;
     if (isShort(from, to))

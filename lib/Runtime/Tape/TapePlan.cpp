@@ -6,10 +6,28 @@
 //===----------------------------------------------------------------------===//
 
 #include "TapePlan.h"
+#include "LiveSlabs.h"
 #include <algorithm>
 
 using namespace mlir::tai::runtime;
 using Kind = TapeRecording::Kind;
+
+namespace {
+/// Live adjoints as a sweep that runs sees them, whatever changed them.
+struct DirtyAdjoints {
+  static bool has(const Field &field) { return field.adjoint()->dirty(); }
+  static bool hasAny(const std::vector<Field *> &fields) {
+    return std::any_of(fields.begin(), fields.end(),
+                       [](const Field *field) { return has(*field); });
+  }
+  static bool isWritten(const TapeRecording::Record &record) {
+    return hasAny(TapedKernel::sources(*record.kernel));
+  }
+  static bool isOverwritten(const TapeRecording::Record &record) {
+    return hasAny(TapedKernel::overwritten(*record.kernel));
+  }
+};
+} // namespace
 
 template <typename Live>
 TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
@@ -20,8 +38,8 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
                                                : Decision::SkipCallback;
   if (record.kind == Kind::Write) {
     const Field *field = recording.write(record).field;
-    return field->adjoint() && live(field) ? Decision::Overwrite
-                                           : Decision::SkipUnreached;
+    return field->adjoint() && live.has(*field) ? Decision::Overwrite
+                                                : Decision::SkipUnreached;
   }
   const Kernel &kernel = *record.kernel;
   if (!kernel.differentiable())
@@ -29,58 +47,50 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
   auto skip = [&](Decision decision) {
     return prunes ? decision : Decision::Unpruned;
   };
-  const std::vector<Field *> &sources = TapedKernel::sources(kernel);
   const CallerAdjoints &caller = kernel.callerAdjoints();
-  if (std::none_of(sources.begin(), sources.end(), live) &&
-      !caller.hasSources())
+  if (!live.isWritten(record) && !caller.hasSources())
     return skip(Decision::SkipUnreached);
   if (!TapedKernel::targets(kernel).empty() || caller.hasTargets)
     return Decision::Replay;
   // The rest of the work is to forget the adjoints of fields that the kernel
   // overwrote. That matters only to those who wrote it before.
-  const std::vector<Field *> &overwritten = TapedKernel::overwritten(kernel);
-  if (zeroesAt(index) &&
-      std::any_of(overwritten.begin(), overwritten.end(), live))
+  if (zeroesAt(index) && live.isOverwritten(record))
     return Decision::Replay;
   return skip(Decision::SkipNoEffect);
 }
 
 void TapePlan::make(const TapeServices &services,
-                    const TapeRecording &recording, std::vector<Field *> live) {
+                    const TapeRecording &recording,
+                    std::vector<Field *> seeded) {
   plannedEpoch = services.epoch();
-  plannedLive = std::move(live);
+  plannedLive = std::move(seeded);
   prunes = services.skips(Skip::DeadLaunches);
   decisions.assign(recording.size(), Decision::SkipUnreached);
   needed.clear();
   for (const KernelPtr &kernel : recording.kernels())
     // A tree that has gone is an error when the kernel is launched.
     (void)TapedKernel::bind(*kernel, plannedEpoch);
-  overwrites = findOverwrites(recording, services.nextMark());
+  overwrites = findOverwrites(recording);
 
-  uint64_t mark = services.nextMark();
-  for (Field *field : plannedLive)
-    TapedField::planMark(*field) = mark;
-  bool all = false;
-  auto isLive = [&](const Field *field) {
-    return all || TapedField::planMark(*field) == mark;
-  };
+  LiveSlabs live(recording);
+  for (const Field *field : plannedLive)
+    live.add(*field);
   for (size_t i = recording.size(); i-- > 0;) {
-    decisions[i] = decide(recording, i, isLive);
+    decisions[i] = decide(recording, i, live);
     if (decisions[i] == Decision::Callback)
-      all = true;
+      live.addAll();
     if (isReplayed(decisions[i]))
       needed.push_back(static_cast<uint32_t>(i));
-    if (decisions[i] != Decision::Replay)
-      continue;
-    for (Field *field : TapedKernel::targets(*recording[i].kernel))
-      TapedField::planMark(*field) = mark;
+    if (decisions[i] == Decision::Replay)
+      live.pass(recording[i], zeroesAt(i));
+    if (decisions[i] == Decision::Overwrite &&
+        recording.write(recording[i]).replacesAll())
+      live.remove(*recording.write(recording[i]).field);
   }
 }
 
 void TapePlan::decideAgain(const TapeRecording &recording, size_t index) {
-  decisions[index] = decide(recording, index, [](const Field *field) {
-    return field->adjoint()->dirty();
-  });
+  decisions[index] = decide(recording, index, DirtyAdjoints());
 }
 
 bool TapePlan::replaysAny() const {

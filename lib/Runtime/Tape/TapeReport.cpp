@@ -46,16 +46,42 @@ static std::string explainStored(const Kernel &kernel, bool loads) {
   return text;
 }
 
-static std::string explainUnreached(const Kernel *kernel) {
+/// "@x[3, :]": the elements of an access in a launch.
+static std::string describePlace(const Access &access, const uint64_t *args) {
+  std::string text = "@" + access.field->name();
+  if (access.fixed.empty())
+    return text;
+  auto next = access.fixed.begin();
+  for (int64_t d = 0; d < access.field->rank(); ++d) {
+    bool isFixed = next != access.fixed.end() && next->dimension == d;
+    text += d == 0 ? "[" : ", ";
+    text += isFixed ? std::to_string((next++)->evaluate(args)) : ":";
+  }
+  return text + "]";
+}
+
+static std::string explainUnreached(const Kernel *kernel,
+                                    const uint64_t *args) {
   if (!kernel)
     return "skipped: no adjoint reaches it";
-  if (TapedKernel::sources(*kernel).empty())
+  std::vector<std::string> places;
+  for (const Access &access : kernel->summary()) {
+    if (access.kind == AccessKind::Read || !access.field->adjoint())
+      continue;
+    std::string place = describePlace(access, args);
+    if (std::find(places.begin(), places.end(), place) == places.end())
+      places.push_back(std::move(place));
+  }
+  if (places.empty())
     return "skipped: it changes no field that has an adjoint";
-  return "skipped: no adjoint reaches " + join(TapedKernel::sources(*kernel));
+  std::string text = "skipped: no adjoint reaches ";
+  for (const std::string &place : places)
+    text += (&place == &places.front() ? "" : ", ") + place;
+  return text;
 }
 
 static std::string explainDecision(Decision decision, const Kernel *kernel,
-                                   bool loadsStored) {
+                                   const uint64_t *args, bool loadsStored) {
   switch (decision) {
   case Decision::Replay:
     return explainReplay(*kernel) + explainStored(*kernel, loadsStored);
@@ -64,7 +90,7 @@ static std::string explainDecision(Decision decision, const Kernel *kernel,
   case Decision::SkipNoDerivative:
     return "skipped: it has nothing to differentiate";
   case Decision::SkipUnreached:
-    return explainUnreached(kernel);
+    return explainUnreached(kernel, args);
   case Decision::SkipNoEffect:
     return "skipped: it reads no field that has an adjoint";
   case Decision::Callback:
@@ -82,7 +108,9 @@ void TapeReport::addRecord(const TapeRecording &recording, const TapePlan &plan,
                            int64_t savedBytes, uint32_t timesRecomputed) {
   const TapeRecording::Record &record = recording[index];
   text += std::to_string(index) + ": " + recording.describe(record) + ": " +
-          explainDecision(plan[index], record.kernel, forms.loadsStored(index));
+          explainDecision(plan[index], record.kernel,
+                          record.kernel ? recording.args(record) : nullptr,
+                          forms.loadsStored(index));
   if (savedBytes)
     text += "; saved " + formatBytes(savedBytes);
   if (timesRecomputed)

@@ -115,8 +115,6 @@ public:
 
   const std::vector<FieldPtr> &fields() const { return runtime.fields(); }
   uint64_t epoch() const { return runtime.storageEpoch(); }
-  /// A unique number for marks of analyses.
-  uint64_t nextMark() const { return runtime.recordings().nextStamp(); }
   /// False if it was interrupted.
   bool perform(const HostWrite &write,
                FieldCopies::Interrupts interrupts =
@@ -157,19 +155,6 @@ struct TapedField {
   }
   static uint64_t hostVersion(const Field &field) { return field.version(); }
   static void setClean(Field &field) { field.markClean(); }
-  /// See Field::Marks and TapeServices::nextMark.
-  static uint64_t &planMark(Field &field) { return field.marks.plan; }
-  static uint64_t planMark(const Field &field) { return field.marks.plan; }
-  /// Numbers the fields of an analysis: returns the number of a field, which is
-  /// `next` if it `isNew`.
-  static size_t number(Field &field, uint64_t mark, size_t next, bool &isNew) {
-    isNew = field.marks.seen != mark;
-    if (isNew) {
-      field.marks.seen = mark;
-      field.marks.index = next;
-    }
-    return field.marks.index;
-  }
 };
 
 /// RAII owner of a launch object, for a sweep or a replay.

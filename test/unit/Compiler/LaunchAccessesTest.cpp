@@ -63,11 +63,11 @@ TEST_F(LaunchAccessesTest, IndicesFromArgumentsAreToldFromTheLaunch) {
   uint64_t arguments[] = {0, static_cast<uint64_t>(-3)};
   for (const NamedAccess &access : accesses) {
     EXPECT_EQ(access.field, "x");
-    ASSERT_TRUE(access.fixed);
-    EXPECT_EQ(access.fixed->dimension, 0);
+    ASSERT_EQ(access.fixed.size(), 1u);
+    EXPECT_EQ(access.fixed.front().dimension, 0);
   }
-  EXPECT_EQ(accesses[0].fixed->evaluate(arguments), -3);
-  EXPECT_EQ(accesses[1].fixed->evaluate(arguments), -2);
+  EXPECT_EQ(accesses[0].fixed.front().evaluate(arguments), -3);
+  EXPECT_EQ(accesses[1].fixed.front().evaluate(arguments), -2);
 
   // All of the row is stored, whatever fields hold.
   auto boxes = findStoredBoxes(*module, kernel, accesses);
@@ -97,7 +97,7 @@ TEST_F(LaunchAccessesTest, SumsWrapAsTheProgramDoes) {
     })");
   std::vector<NamedAccess> accesses = listAccesses(kernel);
   ASSERT_EQ(accesses.size(), 2u);
-  EXPECT_TRUE(accesses[0].fixed->isApart(*accesses[1].fixed));
+  EXPECT_TRUE(accesses[0].fixed.front().isApart(accesses[1].fixed.front()));
   ToBeRecorded record;
   record.reads = accesses;
   std::optional<ToBeRecorded> again =
@@ -105,9 +105,9 @@ TEST_F(LaunchAccessesTest, SumsWrapAsTheProgramDoes) {
   ASSERT_TRUE(again);
   for (const NamedAccess &access : {accesses[1], again->reads[1]}) {
     uint64_t last[] = {0, INT32_MAX};
-    EXPECT_EQ(access.fixed->evaluate(last), INT32_MIN);
+    EXPECT_EQ(access.fixed.front().evaluate(last), INT32_MIN);
     uint64_t first[] = {0, 0};
-    EXPECT_EQ(access.fixed->evaluate(first), 1);
+    EXPECT_EQ(access.fixed.front().evaluate(first), 1);
   }
 }
 
@@ -123,7 +123,7 @@ TEST_F(LaunchAccessesTest, StoresUnderABranchAreNoBox) {
     })");
   std::vector<NamedAccess> accesses = listAccesses(kernel);
   ASSERT_EQ(accesses.size(), 1u);
-  EXPECT_FALSE(accesses[0].fixed);
+  EXPECT_TRUE(accesses[0].fixed.empty());
   EXPECT_TRUE(findStoredBoxes(*module, kernel, accesses)[0].empty());
 }
 
@@ -199,10 +199,10 @@ TEST_F(LaunchAccessesTest, ValuesKnowTheStoragesThatTheyComeFrom) {
 
 TEST(ToBeRecordedTest, SurvivesBeingWrittenAndRead) {
   ToBeRecorded told;
-  told.reads = {{"x", Kind::Read, runtime::FixedIndex{1, -2, {{3, 32, 4}}}},
-                {"y", Kind::Read, std::nullopt}};
+  told.reads = {{"x", Kind::Read, {{1, -2, {{3, 32, 4}}, 64}}},
+                {"y", Kind::Read, {}}};
   told.loadsStored = true;
-  told.stored = {{"z", Kind::Read, std::nullopt}};
+  told.stored = {{"z", Kind::Read, {}}};
   told.before = {"b"};
   told.activity = {"a", "c"};
   told.flags = {{"loop", {"one", "two"}, true}};

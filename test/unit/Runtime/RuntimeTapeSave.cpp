@@ -282,8 +282,8 @@ TEST(RuntimeTapeSave, FixedIndicesDoNotMeet) {
   info.name = "step";
   info.argSlots = 1;
   FixedIndex now{0, 0, {{0, 32, 1}}}, next{0, 1, {{0, 32, 1}}};
-  info.summary = {{path, AccessKind::Read, now},
-                  {path, AccessKind::Write, next}};
+  info.summary = {{path, AccessKind::Read, {now}},
+                  {path, AccessKind::Write, {next}}};
   info.trees = {scene.tree(*path)};
   info.function = [](TaiFrame *frame) {
     int64_t t = static_cast<int32_t>(frame->args[0]);
@@ -292,7 +292,7 @@ TEST(RuntimeTapeSave, FixedIndicesDoNotMeet) {
     return 0;
   };
   provide(info).onPlanAdjoint = [&](Kernel &, AdjointPlan &plan) {
-    plan.reads = {{path, AccessKind::Read, now}};
+    plan.reads = {{path, AccessKind::Read, {now}}};
     return Status::success();
   };
   auto step = scene.runtime.createKernel(info);
@@ -345,9 +345,9 @@ TEST(RuntimeTapeSave, StridedLayouts) {
         }
         return 0;
       },
-      {{a, AccessKind::Read, column},
-       {a, AccessKind::Write, column},
-       {b, AccessKind::Accumulate, column}},
+      {{a, AccessKind::Read, {column}},
+       {a, AccessKind::Write, {column}},
+       {b, AccessKind::Accumulate, {column}}},
       1);
   auto tape = scene.begin();
   std::vector<double> seen;

@@ -383,10 +383,10 @@ TEST(ReverseSweep, CallsAdjointsAndHostFunctions) {
 
 TEST(Checkpoints, PutsBackWhatChanged) {
   Scene scene;
-  Track track(scene.x, -1);
+  Track track(scene.x, {});
   Checkpoints checkpoints(scene.runtime, {CheckpointPolicy::Kind::Binomial, 3});
   auto change = [&](double value) {
-    EXPECT_OK(checkpoints.log(track, -1));
+    EXPECT_OK(checkpoints.log(track, {}));
     EXPECT_OK(scene.x->writeF64(std::vector<int64_t>{1}.data(), 0, value));
     checkpoints.settle();
   };
@@ -408,12 +408,12 @@ TEST(Checkpoints, PutsBackWhatChanged) {
 
 TEST(Checkpoints, MergesWhatTheOneBeforeKnowsNothingOf) {
   Scene scene;
-  Track track(scene.x, -1);
+  Track track(scene.x, {});
   Checkpoints checkpoints(scene.runtime, {CheckpointPolicy::Kind::Binomial, 3});
   set(*scene.x, {1}, 1);
   checkpoints.push(0);
   checkpoints.push(1);
-  EXPECT_OK(checkpoints.log(track, -1));
+  EXPECT_OK(checkpoints.log(track, {}));
   set(*scene.x, {1}, 2);
   checkpoints.settle();
   checkpoints.pop();

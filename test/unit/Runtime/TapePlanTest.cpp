@@ -10,8 +10,10 @@
 //===----------------------------------------------------------------------===//
 
 #include "../../../lib/Runtime/Tape/AdjointForms.h"
+#include "../../../lib/Runtime/Tape/SlabSet.h"
 #include "../../../lib/Runtime/Tape/TapeReport.h"
 #include "RuntimeTestUtils.h"
+#include <array>
 #include <random>
 #include <set>
 
@@ -66,8 +68,8 @@ struct Scene {
 };
 
 /// x[slot 0, ...]
-std::optional<FixedIndex> atArgument() {
-  return FixedIndex{0, 0, {{0, 64, 1}}};
+std::vector<FixedIndex> atArgument() {
+  return {FixedIndex{0, 0, {{0, 64, 1}}}};
 }
 } // namespace
 
@@ -150,22 +152,22 @@ TEST(StoredOutputs, LosesWhatIsStoredAgain) {
   auto isLost = [&](uint32_t stamp) {
     return stamp < lost.size() && lost[stamp];
   };
-  outputs.lose(-1, lost);
+  outputs.lose({}, lost);
   EXPECT_TRUE(lost.empty());
-  outputs.mark(1, n, 5, lost);
-  outputs.mark(2, n, 6, lost);
+  outputs.mark(SlabRange::one(1), n, 5, lost);
+  outputs.mark(SlabRange::one(2), n, 6, lost);
   EXPECT_FALSE(isLost(5));
-  outputs.mark(1, n, 7, lost);
+  outputs.mark(SlabRange::one(1), n, 7, lost);
   EXPECT_TRUE(isLost(5));
   EXPECT_FALSE(isLost(6));
   // At an unknown place it may be any, and its own slabs stay its own.
-  outputs.mark(-1, n, 7, lost);
+  outputs.mark({}, n, 7, lost);
   EXPECT_TRUE(isLost(6));
   EXPECT_FALSE(isLost(7));
   EXPECT_TRUE(outputs.any());
-  outputs.lose(3, lost);
+  outputs.lose(SlabRange::one(3), lost);
   EXPECT_TRUE(isLost(7));
-  outputs.lose(-1, lost);
+  outputs.lose({}, lost);
   EXPECT_FALSE(outputs.any());
 }
 
@@ -178,25 +180,29 @@ TEST(StoredOutputs, AgreesWithEnumeration) {
   for (int round = 0; round < 2000; ++round) {
     StoredOutputs outputs;
     std::vector<bool> lost;
-    // Stores of (record, slab), and whether they are lost.
-    std::vector<std::pair<uint32_t, int64_t>> stores;
+    // Stores of (record, slabs), and whether they are lost.
+    std::vector<std::pair<uint32_t, SlabRange>> stores;
     std::set<uint32_t> expected;
     uint32_t stamp = 0;
-    auto change = [&](int64_t slab, uint32_t keeps) {
+    auto change = [&](SlabRange slabs, uint32_t keeps) {
       for (auto [record, at] : stores)
-        if (record != keeps && (at < 0 || slab < 0 || at == slab))
+        if (record != keeps &&
+            (at.isAll() || slabs.isAll() ||
+             (at.first < slabs.end() && slabs.first < at.end())))
           expected.insert(record);
     };
     for (int64_t step = pick(1, 12); step > 0; --step) {
-      int64_t slab = pick(-1, n - 1);
+      SlabRange slabs;
+      if (int64_t first = pick(-1, n - 1); first >= 0)
+        slabs = {first, pick(1, n - first)};
       if (pick(0, 2) == 0) {
-        outputs.lose(slab, lost);
-        change(slab, 0);
+        outputs.lose(slabs, lost);
+        change(slabs, 0);
       } else {
         stamp += stamp == 0 ? 1 : static_cast<uint32_t>(pick(0, 1));
-        outputs.mark(slab, n, stamp, lost);
-        change(slab, stamp);
-        stores.emplace_back(stamp, slab);
+        outputs.mark(slabs, n, stamp, lost);
+        change(slabs, stamp);
+        stores.emplace_back(stamp, slabs);
       }
     }
     for (uint32_t record = 1; record <= stamp; ++record)
@@ -204,6 +210,83 @@ TEST(StoredOutputs, AgreesWithEnumeration) {
                 expected.count(record) > 0)
           << round << ": " << record;
   }
+}
+
+// Slabs of up to three fixed dimensions, against the elements themselves.
+TEST(SlabSet, AgreesWithEnumeration) {
+  std::mt19937_64 random(20251128);
+  auto pick = [&](int64_t low, int64_t high) {
+    return std::uniform_int_distribution<int64_t>(low, high)(random);
+  };
+  Scene scene;
+  const int64_t extents[] = {3, 2, 4};
+  FieldPtr x = makeDifferentiable(scene.runtime, "x", ScalarKind::F64,
+                                  {extents[0], extents[1], extents[2]});
+  using Element = std::array<int64_t, 3>;
+  for (int round = 0; round < 500; ++round) {
+    SlabSet set(*x);
+    std::vector<std::vector<FixedIndex>> accesses;
+    std::vector<unsigned> shapes;
+    for (int64_t k = pick(1, 5); k > 0; --k) {
+      std::vector<FixedIndex> fixed;
+      for (int64_t d = 0; d < 3; ++d)
+        if (pick(0, 1))
+          fixed.push_back({d, 0, {{d, 64, 1}}});
+      shapes.push_back(set.addShape(fixed));
+      accesses.push_back(std::move(fixed));
+    }
+    std::set<Element> expected;
+    bool isExact = true;
+    for (int64_t step = pick(1, 10); step > 0; --step) {
+      auto at = static_cast<size_t>(
+          pick(0, static_cast<int64_t>(accesses.size()) - 1));
+      uint64_t args[3];
+      for (int64_t d = 0; d < 3; ++d)
+        args[d] = static_cast<uint64_t>(pick(0, extents[d] - 1));
+      std::set<Element> slab;
+      for (Element e{}; e[0] < extents[0]; ++e[0])
+        for (e[1] = 0; e[1] < extents[1]; ++e[1])
+          for (e[2] = 0; e[2] < extents[2]; ++e[2])
+            if (std::all_of(accesses[at].begin(), accesses[at].end(),
+                            [&](const FixedIndex &index) {
+                              return e[index.dimension] == index.evaluate(args);
+                            }))
+              slab.insert(e);
+      SlabSet::Slab located = set.locate(shapes[at], accesses[at], args);
+      bool meets = std::any_of(slab.begin(), slab.end(), [&](const Element &e) {
+        return expected.count(e);
+      });
+      // Elements may stay when a slab is removed, and none is lost.
+      EXPECT_TRUE(set.meets(located) || !meets) << round;
+      if (isExact)
+        EXPECT_EQ(set.meets(located), meets) << round;
+      if (pick(0, 2)) {
+        set.add(located);
+        expected.insert(slab.begin(), slab.end());
+        continue;
+      }
+      set.remove(located);
+      for (const Element &e : slab)
+        expected.erase(e);
+      isExact = located.isWhole();
+      if (isExact)
+        EXPECT_FALSE(set.meets(set.whole()));
+    }
+  }
+}
+
+TEST(SlabSet, TakesAPlaceBeyondTheFieldForAny) {
+  Scene scene;
+  FieldPtr x = scene.field("x");
+  SlabSet set(*x);
+  std::vector<FixedIndex> fixed = atArgument();
+  unsigned shape = set.addShape(fixed);
+  uint64_t inside[] = {1}, other[] = {2}, behind[] = {n}, before[] = {~0ULL};
+  set.add(set.locate(shape, fixed, inside));
+  EXPECT_TRUE(set.meets(set.locate(shape, fixed, inside)));
+  EXPECT_FALSE(set.meets(set.locate(shape, fixed, other)));
+  EXPECT_TRUE(set.locate(shape, fixed, behind).isWhole());
+  EXPECT_TRUE(set.meets(set.locate(shape, fixed, before)));
 }
 
 TEST(Overwrites, TellsFixedIndicesApart) {
@@ -215,7 +298,7 @@ TEST(Overwrites, TellsFixedIndicesApart) {
   scene.record(kernel, {1});
   scene.record(kernel, {1});
   scene.record(kernel, {2});
-  Overwrites found = findOverwrites(scene.recording, scene.services.nextMark());
+  Overwrites found = findOverwrites(scene.recording);
   EXPECT_EQ(found.isRepeated, (std::vector<bool>{false, false, true, false}));
   // The elements that they store are not known.
   EXPECT_TRUE(found.storedOnce.empty());
@@ -228,7 +311,7 @@ TEST(Overwrites, NamesWhatWasStoredOnce) {
   store.boxes = std::make_shared<const std::vector<StoredBox>>(
       std::vector<StoredBox>{{{{{0, 1, {}}, {0, 3, {}}}}, {}}});
   scene.record(scene.make({{y, AccessKind::Read}, store}));
-  Overwrites found = findOverwrites(scene.recording, scene.services.nextMark());
+  Overwrites found = findOverwrites(scene.recording);
   EXPECT_EQ(found.isRepeated, (std::vector<bool>{false}));
   ASSERT_EQ(found.storedOnce.size(), 1u);
   EXPECT_EQ(found.storedOnce[0].first.get(), x->adjoint());

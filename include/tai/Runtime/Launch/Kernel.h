@@ -38,9 +38,9 @@ using KernelPtr = std::shared_ptr<Kernel>;
 struct Access {
   FieldPtr field;
   AccessKind kind;
-  /// The first fixed index, if any: launches with different values of it access
-  /// different elements.
-  std::optional<FixedIndex> fixed = std::nullopt;
+  /// The fixed indices, in the order of their dimensions: launches with
+  /// different values of one of them access different elements.
+  std::vector<FixedIndex> fixed = {};
   /// For a write: the elements that are certainly stored, independent of the
   /// values of fields. Null where unknown or not a box.
   std::shared_ptr<const std::vector<StoredBox>> boxes = nullptr;

@@ -263,12 +263,6 @@ public:
   void countChange() { ++hostVersion; }
   /// The tapes that use it.
   FieldHolds holds;
-  /// Scratch marks of tape analyses, valid for the analysis with the stamp:
-  /// `plan` for live fields, `seen` with a number in `index`.
-  struct Marks {
-    uint64_t plan = 0, seen = 0;
-    size_t index = 0;
-  } marks;
 
   /// The innermost sparse level above the field, or null.
   SparseNode *sparseNode() const {

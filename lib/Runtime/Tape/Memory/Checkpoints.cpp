@@ -125,17 +125,17 @@ void Checkpoints::thin() {
   stride *= 2;
 }
 
-Status Checkpoints::log(Track &track, int64_t slab) {
-  Status status = logOne(track, slab);
+Status Checkpoints::log(Track &track, SlabRange range) {
+  Status status = logOne(track, range);
   if (!runtime.isForward()) {
     lacksTangents |= track.field->dual() != nullptr;
     return status;
   }
   Track *tangent = track.tangentIn(runtime);
-  return status && tangent ? logOne(*tangent, slab) : std::move(status);
+  return status && tangent ? logOne(*tangent, range) : std::move(status);
 }
 
-Status Checkpoints::logOne(Track &track, int64_t slab) {
+Status Checkpoints::logOne(Track &track, SlabRange range) {
   Log &top = logs.back();
   track.refresh();
   track.loggedBy.resize(static_cast<size_t>(track.numCells()));
@@ -145,7 +145,7 @@ Status Checkpoints::logOne(Track &track, int64_t slab) {
   if (Status status = safepoints.begin(track.field->hostBytes()); !status)
     return status;
   return track.forEachRun(
-      slab, [&](int64_t cell) { return track.loggedBy[cell] != top.id; },
+      range, [&](int64_t cell) { return track.loggedBy[cell] != top.id; },
       [&](int64_t cell, int64_t endCell) {
         Piece piece{&track, top.start, false, cell, endCell, {}};
         Status status = safepoints.pass();

@@ -45,9 +45,9 @@ public:
   /// Call before each record while the sequence first runs: takes a snapshot
   /// where one is due.
   void reach(uint32_t record);
-  /// Copies a slab before it may change; settle drops, after the launch, copies
-  /// of cells that did not change.
-  Status log(Track &track, int64_t slab);
+  /// Copies slabs before they may change; settle drops, after the launch,
+  /// copies of cells that did not change.
+  Status log(Track &track, SlabRange range);
   void settle();
   /// Whether a copy was made out of forward mode, without its tangents.
   bool lackTangents() const { return lacksTangents; }
@@ -86,7 +86,7 @@ private:
     /// Later pieces hold older contents.
     std::vector<Piece> pieces;
   };
-  Status logOne(Track &track, int64_t slab);
+  Status logOne(Track &track, SlabRange range);
   Status copyFinals();
   void mergeIntoPrevious(size_t index);
   void thin();

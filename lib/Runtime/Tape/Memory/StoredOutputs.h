@@ -15,9 +15,8 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDOUTPUTS_H
 #define TAI_LIB_RUNTIME_TAPE_MEMORY_STOREDOUTPUTS_H
 
+#include "../../Mirror/Slabs.h"
 #include <algorithm>
-#include <cstdint>
-#include <vector>
 
 namespace mlir::tai::runtime {
 
@@ -25,26 +24,26 @@ class StoredOutputs {
 public:
   bool any() const { return anyStored; }
 
-  /// Notes that the record with this stamp has stored to `slab` of `count`
-  /// slabs, or to an unknown one (-1). Sets `lost`, by stamp, for records whose
-  /// stored values may be overwritten. Only the last record that stored to a
-  /// slab is tracked.
-  void mark(int64_t slab, int64_t count, uint32_t stamp,
+  /// Notes that the record with this stamp has stored to these of `count`
+  /// slabs, or to unknown ones, if the range is all. Sets `lost`, by stamp, for
+  /// records whose stored values may be overwritten. Only the last record that
+  /// stored to a slab is tracked.
+  void mark(SlabRange range, int64_t count, uint32_t stamp,
             std::vector<bool> &lost) {
-    lose(slab, lost, stamp);
+    lose(range, lost, stamp);
     anyStored = true;
-    if (slab < 0) {
+    if (range.isAll()) {
       anywhere = stamp;
       return;
     }
     if (at.empty())
       at.resize(static_cast<size_t>(count));
-    at[slab] = stamp;
+    std::fill(at.begin() + range.first, at.begin() + range.end(), stamp);
   }
 
-  /// Notes that a slab, or any for -1, changes. The record with the stamp
+  /// Notes that slabs, or any of all, change. The record with the stamp
   /// `keeps` does not lose its stored values.
-  void lose(int64_t slab, std::vector<bool> &lost, uint32_t keeps = 0) {
+  void lose(SlabRange range, std::vector<bool> &lost, uint32_t keeps = 0) {
     if (!anyStored)
       return;
     auto loseOf = [&](uint32_t &stamp) {
@@ -56,9 +55,10 @@ public:
       stamp = 0;
     };
     loseOf(anywhere);
-    if (slab >= 0) {
+    if (!range.isAll()) {
       if (!at.empty())
-        loseOf(at[slab]);
+        std::for_each(at.begin() + range.first, at.begin() + range.end(),
+                      loseOf);
       return;
     }
     std::for_each(at.begin(), at.end(), loseOf);

@@ -18,37 +18,62 @@ using namespace mlir::tai::runtime;
 // Effects of launches on memory
 //===----------------------------------------------------------------------===//
 
-int64_t TapeMemory::Use::locate(const uint64_t *args) const {
-  if (!fixed)
-    return -1;
-  int64_t slab = fixed->evaluate(args) - firstIndex;
-  return slab >= 0 && slab < track->slabs.count() ? slab : -1;
+SlabRange TapeMemory::Use::locate(const uint64_t *args) const {
+  if (fixed.empty())
+    return {};
+  int64_t number = 0, count = track->slabs.count();
+  for (const FixedIndex &index : fixed) {
+    int64_t extent = track->field->shape()[index.dimension];
+    int64_t position =
+        index.evaluate(args) - field->firstIndex(index.dimension);
+    if (position < 0 || position >= extent)
+      return {};
+    number = number * extent + position;
+    count /= extent;
+  }
+  return {number * count, count};
 }
 
 Track &TapeMemory::trackOf(const FieldPtr &field,
-                           const std::optional<FixedIndex> &fixed) {
+                           const std::vector<FixedIndex> &fixed) {
   std::unique_ptr<Track> &track =
       tracks[{&field->tree(), field->layout().placeOffset}];
-  int dimension = fixed ? static_cast<int>(fixed->dimension) : -1;
+  std::vector<int> wanted = Slabs::choose(*field, fixed);
   if (!track) {
-    track = std::make_unique<Track>(field, dimension);
-  } else if (track->slabs.dimension() < 0 && dimension >= 0 &&
-             !track->everSaved) {
-    // So far it has only been used as a whole.
-    uint32_t read = track->lastRead;
-    track->stored.lose(-1, lostStored);
-    *track = Track(track->field, dimension);
-    track->readAnywhere = track->lastRead = read;
+    track = std::make_unique<Track>(field, std::move(wanted));
+    return *track;
   }
+  const std::vector<int> &known = track->slabs.dimensions();
+  if (track->everSaved || wanted.size() <= known.size() ||
+      !std::equal(known.begin(), known.end(), wanted.begin()) ||
+      std::any_of(parts.begin(), parts.end(), [&](const Part &part) {
+        return part.track == track.get() && !part.range.isAll();
+      }))
+    return *track;
+  // So far it has only been used as a whole, or in larger slabs.
+  track->stored.lose({}, lostStored);
+  Track finer(track->field, std::move(wanted));
+  finer.readAnywhere = track->readAnywhere;
+  finer.lastRead = track->lastRead;
+  size_t ratio =
+      static_cast<size_t>(finer.slabs.count() / track->slabs.count());
+  for (uint32_t stamp : track->readAt)
+    finer.readAt.insert(finer.readAt.end(), ratio, stamp);
+  *track = std::move(finer);
   return *track;
 }
 
 TapeMemory::Use TapeMemory::makeUse(const Access &access) {
   Use use;
+  use.field = access.field;
   use.track = &trackOf(access.field, access.fixed);
-  if (access.fixed && access.fixed->dimension == use.track->slabs.dimension()) {
-    use.fixed = access.fixed;
-    use.firstIndex = access.field->firstIndex(access.fixed->dimension);
+  for (int dimension : use.track->slabs.dimensions()) {
+    auto index = std::find_if(
+        access.fixed.begin(), access.fixed.end(),
+        [&](const FixedIndex &fixed) { return fixed.dimension == dimension; });
+    if (index == access.fixed.end())
+      break;
+    use.fixed.push_back(*index);
   }
   return use;
 }
@@ -57,9 +82,11 @@ TapeMemory::Use TapeMemory::makeUse(const Access &access) {
 /// columns of a matrix of weights can be hundreds, in each of many launches.
 static void mergeSlabs(std::vector<TapeMemory::Use> &uses) {
   std::map<const Track *, std::set<int64_t>> slabs;
-  for (const TapeMemory::Use &use : uses)
-    if (use.isConstant() && use.locate(nullptr) >= 0)
-      slabs[use.track].insert(use.locate(nullptr));
+  for (const TapeMemory::Use &use : uses) {
+    SlabRange range = use.isConstant() ? use.locate(nullptr) : SlabRange();
+    if (range.count == 1)
+      slabs[use.track].insert(range.first);
+  }
   for (const auto &[track, found] : slabs) {
     if (static_cast<int64_t>(found.size()) != track->slabs.count())
       continue;
@@ -68,7 +95,7 @@ static void mergeSlabs(std::vector<TapeMemory::Use> &uses) {
       if (use.track == track && use.isConstant())
         whole = &use;
     TapeMemory::Use merged = *whole;
-    merged.fixed.reset();
+    merged.fixed.clear();
     uses.erase(std::remove_if(uses.begin(), uses.end(),
                               [&, track = track](const TapeMemory::Use &use) {
                                 return use.track == track && use.isConstant();
@@ -95,10 +122,10 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
     add(uses->touches, use);
     if (access.kind == AccessKind::Read)
       continue;
-    use.before = std::any_of(
-        plan.before.begin(), plan.before.end(), [&](const FieldPtr &field) {
-          return &trackOf(field, std::nullopt) == use.track;
-        });
+    use.before = std::any_of(plan.before.begin(), plan.before.end(),
+                             [&](const FieldPtr &field) {
+                               return &trackOf(field, {}) == use.track;
+                             });
     add(uses->changes, std::move(use));
   }
   for (const Access &access : plan.reads)
@@ -143,16 +170,16 @@ Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
     bool before = use.before && !isPart;
     if (track.lastRead == 0 && !before && !checkpoints)
       continue;
-    int64_t slab = use.locate(args);
-    uint32_t stamp = before ? stampOf(record) : track.readStamp(slab);
+    SlabRange range = use.locate(args);
+    uint32_t stamp = before ? stampOf(record) : track.readStamp(range);
     Status status;
     if (checkpoints) {
-      status = checkpoints->log(track, slab);
+      status = checkpoints->log(track, range);
       if (isPart)
-        changedParts.push_back({&track, slab});
+        changedParts.push_back({&track, range});
     }
     if (stamp != 0 && status)
-      status = propose({&track, slab, record, stamp, before});
+      status = propose({&track, range, record, stamp, before});
     if (!status)
       return status;
   }
@@ -198,29 +225,33 @@ Status TapeMemory::beforeWrite(const FieldPtr &written, const int64_t *index,
   FieldPtr field = followedFor(written, runtime);
   if (!field)
     return Status::success();
-  Track &track = trackOf(field, std::nullopt);
-  int dimension = track.slabs.dimension();
-  int64_t slab = -1;
-  if (index && dimension >= 0)
-    slab = index[dimension] - field->firstIndex(dimension);
-  parts.push_back({&track, slab});
-  track.stored.lose(slab, lostStored);
-  uint32_t stamp = track.readStamp(slab);
+  Track &track = trackOf(field, {});
+  const std::vector<int> &dimensions = track.slabs.dimensions();
+  SlabRange range;
+  if (index && !dimensions.empty()) {
+    range = SlabRange::one(0);
+    for (int d : dimensions)
+      range.first =
+          range.first * field->shape()[d] + index[d] - field->firstIndex(d);
+  }
+  parts.push_back({&track, range});
+  track.stored.lose(range, lostStored);
+  uint32_t stamp = track.readStamp(range);
   if (checkpoints) {
     checkpoints->reach(record);
-    changedParts.push_back({&track, slab});
-    Status status = checkpoints->log(track, slab);
+    changedParts.push_back({&track, range});
+    Status status = checkpoints->log(track, range);
     if (!status)
       return status;
   }
-  return stamp ? propose({&track, slab, record, stamp, false})
+  return stamp ? propose({&track, range, record, stamp, false})
                : Status::success();
 }
 
 void TapeMemory::endParts(uint32_t record, bool readsInReverse) {
   if (readsInReverse)
     for (const Part &part : parts)
-      part.track->markRead(part.slab, stampOf(record));
+      part.track->markRead(part.range, stampOf(record));
   parts.clear();
   if (!changedParts.empty()) {
     std::vector<Part> &kept = partsByRecord[record];
@@ -267,7 +298,7 @@ Status TapeMemory::saveOne(const Candidate &candidate) {
   if (Status status = safepoints.begin(track.field->hostBytes()); !status)
     return status;
   return track.forEachRun(
-      candidate.slab,
+      candidate.range,
       [&](int64_t cell) { return track.savedAt[cell] <= candidate.stamp; },
       [&](int64_t cell, int64_t endCell) {
         return addPiece(candidate, cell, endCell);
@@ -399,7 +430,7 @@ int64_t TapeMemory::mostBytes(uint32_t from, uint32_t to) const {
   for (size_t i = firstCandidate(from);
        i < candidates.size() && candidates[i].record < to; ++i)
     if (candidates[i].stamp >= stampOf(from))
-      bytes += candidates[i].track->slabBytes(candidates[i].slab);
+      bytes += candidates[i].track->bytesOf(candidates[i].range);
   // The duals have the size of their fields.
   return runtime.isForward() ? 2 * bytes : bytes;
 }

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 //
 // Adjoints read primal values from the fields, unless these have been
-// overwritten. For each slab of a field (the elements with one index along the
-// dimension of a fixed index) this tracks the last record whose adjoint reads
-// it. Before a launch changes such a slab, its contents are copied; afterwards,
-// only copies of cells that have really changed are kept. The reverse sweep
-// swaps them back in, and finally restores the last contents.
+// overwritten. For each slab of a field (the elements with the same indices
+// along dimensions of fixed indices) this tracks the last record whose adjoint
+// reads it. Before a launch changes such a slab, its contents are copied;
+// afterwards, only copies of cells that have really changed are kept. The
+// reverse sweep swaps them back in, and finally restores the last contents.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,6 +18,7 @@
 #define TAI_LIB_RUNTIME_TAPE_MEMORY_TAPEMEMORY_H
 
 #include "Checkpoints.h"
+#include <algorithm>
 #include <map>
 
 namespace mlir::tai::runtime {
@@ -29,29 +30,33 @@ public:
   /// From now on, while the sequence runs, changes go into snapshots.
   void useCheckpoints(Checkpoints *snapshots) { checkpoints = snapshots; }
 
-  /// A slab, or all of a field for -1.
   struct Part {
     Track *track;
-    int64_t slab;
+    SlabRange range;
     bool operator==(const Part &other) const {
-      return track == other.track && slab == other.slab;
+      return track == other.track && range == other.range;
     }
   };
 
   /// How the launches of a kernel use one field.
   struct Use {
+    FieldPtr field;
     Track *track;
-    /// The index of the slab in terms of arguments, if fixed.
-    std::optional<FixedIndex> fixed;
-    int64_t firstIndex = 0;
+    /// The fixed indices along the first of the dimensions that the track has
+    /// slabs for.
+    std::vector<FixedIndex> fixed;
     /// For changes: the adjoint reads the version of the field before the
     /// launch.
     bool before = false;
 
-    /// The slab for these arguments, or -1 for any.
-    int64_t locate(const uint64_t *args) const;
-    /// Whether it is the same slab in all launches.
-    bool isConstant() const { return !fixed || fixed->terms.empty(); }
+    /// The slabs for these arguments, or all if they are not known.
+    SlabRange locate(const uint64_t *args) const;
+    /// Whether they are the same slabs in all launches.
+    bool isConstant() const {
+      return std::all_of(
+          fixed.begin(), fixed.end(),
+          [](const FixedIndex &index) { return index.terms.empty(); });
+    }
     bool operator==(const Use &other) const {
       return track == other.track && fixed == other.fixed;
     }
@@ -160,14 +165,14 @@ private:
   /// A copy that may be needed whenever the sequence runs.
   struct Candidate {
     Track *track;
-    int64_t slab;
+    SlabRange range;
     uint32_t record;
     uint32_t stamp;
     bool before;
   };
 
   const Track *findTrack(const Field &field) const;
-  Track &trackOf(const FieldPtr &field, const std::optional<FixedIndex> &fixed);
+  Track &trackOf(const FieldPtr &field, const std::vector<FixedIndex> &fixed);
   Use makeUse(const Access &access);
   Status propose(Candidate candidate);
   size_t firstCandidate(uint32_t record) const;

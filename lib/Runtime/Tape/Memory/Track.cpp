@@ -18,9 +18,9 @@ using namespace mlir::tai::runtime;
 /// Bytes of a cell, and of a piece, where fields are larger.
 static constexpr int64_t cellBytes = 8 << 10;
 
-Track::Track(FieldPtr fieldPtr, int dimension)
+Track::Track(FieldPtr fieldPtr, std::vector<int> dimensions)
     : field(std::move(fieldPtr)),
-      slabs(*field, dimension, field->sparseNode() != nullptr) {
+      slabs(*field, std::move(dimensions), field->sparseNode() != nullptr) {
   if (slabs.byCell()) {
     cellElements = 1;
     cellsPerSlab = 0; // not known
@@ -40,7 +40,7 @@ Track::Track(FieldPtr fieldPtr, int dimension)
 Track *Track::tangentIn(const Runtime &runtime) {
   if (!tangent && field->dual())
     if (FieldPtr dual = runtime.findField(field->dual()->name()))
-      tangent = std::make_unique<Track>(std::move(dual), slabs.dimension());
+      tangent = std::make_unique<Track>(std::move(dual), slabs.dimensions());
   return tangent.get();
 }
 
@@ -51,7 +51,7 @@ Status Track::bring() const {
 
 int64_t Track::longestRun() const {
   if (slabs.onDevice())
-    return slabs.dimension() > 0 && !slabs.byCell()
+    return !slabs.inRowMajorOrder() && !slabs.byCell()
                ? 1
                : std::max<int64_t>(numCells(), 1);
   return std::max<int64_t>(cellBytes / (cellElements * slabs.elementBytes()),
@@ -65,7 +65,7 @@ int64_t Track::refresh() {
   // To know which cells have been active, the host would wait for the device.
   // Cells that have not been active are kept as zeros.
   constexpr int64_t fewBytes = 256 << 10;
-  if (slabs.onDevice() && slabs.dimension() < 0 &&
+  if (slabs.onDevice() && slabs.dimensions().empty() &&
       node.numCells() * slabs.elementBytes() <= fewBytes &&
       field->tree().mirror()->sparse()->canKeepActivity()) {
     if (!everyCell) {
@@ -79,15 +79,15 @@ int64_t Track::refresh() {
   return slabs.addCells(node.list());
 }
 
-void Track::markRead(int64_t slab, uint32_t stamp) {
+void Track::markRead(SlabRange range, uint32_t stamp) {
   lastRead = stamp;
-  if (slab < 0) {
+  if (range.isAll()) {
     readAnywhere = stamp;
     return;
   }
   if (readAt.empty())
     readAt.resize(static_cast<size_t>(slabs.count()));
-  readAt[slab] = stamp;
+  std::fill(readAt.begin() + range.first, readAt.begin() + range.end(), stamp);
 }
 
 Status Piece::allocate(Runtime &runtime, int64_t kept) {

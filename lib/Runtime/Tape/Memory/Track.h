@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// For each slab of a field (the elements with one index along the dimension of
-// a fixed index): the last record whose adjoint reads it, and when its cells
+// For each slab of a field (the elements with the same indices along dimensions
+// of fixed indices): the last record whose adjoint reads it, and when its cells
 // were saved. Stamps order these events. A cell must be saved if its last read
 // is not older than its last save: a save at a record serves all reads before
 // it.
@@ -20,12 +20,13 @@
 #include "../../Mirror/Slabs.h"
 #include "StoredOutputs.h"
 #include "tai/Runtime/Launch/Runtime.h"
+#include <algorithm>
 
 namespace mlir::tai::runtime {
 
 /// The memory of one place, shared by all fields that name it.
 struct Track {
-  Track(FieldPtr field, int dimension);
+  Track(FieldPtr field, std::vector<int> dimensions);
 
   FieldPtr field;
   Slabs slabs;
@@ -59,12 +60,15 @@ struct Track {
   /// Makes the host's copy current, if that is the one that is saved.
   Status bring() const;
 
-  void markRead(int64_t slab, uint32_t stamp);
-  uint32_t readStamp(int64_t slab) const {
-    if (slab < 0)
+  void markRead(SlabRange range, uint32_t stamp);
+  uint32_t readStamp(SlabRange range) const {
+    if (range.isAll())
       return lastRead;
-    uint32_t here = readAt.empty() ? 0 : readAt[slab];
-    return here > readAnywhere ? here : readAnywhere;
+    uint32_t last = readAnywhere;
+    if (!readAt.empty())
+      for (int64_t slab = range.first; slab < range.end(); ++slab)
+        last = std::max(last, readAt[slab]);
+    return last;
   }
   int64_t numCells() const {
     return slabs.byCell() ? slabs.numCells() : slabs.count() * cellsPerSlab;
@@ -72,17 +76,19 @@ struct Track {
   /// Adds the currently active cells to those of a sparse field. Returns how
   /// many it had before.
   int64_t refresh();
-  /// Calls body(begin, end) for runs of cells of a slab (or of all, for -1) for
-  /// which `wanted` holds, none longer than longestRun().
+  /// Calls body(begin, end) for runs of cells of the slabs for which `wanted`
+  /// holds, none longer than longestRun().
   template <typename Wanted, typename Body>
-  Status forEachRun(int64_t slab, const Wanted &wanted, const Body &body) const;
+  Status forEachRun(SlabRange range, const Wanted &wanted,
+                    const Body &body) const;
   int64_t longestRun() const;
-  int64_t slabBytes(int64_t slab) const {
-    if (slabs.byCell())
-      return (slab < 0 ? slabs.numCells()
-                       : static_cast<int64_t>(slabs.cellsOf(slab).size())) *
+  int64_t bytesOf(SlabRange range) const {
+    if (!slabs.byCell())
+      return (range.isAll() ? slabs.count() : range.count) * slabs.elements() *
              slabs.elementBytes();
-    return (slab < 0 ? slabs.count() : 1) * slabs.elements() *
+    return (range.isAll()
+                ? slabs.numCells()
+                : static_cast<int64_t>(slabs.cellsOf(range.first).size())) *
            slabs.elementBytes();
   }
   int64_t firstElement(int64_t cell) const {
@@ -130,11 +136,12 @@ struct Piece {
 };
 
 template <typename Wanted, typename Body>
-Status Track::forEachRun(int64_t slab, const Wanted &wanted,
+Status Track::forEachRun(SlabRange range, const Wanted &wanted,
                          const Body &body) const {
   int64_t longest = longestRun();
-  if (slab >= 0 && slabs.byCell()) {
-    const std::vector<int64_t> &cells = slabs.cellsOf(slab);
+  // There, a range is one slab.
+  if (!range.isAll() && slabs.byCell()) {
+    const std::vector<int64_t> &cells = slabs.cellsOf(range.first);
     for (size_t i = 0; i < cells.size();) {
       size_t first = i;
       while (i < cells.size() && wanted(cells[i]) &&
@@ -151,8 +158,8 @@ Status Track::forEachRun(int64_t slab, const Wanted &wanted,
     }
     return Status::success();
   }
-  int64_t cell = slab < 0 ? 0 : slab * cellsPerSlab;
-  int64_t end = slab < 0 ? numCells() : cell + cellsPerSlab;
+  int64_t cell = range.isAll() ? 0 : range.first * cellsPerSlab;
+  int64_t end = range.isAll() ? numCells() : range.end() * cellsPerSlab;
   while (cell < end) {
     if (!wanted(cell)) {
       ++cell;

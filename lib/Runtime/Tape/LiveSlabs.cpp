@@ -1,0 +1,105 @@
+//===- LiveSlabs.cpp - Adjoints that may be non-zero ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "LiveSlabs.h"
+#include "Overwrites.h"
+#include <algorithm>
+
+using namespace mlir::tai::runtime;
+
+LiveSlabs::LiveSlabs(const TapeRecording &recording) : recording(recording) {
+  for (const KernelPtr &kernel : recording.kernels())
+    collect(*kernel, kernelUses[kernel.get()]);
+}
+
+size_t LiveSlabs::numberOf(const Field &field) {
+  auto [entry, isNew] = numbers.try_emplace(&field, sets.size());
+  if (isNew)
+    sets.emplace_back(field);
+  return entry->second;
+}
+
+/// Many places of a field in one kernel, such as the columns of a matrix of
+/// weights, count as all of it.
+static constexpr size_t mostPlaces = 16;
+
+void LiveSlabs::collect(const Kernel &kernel, KernelUses &uses) {
+  static const std::vector<FixedIndex> nowhere;
+  std::unordered_map<const Field *, size_t> places;
+  for (const Access &access : kernel.summary())
+    ++places[access.field.get()];
+  auto add = [](std::vector<Use> &list, const Use &use) {
+    if (std::none_of(list.begin(), list.end(), [&](const Use &known) {
+          return known.set == use.set && *known.fixed == *use.fixed;
+        }))
+      list.push_back(use);
+  };
+  for (const Access &access : kernel.summary()) {
+    if (!access.field->adjoint())
+      continue;
+    // An adjoint written by hand may access other elements.
+    bool isKnown =
+        kernel.hasZeroingAdjoint() && places[access.field.get()] <= mostPlaces;
+    size_t set = numberOf(*access.field);
+    const std::vector<FixedIndex> &fixed = isKnown ? access.fixed : nowhere;
+    Use use{set, sets[set].addShape(fixed), &fixed};
+    add(access.kind == AccessKind::Read ? uses.read : uses.written, use);
+    if (access.kind != AccessKind::Write)
+      continue;
+    add(uses.overwritten, use);
+    if (isKnown && storesSlab(access))
+      add(uses.ended, use);
+  }
+}
+
+void LiveSlabs::add(const Field &field) {
+  SlabSet &set = sets[numberOf(field)];
+  set.add(set.whole());
+}
+
+void LiveSlabs::remove(const Field &field) {
+  SlabSet &set = sets[numberOf(field)];
+  set.remove(set.whole());
+}
+
+bool LiveSlabs::has(const Field &field) const {
+  auto found = numbers.find(&field);
+  return isAll || (found != numbers.end() &&
+                   sets[found->second].meets(sets[found->second].whole()));
+}
+
+bool LiveSlabs::meets(const std::vector<Use> &uses,
+                      const uint64_t *args) const {
+  return std::any_of(uses.begin(), uses.end(), [&](const Use &use) {
+    return isAll || sets[use.set].meets(locate(use, args));
+  });
+}
+
+bool LiveSlabs::isWritten(const TapeRecording::Record &record) const {
+  return meets(kernelUses.at(record.kernel).written, recording.args(record));
+}
+
+bool LiveSlabs::isOverwritten(const TapeRecording::Record &record) const {
+  return meets(kernelUses.at(record.kernel).overwritten,
+               recording.args(record));
+}
+
+void LiveSlabs::pass(const TapeRecording::Record &record, bool zeroes) {
+  if (isAll)
+    return;
+  const KernelUses &uses = kernelUses.at(record.kernel);
+  const uint64_t *args = recording.args(record);
+  if (zeroes) {
+    for (const Use &use : uses.ended) {
+      SlabSet::Slab slab = locate(use, args);
+      if (!slab.isWhole() || use.fixed->empty())
+        sets[use.set].remove(slab);
+    }
+  }
+  for (const Use &use : uses.read)
+    sets[use.set].add(locate(use, args));
+}

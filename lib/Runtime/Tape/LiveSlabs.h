@@ -1,0 +1,70 @@
+//===- LiveSlabs.h - Adjoints that may be non-zero --------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The elements whose adjoints may be non-zero at a point of a reverse sweep,
+// according to the summaries of the kernels whose adjoints have run: a launch
+// of x[t + 1, b] from x[t, b] takes the slab of x at [t + 1, b] to that at
+// [t, b], for its values of t and b.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_RUNTIME_TAPE_LIVESLABS_H
+#define TAI_LIB_RUNTIME_TAPE_LIVESLABS_H
+
+#include "SlabSet.h"
+#include "TapeRecording.h"
+
+namespace mlir::tai::runtime {
+
+class LiveSlabs {
+public:
+  /// No element is live.
+  explicit LiveSlabs(const TapeRecording &recording);
+
+  /// All elements of a field, or of all fields, are live from here on.
+  void add(const Field &field);
+  void addAll() { isAll = true; }
+  /// No element of the field is live.
+  void remove(const Field &field);
+
+  bool has(const Field &field) const;
+  /// Whether a launch writes, or overwrites, elements that may be live.
+  bool isWritten(const TapeRecording::Record &record) const;
+  bool isOverwritten(const TapeRecording::Record &record) const;
+
+  /// The adjoint of a launch has run. `zeroes`: it has set the adjoints of the
+  /// elements that the launch overwrites to zero.
+  void pass(const TapeRecording::Record &record, bool zeroes);
+
+private:
+  struct Use {
+    size_t set;
+    unsigned shape;
+    const std::vector<FixedIndex> *fixed;
+  };
+  struct KernelUses {
+    std::vector<Use> read, written, overwritten;
+    /// The overwritten ones of which each launch stores all elements.
+    std::vector<Use> ended;
+  };
+  size_t numberOf(const Field &field);
+  void collect(const Kernel &kernel, KernelUses &uses);
+  SlabSet::Slab locate(const Use &use, const uint64_t *args) const {
+    return sets[use.set].locate(use.shape, *use.fixed, args);
+  }
+  bool meets(const std::vector<Use> &uses, const uint64_t *args) const;
+
+  const TapeRecording &recording;
+  bool isAll = false;
+  std::vector<SlabSet> sets;
+  std::unordered_map<const Field *, size_t> numbers;
+  std::unordered_map<const Kernel *, KernelUses> kernelUses;
+};
+
+} // namespace mlir::tai::runtime
+
+#endif // TAI_LIB_RUNTIME_TAPE_LIVESLABS_H
