@@ -294,6 +294,8 @@ class Generator:
         name = "min" if family == "<" else "max"
         self.temporaries += 1
         t = f"t{self.temporaries}"
+        if self.rng.random() < 0.5:
+            return self.chosen_extremum(place, family, value, t)
         return self.rng.choice(
             (
                 [f"{place} = ti.{name}({place}, {value})"],
@@ -304,6 +306,39 @@ class Generator:
                 [f"if x[i] > -0.8 and {place} {'>' if family == '<' else '<'} {value}:",
                  f"    {place} = {value}"],
                 [f"{t} = {value}", f"if not ({place} {family}= {t}):", f"    {place} = {t}"],
+            )
+        )  # fmt: skip
+
+    def chosen_extremum(self, place: str, family: str, value: str, t: str) -> list[str]:
+        """An extremum where a condition holds, by which the program chooses a value or a branch."""
+        other = ">" if family == "<" else "<"
+        better = self.rng.choice(
+            (f"{value} {family} {place}", f"{place} {other} {value}", f"{value} {family}= {place}",
+             f"not ({place} {family}= {value})")
+        )  # fmt: skip
+        worse = self.rng.choice((f"{value} {other}= {place}", f"not ({better})"))
+        # Conditions behind the comparison ask for the index alone: nothing else may be read there.
+        c, d = self.condition(), self.condition()
+        late = self.rng.choice(("i > 2", "i % 2 == 0"))
+        test = self.rng.choice(
+            (f"({c} and {better})", f"({better} and {late})", f"({c}) & ({better})",
+             f"({c} and {d} and {better})", f"({c} and ({better}) and {late})",
+             f"(({c} or {d}) and {better})", f"not (not ({c}) or {worse})",
+             f"(({c} and {better}) or ({d} and {better}))", f"({c} and {better} and {better})")
+        )  # fmt: skip
+        least = f"{value} if {test} else {place}"
+        return self.rng.choice(
+            (
+                [f"{place} = {least}"],
+                [f"{place} = {place} if not {test} else {value}"],
+                [f"{place} = ti.select({test}, {value}, {place})"],
+                [f"{place} = ({least}) if {d} else {place}"],
+                [f"{place} = {place} if {d} else ({least})"],
+                [f"if {test}:", f"    {place} = {value}"],
+                [f"if not {test}:", "    pass", "else:", f"    {place} = {value}"],
+                [f"if {c}:", f"    {place} = {least}"],
+                [f"{t} = {place}", f"if {test.replace(place, t)}:", f"    {t} = {value}",
+                 f"{place} = {t}"],
             )
         )  # fmt: skip
 

@@ -18,7 +18,8 @@
 //   select c, update, update     each under its condition
 //   scf.if, whose branches yield updates
 //   select (e < old), e, old     an atomic minimum with e
-//   if (e < old) { store e }     the same, also where more conditions hold
+//   if (e < old) { store e }     the same
+//   either under conditions      the same, under them (ChosenExtremum.h)
 //
 // The last step of all is the store, which goes.
 //
@@ -27,7 +28,6 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Guards.h"
 #include "IterationShadow.h"
 #include "OtherIterations.h"
 #include "SharedUpdate.h"
@@ -135,7 +135,7 @@ void LoopUpdates::findOwned(Reads &reads) {
                       [&](auto other) { return isMetBy(access, other); }))
       continue;
     auto update = std::make_unique<SharedUpdate>(
-        access, loop, reads[getStorageKey(access)], same);
+        access, loop, accesses, reads[getStorageKey(access)], same);
     if (update->readsElement() && update->match())
       owned.push_back(std::move(update));
   }
@@ -229,20 +229,12 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
     if (access.getAccessKind() == AccessKind::Read)
       reads[getStorageKey(access)].push_back(access);
   });
-  // Before anything is remembered about the branches.
-  for (DifferentiableAccessInterface access : accesses) {
-    if (!isCandidate(access, reads))
-      continue;
-    SharedUpdate update(access, loop, reads[getStorageKey(access)], same);
-    if (update.readsElement() && !update.match())
-      joinGuards(access, loop, same, accesses);
-  }
   SmallVector<DifferentiableAccessInterface> others, certain, possible;
   for (DifferentiableAccessInterface access : accesses) {
     if (!isCandidate(access, reads))
       continue;
     auto update = std::make_unique<SharedUpdate>(
-        access, loop, reads[getStorageKey(access)], same);
+        access, loop, accesses, reads[getStorageKey(access)], same);
     if (!update->readsElement())
       continue;
     if (getSharing(access, loop) == Sharing::Own)

@@ -23,18 +23,13 @@ static Type getScalar(Value value) {
   return getElementTypeOrSelf(value.getType());
 }
 
-static unsigned getWidth(Type type) {
-  return type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
-}
-
 /// The truth value that `value` is the opposite of, or null.
 static Value getNegated(Value value) {
   auto flip = value.getDefiningOp<arith::XOrIOp>();
   return flip && matchPattern(flip.getRhs(), m_One()) ? flip.getLhs() : Value();
 }
 
-/// The operation of the op, if it is one that atomics have.
-static std::optional<AtomicKind> getKind(Operation *op) {
+std::optional<AtomicKind> mlir::tai::getAtomicKind(Operation *op) {
   using Kind = std::optional<AtomicKind>;
   return llvm::TypeSwitch<Operation *, Kind>(op)
       .Case<arith::AddFOp, arith::AddIOp>([](auto) { return AtomicKind::Add; })
@@ -56,67 +51,12 @@ static std::optional<AtomicKind> getKind(Operation *op) {
 // Operands of a store
 //===----------------------------------------------------------------------===//
 
-bool SharedUpdate::isOld(Value value) const {
-  auto load =
-      dyn_cast_or_null<DifferentiableAccessInterface>(value.getDefiningOp());
-  return load && load.getAccessKind() == AccessKind::Read &&
-         loop->isAncestor(load) && same.reachSame(load, store);
-}
-
-/// Follows the uses of the loads of the element.
-void SharedUpdate::findDependents() {
-  SmallVector<Value> worklist;
-  auto add = [&](ValueRange values) {
-    for (Value value : values)
-      if (dependents.insert(value).second)
-        worklist.push_back(value);
-  };
-  for (DifferentiableAccessInterface load : reads) {
-    if (!same.areEqual(load.getAccessIndices(), store.getAccessIndices()))
-      continue;
-    ValueRange parts = load.getAccessComponents();
-    if (parts.empty() || store.getAccessComponents().empty() ||
-        same.areEqual(parts, store.getAccessComponents()))
-      add(load->getResults());
-  }
-  while (!worklist.empty()) {
-    Value value = worklist.pop_back_val();
-    for (OpOperand &use : value.getUses()) {
-      Operation *user = use.getOwner(), *parent = user->getParentOp();
-      if (isa<scf::YieldOp>(user) && isa<scf::IfOp, scf::ForOp>(parent)) {
-        add(parent->getResult(use.getOperandNumber()));
-        if (auto serial = dyn_cast<scf::ForOp>(parent))
-          add(serial.getRegionIterArg(use.getOperandNumber()));
-        continue;
-      }
-      auto serial = dyn_cast<scf::ForOp>(user);
-      if (serial && use.getOperandNumber() >= serial.getNumControlOperands()) {
-        unsigned number =
-            use.getOperandNumber() - serial.getNumControlOperands();
-        add(serial.getResult(number));
-        add(serial.getRegionIterArg(number));
-        continue;
-      }
-      // The results of a branch, and of each iteration of a loop, depend on the
-      // condition.
-      Operation *op = user->hasTrait<OpTrait::IsTerminator>() && parent != loop
-                          ? parent
-                          : user;
-      add(op->getResults());
-      if (isa<LoopLikeOpInterface>(op) && op != loop)
-        for (Region &region : op->getRegions())
-          for (Block &block : region)
-            add(block.getArguments());
-    }
-  }
-}
-
 bool SharedUpdate::readsElement() {
-  if (dependsOnOld(store.getAccessedValue()))
+  if (old.reaches(store.getAccessedValue()))
     return true;
   for (Operation *op = store; op->getParentOp() != loop; op = op->getParentOp())
     if (auto branch = dyn_cast<scf::IfOp>(op->getParentOp()))
-      if (dependsOnOld(branch.getCondition()))
+      if (old.reaches(branch.getCondition()))
         return true;
   return false;
 }
@@ -132,41 +72,74 @@ bool mlir::tai::storesTheSame(DifferentiableAccessInterface store,
 // Matching
 //===----------------------------------------------------------------------===//
 
-bool SharedUpdate::addStep(Step step) {
-  if (!family)
-    family = getCombiningKind(step.kind);
-  if (*family != getCombiningKind(step.kind))
-    return false;
+void SharedUpdate::forget() {
+  family = std::nullopt;
+  extension = std::nullopt;
+  loads.clear();
+  steps.clear();
+  path.clear();
+  branches.clear();
+}
+
+/// The kind without regard to the sign.
+static AtomicKind getUnsigned(AtomicKind kind) {
+  if (kind == AtomicKind::Min)
+    return AtomicKind::MinU;
+  return kind == AtomicKind::Max ? AtomicKind::MaxU : kind;
+}
+
+/// True if the step can be done in the type of the element, beside those before
+/// it. Narrows its value.
+bool SharedUpdate::accepts(Step &step) {
   // Numbers narrower than the element have lost digits of it; extrema of wider
   // integers are not those of the truncated ones.
   Type scalar = getScalar(store.getAccessedValue());
   Type combined = getElementTypeOrSelf(step.type);
   if (isa<FloatType>(scalar) != isa<FloatType>(combined) ||
-      getWidth(combined) < getWidth(scalar))
+      getNumberWidth(combined) < getNumberWidth(scalar))
     return false;
-  bool isExtremum = *family == AtomicKind::Min || *family == AtomicKind::Max ||
-                    *family == AtomicKind::MinU || *family == AtomicKind::MaxU;
-  if (isExtremum && !isa<FloatType>(scalar) && combined != scalar) {
-    Operation *extension = step.value.getDefiningOp();
-    if (!isa_and_nonnull<arith::ExtSIOp, arith::ExtUIOp>(extension) ||
-        getScalar(extension->getOperand(0)) != scalar)
-      return false;
-    step.value = extension->getOperand(0);
+  if (isExtremum(step.kind) && !isa<FloatType>(scalar) && combined != scalar) {
+    APInt constant;
+    Operation *op = step.value.getDefiningOp();
+    bool isUnsigned = extension ? extension->getStringRef() ==
+                                      arith::ExtUIOp::getOperationName()
+                                : isa_and_nonnull<arith::ExtUIOp>(op);
+    if (matchPattern(step.value, m_ConstantInt(&constant))) {
+      if (isUnsigned ? !constant.isIntN(scalar.getIntOrFloatBitWidth())
+                     : !constant.isSignedIntN(scalar.getIntOrFloatBitWidth()))
+        return false;
+    } else {
+      if (!isa_and_nonnull<arith::ExtSIOp, arith::ExtUIOp>(op) ||
+          getScalar(op->getOperand(0)) != scalar ||
+          (extension && *extension != op->getName()))
+        return false;
+      step.value = op->getOperand(0);
+    }
+    if (isUnsigned)
+      step.kind = getUnsigned(step.kind);
   }
+  if (!family)
+    family = getCombiningKind(step.kind);
+  return *family == getCombiningKind(step.kind);
+}
+
+bool SharedUpdate::addStep(Step step) {
+  if (!accepts(step))
+    return false;
   steps.push_back(std::move(step));
   return true;
 }
 
 bool SharedUpdate::matchValue(Value value, const Context &context) {
-  if (isOld(value)) {
+  if (old.isLoaded(value)) {
     loads.push_back(cast<DifferentiableAccessInterface>(value.getDefiningOp()));
     return true;
   }
   Operation *op = value.getDefiningOp();
-  if (!op || !dependsOnOld(value))
+  if (!op || !old.reaches(value))
     return false;
   path.insert(op);
-  if (std::optional<AtomicKind> kind = getKind(op))
+  if (std::optional<AtomicKind> kind = getAtomicKind(op))
     return matchCombination(op, *kind, context);
   if (auto select = dyn_cast<arith::SelectOp>(op))
     return matchSelect(select, context);
@@ -174,8 +147,13 @@ bool SharedUpdate::matchValue(Value value, const Context &context) {
     return matchBranch(cast<OpResult>(value), context);
   if (isa<arith::ExtFOp, arith::TruncFOp, arith::ExtSIOp, arith::ExtUIOp,
           arith::TruncIOp>(op)) {
-    Type scalar = getScalar(store.getAccessedValue());
-    return getWidth(getScalar(value)) >= getWidth(scalar) &&
+    if (isa<arith::ExtSIOp, arith::ExtUIOp>(op)) {
+      if (extension && *extension != op->getName())
+        return false;
+      extension = op->getName();
+    }
+    return getNumberWidth(value.getType()) >=
+               getNumberWidth(store.getAccessedValue().getType()) &&
            matchValue(op->getOperand(0), context);
   }
   return false;
@@ -185,8 +163,8 @@ bool SharedUpdate::matchValue(Value value, const Context &context) {
 bool SharedUpdate::matchCombination(Operation *op, AtomicKind kind,
                                     const Context &context) {
   Value lhs = op->getOperand(0), rhs = op->getOperand(1);
-  bool isLeft = dependsOnOld(lhs);
-  if (isLeft == dependsOnOld(rhs) || (kind == AtomicKind::Sub && !isLeft))
+  bool isLeft = old.reaches(lhs);
+  if (isLeft == old.reaches(rhs) || (kind == AtomicKind::Sub && !isLeft))
     return false;
   Value other = isLeft ? rhs : lhs;
   return matchValue(isLeft ? lhs : rhs, context) &&
@@ -259,7 +237,7 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   path.insert(compare);
   Value lhs = compare->getOperand(0), rhs = compare->getOperand(1);
   auto isSame = [&](Value a, Value b) {
-    return same.areEqual(a, b) || (isOld(a) && isOld(b));
+    return same.areEqual(a, b) || (old.isLoaded(a) && old.isLoaded(b));
   };
   // Taken if it is less: a minimum.
   bool isMin = *direction < 0;
@@ -267,25 +245,25 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
     isMin = !isMin;
   else if (!isSame(lhs, whenTrue) || !isSame(rhs, whenFalse))
     return std::nullopt;
-  bool isTrueOld = dependsOnOld(whenTrue);
-  if (isTrueOld == dependsOnOld(whenFalse))
+  bool isTrueOld = old.reaches(whenTrue);
+  if (isTrueOld == old.reaches(whenFalse))
     return std::nullopt;
   for (Value side : {lhs, rhs})
-    if (isOld(side))
+    if (old.isLoaded(side))
       loads.push_back(
           cast<DifferentiableAccessInterface>(side.getDefiningOp()));
   AtomicKind kind = isMin ? isUnsigned ? AtomicKind::MinU : AtomicKind::Min
                     : isUnsigned ? AtomicKind::MaxU
                                  : AtomicKind::Max;
   // The compared values are known before the choice.
-  return Extremum{kind, dependsOnOld(lhs) ? rhs : lhs,
+  return Extremum{kind, old.reaches(lhs) ? rhs : lhs,
                   isTrueOld ? whenTrue : whenFalse};
 }
 
 bool SharedUpdate::matchSelect(arith::SelectOp select, const Context &context) {
   Value condition = select.getCondition();
   Value yes = select.getTrueValue(), no = select.getFalseValue();
-  if (dependsOnOld(condition)) {
+  if (old.reaches(condition)) {
     std::optional<Extremum> extremum = getExtremum(condition, yes, no);
     return extremum && matchValue(extremum->old, context) &&
            addStep({context.select ? context.select : select.getOperation(),
@@ -304,32 +282,18 @@ bool SharedUpdate::matchSelect(arith::SelectOp select, const Context &context) {
   return matchValue(no, inside);
 }
 
-/// True if the branch has no effect besides that of `but`: it may read.
-static bool doesNothing(scf::IfOp branch, Operation *but = nullptr) {
-  for (Region *region : branch.getRegions())
-    for (Block &block : *region)
-      for (Operation &op : block) {
-        auto access = dyn_cast<DifferentiableAccessInterface>(&op);
-        bool isRead = access && access.getAccessKind() == AccessKind::Read;
-        if (&op != but && !isRead && !op.hasTrait<OpTrait::IsTerminator>() &&
-            !isMemoryEffectFree(&op))
-          return false;
-      }
-  return true;
-}
-
 /// A branch that yields an update on both sides.
 bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   auto branch = cast<scf::IfOp>(result.getOwner());
   branches.push_back(result);
-  if (dependsOnOld(branch.getCondition())) {
+  if (old.reaches(branch.getCondition())) {
     // The branch must have no other result and no effect.
-    if (branch->getNumResults() != 1 || !doesNothing(branch))
+    if (branch->getNumResults() != 1 || !hasNoEffectBut(branch))
       return false;
     std::optional<Extremum> extremum =
         getExtremum(branch.getCondition(), branch.thenYield().getOperand(0),
                     branch.elseYield().getOperand(0));
-    if (!extremum || !isOld(extremum->old))
+    if (!extremum || !old.isLoaded(extremum->old))
       return false;
     loads.push_back(
         cast<DifferentiableAccessInterface>(extremum->old.getDefiningOp()));
@@ -345,61 +309,25 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   return true;
 }
 
-/// A branch around the store whose condition compares the value with the
-/// element, and that does nothing else. The other conditions, which must hold
-/// as well, may be computed before the comparison.
-bool SharedUpdate::matchGuard(scf::IfOp branch, bool inThen) {
-  Operation *op = store;
-  Value value = store.getAccessedValue();
-  if (op->getParentOp() != branch || branch->getNumResults() != 0 ||
-      dependsOnOld(value) || !doesNothing(branch, op))
+/// A choice that asks for the element in another way than a single select.
+bool SharedUpdate::matchChosen() {
+  chosen.emplace(store, loop, same, old, safeReads);
+  if (!chosen->match())
     return false;
-  OpOperand *part = &branch.getConditionMutable();
-  while (inThen) {
-    Operation *conjunction = part->get().getDefiningOp();
-    if (isa_and_nonnull<arith::AndIOp>(conjunction)) {
-      bool isLeft = dependsOnOld(conjunction->getOperand(0));
-      if (isLeft == dependsOnOld(conjunction->getOperand(1)))
-        return false;
-      part = &conjunction->getOpOperand(isLeft ? 0 : 1);
-    } else if (auto nested = dyn_cast_or_null<scf::IfOp>(conjunction);
-               nested && nested->getNumResults() == 1 && doesNothing(nested) &&
-               !dependsOnOld(nested.getCondition()) &&
-               matchPattern(nested.elseYield().getOperand(0), m_Zero())) {
-      part = &nested.thenYield()->getOpOperand(0);
-      conjunctions.push_back(nested->getResult(0));
-    } else {
-      break;
-    }
-    path.insert(conjunction);
-  }
-  comparison = part;
-  Value test = part->get();
-  bool holds = inThen;
-  while (Value turned = getNegated(test)) {
-    path.insert(test.getDefiningOp());
-    test = turned;
-    holds = !holds;
-  }
-  Operation *compare = test.getDefiningOp();
-  if (!isa_and_nonnull<arith::CmpFOp, arith::CmpIOp>(compare))
+  extension = chosen->getExtension();
+  path.insert_range(chosen->getPath());
+  llvm::append_range(loads, chosen->getLoads());
+  llvm::append_range(choices, chosen->getBranches());
+  // The element may have been updated before.
+  if (!old.isLoaded(chosen->getFormer()) &&
+      !matchValue(chosen->getFormer(), {}))
     return false;
-  Value lhs = compare->getOperand(0), rhs = compare->getOperand(1);
-  if (isOld(lhs) == isOld(rhs))
+  Value given = chosen->getGiven();
+  Step step{store, chosen->getKind(), given, given.getType(), {}};
+  if (!accepts(step))
     return false;
-  Value old = isOld(lhs) ? lhs : rhs, given = isOld(lhs) ? rhs : lhs;
-  std::optional<Extremum> extremum;
-  if (same.areEqual(given, value))
-    extremum =
-        holds ? getExtremum(test, given, old) : getExtremum(test, old, given);
-  if (!extremum)
-    return false;
-  guard = branch;
-  inThenOfGuard = inThen;
-  path.insert(branch);
-  // The compared number is known at the store, unless a branch computes it.
-  Value number = conjunctions.empty() ? given : value;
-  return addStep({store, extremum->kind, number, number.getType(), {}});
+  chosenKind = step.kind;
+  return true;
 }
 
 /// True if only the store uses the former value.
@@ -412,8 +340,8 @@ bool SharedUpdate::isOnlyUsedHere() {
     return false;
   };
   auto isOnlyOurs = [&](Operation *op) {
-    if (auto branch = dyn_cast<scf::IfOp>(op); branch && branch != guard)
-      return llvm::all_of(llvm::concat<OpResult>(branches, conjunctions),
+    if (auto branch = dyn_cast<scf::IfOp>(op))
+      return llvm::all_of(llvm::concat<OpResult>(branches, choices),
                           [&](OpResult result) {
                             return result.getOwner() != branch ||
                                    llvm::all_of(result.getUsers(), isOurs);
@@ -427,7 +355,7 @@ bool SharedUpdate::isOnlyUsedHere() {
       return isa<scf::YieldOp>(use.getOwner()) &&
              !(branch &&
                llvm::is_contained(
-                   llvm::concat<OpResult>(branches, conjunctions),
+                   llvm::concat<OpResult>(branches, choices),
                    OpResult(branch->getResult(use.getOperandNumber()))));
     });
   };
@@ -488,19 +416,16 @@ bool SharedUpdate::isUndisturbed() {
 }
 
 bool SharedUpdate::match() {
-  scf::IfOp around;
-  bool inThen = false;
+  bool isGuarded = false;
   for (Operation *op = store; op->getParentOp() != loop; op = op->getParentOp())
-    if (auto branch = dyn_cast<scf::IfOp>(op->getParentOp());
-        branch && dependsOnOld(branch.getCondition())) {
-      if (around)
-        return false;
-      around = branch;
-      inThen = branch.getThenRegion().isAncestor(op->getParentRegion());
-    }
-  bool isMatch = around ? matchGuard(around, inThen)
-                        : matchValue(store.getAccessedValue(), {});
-  return isMatch && !steps.empty() && isOnlyUsedHere() && isUndisturbed();
+    if (auto branch = dyn_cast<scf::IfOp>(op->getParentOp()))
+      isGuarded |= old.reaches(branch.getCondition());
+  auto isUpdate = [&] { return isOnlyUsedHere() && isUndisturbed(); };
+  if (!isGuarded && matchValue(store.getAccessedValue(), {}) &&
+      !steps.empty() && isUpdate())
+    return true;
+  forget();
+  return matchChosen() && isUpdate();
 }
 
 //===----------------------------------------------------------------------===//
@@ -512,8 +437,7 @@ Value SharedUpdate::convert(OpBuilder &b, Location loc, Value value) {
   Type type = store.getAccessedValue().getType();
   if (value.getType() == type)
     return value;
-  unsigned from = getWidth(getScalar(value)),
-           to = getWidth(getElementTypeOrSelf(type));
+  unsigned from = getNumberWidth(value.getType()), to = getNumberWidth(type);
   if (isa<FloatType>(getScalar(value)))
     return from > to ? arith::TruncFOp::create(b, loc, type, value).getResult()
                      : arith::ExtFOp::create(b, loc, type, value).getResult();
@@ -583,13 +507,12 @@ static void joinSteps(SmallVectorImpl<Step> &steps) {
   for (Step &step : steps) {
     Step *before = joined.empty() ? nullptr : &joined.back();
     AtomicKind kind = getCombiningKind(step.kind);
-    bool canJoin =
-        before && before->at->getBlock() == step.at->getBlock() &&
-        before->conditions == step.conditions && before->type == step.type &&
-        before->value.getType() == step.value.getType() &&
-        !isa<arith::SelectOp>(step.at) && !isa<arith::SelectOp>(before->at) &&
-        kind != AtomicKind::Min && kind != AtomicKind::Max &&
-        kind != AtomicKind::MinU && kind != AtomicKind::MaxU;
+    bool canJoin = before && before->at->getBlock() == step.at->getBlock() &&
+                   before->conditions == step.conditions &&
+                   before->type == step.type &&
+                   before->value.getType() == step.value.getType() &&
+                   !isa<arith::SelectOp>(step.at) &&
+                   !isa<arith::SelectOp>(before->at) && !isExtremum(kind);
     if (!canJoin) {
       joined.push_back(std::move(step));
       continue;
@@ -628,20 +551,13 @@ void SharedUpdate::rewrite() {
     }
     emit(b, loc, step);
   }
-  store->erase();
-  if (guard) {
-    path.remove(guard);
-    if (comparison->getOwner() == guard) {
-      Block *block = inThenOfGuard ? guard.thenBlock() : guard.elseBlock();
-      for (Operation &op :
-           llvm::make_early_inc_range(block->without_terminator()))
-        op.moveBefore(guard);
-      guard.erase();
-    } else {
-      OpBuilder b(comparison->getOwner());
-      comparison->set(arith::ConstantIntOp::create(b, guard.getLoc(), 1, 1));
-    }
-  }
+  if (chosen)
+    chosen->rewrite(path, [&](OpBuilder &b, Value value) {
+      Step step{store, chosenKind, value, value.getType(), {}, store};
+      emit(b, store->getLoc(), step);
+    });
+  else
+    store->erase();
   // The results have no users any more: without them, the former value has no
   // user either.
   for (OpResult result : branches) {
@@ -654,7 +570,7 @@ void SharedUpdate::rewrite() {
       yield->setOperand(result.getResultNumber(), none);
     }
     path.remove(branch);
-    if (!dependsOnOld(branch.getCondition()))
+    if (!old.reaches(branch.getCondition()))
       continue;
     OpBuilder b(branch);
     branch.getConditionMutable().assign(

@@ -13,16 +13,17 @@
 #ifndef TAI_LIB_TRANSFORMS_ACCUMULATIONS_SHAREDUPDATE_H
 #define TAI_LIB_TRANSFORMS_ACCUMULATIONS_SHAREDUPDATE_H
 
+#include "ChosenExtremum.h"
+#include "OldValue.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
-#include "mlir/Dialect/SCF/IR/SCF.h"
-#include "tai/Analysis/SharedElements.h"
-#include "tai/Dialect/Tai/IR/Tai.h"
-#include "llvm/ADT/SetVector.h"
 
 namespace mlir::tai {
 
 /// True if all iterations that store at all store the same.
 bool storesTheSame(DifferentiableAccessInterface store, ParallelForOp loop);
+
+/// The operation of the op, if it is one that atomics have.
+std::optional<AtomicKind> getAtomicKind(Operation *op);
 
 /// The conditions under which a part of an expression is taken.
 struct Context {
@@ -56,13 +57,14 @@ struct Extremum {
 /// The update that a store turns out to be.
 class SharedUpdate {
 public:
-  /// `reads` are those of the loop that read the storage of the store.
+  /// `accesses` are those of the loop, `reads` those of them that read the
+  /// storage of the store.
   SharedUpdate(DifferentiableAccessInterface store, ParallelForOp loop,
+               ArrayRef<DifferentiableAccessInterface> accesses,
                ArrayRef<DifferentiableAccessInterface> reads,
                const SameIteration &same)
-      : store(store), loop(loop), reads(reads), same(same) {
-    findDependents();
-  }
+      : store(store), loop(loop), same(same), old(store, loop, reads, same),
+        safeReads(store, loop, same, accesses) {}
 
   /// True if the stored value, or whether it is stored, depends on the element.
   bool readsElement();
@@ -76,16 +78,15 @@ public:
   DifferentiableAccessInterface getStore() const { return store; }
 
 private:
-  bool isOld(Value value) const;
-  void findDependents();
-  bool dependsOnOld(Value value) const { return dependents.contains(value); }
+  void forget();
   bool matchValue(Value value, const Context &context);
   bool matchCombination(Operation *op, AtomicKind kind, const Context &context);
   bool matchSelect(arith::SelectOp select, const Context &context);
   bool matchBranch(OpResult result, const Context &context);
-  bool matchGuard(scf::IfOp branch, bool inThen);
+  bool matchChosen();
   std::optional<Extremum> getExtremum(Value condition, Value whenTrue,
                                       Value whenFalse);
+  bool accepts(Step &step);
   bool addStep(Step step);
   bool isOnlyUsedHere();
   bool isUndisturbed();
@@ -94,26 +95,23 @@ private:
 
   DifferentiableAccessInterface store;
   ParallelForOp loop;
-  ArrayRef<DifferentiableAccessInterface> reads;
   const SameIteration &same;
+  OldValue old;
+  SafeReads safeReads;
   SmallVector<DifferentiableAccessInterface> loads;
   std::optional<AtomicKind> family;
+  /// The extension by which the program has made the element wide.
+  std::optional<OperationName> extension;
   SmallVector<Step> steps;
   /// Ops between the loads and the store, which are to have no other use.
   llvm::SetVector<Operation *> path;
   /// Results of branches on the path.
   SmallVector<OpResult> branches;
-  /// The branch around the store that compares with the element, if there is
-  /// one: it goes with the store.
-  scf::IfOp guard;
-  /// The comparison among its conditions, and the arm of the store.
-  OpOperand *comparison = nullptr;
-  bool inThenOfGuard = true;
-  /// Branches that compute `a and b` for the condition of the guard.
-  SmallVector<OpResult> conjunctions;
-  /// Values that are computed, in the same iteration, from the element or from
-  /// a component of it.
-  llvm::DenseSet<Value> dependents;
+  /// An extremum that replaces the store, beside the steps, and its kind.
+  std::optional<ChosenExtremum> chosen;
+  AtomicKind chosenKind = AtomicKind::Min;
+  /// Results of branches on the path that it keeps or takes away.
+  SmallVector<OpResult> choices;
 };
 
 } // namespace mlir::tai

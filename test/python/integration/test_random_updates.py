@@ -27,6 +27,12 @@ FAILED = {
         ("if n[i] > 3 and h[g[i]] > x[i]:", "h", ">"),
         ("    h[g[i]] = x[i]", "h", ">"),
     ],
+    # With several threads, updates were lost: the minimum is chosen by several conditions.
+    "chosen by several conditions": [
+        ("h[g[i]] = x[i] if (n[i] > 3 and x[i] < h[g[i]]) else h[g[i]]", "h", "<"),
+        ("s[g[i] % 5].a = s[g[i] % 5].a if n[i] < 3 or s[g[i] % 5].a >= x[i] else x[i]", "s", ">"),
+        ("w[g[i]] = ti.select((n[i] > w[g[i]]) & (x[i] > 0.1), n[i], w[g[i]])", "w", ">"),
+    ],
     # The second update was atomic, and the first one was not.
     "own and shared elements": [
         ("h[i % 7] = h[i % 7] * (1 + 1e-4 * x[i])", "h", "*"),
