@@ -49,6 +49,11 @@ constexpr uint32_t formatVersion = 1;
 constexpr char suffix[] = ".tai";
 constexpr char temporaryPrefix[] = ".tmp-";
 constexpr char lockPrefix[] = ".lock-";
+/// The time of the last look through the folder, and a byte for each
+/// `journalUnit` bytes that were stored since: processes append without a lock.
+constexpr char journalName[] = ".stored";
+constexpr int64_t journalUnit = 4096;
+constexpr int64_t journalLife = 24 * 3600; // seconds
 /// More than any code; a file that says so is not one of ours.
 constexpr uint64_t mostEntryBytes = uint64_t(1) << 31;
 /// Files that a killed process left behind are older than this (seconds).
@@ -368,12 +373,44 @@ bool CacheStore::put(std::string_view key, std::string_view bytes) {
     return false;
   }
   ++stored;
-  bytesSincePrune +=
-      static_cast<int64_t>(sizeof(header) + key.size() + bytes.size());
-  // Looking through the folder is worth it now and then only.
-  if (!prunedOnce || bytesSincePrune > maxBytes / 16)
+  // Looking through the folder takes 0.1 s for 60,000 entries.
+  if (noteStored(
+          static_cast<int64_t>(sizeof(header) + key.size() + bytes.size())))
     prune();
   return true;
+}
+
+/// Adds to the journal, and returns whether to look through the folder.
+bool CacheStore::noteStored(int64_t bytes) {
+  bytesSincePrune += bytes;
+  Descriptor file(openat(folderDescriptor, journalName,
+                         O_RDWR | O_APPEND | O_CLOEXEC | O_NOFOLLOW |
+                             O_NONBLOCK | O_NOCTTY));
+  struct stat info;
+  int64_t begun = 0;
+  bool isGood =
+      file && fstat(file.number, &info) == 0 && S_ISREG(info.st_mode) &&
+      readAll(file.number, reinterpret_cast<char *>(&begun), sizeof(begun));
+  std::string units(
+      static_cast<size_t>((bytes + journalUnit - 1) / journalUnit), '\0');
+  if (!isGood || !writeAll(file.number, units.data(), units.size()))
+    return !prunedOnce || bytesSincePrune > maxBytes / 16;
+  int64_t now = time(nullptr);
+  int64_t counted = info.st_size - static_cast<int64_t>(sizeof(begun)) +
+                    static_cast<int64_t>(units.size());
+  return begun > now || begun + journalLife < now ||
+         counted * journalUnit > maxBytes / 16;
+}
+
+/// Puts an empty journal in the place of the last one.
+void CacheStore::beginJournal() {
+  removeFrom(folderDescriptor, journalName);
+  Descriptor file(openat(folderDescriptor, journalName,
+                         O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC,
+                         0600));
+  int64_t now = time(nullptr);
+  if (file)
+    (void)writeAll(file.number, reinterpret_cast<char *>(&now), sizeof(now));
 }
 
 //===----------------------------------------------------------------------===//
@@ -530,6 +567,7 @@ void CacheStore::prune() {
     return;
   prunedOnce = true;
   bytesSincePrune = 0;
+  beginJournal();
   struct Entry {
     std::string name;
     timespec used;
@@ -578,7 +616,7 @@ void CacheStore::clean() {
     return;
   forEachFile(folderDescriptor, [&](const std::string &name) {
     if (startsWith(name, temporaryPrefix) || startsWith(name, lockPrefix) ||
-        endsWith(name, suffix))
+        endsWith(name, suffix) || name == journalName)
       removeFrom(folderDescriptor, name);
   });
 }

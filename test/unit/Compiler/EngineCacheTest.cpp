@@ -84,12 +84,13 @@ struct Program {
   SessionKernel *kernel = nullptr;
 };
 
+/// The entries of a cache.
 std::vector<std::string> filesIn(llvm::StringRef folder) {
   std::vector<std::string> files;
   std::error_code error;
   for (llvm::sys::fs::recursive_directory_iterator i(folder, error), end;
        i != end && !error; i.increment(error))
-    if (llvm::sys::fs::is_regular_file(i->path()))
+    if (llvm::StringRef(i->path()).ends_with(".tai"))
       files.push_back(i->path());
   return files;
 }

@@ -37,6 +37,7 @@ protected:
   void TearDown() override {
     for (const std::string &path : {folder, root + "/a/b", root + "/a"}) {
       chmod(path.c_str(), 0700);
+      unlink((path + "/.stored").c_str());
       for (const std::string &name : files(path))
         unlink((path + "/" + name).c_str());
       rmdir(path.c_str());
@@ -44,11 +45,13 @@ protected:
     }
     rmdir(root.c_str());
   }
+  /// All but the journal.
   static std::vector<std::string> files(const std::string &path) {
     std::vector<std::string> names;
     if (DIR *stream = opendir(path.c_str())) {
       while (dirent *entry = readdir(stream))
-        if (entry->d_name[0] != '.' || std::strlen(entry->d_name) > 2)
+        if ((entry->d_name[0] != '.' || std::strlen(entry->d_name) > 2) &&
+            std::strcmp(entry->d_name, ".stored") != 0)
           names.push_back(entry->d_name);
       closedir(stream);
     }
@@ -355,7 +358,8 @@ TEST_F(RuntimeCache, SurvivesItsFolder) {
   CacheStore store(folder, 1 << 30, collect());
   ASSERT_TRUE(store.put("k", "v"));
   unlink(fileOf("k").c_str());
-  rmdir(folder.c_str());
+  unlink((folder + "/.stored").c_str());
+  ASSERT_EQ(rmdir(folder.c_str()), 0);
   EXPECT_FALSE(store.get("k"));
   EXPECT_FALSE(store.put("k", "v"));
   EXPECT_EQ(warnings.size(), 1u);
@@ -390,6 +394,54 @@ TEST_F(RuntimeCache, PrunesWhatWasUsedLongAgo) {
   utimensat(AT_FDCWD, (folder + "/.tmp-1-2-3").c_str(), old, 0);
   store.prune();
   EXPECT_NE(access((folder + "/.tmp-1-2-3").c_str(), F_OK), 0);
+}
+
+// A session that begins does not look through the folder again; all of them
+// together keep the bound.
+TEST_F(RuntimeCache, LooksThroughTheFolderNowAndThen) {
+  std::string journal = folder + "/.stored", bytes(20000, 'x');
+  auto exists = [&](const std::string &path) {
+    return access(path.c_str(), F_OK) == 0;
+  };
+  auto store = [&](const std::string &key, int64_t most) {
+    CacheStore one(folder, most, collect());
+    ASSERT_TRUE(one.put(key, bytes));
+  };
+  auto leave = [&](const std::string &name) {
+    std::string path = folder + "/" + name;
+    spill(path, "half");
+    timespec old[2] = {{time(nullptr) - 7200, 0}, {time(nullptr) - 7200, 0}};
+    utimensat(AT_FDCWD, path.c_str(), old, 0);
+    return path;
+  };
+  store("first", 1 << 30);
+  ASSERT_TRUE(exists(journal));
+  std::string left = leave(".tmp-1-2-3");
+  store("second", 1 << 30);
+  EXPECT_TRUE(exists(left)) << "the folder was looked through again";
+  // A day later.
+  int64_t begun = time(nullptr) - 2 * 24 * 3600;
+  spill(journal, std::string(reinterpret_cast<char *>(&begun), sizeof begun));
+  store("third", 1 << 30);
+  EXPECT_FALSE(exists(left));
+  // Journals that cannot be read.
+  for (const char *text : {"", "abc"}) {
+    left = leave(".tmp-1-2-3");
+    spill(journal, text);
+    store("fourth", 1 << 30);
+    EXPECT_FALSE(exists(left));
+  }
+  left = leave(".tmp-1-2-3");
+  unlink(journal.c_str());
+  ASSERT_EQ(mkfifo(journal.c_str(), 0600), 0);
+  store("fifth", 1 << 30);
+  EXPECT_FALSE(exists(left));
+  store("sixth", 1 << 30);
+  // 100 sessions, each of which stores a fifth of the limit.
+  for (int i = 0; i < 100; ++i)
+    store("k" + std::to_string(i), 100000);
+  EXPECT_LE(CacheStore(folder).size().bytes, 100000 + 100000 / 16 + 20100);
+  EXPECT_TRUE(warnings.empty());
 }
 
 // Processes that want the same entries at once: each entry is made by one.

@@ -73,7 +73,8 @@ public:
   /// Waits for pending putLater calls; so does the destructor.
   void flush();
   /// Removes least recently used entries beyond the limit, and temporary files
-  /// of killed processes.
+  /// of killed processes. `put` does so after each sixteenth of the limit that
+  /// all processes together have stored, and once a day.
   void prune();
   /// Removes every entry.
   void clean();
@@ -104,6 +105,8 @@ private:
   std::atomic<uint64_t> nextTemporary{0};
   struct Writer;
   Writer &currentWriter();
+  bool noteStored(int64_t bytes);
+  void beginJournal();
 
   std::atomic<int64_t> hits{0}, misses{0}, corrupt{0}, stored{0}, pruned{0};
   std::atomic<unsigned> warned{0};
