@@ -1,8 +1,9 @@
 # The Python module alone, against a libtai that is built already: TAI_PREBUILT is
 # the folder of a portable bundle. So one libtai serves the wheels of all Pythons.
+# The bundle has the headers of the C API; others, which need no library, are the tree's.
 add_library(tai SHARED IMPORTED GLOBAL)
 set_target_properties(tai PROPERTIES IMPORTED_LOCATION "${TAI_PREBUILT}/lib/libtai.so"
-  INTERFACE_INCLUDE_DIRECTORIES "${TAI_PREBUILT}/include")
+  INTERFACE_INCLUDE_DIRECTORIES "${TAI_PREBUILT}/include;${PROJECT_SOURCE_DIR}/include")
 
 # Nothing is instrumented here.
 function(tai_sanitize target)

@@ -40,6 +40,20 @@ def test_version_is_found_by_the_backend():
     assert found["value"] == ti.__version__ == wheel.version()
 
 
+def test_module_compiles_without_llvm():
+    # Wheels compile it against a bundle, which has no headers of LLVM.
+    assert "${PROJECT_SOURCE_DIR}/include" in (ROOT / "cmake/Prebuilt.cmake").read_text()
+    left, seen = [*(ROOT / "python/src").glob("*.[ch]*")], set()
+    while left:
+        source = left.pop()
+        for name in re.findall(r'^#include "((?:tai|mlir|llvm)/[^"]+)"', source.read_text(), re.M):
+            assert name.startswith("tai/"), f"{source} includes {name}"
+            if name not in seen:
+                seen.add(name)
+                left.append(ROOT / "include" / name)
+    assert "tai/Support/XXHash.h" in seen
+
+
 def test_commands_exist_as_tools():
     for name, target in PROJECT["project"]["scripts"].items():
         assert target == "tai.binaries:run"
