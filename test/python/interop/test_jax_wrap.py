@@ -305,7 +305,7 @@ def test_a_batch_is_one_launch(axes, size):
     for found, wanted in zip(jax.tree.leaves(results(function)),
                              jax.tree.leaves(results(same_parts)), strict=True):  # fmt: skip
         np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12)
-    assert function.one_by_one == {} and (function._in_batches or size == 1)
+    assert function.one_by_one == {} and (function._stacks.operators or size == 1)
 
 
 def test_batches_that_launch_for_each_element():
@@ -313,7 +313,7 @@ def test_batches_that_launch_for_each_element():
     x, w, a = sample(4, 3), sample(3, seed=1), sample(4, seed=2)
     found = jax.vmap(function, (0, None, 0))(x, w, a)[1]  # a number for each
     np.testing.assert_allclose(found, jax.vmap(same_parts, (0, None, 0))(x, w, a)[1], rtol=1e-12)
-    assert not function._in_batches
+    assert not function._stacks.operators
 
     @ti.kernel
     def bounded(n: ti.types.ndarray(), x: ti.types.ndarray(), y: ti.types.ndarray()):

@@ -394,7 +394,8 @@ def test_a_batch_is_one_launch(in_dims, size):
     jacobians = torch.vmap(torch.func.jacrev(lambda x, w: operator(x, w)[1]), in_dims)(x, w)
     wanted = torch.vmap(torch.func.jacrev(lambda x, w: same_parts(x, w)[1]), in_dims)(x, w)
     torch.testing.assert_close(jacobians, wanted)
-    assert operator._in_batches and all("batch already" in r for r in operator.one_by_one.values())
+    assert operator._stacks.operators
+    assert all("batch already" in reason for reason in operator.one_by_one.values())
 
 
 def test_a_batch_whose_gradient_is_by_what_all_elements_share():
@@ -448,3 +449,126 @@ def test_batches_that_launch_for_each_element():
         torch.stack([operator(one, x[0]) for one in x]),
     )
     assert "a function, and no kernel" in str(operator.one_by_one)
+
+
+WRONG_INPUTS = {
+    "numpy": (lambda x: (x.numpy(), x, 1.0), "is a tensor, but got ndarray", "from_numpy(x)"),
+    "list": (lambda x: ([1.0], x, 1.0), "is a tensor, but got list", "torch.tensor([1.0])"),
+    "number": (lambda x: (x, 0.5, 1.0), "'w' of operator 'blend' is a tensor", "torch.tensor(0.5)"),
+    "none": (lambda x: (x, None, 1.0), "but got NoneType", "torch.Tensor"),
+    "gradient": (
+        lambda x: (x, x, torch.tensor(1.0, requires_grad=True)),
+        "'a' of operator 'blend' is a number, which has no gradient", "a.item()",
+    ),
+    "shape": (lambda x: (x, x, torch.ones(2)), "a tensor of shape (2,)", "a.item()"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG_INPUTS)
+def test_inputs_of_a_wrong_kind(name):
+    make, message, hint = WRONG_INPUTS[name]
+    with pytest.raises(ti.TaiRuntimeTypeError, match=re.escape(message)) as error:
+        BLEND(*make(torch.ones(3, dtype=torch.float64)))
+    assert hint in str(error.value)
+
+
+def test_a_tensor_of_one_number_is_a_number():
+    x, a = leaf(), torch.tensor(1.5, requires_grad=True)
+    wanted = BLEND(x, x, 1.5)[0]
+    assert torch.equal(BLEND(x, x, torch.tensor(1.5))[0], wanted)
+    with torch.no_grad():  # no gradient is lost
+        assert torch.equal(BLEND(x, x, a)[0], wanted)
+
+
+def test_inputs_by_name():
+    x, w = leaf(seed=1), leaf(seed=2)
+    for found in (BLEND(x, a=1.5, w=w), BLEND(a=1.5, w=w, x=x)):
+        assert torch.equal(found[0], BLEND(x, w, 1.5)[0])
+    for call, message in (
+        (lambda: BLEND(x, v=w, a=1.5), "has no input 'v'"),
+        (lambda: BLEND(x, w, 1.5, x=x), "input 'x' of operator 'blend' is given twice"),
+        (lambda: BLEND(x, w=w), "takes 3 inputs, but got 2"),
+    ):
+        with pytest.raises(ti.TaiRuntimeTypeError, match=message):
+            call()
+
+
+def test_copies_of_a_network():
+    import copy
+    import io
+
+    layer = ti.torch.module(BLEND, w=torch.nn.Parameter(torch.ones(3, dtype=torch.float64)))
+    other = copy.deepcopy(layer)
+    with torch.no_grad():
+        other.w += 1
+    x = leaf()
+    assert torch.equal(layer(x, 2.0)[0], BLEND(x, layer.w, 2.0)[0])
+    assert torch.equal(other(x, 2.0)[0], BLEND(x, other.w, 2.0)[0])
+    file = io.BytesIO()
+    torch.save(other, file)
+    file.seek(0)
+    loaded = torch.load(file, weights_only=False)
+    assert torch.equal(loaded(x, 2.0)[0], other(x, 2.0)[0])
+
+
+def test_a_network_whose_operator_is_not_here():
+    import pickle
+
+    name = wrap(square, outputs={"y": "x"}, name="made_by_another_process")
+    text = pickle.dumps(name).replace(b"made_by_another_process", b"made_by_another_Process")
+    with pytest.raises(
+        ti.TaiRuntimeError, match="operator 'made_by_another_Process' of '.*square'"
+    ):
+        pickle.loads(text)
+    # Another function under the same name.
+    text = pickle.dumps(wrap(double, outputs={"y": "x"}, name="Made_by_another_process"))
+    with pytest.raises(ti.TaiRuntimeError, match="is not known here"):
+        pickle.loads(text.replace(b"Made_by_another_process", b"made_by_another_process"))
+
+
+def test_forward_mode_is_refused():
+    x = leaf().detach()
+    with pytest.raises(ti.TaiAutodiffError, match="no tangents") as error:
+        torch.func.jvp(SQUARE, (x,), (torch.ones_like(x),))
+    assert "jacrev" in str(error.value)
+    with torch.autograd.forward_ad.dual_level():
+        dual = torch.autograd.forward_ad.make_dual(x, torch.ones_like(x))
+        with pytest.raises(ti.TaiAutodiffError, match="no tangents"):
+            SQUARE(dual)
+
+
+def test_a_trace_of_torch_has_the_operator():
+    traced = torch.jit.trace(lambda x: SQUARE(x) + 1, (torch.ones(3, dtype=torch.float64),))
+    x = torch.arange(5, dtype=torch.float64)
+    assert torch.equal(traced(x), x * x + 1)
+
+
+def test_a_shape_from_too_few_inputs():
+    with pytest.raises(ti.TaiRuntimeTypeError, match="does not take the 3 inputs") as error:
+        wrap(blend, outputs={"y": lambda x: x.shape, "total": lambda x, w, a: 1})
+    assert "lambda x, w, a: …" in str(error.value)
+
+
+def test_the_hint_for_a_tensor_of_another_type():
+    @ti.kernel
+    def plain(x: ti.types.ndarray(dtype=ti.f32), y: ti.types.ndarray(dtype=ti.f32)):
+        for i in range(x.shape[0]):
+            y[i] = x[i]
+
+    with pytest.raises(ti.TaiRuntimeTypeError, match=r"t\.to\(torch\.float32\)"):
+        wrap(plain, outputs={"y": "x"})(torch.ones(3, dtype=torch.float64))
+
+
+def test_calls_without_a_gradient_make_no_graph():
+    x = leaf()
+    with torch.no_grad():
+        assert SQUARE(x).grad_fn is None
+    assert SQUARE(x.detach()).grad_fn is None and SQUARE(x).grad_fn is not None
+
+
+def test_adjoints_are_not_changed_by_the_sweep():
+    x, bar = leaf(), torch.ones(3, dtype=torch.float64)
+    for operator in (SQUARE, CHAIN):
+        given = (x,) if operator is SQUARE else (x, x.detach())
+        operator(*given).backward(bar, retain_graph=True)
+        assert bar.tolist() == [1, 1, 1]

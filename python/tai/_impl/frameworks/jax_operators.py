@@ -23,7 +23,7 @@ from ..interop.streams import let_stream_wait, wait_for_stream
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
 from ..tracking import tracked
-from .parameters import check_outputs, kinds_of
+from .parameters import check_outputs, in_order, kinds_of
 from .stacked import Stacks
 from .xla_buffers import DeviceBuffer, number_of, store_number, zeros_like
 
@@ -114,13 +114,13 @@ class _Task:
                 names.append(operator.inputs[number])
             if not has_batch:
                 given[number] = operand[(0, ...)]
-        found = operator._of_batch(names) if size > 1 else None
+        found = operator._stacks.find(names) if size > 1 else None
         if found is None:
             return False
         try:
             self._run_with(found, given, results)
         except TaiCompilationError as error:
-            operator._stacks.refuse([*names, *operator.outputs], error)
+            operator._stacks.refuse(names, error)
             return False
         return True
 
@@ -202,9 +202,7 @@ class Operator:
         # the kernel is compiled.
         self._needs_tape: bool | None = None if isinstance(function, Kernel) else True
         self._numbers: dict[tuple, int] = {}
-        self._stacks = Stacks(function)
-        # Operators for batches, by the inputs that have a batch.
-        self._in_batches: dict[frozenset[str], _OfBatch] = {}
+        self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
         _register()
         self._differentiable = jax.custom_vjp(self._call)
         self._differentiable.defvjp(self._forward, self._backward, symbolic_zeros=True)
@@ -222,11 +220,12 @@ class Operator:
 
     # What JAX traces
 
-    def __call__(self, *inputs: Any) -> Any:
+    def __call__(self, *inputs: Any, **named: Any) -> Any:
         """Computes the outputs of arrays and numbers.
 
         Args:
             inputs: one for each parameter that is no output, in order.
+            named: the same, by name.
 
         Returns:
             The output, or a tuple of them in the order of the parameters.
@@ -234,11 +233,8 @@ class Operator:
         Raises:
             TaiRuntimeTypeError: the number of arguments is wrong.
         """
-        if len(inputs) != len(self.inputs):
-            raise TaiRuntimeTypeError(
-                f"'{self.__name__}' takes {len(self.inputs)} inputs, but got {len(inputs)}",
-                f"its inputs: {', '.join(self.inputs)}",
-            )
+        if named or len(inputs) != len(self.inputs):
+            inputs = in_order(f"'{self.__name__}'", self.inputs, inputs, named)
         return self._differentiable(*map(self._as_operand, inputs, self._kinds, self.inputs))
 
     def _as_operand(self, value: Any, kind: str, name: str) -> Any:
@@ -348,16 +344,6 @@ class Operator:
             "differentiated once",
             "ti.ad.hvp differentiates kernels of fields twice",
         )
-
-    def _of_batch(self, names: list[str]) -> Operator | None:
-        """The operator for a batch of the inputs with these names; None if there is none."""
-        kernel = self._stacks.find([*names, *self.outputs]) if names else None
-        if kernel is None:
-            return None
-        key = frozenset(names)
-        if key not in self._in_batches:
-            self._in_batches[key] = _OfBatch(self, kernel, names)
-        return self._in_batches[key]
 
     # Launches
 

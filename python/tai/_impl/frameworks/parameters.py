@@ -57,6 +57,29 @@ def kinds_of(function: Any, user: str) -> dict[str, str]:
     return kinds
 
 
+def in_order(what: str, names: list[str], inputs: tuple, named: dict[str, Any]) -> tuple:
+    """The inputs of a call in the order of their names.
+
+    Args:
+        what: the operator, for messages.
+        names: of its inputs.
+        inputs, named: as the call gives them.
+
+    Raises:
+        TaiRuntimeTypeError: one is missing, given twice, or unknown.
+    """
+    known = f"its inputs: {', '.join(names)}"
+    for name in named:
+        if name not in names:
+            raise TaiRuntimeTypeError(f"{what} has no input '{name}'", known)
+        if name in names[: len(inputs)]:
+            raise TaiRuntimeTypeError(f"input '{name}' of {what} is given twice", known)
+    if len(inputs) + len(named) != len(names):
+        given = len(inputs) + len(named)
+        raise TaiRuntimeTypeError(f"{what} takes {len(names)} inputs, but got {given}", known)
+    return *inputs, *[named[name] for name in names[len(inputs) :]]
+
+
 def check_outputs(function: str, outputs: Any, kinds: dict[str, str], like: str) -> None:
     """Refuses outputs that are no parameters, or whose shape is not said.
 
@@ -89,3 +112,20 @@ def check_outputs(function: str, outputs: Any, kinds: dict[str, str], like: str)
                 f"the name of an array with its shape and type, or a function of the inputs that "
                 f"returns a shape, or {like}",
             )
+        inputs = [n for n in kinds if n not in outputs]
+        if callable(shape) and not _takes(shape, len(inputs)):
+            raise TaiRuntimeTypeError(
+                f"{what}: the function for '{name}' does not take the {len(inputs)} inputs",
+                f"it is called with all inputs in order: lambda {', '.join(inputs)}: …",
+            )
+
+
+def _takes(function: Any, count: int) -> bool:
+    """Whether a function can be called with so many values."""
+    try:
+        inspect.signature(function).bind(*[None] * count)
+    except TypeError:
+        return False
+    except ValueError:  # of a function in C that does not say
+        return True
+    return True

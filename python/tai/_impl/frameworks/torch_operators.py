@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -19,10 +20,12 @@ from ..ad.tape import Tape, clear_all_gradients
 from ..base import state
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
-from .parameters import check_outputs, kinds_of
+from .parameters import check_outputs, in_order, kinds_of
 from .stacked import Stacks
 
 _numbers = itertools.count()
+# Operators by name. Torch keeps them for as long as the process, too.
+_known: dict[str, Operator] = {}
 # Types of parameters in schemas of torch.
 _SCHEMA = {"array": "Tensor", "float": "float", "int": "SymInt", "bool": "bool"}
 
@@ -47,6 +50,7 @@ class Operator:
         self.inputs = [n for n in kinds if n not in outputs]
         self.outputs = [n for n in kinds if n in outputs]
         self._is_tensor = [kinds[n] == "array" for n in self.inputs]
+        self._takes_numbers = not all(self._is_tensor)
         # For each parameter in order: whether it is an input, and its number among those or among
         # the outputs.
         self._places = [
@@ -58,16 +62,30 @@ class Operator:
             self.inputs.index(s) if isinstance(s, str) else None
             for s in (outputs[n] for n in self.outputs)
         ]
+        # The same, where all outputs are like an input.
+        numbers = [m for m in self._models if m is not None]
+        self._likes = numbers if len(numbers) == len(self._models) else None
         self._known: set[tuple] = set()
-        self._stacks = Stacks(function)
-        # Operators for batches, by the inputs that have a batch.
-        self._in_batches: dict[frozenset[str], _OfBatch] = {}
+        self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
+        # Torch has less to pass to a class that knows its operator.
+        self._eager: Any = type("_EagerCall", (_Eager,), {"operator": self})
         # Whether a gradient needs values of outputs that later stores overwrite.
         self._needs_tape = not isinstance(function, Kernel)
         plain = re.sub(r"\W", "_", self.__name__)
         self.name = name or f"{plain}_{next(_numbers)}"
         parameters = ", ".join(f"{_SCHEMA[kinds[n]]} {n}" for n in self.inputs)
         self._define(parameters)
+        _known[self.name] = self
+
+    def __deepcopy__(self, memo: Any) -> Operator:
+        return self  # Copies of a network share it, as they share torch's functions.
+
+    def __reduce__(self) -> Any:
+        return _find_operator, (self.name, self._identity())
+
+    def _identity(self) -> tuple:
+        function = getattr(self._function, "_function", self._function)
+        return function.__module__, function.__qualname__, tuple(self._order), tuple(self.outputs)
 
     def __repr__(self) -> str:
         return f"<tai.torch operator '{self.name}'>"
@@ -114,34 +132,35 @@ class Operator:
         return torch.zeros_like(tensor, memory_format=torch.contiguous_format)
 
     def _set_up(self, ctx: Any, inputs: tuple, output: Any) -> None:
-        if all(self._is_tensor):
-            ctx.save_for_backward(*inputs)
-            ctx.numbers = ()
-        else:
+        # Torch itself knows that tensors of integers have no gradient.
+        if self._takes_numbers:
             pairs = list(zip(inputs, self._is_tensor, strict=True))
             ctx.save_for_backward(*[i for i, t in pairs if t])
             ctx.numbers = [i for i, t in pairs if not t]
-        results = output if isinstance(output, tuple) else (output,)
-        whole = [r for r in results if not r.is_floating_point()]
-        if whole:
-            ctx.mark_non_differentiable(*whole)
+        else:
+            ctx.save_for_backward(*inputs)
 
-    def _given(self, ctx: Any) -> tuple[list[Any], list[bool]]:
-        """The inputs of a call, and which of its tensors have a gradient that is wanted."""
+    def _given(self, ctx: Any) -> Sequence[Any]:
+        """The inputs of a call."""
+        if not self._takes_numbers:
+            return ctx.saved_tensors
         tensors, numbers = iter(ctx.saved_tensors), iter(ctx.numbers)
-        inputs = [next(tensors if t else numbers) for t in self._is_tensor]
-        needs = ctx.needs_input_grad[-len(inputs) :]
-        return inputs, [bool(n) for n, t in zip(needs, self._is_tensor, strict=True) if t]
+        return [next(tensors if t else numbers) for t in self._is_tensor]
 
-    def _spread(self, gradients: list, wanted: Sequence[bool]) -> list:
+    def _wanted(self, needs: Sequence[bool]) -> list[bool]:
+        """Flags for the tensors, from those for all inputs."""
+        return [bool(n) for n, t in zip(needs, self._is_tensor, strict=True) if t]
+
+    @staticmethod
+    def _spread(gradients: Iterable[Any], needs: Sequence[bool]) -> tuple:
         """One gradient, or None, for each input."""
-        found, flags = iter(gradients), iter(wanted)
-        return [next(found) if t and next(flags) else None for t in self._is_tensor]
+        found = iter(gradients)
+        return tuple([next(found) if n else None for n in needs])
 
     def _backward(self, ctx: Any, *bars: Any) -> Any:
-        inputs, wanted = self._given(ctx)
-        gradients = self._gradient_op(*inputs, *bars, wanted)
-        return tuple(self._spread(gradients, wanted))
+        needs = ctx.needs_input_grad
+        gradients = self._gradient_op(*self._given(ctx), *bars, self._wanted(needs))
+        return self._spread(gradients, needs)
 
     def _refuse(self, ctx: Any, *bars: Any) -> Any:
         raise TaiAutodiffError(
@@ -181,31 +200,27 @@ class Operator:
                 moved[number] = one.unsqueeze(0).expand(info.batch_size, *one.shape)
             if is_input and (is_wanted or in_dims[number] is not None):
                 names.append(self.inputs[number])
-        found = self._of_batch(names)
+        found = self._stacks.find(names)
         if found is not None:
             try:
                 answer = call(found, moved)
                 return answer, (0,) * len(answer) if isinstance(answer, tuple) else 0
             except (TaiCompilationError, TaiAutodiffError) as error:
-                self._stacks.refuse([*names, *self.outputs], error)
+                self._stacks.refuse(names, error)
         slices = _slices(info.batch_size, in_dims, args)
         return _stacked([call(self, one) for one in slices])
-
-    def _of_batch(self, names: list[str]) -> Operator | None:
-        """The operator for a batch of the inputs with these names; None if there is none."""
-        kernel = self._stacks.find([*names, *self.outputs]) if names else None
-        if kernel is None:
-            return None
-        key = frozenset(names)
-        if key not in self._in_batches:
-            self._in_batches[key] = _OfBatch(self, kernel, names)
-        return self._in_batches[key]
 
     # Launches
 
     def _allocate(self, inputs: Sequence[Any], make: Callable[..., Any]) -> list[torch.Tensor]:
         """Tensors for the results."""
         made = []
+        if make is torch.zeros and self._likes is not None:
+            for number in self._likes:
+                given = inputs[number]
+                is_dense = given.is_contiguous()
+                made.append(torch.zeros_like(given) if is_dense else self._zeros_like(given))
+            return made
         for name, model in zip(self.outputs, self._models, strict=True):
             if model is not None:
                 # Without the strides of the input, which may be expanded.
@@ -235,12 +250,16 @@ class Operator:
                 "call the kernel itself in the tape, or leave the tape first",
             )
         outputs = self._allocate(inputs, torch.zeros)
-        # Torch records nothing of detached tensors.
-        plain = [
-            (i.detach() if i.is_contiguous() else i.detach().contiguous()) if t else i
-            for i, t in zip(inputs, self._is_tensor, strict=True)
-        ]
-        kind = tuple([i.dtype for i, t in zip(plain, self._is_tensor, strict=True) if t])
+        plain, types = [], []
+        for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
+            if is_tensor:
+                if value.requires_grad:
+                    value = value.detach()  # Torch records nothing of it.
+                if not value.is_contiguous():
+                    value = value.contiguous()
+                types.append(value.dtype)
+            plain.append(value)
+        kind = tuple(types)
         if kind in self._known:
             self._launch(plain, outputs)
         else:
@@ -286,27 +305,47 @@ class Operator:
 
     def _gradient(self, *args: Any) -> list[torch.Tensor]:
         count = len(self.inputs)
-        inputs, bars, wanted = args[:count], args[count:-1], iter(args[-1])
+        flags = iter(args[-1])
+        needs = [t and next(flags) for t in self._is_tensor]
+        return self._differentiate(args[:count], args[count:-1], needs)
+
+    def _differentiate(
+        self, inputs: Sequence[Any], bars: Sequence[Any], needs: Sequence[bool]
+    ) -> list[torch.Tensor]:
+        """The gradients by the inputs that `needs` has a flag for.
+
+        Args:
+            inputs: of the call.
+            bars: the adjoints of its outputs.
+            needs: for each input.
+        """
         given, leaves = [], []
-        for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
+        for value, is_tensor, is_needed in zip(inputs, self._is_tensor, needs, strict=True):
             if is_tensor:
                 value = value.detach()
                 if not value.is_contiguous():
                     value = value.contiguous()
-                if next(wanted):
+                if is_needed:
                     # On the same memory, with a gradient of its own.
+                    gradient = torch.zeros_like(value)
                     value.requires_grad_()
-                    value.grad = self._zeros_like(value)
+                    value.grad = gradient
                     leaves.append(value)
             given.append(value)
-        outputs = self._allocate(inputs, torch.zeros if self._needs_tape else torch.empty)
-        for output, bar in zip(outputs, bars, strict=True):
-            if output.is_floating_point():
-                output.requires_grad_()
-                # The sweep uses it up.
-                output.grad = bar.clone(memory_format=torch.contiguous_format)
         if not leaves:
             return []
+        # The sweep uses the adjoints up.
+        seeds = [bar.clone(memory_format=torch.contiguous_format) for bar in bars]
+        # A sweep that does not look at the values of outputs takes any memory for them.
+        outputs = (
+            self._allocate(inputs, torch.zeros)
+            if self._needs_tape
+            else [seed.detach() for seed in seeds]
+        )
+        for output, seed in zip(outputs, seeds, strict=True):
+            if output.is_floating_point():
+                output.requires_grad_()
+                output.grad = seed
         if self._needs_tape:
             clear_all_gradients()
             with Tape() as tape:
@@ -318,11 +357,12 @@ class Operator:
 
     # Calls
 
-    def __call__(self, *inputs: Any) -> Any:
+    def __call__(self, *inputs: Any, **named: Any) -> Any:
         """Computes the outputs of tensors and numbers, as torch's own functions do.
 
         Args:
             inputs: one for each parameter that is no output, in order.
+            named: the same, by name.
 
         Returns:
             The output, or a tuple of them in the order of the parameters.
@@ -330,19 +370,67 @@ class Operator:
         Raises:
             TaiRuntimeTypeError: the number of arguments is wrong, or a kernel cannot take one.
         """
-        if len(inputs) != len(self.inputs):
-            raise TaiRuntimeTypeError(
-                f"operator '{self.__name__}' takes {len(self.inputs)} inputs, but got "
-                f"{len(inputs)}",
-                f"its inputs: {', '.join(self.inputs)}",
-            )
+        if named or len(inputs) != len(self.inputs):
+            inputs = in_order(f"operator '{self.__name__}'", self.inputs, inputs, named)
+        for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
+            if is_tensor is not isinstance(value, torch.Tensor):
+                inputs = self._checked(inputs)
+                break
         if torch.compiler.is_compiling():
             return self._op(*_without_autocast(inputs))
         if torch._C._are_functorch_transforms_active():
             return _Functional.apply(self, *_without_autocast(inputs))
         if _is_plain(inputs):
-            return _Eager.apply(self, *inputs)
+            if self._is_constant(inputs):
+                return self._forward(*inputs)
+            return self._eager.apply(*inputs)
         return self._op(*_without_autocast(inputs))
+
+    def _checked(self, inputs: tuple) -> tuple:
+        """The inputs, with tensors of one number as numbers where the operator takes numbers.
+
+        Raises:
+            TaiRuntimeTypeError: an input is of the wrong kind.
+        """
+        found: list[Any] = []
+        for name, value, is_tensor in zip(self.inputs, inputs, self._is_tensor, strict=True):
+            what = f"input '{name}' of operator '{self.__name__}'"
+            if is_tensor and not isinstance(value, torch.Tensor):
+                is_array = type(value).__module__ == "numpy" and hasattr(value, "shape")
+                raise TaiRuntimeTypeError(
+                    f"{what} is a tensor, but got {type(value).__name__}",
+                    f"torch.from_numpy({name})" if is_array else f"torch.tensor({value!r})"
+                    if isinstance(value, (int, float, list, tuple)) else "pass a torch.Tensor",
+                )  # fmt: skip
+            if not is_tensor and isinstance(value, torch.Tensor):
+                if value.requires_grad and torch.is_grad_enabled():
+                    raise TaiRuntimeTypeError(
+                        f"{what} is a number, which has no gradient, but got a tensor that "
+                        "requires one",
+                        f"declare {name} as an array, and give a tensor of shape (1,); or pass "
+                        f"{name}.item()",
+                    )
+                if value.numel() != 1:
+                    raise TaiRuntimeTypeError(
+                        f"{what} is a number, but got a tensor of shape {tuple(value.shape)}",
+                        f"pass {name}.item(), or declare {name} as an array",
+                    )
+                if not torch.compiler.is_compiling():
+                    value = value.item()
+            found.append(value)
+        return tuple(found)
+
+    @staticmethod
+    def _is_constant(inputs: tuple) -> bool:
+        """Whether torch has no use for a derivative of the call."""
+        if torch.autograd.forward_ad._current_level >= 0:
+            return False
+        if not torch.is_grad_enabled():
+            return True
+        for value in inputs:
+            if isinstance(value, torch.Tensor) and value.requires_grad:
+                return False
+        return True
 
 
 class _OfBatch(Operator):
@@ -377,21 +465,25 @@ class _OfBatch(Operator):
 class _Eager(torch.autograd.Function):
     """The operator for plain calls, with less between torch and the kernel."""
 
-    @staticmethod
-    def forward(ctx: Any, operator: Operator, *inputs: Any) -> Any:
-        ctx.operator = operator
-        output = operator._forward(*inputs)
-        operator._set_up(ctx, inputs, output)
-        return output
+    operator: Operator
 
     @staticmethod
-    def backward(ctx: Any, *bars: Any) -> Any:
-        operator = ctx.operator
+    def jvp(ctx: Any, *tangents: Any) -> Any:
+        raise _no_forward_mode()
+
+    @classmethod
+    def forward(cls, ctx: Any, *inputs: Any) -> Any:
+        output = cls.operator._forward(*inputs)
+        cls.operator._set_up(ctx, inputs, output)
+        return output
+
+    @classmethod
+    def backward(cls, ctx: Any, *bars: Any) -> Any:
+        operator, needs = cls.operator, ctx.needs_input_grad
         if torch.is_grad_enabled():  # of a gradient that is to be differentiated
-            return None, *operator._backward(ctx, *bars)
-        inputs, wanted = operator._given(ctx)
-        gradients = operator._gradient(*inputs, *bars, wanted)
-        return None, *operator._spread(gradients, wanted)
+            return operator._backward(ctx, *bars)
+        gradients = operator._differentiate(operator._given(ctx), bars, needs)
+        return operator._spread(gradients, needs)
 
 
 class _Functional(torch.autograd.Function):
@@ -409,9 +501,14 @@ class _Functional(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *bars: Any) -> Any:
-        inputs, wanted = ctx.operator._given(ctx)
-        gradients = _FunctionalGradient.apply(ctx.operator, tuple(wanted), *inputs, *bars)
-        return None, *ctx.operator._spread(gradients, wanted)
+        operator, needs = ctx.operator, ctx.needs_input_grad[1:]
+        given, wanted = operator._given(ctx), tuple(operator._wanted(needs))
+        gradients = _FunctionalGradient.apply(operator, wanted, *given, *bars)
+        return None, *operator._spread(gradients, needs)
+
+    @staticmethod
+    def jvp(ctx: Any, *tangents: Any) -> Any:
+        raise _no_forward_mode()
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, operator: Operator, *inputs: Any) -> Any:
@@ -440,6 +537,30 @@ class _FunctionalGradient(torch.autograd.Function):
         return operator._in_batch(call, info, in_dims[2:], args, wanted)
 
 
+def _no_forward_mode() -> TaiAutodiffError:
+    return TaiAutodiffError(
+        "kernels with arrays have no tangents, so that torch's forward mode (jvp, jacfwd, hessian) "
+        "does not pass an operator",
+        "use torch.func.vjp or jacrev; ti.ad.jvp is forward mode for kernels of fields",
+    )
+
+
+def _find_operator(name: str, identity: tuple) -> Operator:
+    """The operator that was pickled under a name.
+
+    Raises:
+        TaiRuntimeError: this process has none of that name, or another one.
+    """
+    found = _known.get(name)
+    if found is None or found._identity() != identity:
+        raise TaiRuntimeError(
+            f"the operator '{name}' of '{identity[0]}.{identity[1]}' is not known here",
+            "import the module that makes it by tai.torch.wrap before the network is loaded, and "
+            "give it a name: wrap(…, name=…)",
+        )
+    return found
+
+
 def _stacked(found: list) -> Any:
     """The results of a batch, and along which dimension it lies."""
     if isinstance(found[0], torch.Tensor):
@@ -452,6 +573,7 @@ def _is_plain(inputs: tuple) -> bool:
     return not (
         torch._C._len_torch_dispatch_stack()
         or torch._C._is_any_autocast_enabled()
+        or torch._C._is_tracing()
         or any(
             type(i) not in (torch.Tensor, torch.nn.Parameter)
             for i in inputs

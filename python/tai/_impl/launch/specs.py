@@ -158,6 +158,13 @@ def spec_of(kernel: str, parameter: Parameter, value: Any, tracks: bool = False)
     return ArgumentSpec("template", constant=value)
 
 
+def _converted(value: Any, dt: Any) -> str:
+    """The expression that gives an array another type."""
+    if hasattr(value, "detach"):  # a torch tensor
+        return f"t.to(torch.{dt.numpy})"
+    return f"array.astype(np.{dt.numpy})"
+
+
 def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> ArgumentSpec:
     type_ = parameter.type
     what = f"argument '{parameter.name}' of kernel '{kernel}'"
@@ -177,7 +184,7 @@ def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> 
     if type_.dtype is not None and type_.dtype is not dt:
         raise TaiRuntimeTypeError(
             f"{what} expects an array of {type_.dtype}, but got {dt}",
-            f"convert it: array.astype(np.{type_.dtype.numpy})",
+            f"convert it: {_converted(value, type_.dtype)}",
         )
     element_dim = type_.element_dim or len(getattr(value, "element_shape", ()))
     ndim = array.ndim - element_dim
