@@ -29,7 +29,7 @@ def test_message(message, program, tmp_path, monkeypatch):
     assert re.search(re.escape(message).replace("…", ".*"), shown), shown
     # The page calls a message that is no error a warning.
     text = PAGE.read_text().split(f"### {message}\n", 1)[1].split("```\n", 1)[1]
-    assert text.strip().startswith("A warning.") == (error is None)
+    assert text.strip().startswith("This is a warning.") == (error is None)
 
 
 def test_there_are_entries():
