@@ -513,6 +513,11 @@ TAI_EXPORT TaiStatus taiTapeBegin(TaiContext context, TaiField loss,
 /// Adds a field that the sweep starts from, while the tape has no records. A
 /// field of one number is set to zero, and its seed is 1.
 TAI_EXPORT TaiStatus taiTapeAddLoss(TaiTape tape, TaiField loss);
+/// Asks for the gradients of these fields only, while the tape has no records:
+/// launches that lead to none of them are skipped. After a sweep the gradients
+/// of the other fields that it uses are zero, except those of losses.
+TAI_EXPORT TaiStatus taiTapeWant(TaiTape tape, const TaiField *fields,
+                                 int64_t count);
 /// Sets the gradient of a loss at the start of a sweep: a row-major array of
 /// the type of the gradient.
 TAI_EXPORT TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss,

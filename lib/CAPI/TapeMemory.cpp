@@ -15,6 +15,15 @@ TaiStatus taiTapeAddLoss(TaiTape tape, TaiField loss) {
   });
 }
 
+TaiStatus taiTapeWant(TaiTape tape, const TaiField *fields, int64_t count) {
+  return call(tape->context, [&]() -> TaiStatus {
+    std::vector<runtime::FieldPtr> wanted;
+    for (int64_t i = 0; i < count; ++i)
+      wanted.push_back(fields[i]->field);
+    return tape->context.status(tape->tape->want(wanted));
+  });
+}
+
 TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss, const void *array) {
   return call(tape->context, [&]() -> TaiStatus {
     return tape->context.status(tape->tape->setSeed(*loss->field, array));

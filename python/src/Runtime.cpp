@@ -340,6 +340,15 @@ void bindTape(py::module_ &module) {
              taiTapeNoteArrayWrite(t.handle, {begin, end, step, elementBytes});
              settle();
            })
+      .def("want",
+           [](Tape &t, const std::vector<Field *> &fields) {
+             std::vector<TaiField> handles;
+             for (const Field *field : fields)
+               handles.push_back(field->handle);
+             t.context->check(
+                 taiTapeWant(t.handle, handles.data(),
+                             static_cast<int64_t>(handles.size())));
+           })
       .def("add_loss",
            [](Tape &t, const Field &loss) {
              t.context->check(taiTapeAddLoss(t.handle, loss.handle));

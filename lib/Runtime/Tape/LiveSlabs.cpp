@@ -93,13 +93,35 @@ void LiveSlabs::pass(const TapeRecording::Record &record, bool zeroes) {
     return;
   const KernelUses &uses = kernelUses.at(record.kernel);
   const uint64_t *args = recording.args(record);
-  if (zeroes) {
-    for (const Use &use : uses.ended) {
-      SlabSet::Slab slab = locate(use, args);
-      if (!slab.isWhole() || use.fixed->empty())
-        sets[use.set].remove(slab);
-    }
-  }
-  for (const Use &use : uses.read)
+  if (zeroes)
+    end(uses, args);
+  add(uses.read, args);
+}
+
+bool LiveSlabs::isRead(const TapeRecording::Record &record) const {
+  return meets(kernelUses.at(record.kernel).read, recording.args(record));
+}
+
+void LiveSlabs::passForward(const TapeRecording::Record &record, bool isRead) {
+  if (isAll)
+    return;
+  const KernelUses &uses = kernelUses.at(record.kernel);
+  const uint64_t *args = recording.args(record);
+  end(uses, args);
+  if (isRead)
+    add(uses.written, args);
+}
+
+void LiveSlabs::add(const std::vector<Use> &uses, const uint64_t *args) {
+  for (const Use &use : uses)
     sets[use.set].add(locate(use, args));
+}
+
+void LiveSlabs::end(const KernelUses &uses, const uint64_t *args) {
+  for (const Use &use : uses.ended) {
+    SlabSet::Slab slab = locate(use, args);
+    // A place beyond the field is no reason to end all of it.
+    if (!slab.isWhole() || use.fixed->empty())
+      sets[use.set].remove(slab);
+  }
 }

@@ -40,6 +40,12 @@ public:
   /// elements that the launch overwrites to zero.
   void pass(const TapeRecording::Record &record, bool zeroes);
 
+  /// The same questions in the order of the records, where an element is live
+  /// if its value depends on some inputs: whether a launch reads such elements,
+  /// and the state after it.
+  bool isRead(const TapeRecording::Record &record) const;
+  void passForward(const TapeRecording::Record &record, bool isRead);
+
 private:
   struct Use {
     size_t set;
@@ -57,6 +63,8 @@ private:
     return sets[use.set].locate(use.shape, *use.fixed, args);
   }
   bool meets(const std::vector<Use> &uses, const uint64_t *args) const;
+  void add(const std::vector<Use> &uses, const uint64_t *args);
+  void end(const KernelUses &uses, const uint64_t *args);
 
   const TapeRecording &recording;
   bool isAll = false;

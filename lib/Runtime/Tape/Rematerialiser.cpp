@@ -137,7 +137,7 @@ Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
   Status status;
   while (status) {
     for (; to > from && !mayNeed(to - 1); --to)
-      services.count(SkipCount::TapeSkipped);
+      services.count(TapePlan::counterOf(plan[to - 1]));
     if (to == from)
       return status;
     if (isShort(from, to))

@@ -42,7 +42,7 @@ Status ReverseSweep::reverse(Launch &launch, size_t index) {
   } else if (TapePlan::isReplayed(plan[index])) {
     status = replay(launch, index);
   } else {
-    services.count(SkipCount::TapeSkipped);
+    services.count(TapePlan::counterOf(plan[index]));
   }
   return status;
 }

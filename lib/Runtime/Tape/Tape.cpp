@@ -9,7 +9,9 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../Mirror/OwedZeros.h"
 #include "TapeParts.h"
+#include <algorithm>
 #include <new>
 
 using namespace mlir::tai::runtime;
@@ -51,6 +53,19 @@ Status Tape::addLoss(FieldPtr loss) {
   return parts->seeds.add(std::move(loss), parts->holds);
 }
 
+Status Tape::want(const std::vector<FieldPtr> &fields) {
+  if (!parts->recording.empty() || !recording())
+    return Status::failure(StatusCode::Usage,
+                           "the gradients that a tape is for are named before "
+                           "it records");
+  for (const FieldPtr &field : fields)
+    if (!field->adjoint())
+      return Status::failure(StatusCode::Usage, "the field '" + field->name() +
+                                                    "' has no adjoint field");
+  parts->wanted = fields;
+  return Status::success();
+}
+
 Status Tape::setSeed(const Field &loss, const void *array) {
   return parts->seeds.set(loss, array);
 }
@@ -71,7 +86,8 @@ bool Tape::planHolds(bool cleared) const {
 
 void Tape::plan(bool cleared) {
   parts->plan.make(parts->services, parts->recording,
-                   parts->seeds.liveFields(cleared, parts->holds));
+                   parts->seeds.liveFields(cleared, parts->holds),
+                   parts->wanted);
 }
 
 namespace {
@@ -213,11 +229,38 @@ Status Tape::sweep() {
     throw std::bad_alloc();
   for (const auto &[adjoint, zeros] : tape.plan.zerosAfter())
     tape.services.oweZeros(adjoint, zeros);
+  forgetUnwanted();
   // Host functions may have made any changes.
   tape.changes.begin(tape.memory);
   if (status)
-    tape.report.checkEffect(tape.recording, tape.plan, tape.seeds.names());
+    tape.report.checkEffect(tape.recording, tape.plan, tape.seeds.names(),
+                            !tape.wanted.empty());
   return status;
+}
+
+/// Zeroes the gradients that the sweep has added to on its way to others.
+void Tape::forgetUnwanted() {
+  const Parts &tape = *parts;
+  if (tape.wanted.empty())
+    return;
+  for (const FieldPtr &field : tape.services.fields()) {
+    const FieldPtr &adjoint = TapedField::adjoint(*field);
+    if (!adjoint || !adjoint->valid() || !adjoint->dirty() ||
+        !tape.holds.has(adjoint) || tape.seeds.has(*field) ||
+        std::find(tape.wanted.begin(), tape.wanted.end(), field) !=
+            tape.wanted.end())
+      continue;
+    if (adjoint->sparseNode()) {
+      const char zeros[8] = {};
+      adjoint->settleZeros();
+      tape.services.perform({HostWrite::What::Fill, adjoint.get(), zeros});
+      continue;
+    }
+    auto zeros = std::make_shared<OwedZeros>();
+    zeros->boxes.push_back(
+        {std::vector<int64_t>(adjoint->shape().size()), adjoint->shape()});
+    tape.services.oweZeros(adjoint, std::move(zeros));
+  }
 }
 
 Status Tape::runPlan() {
@@ -230,8 +273,10 @@ Status Tape::runPlan() {
   HeldLaunch launch(tape.services);
   if (decides)
     return tape.reverse.runDeciding(launch.get());
+  int64_t unwanted = tape.plan.numUnwanted();
+  tape.services.count(SkipCount::UnwantedLaunches, unwanted);
   tape.services.count(SkipCount::TapeSkipped,
-                      numRecords() -
+                      numRecords() - unwanted -
                           static_cast<int64_t>(tape.plan.replayed().size()));
   if (tape.isDirect() && tape.direct.findReverse(tape.plan, tape.forms))
     return tape.direct.runReverse(launch.get(), tape.plan);

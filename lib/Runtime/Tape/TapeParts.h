@@ -51,6 +51,8 @@ struct Tape::Parts {
   TapeTopology topology;
   std::unique_ptr<AccessChecks> checks;
   SweepSeeds seeds;
+  /// The fields whose gradients are asked for; all if there are none.
+  std::vector<FieldPtr> wanted;
   ChangeWatch changes;
   TapePlan plan;
   AdjointForms forms;

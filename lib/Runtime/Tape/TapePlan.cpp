@@ -50,18 +50,48 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
   const CallerAdjoints &caller = kernel.callerAdjoints();
   if (!live.isWritten(record) && !caller.hasSources())
     return skip(Decision::SkipUnreached);
-  if (!TapedKernel::targets(kernel).empty() || caller.hasTargets)
+  Interest interest = interests[index];
+  if (interest == Interest::Leads &&
+      (!TapedKernel::targets(kernel).empty() || caller.hasTargets))
     return Decision::Replay;
   // The rest of the work is to forget the adjoints of fields that the kernel
   // overwrote. That matters only to those who wrote it before.
-  if (zeroesAt(index) && live.isOverwritten(record))
+  if (interest != Interest::None && zeroesAt(index) &&
+      live.isOverwritten(record))
     return Decision::Replay;
-  return skip(Decision::SkipNoEffect);
+  return interest == Interest::Leads ? skip(Decision::SkipNoEffect)
+                                     : Decision::SkipUnwanted;
+}
+
+/// Goes through the records in their order with the elements that depend on
+/// wanted fields.
+void TapePlan::findUnwanted(const TapeRecording &recording,
+                            const std::vector<FieldPtr> &wanted) {
+  interests.assign(recording.size(), Interest::Leads);
+  if (wanted.empty())
+    return;
+  LiveSlabs varied(recording);
+  for (const FieldPtr &field : wanted)
+    varied.add(*field);
+  for (size_t i = 0; i < recording.size(); ++i) {
+    const TapeRecording::Record &record = recording[i];
+    if (record.kind == Kind::Callback && recording.callback(record).backward)
+      varied.addAll();
+    if (record.kind != Kind::Launch)
+      continue;
+    // Arrays may hold anything, and their gradients are always wanted.
+    bool leads =
+        varied.isRead(record) || record.kernel->callerAdjoints().hasTargets;
+    if (!leads)
+      interests[i] =
+          varied.isOverwritten(record) ? Interest::Ends : Interest::None;
+    varied.passForward(record, leads);
+  }
 }
 
 void TapePlan::make(const TapeServices &services,
-                    const TapeRecording &recording,
-                    std::vector<Field *> seeded) {
+                    const TapeRecording &recording, std::vector<Field *> seeded,
+                    const std::vector<FieldPtr> &wanted) {
   plannedEpoch = services.epoch();
   plannedLive = std::move(seeded);
   prunes = services.skips(Skip::DeadLaunches);
@@ -71,6 +101,9 @@ void TapePlan::make(const TapeServices &services,
     // A tree that has gone is an error when the kernel is launched.
     (void)TapedKernel::bind(*kernel, plannedEpoch);
   overwrites = findOverwrites(recording);
+  findUnwanted(recording, services.skips(Skip::UnwantedGradients)
+                              ? wanted
+                              : std::vector<FieldPtr>());
 
   LiveSlabs live(recording);
   for (const Field *field : plannedLive)
@@ -97,6 +130,10 @@ bool TapePlan::replaysAny() const {
   return std::any_of(decisions.begin(), decisions.end(), [](Decision decision) {
     return decision == Decision::Replay;
   });
+}
+
+int64_t TapePlan::numUnwanted() const {
+  return std::count(decisions.begin(), decisions.end(), Decision::SkipUnwanted);
 }
 
 int64_t TapePlan::numSkipped() const {

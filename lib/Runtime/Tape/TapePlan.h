@@ -29,6 +29,7 @@ public:
     SkipNoDerivative, // the kernel has no derivative
     SkipUnreached,    // changes no field with a live adjoint
     SkipNoEffect,     // reads no field with an adjoint, overwrites none
+    SkipUnwanted,     // leads to no gradient that is wanted
     Callback,
     SkipCallback, // nothing to call in reverse
     Unpruned,     // replayed although it has no effect: pruning is off
@@ -40,9 +41,10 @@ public:
   }
 
   /// Decides on all records from the summaries of kernels. `live`: the fields
-  /// whose adjoints may be non-zero at the start.
+  /// whose adjoints may be non-zero at the start. `wanted`: those whose
+  /// gradients are asked for; all if there are none.
   void make(const TapeServices &services, const TapeRecording &recording,
-            std::vector<Field *> live);
+            std::vector<Field *> live, const std::vector<FieldPtr> &wanted);
   /// Whether there are decisions for these records, valid or not.
   bool isMade(const TapeRecording &recording) const {
     return decisions.size() == recording.size();
@@ -60,6 +62,12 @@ public:
   const std::vector<uint32_t> &replayed() const { return needed; }
   bool replaysAny() const;
   int64_t numSkipped() const;
+  int64_t numUnwanted() const;
+  /// The counter for a record that is not replayed.
+  static SkipCount counterOf(Decision decision) {
+    return decision == Decision::SkipUnwanted ? SkipCount::UnwantedLaunches
+                                              : SkipCount::TapeSkipped;
+  }
   /// Whether the adjoint of a record must zero the adjoints of overwritten
   /// elements.
   bool zeroesAt(size_t index) const { return overwrites.isRepeated[index]; }
@@ -71,8 +79,18 @@ private:
   Decision decide(const TapeRecording &recording, size_t index,
                   const Live &live) const;
 
+  void findUnwanted(const TapeRecording &recording,
+                    const std::vector<FieldPtr> &wanted);
+
   std::vector<Decision> decisions;
   std::vector<uint32_t> needed;
+  /// By record: how the launch matters for wanted gradients.
+  enum class Interest : uint8_t {
+    Leads, // it reads values that depend on wanted fields
+    Ends,  // it only overwrites such values
+    None
+  };
+  std::vector<Interest> interests;
   Overwrites overwrites;
   /// The state for which the decisions are valid.
   std::vector<Field *> plannedLive;

@@ -93,6 +93,8 @@ static std::string explainDecision(Decision decision, const Kernel *kernel,
     return explainUnreached(kernel, args);
   case Decision::SkipNoEffect:
     return "skipped: it reads no field that has an adjoint";
+  case Decision::SkipUnwanted:
+    return "skipped: it leads to no gradient that is asked for";
   case Decision::Callback:
     return "called";
   case Decision::SkipCallback:
@@ -124,11 +126,13 @@ void TapeReport::addDirect(size_t count, const char *what) {
 }
 
 void TapeReport::checkEffect(const TapeRecording &recording,
-                             const TapePlan &plan, const std::string &losses) {
+                             const TapePlan &plan, const std::string &losses,
+                             bool hasWanted) {
   if (recording.empty())
     notes.push_back("the tape has recorded no launch: there is nothing to "
                     "differentiate");
   else if (!losses.empty() && !recording.callsInReverse() && !plan.replaysAny())
-    notes.push_back("the loss " + losses +
-                    " does not depend on any field that has a gradient");
+    notes.push_back(
+        "the loss " + losses + " does not depend on any field " +
+        (hasWanted ? "whose gradient is asked for" : "that has a gradient"));
 }

@@ -29,7 +29,7 @@ public:
 
   /// Adds a warning if a sweep with losses had nothing to do.
   void checkEffect(const TapeRecording &recording, const TapePlan &plan,
-                   const std::string &losses);
+                   const std::string &losses, bool hasWanted);
 
 private:
   std::string text;

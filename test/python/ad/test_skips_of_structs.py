@@ -13,7 +13,7 @@ NAMES = list(ti.profiler.skips())
 # Skips of the runtime and of sparse levels: they change no code of these programs.
 WITHOUT_CODE = (
     "unchanged-lists activity-tests repeated-lookups empty-loops unlaunched-kernels "
-    "untouched-memory dead-launches clean-gradients zero-adjoints"
+    "untouched-memory dead-launches unwanted-gradients clean-gradients zero-adjoints"
 ).split()
 MODES = {
     "deterministic": {"deterministic": True},

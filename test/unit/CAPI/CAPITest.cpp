@@ -198,6 +198,8 @@ TEST(CAPI, TapesSaveAndRecompute) {
     TaiTape tape;
     context.ok(taiTapeBegin(context, nullptr, true, &tape));
     context.ok(taiTapeAddLoss(tape, context.y));
+    context.ok(taiTapeWant(tape, &context.y, 1));
+    context.ok(taiTapeWant(tape, nullptr, 0));
     EXPECT_EQ(taiTapeAddLoss(tape, context.y), TAI_ERROR_USAGE);
     context.ok(taiTapeSetCheckpoint(tape, kind, 2, 0));
     double seed = 0.5;

@@ -287,7 +287,7 @@ TEST(DirectReplay, CallsFunctionsInOrder) {
   recording.renumber(50);
   TapeMemory memory(scene.runtime);
   TapePlan plan;
-  plan.make(scene.services, recording, {scene.y.get()});
+  plan.make(scene.services, recording, {scene.y.get()}, {});
   AdjointForms forms(scene.services, recording, plan, memory);
   DirectReplay direct(scene.services, recording);
   HeldLaunch launch(scene.services);
@@ -362,7 +362,7 @@ TEST(ReverseSweep, CallsAdjointsAndHostFunctions) {
   TapeMemory memory(scene.runtime);
   TapeTopology topology(scene.runtime);
   TapePlan plan;
-  plan.make(scene.services, recording, {});
+  plan.make(scene.services, recording, {}, {});
   AdjointForms forms(scene.services, recording, plan, memory);
   AdjointHealth health;
   ReverseSweep sweep(scene.services, *scene.tape, recording, plan, forms,
@@ -460,7 +460,7 @@ TEST(Rematerialiser, RefusesBadPolicies) {
     recording.addLaunch(*kernel, nullptr, i);
   }
   EXPECT_EQ(get(*scene.x, {0}), 16);
-  plan.make(scene.services, recording, {});
+  plan.make(scene.services, recording, {}, {});
   EXPECT_OK(rematerialiser.sweep());
   EXPECT_EQ(get(*scene.x, {0}), 16);
   TapeStats stats;

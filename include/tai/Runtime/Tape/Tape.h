@@ -80,6 +80,12 @@ public:
   /// the scalar type of the adjoint.
   Status setSeed(const Field &loss, const void *array);
 
+  /// Asks for the gradients of these fields only: launches that lead to none of
+  /// them are not replayed, and after a sweep the gradients of all other fields
+  /// that it uses are zero, except those of losses. Call before anything is
+  /// recorded.
+  Status want(const std::vector<FieldPtr> &fields);
+
   /// Call before anything is recorded.
   Status setCheckpoints(CheckpointPolicy policy);
 
@@ -176,6 +182,7 @@ private:
   bool planHolds(bool cleared = false) const;
   Status sweep();
   Status runPlan();
+  void forgetUnwanted();
   Status replayAll(bool forward, bool reverse);
   Status replayForward();
 

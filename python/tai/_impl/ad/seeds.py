@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeTypeError
 from ..fields.field import Field
+from ..fields.structs import StructField, leaves_of
 
 _DECLARE = "loss = ti.field(ti.f32, shape=(), needs_grad=True)"
 
@@ -34,6 +35,35 @@ def as_losses(loss: Any) -> list[Any]:
     if len({id(field) for field in losses}) < len(losses):
         raise TaiRuntimeTypeError("a loss is given twice")
     return losses
+
+
+def as_wanted(wrt: Any) -> list[Any]:
+    """The fields whose gradients are wanted, members of struct fields each; empty for all.
+
+    Raises:
+        TaiRuntimeTypeError: something that is no field, or no field at all.
+        TaiAutodiffError: a field of integers.
+    """
+    if wrt is None:
+        return []
+    fields = []
+    for field in wrt if isinstance(wrt, (list, tuple)) else [wrt]:
+        if isinstance(field, StructField):
+            fields += [leaf for leaf in leaves_of(field) if leaf.dtype.is_float]
+            continue
+        if not isinstance(field, Field):
+            raise TaiRuntimeTypeError(
+                f"wrt takes fields, but got {field!r}",
+                "the gradients of arrays and returned values are always computed",
+            )
+        if not field.dtype.is_float:
+            raise TaiAutodiffError(f"field '{field.name}' is of type {field.dtype}, not a float")
+        fields.append(field)
+    if not fields:
+        raise TaiRuntimeTypeError(
+            "wrt names no field that could have a gradient", "leave wrt out to get all gradients"
+        )
+    return list({id(field): field for field in fields}.values())
 
 
 def is_number(field: Any) -> bool:

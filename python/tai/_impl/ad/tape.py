@@ -24,7 +24,17 @@ from .condition import Condition, take_condition
 from .health import HealthReport, take_health, warn_of_losses
 from .memory import TapeStats, parse_checkpoint
 from .precision import PrecisionReport, find_not_finite, make_report
-from .seeds import as_losses, as_seed, as_seeds, is_number, parts_of, require_grad, set_seeds, warn
+from .seeds import (
+    as_losses,
+    as_seed,
+    as_seeds,
+    as_wanted,
+    is_number,
+    parts_of,
+    require_grad,
+    set_seeds,
+    warn,
+)
 from .validation import LIMIT, raise_violations
 
 
@@ -90,13 +100,17 @@ class Tape(native.WithBlock):
             between two of them), "binomial" (only snapshots, placed such that recomputation
             is minimal), a number (binomial, with that many snapshots), "mixed" (periodic if
             the values in between fit). The default saves everything, or is "mixed" under a budget.
+        wrt: the fields whose gradients are wanted, one or a list; all if left out. Kernels that
+            lead to none of these gradients do not run in reverse. After the sweep the
+            gradients of all other fields that the tape uses are zero, except those of losses;
+            arrays and returned values always have theirs.
     """
 
     def __init__(
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
         grad_check: Any = None, health: bool = False, *, validate: bool = False,
         seed: Any = None, memory_budget: Any = None, checkpoint: Any = None,
-        precision: bool = False,
+        precision: bool = False, wrt: Any = None,
     ):  # fmt: skip
         # The losses that are not fields, from which the sweep starts.
         self._outer_loss = loss if isinstance(loss, Ndarray) else None
@@ -110,6 +124,7 @@ class Tape(native.WithBlock):
         self._losses = as_losses(loss)
         self._sums = [f for f in self._losses if is_number(f) and f.shape + f.element_shape]
         self._seed = seed
+        self._wanted = as_wanted(wrt)
         self._checkpoint = parse_checkpoint(checkpoint, memory_budget)
         self.loss, self.clear_gradients = loss, clear_gradients
         self._core: Any = None
@@ -137,7 +152,7 @@ class Tape(native.WithBlock):
         if state.tape is not None:
             raise TaiRuntimeError("tapes do not nest", "close the outer ti.ad.Tape first")
         program = get_program()
-        for field in self._losses:
+        for field in [*self._losses, *self._wanted]:
             require_grad(field, sys._getframe(1))
         if self._check:
             self._check.begin(self.loss)
@@ -166,6 +181,8 @@ class Tape(native.WithBlock):
                 self._core.add_loss(part.core)
         if seeds is not None:
             set_seeds(self._core, self._losses, seeds)
+        if self._wanted:
+            self._core.want([part.core for f in self._wanted for part, _ in parts_of(f)])
         self._core.watch_health(self._watches)
         self._checks = self._validates or program.options.debug
         if self._checks:
