@@ -440,7 +440,9 @@ typedef enum TaiSymbolKind {
   TAI_SYMBOL_TREE = 0,
   TAI_SYMBOL_FIELD = 1,
   TAI_SYMBOL_KERNEL = 2,
-  TAI_SYMBOL_FUNCTION = 3 // that runs on the host
+  TAI_SYMBOL_FUNCTION = 3, // that runs on the host
+  TAI_SYMBOL_LOSS = 4,     // of a saved program: the field
+  TAI_SYMBOL_WRT = 5       // of a saved program: fields with a gradient
 } TaiSymbolKind;
 /// Name number `number` of a kind, in the order of the file; null after the
 /// last one. Owned by the program.
@@ -566,6 +568,14 @@ typedef struct TaiArrayRange {
 TAI_EXPORT void taiTapeNoteArrayCopy(TaiTape tape, const void *address,
                                      TaiArrayRange array);
 TAI_EXPORT void taiTapeNoteArrayWrite(TaiTape tape, TaiArrayRange array);
+/// Saves the launches of a tape as a program: a file for taiProgramLoadFile
+/// and `tai-run`, with the present contents of the fields that they use (set
+/// these to those of the start before). Its function "run" launches them, and
+/// "gradient" does so under a tape of `loss`; TAI_SYMBOL_WRT lists `fields`.
+/// Fails for a tape that has more than launches, for arrays of the caller and
+/// for sparse fields.
+TAI_EXPORT TaiStatus taiTapeSave(TaiTape tape, const char *path, TaiField loss,
+                                 const TaiField *fields, int64_t count);
 TAI_EXPORT TaiStatus taiTapeSuspend(TaiTape tape);
 TAI_EXPORT TaiStatus taiTapeResume(TaiTape tape);
 /// One line for each record: replayed or skipped, and why. Owned by the tape.

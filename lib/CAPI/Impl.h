@@ -179,7 +179,7 @@ struct TaiProgramImpl {
   /// The handles of its kernels, by name.
   llvm::StringMap<TaiKernel> kernels;
   /// The names of each TaiSymbolKind.
-  std::array<std::vector<std::string>, 4> symbols;
+  std::array<std::vector<std::string>, 6> symbols;
 };
 
 struct TaiTapeImpl {

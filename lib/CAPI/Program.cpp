@@ -8,10 +8,13 @@
 #include "Impl.h"
 #include "mlir/CAPI/IR.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Plugins.h"
+#include "tai/ExecutionEngine/SavedProgram.h"
 #include "tai/Runtime/Tape/HostProgram.h"
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/MemoryBuffer.h"
+#include "llvm/Support/raw_ostream.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -88,6 +91,18 @@ static void listSymbols(TaiProgramImpl &program) {
     if (kind >= 0)
       program.symbols[kind].push_back(SymbolTable::getSymbolName(&op).str());
   }
+  auto saved =
+      program.program->getModule()->getAttrOfType<DictionaryAttr>(kSaved);
+  if (!saved)
+    return;
+  auto add = [&](int to, Attribute name) {
+    if (auto symbol = dyn_cast_if_present<FlatSymbolRefAttr>(name))
+      program.symbols[to].push_back(symbol.getValue().str());
+  };
+  add(TAI_SYMBOL_LOSS, saved.get("loss"));
+  if (auto wrt = saved.getAs<ArrayAttr>("wrt"))
+    for (Attribute name : wrt)
+      add(TAI_SYMBOL_WRT, name);
 }
 
 static TaiStatus load(TaiContextImpl &context, OwningOpRef<ModuleOp> module,
@@ -199,6 +214,37 @@ TaiStatus taiProgramGetKernel(TaiProgram program, const char *name,
       handle = context.kernels.add(std::unique_ptr<TaiKernelImpl>(
           new TaiKernelImpl{context, found, "", program}));
     *kernel = handle;
+    return TAI_OK;
+  });
+}
+
+TaiStatus taiTapeSave(TaiTape tape, const char *path, TaiField loss,
+                      const TaiField *fields, int64_t count) {
+  if (!tape)
+    return TAI_ERROR_USAGE;
+  return call(tape->context, [&]() -> TaiStatus {
+    TaiContextImpl &context = tape->context;
+    if (!path || !loss || (count > 0 && !fields))
+      return refuseNull(context, !path ? "path" : !loss ? "loss" : "fields");
+    std::vector<runtime::FieldPtr> wrt;
+    for (int64_t i = 0; i < count; ++i) {
+      if (!fields[i])
+        return refuseNull(context, "fields[" + std::to_string(i) + "]");
+      wrt.push_back(fields[i]->field);
+    }
+    auto module = saveTape(context.session, *tape->tape, *loss->field, wrt);
+    if (failed(module))
+      return context.status(failure());
+    // The file is whole, or not there.
+    llvm::Error error =
+        llvm::writeToOutput(path, [&](llvm::raw_ostream &stream) {
+          return succeeded(writeModule(**module, stream))
+                     ? llvm::Error::success()
+                     : llvm::createStringError("no bytecode can be made");
+        });
+    if (error)
+      return context.usage(Twine("cannot write '") + path +
+                           "': " + llvm::toString(std::move(error)));
     return TAI_OK;
   });
 }

@@ -7,6 +7,7 @@
 
 #include "tai/ExecutionEngine/Declarations.h"
 #include "mlir/AsmParser/AsmParser.h"
+#include "mlir/IR/DialectResourceBlobManager.h"
 #include "mlir/IR/Verifier.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "llvm/ADT/SetVector.h"
@@ -210,6 +211,40 @@ static std::optional<runtime::ScalarKind> getScalarKind(Type type) {
   return std::nullopt;
 }
 
+/// The contents as an array, or none after an error.
+static std::optional<std::vector<char>>
+getContents(FieldOp field, runtime::ScalarKind scalar) {
+  std::vector<char> array;
+  ElementsAttr initial = field.getInitialAttr();
+  if (!initial)
+    return array;
+  auto count = static_cast<size_t>(initial.getNumElements());
+  auto size = static_cast<size_t>(runtime::byteSize(scalar));
+  array.reserve(count * size);
+  if (auto dense = dyn_cast<DenseElementsAttr>(initial)) {
+    if (dense.getElementType().isInteger(1)) {
+      for (bool value : dense.getValues<bool>())
+        array.push_back(value);
+      return array;
+    }
+    // A splat holds one element.
+    ArrayRef<char> raw = dense.getRawData();
+    for (size_t i = 0, e = dense.isSplat() ? count : 1; i != e; ++i)
+      array.insert(array.end(), raw.begin(), raw.end());
+  } else if (AsmResourceBlob *blob = cast<DenseResourceElementsAttr>(initial)
+                                         .getRawHandle()
+                                         .getBlob()) {
+    ArrayRef<char> raw = blob->getData();
+    array.assign(raw.begin(), raw.end());
+  }
+  if (array.size() == count * size)
+    return array;
+  field.emitError("the initial contents of '@")
+      << field.getSymName() << "' have " << array.size()
+      << " bytes, but its elements take " << count * size;
+  return std::nullopt;
+}
+
 FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   StringRef name = field.getSymName();
   if (symbols.lookup(name))
@@ -242,6 +277,9 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
     field.emitError() << "fields of " << scalar << " cannot be run";
     return failures.fail(collector.take(FailureKind::Type));
   }
+  std::optional<std::vector<char>> contents = getContents(field, *kind);
+  if (!contents)
+    return failures.fail(collector.take(FailureKind::Type));
   info.layout.scalar = *kind;
   info.layout.placeOffset = storage.offset;
   info.layout.indices.resize(layout->shape.size());
@@ -268,7 +306,13 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   runtime::FieldPtr made;
   if (failed(failures.check(rt.addField(std::move(info), made))))
     return failure();
-  symbols.insert(field.clone());
+  // No kernel depends on the contents.
+  FieldOp declaration = field.clone();
+  declaration.removeInitialAttr();
+  symbols.insert(declaration);
+  if (!contents->empty() &&
+      failed(failures.check(rt.copyFromHost(*made, contents->data()))))
+    return failure();
   return made;
 }
 

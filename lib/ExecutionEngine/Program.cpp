@@ -11,6 +11,7 @@
 #include "mlir/IR/Verifier.h"
 #include "mlir/Pass/PassManager.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
+#include "tai/ExecutionEngine/SavedProgram.h"
 #include "tai/Transforms/Passes.h"
 #include "llvm/ADT/SetVector.h"
 
@@ -107,7 +108,8 @@ FailureOr<std::unique_ptr<Program>> Program::load(Session &session,
                                                   OwningOpRef<ModuleOp> file) {
   {
     DiagnosticCollector collector(session.getContext());
-    if (failed(checkFlat(*file)) || failed(verify(*file)))
+    if (failed(checkSaved(*file)) || failed(checkFlat(*file)) ||
+        failed(verify(*file)))
       return session.fail(
           collector.take(FailureKind::Type, "the file does not verify"));
   }

@@ -160,6 +160,10 @@ static LogicalResult runLaunch(Run &run, Operation *op) {
 static LogicalResult runTape(Run &run, Operation *op) {
   auto tape = cast<TapeOp>(op);
   tai_rt_host_tape_begin(run.frame, tape.getLoss().data());
+  if (CheckpointAttr checkpoint = tape.getCheckpointAttr())
+    tai_rt_host_tape_checkpoint(
+        run.frame, static_cast<int32_t>(checkpoint.getKind()),
+        checkpoint.getSnapshots(), checkpoint.getBudget());
   LogicalResult result = run.runBlock(tape.getBody().front(), {});
   tai_rt_host_tape_end(run.frame);
   return failure(failed(result) || tai_rt_failed(run.frame));

@@ -16,6 +16,7 @@ using namespace mlir;
 
 void tai::buildAutodiffPasses(OpPassManager &pm,
                               const AutodiffOptions &options) {
+  pm.addPass(createExpandGradients());
   // Helpers go into the kernels that call them: a call hides their reads.
   addInliner(pm);
   pm.addPass(createRecognizeReductions());

@@ -8,6 +8,7 @@
 #include "LoweringPasses.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Transforms/Passes.h"
+#include "tai/AD/Passes.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Passes.h"
@@ -23,6 +24,7 @@ void tai::addInliner(OpPassManager &pm) {
 void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
                           bool oneThread) {
   bool checked = options.checksIndices();
+  pm.addPass(createExpandGradients());
   pm.addPass(createCheckLowerable());
   // While kernels are as they were written.
   if (options.optLevel > 0 && !checked && options.bounds != BoundsMode::Clamp &&

@@ -364,6 +364,16 @@ void bindTape(py::module_ &module) {
             t.context->check(taiTapeSetCheckpoint(
                 t.handle, static_cast<TaiCheckpoint>(kind), snapshots, budget));
           })
+      .def("save",
+           [](Tape &t, const std::string &path, const Field &loss,
+              const std::vector<const Field *> &fields) {
+             std::vector<TaiField> handles;
+             for (const Field *field : fields)
+               handles.push_back(field->handle);
+             t.context->check(taiTapeSave(
+                 t.handle, path.c_str(), loss.handle, handles.data(),
+                 static_cast<int64_t>(handles.size())));
+           })
       .def("stats",
            [](Tape &t) {
              TaiTapeStats stats;

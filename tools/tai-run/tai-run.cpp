@@ -18,6 +18,7 @@
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/ExecutionEngine/Plugins.h"
 #include "tai/ExecutionEngine/Program.h"
+#include "tai/ExecutionEngine/SavedProgram.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/Support/CommandLine.h"
 #include "llvm/Support/InitLLVM.h"
@@ -209,7 +210,10 @@ static LogicalResult run(Session &session, const Options &given) {
   if (given.kernelName.getNumOccurrences())
     return launchKernel(session, **program,
                         StringRef(given.kernelName).ltrim('@'));
-  if (!(*program)->getModule().lookupSymbol<func::FuncOp>("main"))
+  ModuleOp module = (*program)->getModule();
+  if (module->hasAttr(kSaved))
+    return (*program)->run("gradient");
+  if (!module.lookupSymbol<func::FuncOp>("main"))
     return session.fail(FailureKind::Usage,
                         "the file holds no 'func.func @main'; name a kernel "
                         "with --kernel to launch it alone");

@@ -18,7 +18,7 @@
 
 #include <stdint.h>
 
-#define TAI_ABI_VERSION 9
+#define TAI_ABI_VERSION 10
 
 #ifdef __cplusplus
 extern "C" {

@@ -270,6 +270,55 @@ def ChooseWriters : Pass<"tai-choose-writers", "::mlir::ModuleOp"> {
   ];
 }
 
+def ExpandGradients : Pass<"tai-expand-gradients", "::mlir::ModuleOp"> {
+  let summary = "turn tai.grad into calls of derivatives";
+  let description = [{
+    For each function that a `tai.grad` names, and each choice of active
+    arguments and results, makes one derivative by `tai-make-adjoint`, of a copy
+    of the function; a function whose attributes name a derivative by the same
+    positions keeps that one. The op becomes a call. Gradients of numbers and
+    vectors, and derivatives by results, pass through local memrefs, which
+    `mem2reg` and `inline` remove.
+
+    A function with a `tai.grad` is not differentiated itself.
+
+    ```mlir
+    func.func @force(%x: f64) -> f64 {
+      %seed = arith.constant -1.0 : f64
+      %0 = tai.grad @energy(%x, %seed) : (f64, f64) -> f64
+      return %0 : f64
+    }
+    func.func @energy(%x: f64) -> f64 {
+      %0 = arith.mulf %x, %x : f64
+      return %0 : f64
+    }
+    ```
+
+    becomes
+
+    ```mlir
+    func.func @force(%x: f64) -> f64 {
+      %g = memref.alloca() : memref<f64>
+      %s = memref.alloca() : memref<f64>
+      %seed = arith.constant -1.0 : f64
+      %zero = arith.constant 0.0 : f64
+      memref.store %zero, %g[] : memref<f64>
+      memref.store %seed, %s[] : memref<f64>
+      func.call @energy_by_0_of_0_grad(%x, %g, %s) : (f64, memref<f64>, memref<f64>) -> ()
+      %0 = memref.load %g[] : memref<f64>
+      return %0 : f64
+    }
+    func.func private @energy_by_0_of_0_grad(f64, memref<f64>, memref<f64>)
+    ```
+  }];
+  let dependentDialects = [
+    "::mlir::arith::ArithDialect", "::mlir::func::FuncDialect",
+    "::mlir::math::MathDialect", "::mlir::memref::MemRefDialect",
+    "::mlir::scf::SCFDialect", "::mlir::vector::VectorDialect",
+    "::mlir::tai::TaiDialect"
+  ];
+}
+
 def ForwardDiff : Pass<"tai-forward-diff", "::mlir::ModuleOp"> {
   let summary = "make forward-mode variants of kernels";
   let description = [{

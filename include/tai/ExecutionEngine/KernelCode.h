@@ -97,6 +97,10 @@ public:
   /// The trees that the module declares, in the order of its ops.
   const std::vector<runtime::TreePtr> &getTrees() const { return source.trees; }
   ModuleOp getModule() const { return source.module.get(); }
+  /// The field that its module means by the name, or null.
+  runtime::FieldPtr findField(StringRef name) const {
+    return source.fields.lookup(name);
+  }
   KernelOp getKernel() const;
   /// All functions linked so far.
   ArrayRef<Compiler::Function> getFunctions() const { return functions; }

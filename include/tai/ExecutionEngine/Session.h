@@ -166,6 +166,12 @@ public:
   /// How the gradient of a kernel handles loops, branches and memory, as text.
   FailureOr<std::string> explain(SessionKernel &kernel);
 
+  std::list<SessionKernel> &getKernels() { return kernels; }
+  /// Adds the declarations that the module refers to and does not hold.
+  LogicalResult declareUsed(ModuleOp module) {
+    return declarations->declareUsed(module);
+  }
+
   /// The session's kernel behind a kernel of the runtime, or null.
   SessionKernel *findKernel(StringRef name);
 

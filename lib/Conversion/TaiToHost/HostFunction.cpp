@@ -91,6 +91,12 @@ static void lowerTape(TapeOp op, Value frame, RuntimeCalls &runtime) {
   Location loc = op.getLoc();
   Value loss = runtime.string(builder, loc, op.getLoss());
   runtime.tai_rt_host_tape_begin(builder, loc, frame, loss);
+  if (CheckpointAttr checkpoint = op.getCheckpointAttr())
+    runtime.tai_rt_host_tape_checkpoint(
+        builder, loc, frame,
+        runtime.i32(builder, loc, static_cast<int32_t>(checkpoint.getKind())),
+        runtime.i64(builder, loc, checkpoint.getSnapshots()),
+        runtime.i64(builder, loc, checkpoint.getBudget()));
   Block &body = op.getBody().front();
   body.getTerminator()->erase();
   op->getBlock()->getOperations().splice(op->getIterator(),

@@ -143,6 +143,22 @@ extern "C" int32_t tai_rt_host_tape_begin(TaiFrame *frame, const char *name) {
                                                    launch.host->tape));
 }
 
+extern "C" int32_t tai_rt_host_tape_checkpoint(TaiFrame *frame, int32_t kind,
+                                               int64_t snapshots,
+                                               int64_t budget) {
+  Launch &launch = launchOf(frame);
+  if (!launch.host)
+    return reportUsage(launch, "a tape belongs to the host");
+  // The failure of its beginning is known.
+  if (!launch.host->tape)
+    return 1;
+  CheckpointPolicy policy;
+  policy.kind = static_cast<CheckpointPolicy::Kind>(kind);
+  policy.snapshots = snapshots;
+  policy.budget = budget;
+  return report(launch, launch.host->tape->setCheckpoints(policy));
+}
+
 extern "C" int32_t tai_rt_host_tape_end(TaiFrame *frame) {
   Launch &launch = launchOf(frame);
   if (!launch.host || !launch.host->tape)

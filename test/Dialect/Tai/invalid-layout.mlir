@@ -124,7 +124,7 @@ tai.field @x = @t["x"] : f32, rank 1, offset [1], offset [2]
 
 // -----
 
-// expected-error @+1 {{expected 'adjoint', 'dual', 'offset' or 'order', but got 'grad'}}
+// expected-error @+1 {{expected 'adjoint', 'dual', 'offset', 'order' or 'initial', but got 'grad'}}
 tai.field @x = @t["x"] : f32, rank 1, grad @y
 
 // -----
@@ -140,3 +140,27 @@ tai.tree @t : !tai.root<dense<[i: 4], {x: f32, g: f64}>>
 tai.field @g = @t["g"] : f64, rank 1
 // expected-error @+1 {{'tai.field' op expects dual '@g' to have type 'f32' and rank 1}}
 tai.field @x = @t["x"] : f32, rank 1, dual @g
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 4], {x: vector<2xf32>}>>
+// expected-error @+1 {{'tai.field' op expects initial contents of type 'tensor<4x2xf32>', but got 'tensor<4xf32>'}}
+tai.field @x = @t["x"] : vector<2xf32>, rank 1, initial dense<1.0> : tensor<4xf32>
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
+// expected-error @+1 {{'tai.field' op expects initial contents of type 'tensor<4xf32>', but got 'tensor<4xf64>'}}
+tai.field @x = @t["x"] : f32, rank 1, initial dense<1.0> : tensor<4xf64>
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
+// expected-error @+1 {{'tai.field' op expects initial contents as dense elements}}
+tai.field @x = @t["x"] : f32, rank 1, initial sparse<[[1]], [2.0]> : tensor<4xf32>
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 4], {x: f32}>>
+// expected-error @+1 {{'initial' is given twice}}
+tai.field @x = @t["x"] : f32, rank 1, initial dense<1.0> : tensor<4xf32>, initial dense<1.0> : tensor<4xf32>

@@ -42,6 +42,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.reads_before", Kind::List, true},
     {"tai.reexecutes", Kind::Unit, true},
     {"tai.tangent", Kind::Symbol, true},
+    {"tai.saved", Kind::Any},
     // Dropping one of these costs time only.
     {"tai.access_group", Kind::Any},
     {"tai.accesses", Kind::Numbers},

@@ -22,11 +22,10 @@ using namespace mlir::tai;
 
 /// Parses the clauses that may follow the rank, in any order:
 /// `, adjoint @a`, `, dual @d`, `, offset [n, …]`, `, order [axis, …]`.
-static ParseResult parseFieldClauses(OpAsmParser &parser,
-                                     FlatSymbolRefAttr &adjoint,
-                                     FlatSymbolRefAttr &dual,
-                                     DenseI64ArrayAttr &offset,
-                                     DenseI64ArrayAttr &order) {
+static ParseResult
+parseFieldClauses(OpAsmParser &parser, FlatSymbolRefAttr &adjoint,
+                  FlatSymbolRefAttr &dual, DenseI64ArrayAttr &offset,
+                  DenseI64ArrayAttr &order, ElementsAttr &initial) {
   while (succeeded(parser.parseOptionalComma())) {
     SMLoc loc = parser.getCurrentLocation();
     StringRef clause;
@@ -53,9 +52,12 @@ static ParseResult parseFieldClauses(OpAsmParser &parser,
       parsed = parseInto(offset);
     else if (clause == "order")
       parsed = parseInto(order);
+    else if (clause == "initial")
+      parsed = parseInto(initial);
     else
       return parser.emitError(loc)
-             << "expected 'adjoint', 'dual', 'offset' or 'order', but got '"
+             << "expected 'adjoint', 'dual', 'offset', 'order' or 'initial', "
+                "but got '"
              << clause << "'";
     if (failed(parsed))
       return failure();
@@ -65,8 +67,8 @@ static ParseResult parseFieldClauses(OpAsmParser &parser,
 
 static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
                               FlatSymbolRefAttr adjoint, FlatSymbolRefAttr dual,
-                              DenseI64ArrayAttr offset,
-                              DenseI64ArrayAttr order) {
+                              DenseI64ArrayAttr offset, DenseI64ArrayAttr order,
+                              ElementsAttr initial) {
   if (adjoint)
     printer << ", adjoint " << adjoint;
   if (dual)
@@ -79,6 +81,8 @@ static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
   };
   printArray("offset", offset);
   printArray("order", order);
+  if (initial)
+    printer << ", initial " << initial;
 }
 
 #define GET_OP_CLASSES
@@ -308,6 +312,21 @@ LogicalResult FieldOp::verifySymbolUses(SymbolTableCollection &symbols) {
     if (!llvm::equal(sorted, path->axes))
       return emitOpError("expects an order that lists each axis of its path "
                          "once");
+  }
+  // (field_c3)
+  if (ElementsAttr initial = getInitialAttr()) {
+    FailureOr<FieldLayout> layout = getFieldLayout(*this);
+    if (failed(layout))
+      return failure();
+    SmallVector<int64_t> shape = layout->shape;
+    if (auto vector = dyn_cast<VectorType>(getType()))
+      llvm::append_range(shape, vector.getShape());
+    auto wanted = RankedTensorType::get(shape, getElementTypeOrSelf(getType()));
+    if (initial.getShapedType() != wanted)
+      return emitOpError("expects initial contents of type ")
+             << wanted << ", but got " << initial.getShapedType();
+    if (!isa<DenseElementsAttr, DenseResourceElementsAttr>(initial))
+      return emitOpError("expects initial contents as dense elements");
   }
   if (getAdjointAttr() &&
       failed(verifyRelatedField(*this, getAdjointAttr(), "adjoint", symbols)))
@@ -668,4 +687,13 @@ LogicalResult tai::verifyTape(Operation *tape, FlatSymbolRefAttr loss,
 
 LogicalResult TapeOp::verifySymbolUses(SymbolTableCollection &symbols) {
   return verifyTape(*this, getLossAttr(), symbols);
+}
+
+LogicalResult
+CheckpointAttr::verify(function_ref<InFlightDiagnostic()> emitError,
+                       CheckpointKind kind, int64_t snapshots, int64_t budget) {
+  if (snapshots < 0 || budget < 0)
+    return emitError() << "the number of snapshots and the memory budget of a "
+                          "tape must be positive";
+  return success();
 }

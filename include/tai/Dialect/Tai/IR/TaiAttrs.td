@@ -103,6 +103,41 @@ def Tai_LoopOrderAttr : EnumAttr<Tai_Dialect, Tai_LoopOrder, "loop_order"> {
   let assemblyFormat = "`<` $value `>`";
 }
 
+def Tai_CheckpointKind
+    : I32EnumAttr<"CheckpointKind", "how a tape recomputes values", [
+    I32EnumAttrCase<"Periodic", 1, "periodic">,
+    I32EnumAttrCase<"Binomial", 2, "binomial">,
+    I32EnumAttrCase<"Mixed", 3, "mixed">]> {
+  let cppNamespace = "::mlir::tai";
+  let genSpecializedAttr = 0;
+}
+
+/// How a tape trades recomputation for saved values.
+def Tai_CheckpointAttr : AttrDef<Tai_Dialect, "Checkpoint"> {
+  let mnemonic = "checkpoint";
+  let summary = "how a tape trades recomputation for saved values";
+  let description = [{
+    `#tai.checkpoint<mixed snapshots 8 budget 1000000>`.
+
+    * `periodic`: snapshots at even distances, and saved values between two of
+      them; `binomial`: snapshots alone; `mixed`: as `periodic` where the values
+      between two snapshots fit into the budget.
+    * `snapshots`: their maximum number; by default about the square root of the
+      number of launches.
+    * `budget`: the maximum of bytes in snapshots and saved values; by default
+      there is none.
+  }];
+  let parameters = (ins
+    EnumParameter<Tai_CheckpointKind>:$kind,
+    DefaultValuedParameter<"int64_t", "0">:$snapshots,
+    DefaultValuedParameter<"int64_t", "0">:$budget
+  );
+  let assemblyFormat = [{
+    `<` $kind (`snapshots` $snapshots^)? (`budget` $budget^)? `>`
+  }];
+  let genVerifyDecl = 1;
+}
+
 def Tai_FieldUse : I32EnumAttr<"FieldUse", "how a kernel uses a field", [
     I32EnumAttrCase<"Read", 0, "read">, I32EnumAttrCase<"Write", 1, "write">,
     I32EnumAttrCase<"Accumulate", 2, "accumulate">]> {

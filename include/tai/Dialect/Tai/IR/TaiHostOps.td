@@ -63,6 +63,9 @@ def Tai_TapeOp : Tai_Op<"tape", [
        through the host.
     4. (tape_c4) It stands in no other tape, and in no kernel.
 
+    With `checkpoint`, launches are run again in the reverse sweep instead of
+    saving all values that adjoints need.
+
     Example:
 
     ```mlir
@@ -70,11 +73,17 @@ def Tai_TapeOp : Tai_Op<"tape", [
       tai.launch @step(%t) : (i32) -> ()
       tai.launch @compute_loss() : () -> ()
     }
+    tai.tape loss(@loss) checkpoint(<mixed budget 1000000>) {
+      tai.launch @step(%t) : (i32) -> ()
+    }
     ```
   }];
-  let arguments = (ins FlatSymbolRefAttr:$loss);
+  let arguments = (ins FlatSymbolRefAttr:$loss,
+                       OptionalAttr<Tai_CheckpointAttr>:$checkpoint);
   let regions = (region SizedRegion<1>:$body);
-  let assemblyFormat = "`loss` `(` $loss `)` $body attr-dict";
+  let assemblyFormat = [{
+    `loss` `(` $loss `)` (`checkpoint` `(` $checkpoint^ `)`)? $body attr-dict
+  }];
 }
 
 } // opDocGroup = HostOpGroup

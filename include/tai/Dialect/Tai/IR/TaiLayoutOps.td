@@ -44,10 +44,16 @@ def Tai_FieldOp : Tai_Op<"field", [Symbol,
     accumulates the derivative of the loss with respect to this one. `dual`
     names the field that holds its tangent in forward mode.
 
+    `initial` has the contents of all elements, row-major, with which a program
+    is loaded (by `tai-run` and the C API); zero where absent. Code compiled
+    ahead of time has no storage of its own, and leaves it to the host.
+
     1. (field_c1) No other field has the same place.
     2. (field_c2) The adjoint and the dual are fields of their own: each belongs
        to one field, in one role, and no field is its own adjoint, directly or
        through other adjoints.
+    3. (field_c3) `initial` has the shape of the field, followed by that of its
+       elements, and their scalar type.
 
     Example:
 
@@ -67,11 +73,13 @@ def Tai_FieldOp : Tai_Op<"field", [Symbol,
     OptionalAttr<FlatSymbolRefAttr>:$dual,
     OptionalAttr<DenseI64ArrayAttr>:$offset,
     OptionalAttr<DenseI64ArrayAttr>:$order,
+    OptionalAttr<ElementsAttr>:$initial,
     OptionalAttr<StrAttr>:$sym_visibility
   );
   let assemblyFormat = [{
     $sym_name `=` $tree `[` $place `]` `:` $type `,` `rank` $rank
-    `` custom<FieldClauses>($adjoint, $dual, $offset, $order) attr-dict
+    `` custom<FieldClauses>($adjoint, $dual, $offset, $order, $initial)
+    attr-dict
   }];
   let hasVerifier = 1;
 }

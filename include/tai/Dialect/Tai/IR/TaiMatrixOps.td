@@ -165,6 +165,63 @@ def Tai_DeriveAsOp : Tai_Op<"derive_as", [
   let assemblyFormat = "$value `,` $form attr-dict `:` type($value)";
 }
 
+def Tai_GradOp : Tai_Op<"grad", [
+    DeclareOpInterfaceMethods<SymbolUserOpInterface>]> {
+  let summary = "the derivative of a function where it is used";
+  let description = [{
+    Calls the derivative of a `func.func` by reverse mode. The operands are, in
+    this order: the arguments of the function; for each active argument that is
+    a memref, the memref that its gradient is added to; for each active result,
+    the number or vector that its derivative is multiplied by. The results are
+    the gradients of the active arguments that are numbers or vectors.
+
+    `wrt` has the positions of the active arguments, and `of` those of the
+    active results, both ascending. Without them, all arguments and results of
+    floats are active; an argument of a float that is not active is constant.
+    The function itself does not run. Its derivative reads the memrefs as they
+    are.
+
+    `tai-expand-gradients` makes the derivative and a call of it.
+
+    1. (grad_c1) `callee` names a `func.func` with a body.
+    2. (grad_c2) The positions are ascending, and those of floats, of vectors or
+       memrefs of floats.
+    3. (grad_c3) The operands and results are as above.
+    4. (grad_c4) An argument is active, and so is a result or a memref.
+
+    Example:
+
+    ```mlir
+    func.func @energy(%x: f64, %k: f64) -> f64 {
+      %0 = arith.mulf %x, %x : f64
+      %1 = arith.mulf %0, %k : f64
+      return %1 : f64
+    }
+    func.func @force(%x: f64, %k: f64) -> f64 {
+      %seed = arith.constant -1.0 : f64
+      %0 = tai.grad @energy(%x, %k, %seed) wrt [0] : (f64, f64, f64) -> f64
+      return %0 : f64
+    }
+    ```
+  }];
+  let arguments = (ins FlatSymbolRefAttr:$callee, Variadic<AnyType>:$operands,
+                       OptionalAttr<DenseI64ArrayAttr>:$wrt,
+                       OptionalAttr<DenseI64ArrayAttr>:$of);
+  let results = (outs Variadic<AnyType>:$results);
+  let assemblyFormat = [{
+    $callee `(` $operands `)` (`wrt` $wrt^)? (`of` $of^)? attr-dict `:`
+    functional-type($operands, $results)
+  }];
+  let extraClassDeclaration = [{
+    /// The positions of the active arguments, and those of the active results,
+    /// of the function, which has been verified.
+    ::llvm::SmallVector<int64_t> getActiveArguments(
+        ::mlir::FunctionOpInterface function);
+    ::llvm::SmallVector<int64_t> getActiveResults(
+        ::mlir::FunctionOpInterface function);
+  }];
+}
+
 def Tai_TraceOp : Tai_MatrixOp<"trace", [
     TypesMatchWith<"result is the element type", "matrix", "result",
                    "::llvm::cast<::mlir::VectorType>($_self).getElementType()">]> {
