@@ -324,3 +324,29 @@ def test_batches_that_launch_for_each_element():
     n = jnp.array([[0], [1], [3], [2]])
     np.testing.assert_allclose(jax.vmap(function)(n, x), 2 * x * (jnp.arange(3) < n))
     assert "array 'n' has a part for each element" in str(function.one_by_one)
+
+
+def test_inputs_that_are_no_arrays():
+    x = sample(3)
+    for inputs, message in (
+        ((None, 1.0), "input 'x' of 'scale_squares' is an array, but got NoneType"),
+        ((x, "a"), "input 's' of 'scale_squares' is a number of type float, but got str"),
+        ((x, x), "is a number of type float, but got float64[3]"),
+    ):
+        with pytest.raises(ti.TaiRuntimeTypeError, match=re.escape(message)):
+            SQUARES(*inputs)
+
+
+def test_inputs_by_name():
+    x = sample(3)
+    assert (SQUARES(s=2.0, x=x) == SQUARES(x, 2.0)).all()
+    assert (jax.jit(lambda x: SQUARES(x, s=2.0))(x) == SQUARES(x, 2.0)).all()
+    with pytest.raises(ti.TaiRuntimeTypeError, match="has no input 't'"):
+        SQUARES(x, t=2.0)
+    with pytest.raises(ti.TaiRuntimeTypeError, match="takes 2 inputs, but got 1"):
+        SQUARES(x)
+
+
+def test_a_shape_from_too_few_inputs():
+    with pytest.raises(ti.TaiRuntimeTypeError, match="does not take the 2 inputs"):
+        ti.jax.wrap(scale_squares, outputs={"y": lambda x: x.shape})

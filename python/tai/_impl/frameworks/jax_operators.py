@@ -238,18 +238,25 @@ class Operator:
         return self._differentiable(*map(self._as_operand, inputs, self._kinds, self.inputs))
 
     def _as_operand(self, value: Any, kind: str, name: str) -> Any:
+        try:
+            array = jnp.asarray(value)
+        except (TypeError, ValueError):
+            wanted = "an array" if kind == "array" else f"a number of type {kind}"
+            raise TaiRuntimeTypeError(
+                f"input '{name}' of '{self.__name__}' is {wanted}, but got {type(value).__name__}",
+                "pass an array of JAX or NumPy, or a number",
+            ) from None
         if kind == "array":
-            return jnp.asarray(value)
+            return array
         dtype: Any = {"float": jnp.result_type(float), "int": jnp.result_type(int), "bool": bool}[
             kind
         ]
-        number = jnp.asarray(value)
-        if number.ndim or (kind != "float" and jnp.issubdtype(number.dtype, jnp.floating)):
+        if array.ndim or (kind != "float" and jnp.issubdtype(array.dtype, jnp.floating)):
             raise TaiRuntimeTypeError(
                 f"input '{name}' of '{self.__name__}' is a number of type {kind}, but got "
-                f"{number.dtype}{list(number.shape)}"
+                f"{array.dtype}{list(array.shape)}"
             )
-        return number.astype(dtype)
+        return array.astype(dtype)
 
     def _task(self, wanted: tuple[int, ...] | None, operands: Sequence[Any]) -> np.int64:
         ranks = tuple(o.ndim for o in operands)
