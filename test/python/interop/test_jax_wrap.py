@@ -350,3 +350,19 @@ def test_inputs_by_name():
 def test_a_shape_from_too_few_inputs():
     with pytest.raises(ti.TaiRuntimeTypeError, match="does not take the 2 inputs"):
         ti.jax.wrap(scale_squares, outputs={"y": lambda x: x.shape})
+
+
+@ti.kernel
+def last(x: ti.types.ndarray(), y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[0] = x[i] * x[i]
+
+
+def test_stores_to_one_element():
+    function = ti.jax.wrap(last, outputs={"y": lambda x: 1})
+    x = sample(3)
+    for _ in range(2):
+        y, gradient = jax.value_and_grad(lambda x: function(x)[0])(x)
+        # The gradient belongs to the iteration whose number remained.
+        wanted = [2 * v if v * v == y else 0.0 for v in x.tolist()]
+        assert gradient.tolist() == wanted and sum(g != 0 for g in wanted) == 1

@@ -572,3 +572,22 @@ def test_adjoints_are_not_changed_by_the_sweep():
         given = (x,) if operator is SQUARE else (x, x.detach())
         operator(*given).backward(bar, retain_graph=True)
         assert bar.tolist() == [1, 1, 1]
+
+
+@ti.kernel
+def last(x: ti.types.ndarray(), y: ti.types.ndarray()):
+    for i in range(x.shape[0]):
+        y[0] = x[i] * x[i]
+
+
+LAST = wrap(last, outputs={"y": lambda x: 1})
+
+
+def test_stores_to_one_element():
+    for _ in range(2):
+        x = leaf()
+        y = LAST(x)
+        y.backward(torch.ones(1, dtype=torch.float64))
+        # The gradient belongs to the iteration whose number remained.
+        gradient = [2 * v if v * v == y.item() else 0.0 for v in x.tolist()]
+        assert x.grad.tolist() == gradient and sum(g != 0 for g in gradient) == 1

@@ -23,7 +23,7 @@ from ..interop.streams import let_stream_wait, wait_for_stream
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
 from ..tracking import tracked
-from .parameters import check_outputs, in_order, kinds_of
+from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
 from .stacked import Stacks
 from .xla_buffers import DeviceBuffer, number_of, store_number, zeros_like
 
@@ -401,7 +401,14 @@ class Operator:
                 self._launch(inputs, outputs)
             tape.grad()
         else:
-            self._launch(inputs, outputs, self._function.grad)
+            try:
+                self._launch(inputs, outputs, self._function.grad)
+            except TaiRuntimeError as error:
+                if not asks_for_tape(error):
+                    raise
+                self._needs_tape = True
+                self._differentiate(operands, results, wanted)
+                return
         for value, result in numbers:
             store_number(result, value.grad)
 

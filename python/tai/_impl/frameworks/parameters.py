@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-from ...errors import TaiRuntimeTypeError
+from ...errors import TaiRuntimeError, TaiRuntimeTypeError
 from ..launch.kernels import Kernel
 from ..values.types import NdarrayType, ScalarType
 
@@ -55,6 +55,11 @@ def kinds_of(function: Any, user: str) -> dict[str, str]:
             )
         kinds[given.name] = numbers.get(given.annotation, "array")
     return kinds
+
+
+def asks_for_tape(error: TaiRuntimeError) -> bool:
+    """Whether a gradient was refused, before it ran, because only a tape has all that it needs."""
+    return type(error) is TaiRuntimeError and "under a tape" in error.message
 
 
 def in_order(what: str, names: list[str], inputs: tuple, named: dict[str, Any]) -> tuple:

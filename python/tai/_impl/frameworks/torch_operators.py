@@ -20,7 +20,7 @@ from ..ad.tape import Tape, clear_all_gradients
 from ..base import state
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
-from .parameters import check_outputs, in_order, kinds_of
+from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
 from .stacked import Stacks
 
 _numbers = itertools.count()
@@ -352,7 +352,13 @@ class Operator:
                 self._launch(given, outputs)
             tape.grad()
         else:
-            self._launch(given, outputs, self._function.grad)
+            try:
+                self._launch(given, outputs, self._function.grad)
+            except TaiRuntimeError as error:
+                if not asks_for_tape(error):
+                    raise
+                self._needs_tape = True
+                return self._differentiate(inputs, bars, needs)
         return [leaf.grad for leaf in leaves]
 
     # Calls
