@@ -214,6 +214,7 @@ _LAZY = {
         "_impl.launch.kernels": "kernel func pyfunc real_func data_oriented Kernel",
         "_impl.ad.batch": "batch",
         "_impl.ad.saved": "export",
+        "_impl.ad.solve": "solve_to",
         "ad": "Tape clear_all_gradients no_grad grad_replaced complex_kernel complex_kernel_grad",
         "lang.misc": "extension is_extension_supported",
         "_impl.fields.root": "deactivate_all_snodes",

@@ -29,6 +29,7 @@ from . import ui as ui
 from . import volumes as volumes
 from ._impl.ad.batch import batch as batch
 from ._impl.ad.saved import export as export
+from ._impl.ad.solve import solve_to as solve_to
 from ._impl.base.log_level import is_logging_effective as is_logging_effective
 from ._impl.base.log_level import set_logging_level as set_logging_level
 from ._impl.base.program import reset as reset

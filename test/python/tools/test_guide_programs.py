@@ -8,7 +8,7 @@ import pytest
 import tai as ti
 
 GUIDES = Path(__file__).resolve().parents[3] / "docs/guides"
-PAGES = ["checkpoints", "jacobians", "numpy", "python-in-kernels"]
+PAGES = ["checkpoints", "jacobians", "numpy", "python-in-kernels", "solve-to"]
 
 
 def _programs():

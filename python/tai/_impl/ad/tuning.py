@@ -14,7 +14,6 @@ from ..base import dtypes, native, state
 from ..base.program import get_program, sync
 from .compare import as_fields
 from .precision import STORAGE, PrecisionReport, bytes_of, own_fields, owner_of
-from .rounding import Sweep
 from .seeds import number_of
 from .snapshot import Snapshot
 from .tape import Tape
@@ -106,7 +105,7 @@ def tune_precision(
     builds = loss is None
     build = run
     if builds:
-        run, loss = _built(build, Types())
+        run, loss = made_by(build, Types())
     wrt = as_fields(wrt, "wrt")
     as_fields([loss], "loss")
     loss.materialize()
@@ -118,7 +117,9 @@ def tune_precision(
     return result
 
 
-def _built(build: Callable[..., Any], types: Types) -> tuple[Callable[..., Any], Any]:
+def made_by(
+    build: Callable[..., Any], types: Types, who: str = "tune_precision"
+) -> tuple[Callable[..., Any], Any]:
     made = build(types)
     if not (isinstance(made, tuple) and len(made) == 2 and callable(made[0])):
         raise TaiRuntimeTypeError(
@@ -148,7 +149,7 @@ def _tune(run: Callable[..., Any], loss: Any, error: float, wrt: Any) -> TunedPr
             run()
         report = tape.precision_report(error)
         probes = program.probes
-        unknowns = _parts(wrt) if wrt else _unknowns(probes.sweep)
+        unknowns = parts_among(wrt) if wrt else unknowns_of(probes.sweep)
         base = _results(loss, unknowns)
         _refuse_impossible(report, base, error)
         chosen, dropped = report.storable(), []
@@ -158,7 +159,7 @@ def _tune(run: Callable[..., Any], loss: Any, error: float, wrt: Any) -> TunedPr
             probes.emulate(keys)
             with Tape(loss, precision=True):
                 run()
-            errors = _distance(_results(loss, unknowns), base)
+            errors = distance(_results(loss, unknowns), base)
             if max(errors) <= error or not chosen:
                 break
             dropped.append(_widen(report, chosen))
@@ -171,7 +172,7 @@ def _rebuild(
     build: Callable[..., Any], run: Callable[..., Any], loss: Any, wrt: Any, result: TunedPrecision
 ) -> TunedPrecision:
     """The program with the types that were chosen, in earnest; with fewer until it is right."""
-    unknowns = _parts(wrt) if wrt else _unknowns(get_program().probes.sweep)
+    unknowns = parts_among(wrt) if wrt else unknowns_of(get_program().probes.sweep)
     names = [owner_of(f).name for f in unknowns]
     start = Snapshot()
     result.seconds_before = _seconds(run, loss, start)
@@ -180,25 +181,25 @@ def _rebuild(
     while True:
         known = {id(f) for f in own_fields()}
         types = Types({name: getattr(dtypes, kind) for name, kind in result.types.items()})
-        again, other = _built(build, types)
+        again, other = made_by(build, types)
         other.materialize()
         beginning = Snapshot()
         result.seconds_after = _seconds(again, other, beginning)
         fresh = [f for f in own_fields() if id(f) not in known]
-        same = [next((f for f in fresh if _is_named(f, name)), None) for name in names]
+        same = [next((f for f in fresh if is_named(f, name)), None) for name in names]
         if None in same:
             lost = names[same.index(None)]
             raise TaiRuntimeError(f"the program has no field '{lost}' when it is made again")
         found = _results(other, same)
         beginning.restore()
-        result.loss_error, result.gradient_error = _distance(found, base)
+        result.loss_error, result.gradient_error = distance(found, base)
         if max(result.loss_error, result.gradient_error) <= result.target or not result.types:
             return result
         result.dropped.append(_widen(result.report, result.types))
         result.bytes_after = result.bytes_before - _all_saved(result.report, result.types)
 
 
-def _is_named(f: Any, name: str) -> bool:
+def is_named(f: Any, name: str) -> bool:
     """Whether a field has a name. A later field of the same name has a number at its end."""
     stem, _, number = owner_of(f).name.rpartition("_")
     return owner_of(f).name == name or (stem == name and number.isdigit())
@@ -219,7 +220,7 @@ def _seconds(run: Callable[..., Any], loss: Any, start: Snapshot) -> float:
     return min(taken)
 
 
-def _unknowns(sweep: Sweep) -> list[Any]:
+def unknowns_of(sweep: Any) -> list[Any]:
     """The fields with a gradient that kernels read and do not write."""
     return [
         f for f in own_fields()
@@ -228,7 +229,7 @@ def _unknowns(sweep: Sweep) -> list[Any]:
     ]  # fmt: skip
 
 
-def _parts(fields: Any) -> list[Any]:
+def parts_among(fields: Any) -> list[Any]:
     wanted = {id(f) for f in fields}
     return [f for f in own_fields() if id(owner_of(f)) in wanted or id(f) in wanted]
 
@@ -238,7 +239,7 @@ def _results(loss: Any, unknowns: list[Any]) -> tuple[float, np.ndarray]:
     return float(number_of(loss)), np.concatenate(gradients) if gradients else np.zeros(1)
 
 
-def _distance(found: tuple, base: tuple) -> tuple[float, float]:
+def distance(found: tuple, base: tuple) -> tuple[float, float]:
     """Relative errors of loss and gradient; infinite where something is not finite."""
     if not np.isfinite(found[0]) or not np.all(np.isfinite(found[1])):
         return np.inf, np.inf

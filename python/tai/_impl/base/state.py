@@ -26,6 +26,7 @@ tape: Any
 forward: bool
 fp: Any
 rounding: Any
+version: Any
 thread: object
 
 
@@ -37,6 +38,7 @@ class _OfThread(threading.local):
     solves: Any = ()
     fp: Any = None
     rounding: Any = None
+    version: Any = None
 
     def __init__(self) -> None:
         # A value that no other thread has, now or later.
@@ -72,6 +74,11 @@ class _State(types.ModuleType):
     def rounding(self) -> Any:
         """The factory of emitters for kernels that estimate their rounding errors, or None."""
         return of_thread.rounding
+
+    @property
+    def version(self) -> Any:
+        """The types and modes that kernels are compiled for in the place of their own, or None."""
+        return of_thread.version
 
     @property
     def thread(self) -> object:

@@ -19,7 +19,7 @@ from .bound_kernel import BoundKernel
 from .functions import func, pyfunc, real_func
 from .launch import launch
 from .signature import Signature, check_annotations, located, names_of
-from .specialization import Specialization, Specializations
+from .specialization import Specialization, Specializations, in_version
 from .struct_results import ResultType
 
 native.set_tracked_type(tracked.Number)
@@ -118,7 +118,7 @@ class Kernel(native.Launcher):
 
     def _get_signature(self) -> Signature:
         if self._signature is None:
-            outer, state.of_thread.fp = state.fp, float_of(self._modes)
+            outer, state.of_thread.fp = state.fp, float_of(in_version(self._modes))
             try:
                 self._signature = Signature(self._function, self._is_method)
             finally:
@@ -150,6 +150,10 @@ class Kernel(native.Launcher):
     def forget_launches(self) -> None:
         """The next launch asks anew which code it needs."""
         self._specializations.forget_launches()
+
+    def forget_types(self) -> None:
+        """The next launch asks anew which types `float` stands for."""
+        self._signature = None
 
     def release(self) -> None:
         """The program is over: forgets the code compiled for it."""

@@ -73,6 +73,11 @@ class Specialization:
         return any(s.is_read for s in same), any(s.is_written for s in same)
 
 
+def in_version(modes: dict[str, Any]) -> dict[str, Any]:
+    """The modes of a kernel, with those of the version that is on where it says nothing."""
+    return modes if state.version is None else {**state.version.modes, **modes}
+
+
 class Specializations:
     """The specialisations of one kernel for the current program.
 
@@ -128,6 +133,8 @@ class Specializations:
             key.append(("result", pool.number))
         if state.rounding is not None:
             key.append("rounding")
+        if state.version is not None:
+            key.extend(state.version.key)
         variants = self._variants.setdefault(tuple(key), [])
         found = next((one for one in reversed(variants) if one.fits(specs)), None)
         if found is None:
@@ -148,6 +155,8 @@ class Specializations:
         self.last = found
         if state.rounding is not None:
             state.rounding.note(found)
+        if state.version is not None:
+            state.version.note(found, signature.kernel)
         return found
 
     def _note_users(self, program: Any, found: Specialization, key: tuple) -> None:
@@ -217,7 +226,7 @@ class Specializations:
         name_fields(closure_of(self._function))
         materialize(program, self._function.__globals__)
         try:
-            modes = modes_of(self._modes, program.options)
+            modes = modes_of(in_version(self._modes), program.options)
         except TaiRuntimeError as error:
             raise located(TaiCompilationError(error.message, error.hint), self._function) from None
         is_fast = modes.get("math") == "fast" or ("math" not in modes and program.options.fast_math)

@@ -1,0 +1,183 @@
+"""Other types and modes for a program that exists: its fields hold other floats for a while.
+
+A place of a field stands for memory in C++ by three attributes: its type, its symbol and its core.
+While a `Version` is on, the places of the program have those of a twin of another type, kernels
+are compiled once more for them, and the program runs unchanged.
+
+See docs/decisions/0065-solve-to.md.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from ..base import dtypes, native, state
+from ..base.locks import snapshot
+from ..base.program import get_program
+from ..fields.scalar import ScalarField
+from ..fields.snode import FieldsBuilder, axes
+from .precision import owner_of
+from .snapshot import Snapshot
+from .sparse import sparse_level
+
+_numbers = itertools.count()
+# The attributes of a place that belong to its memory.
+_ATTRIBUTES = ("dtype", "symbol", "_core")
+
+
+class Twin:
+    """A place, and memory of another type that can stand in for its own."""
+
+    def __init__(self, place: Any, dtype: Any):
+        self.place = place
+        grad = place._companions.get("grad")
+        made = ScalarField(dtype, f"{owner_of(place).name}_{dtype.name}", "primal",
+                           place.element_shape)  # fmt: skip
+        made.needs_grad = grad is not None and grad._core is not None
+        builder = FieldsBuilder()
+        shape = place.shape
+        node = builder.dense(axes(*range(len(shape))), shape) if shape else builder.root
+        offset = place.offset if any(place.offset) else None
+        node.place(made, offset=offset)
+        self._tree = builder.finalize()
+        made.materialize()
+        self._pairs: list[tuple[Any, Any]] = [(place, made)]
+        if made.needs_grad:
+            self._pairs.append((grad, made._companions["grad"]))
+
+    def copy_in(self) -> None:
+        """Gives the twin the values of the field, in whose place it is not yet."""
+        place, made = self._pairs[0]
+        array = Snapshot._take(place)
+        made.core.copy_from(np.ascontiguousarray(array, made.dtype.numpy))
+
+    def copy_out(self) -> None:
+        """Gives the field, which is in its place again, values and gradients of the twin."""
+        for place, made in self._pairs:
+            array = Snapshot._take(made)
+            place.core.copy_from(np.ascontiguousarray(array, place.dtype.numpy))
+
+    def exchange(self) -> None:
+        """The field takes the memory of the twin, or its own again."""
+        fields = get_program().fields
+        for place, made in self._pairs:
+            for name in _ATTRIBUTES:
+                mine, other = getattr(place, name), getattr(made, name)
+                setattr(place, name, other)
+                setattr(made, name, mine)
+            for one in (place, made):
+                assert one.symbol is not None  # both are in memory
+                fields[one.symbol] = one
+
+    def destroy(self) -> None:
+        self._tree.destroy()
+
+
+class Version(native.WithBlock):
+    """A program with other types and modes, while the block runs.
+
+    Attributes:
+        key: by which its code is found, besides arguments.
+        modes: words of kernels, as those of `ti.kernel`; words of a kernel's own go first.
+        kinds: by the identity of a place, the type that it has.
+        loaded, stored, accumulated: symbols of the fields that its kernels use.
+        places: the places of floats that they use.
+        writes: lines about arrays of the caller that they write to.
+    """
+
+    def __init__(
+        self, modes: dict[str, Any], types: Iterable[tuple[Any, Any]] = (), is_plain: bool = False
+    ):
+        self.modes = modes
+        # Without types and modes of its own it has the code of the program.
+        self.key = () if is_plain else (("version", next(_numbers)),)
+        self.twins: list[Twin] = []
+        owners: dict[int, tuple[Any, Any]] = {}
+        for place, dtype in types:
+            if place.dtype is not dtype:
+                self.twins.append(Twin(place, dtype))
+                owners |= {id(owner): (owner, kind) for owner, kind in _owners(place, dtype)}
+        self._owners = list(owners.values())
+        self.loaded: set[str] = set()
+        self.stored: set[str] = set()
+        self.accumulated: set[str] = set()
+        self.places: dict[int, Any] = {}
+        self.writes: list[str] = []
+        self._is_on = False
+
+    def note(self, kernel: Any, name: str) -> None:
+        """A kernel is launched, for the first time in the block."""
+        self.loaded |= {f.symbol for f in kernel.fields}
+        self.accumulated |= {f.symbol for f in kernel.accumulated}
+        self.stored |= {f.symbol for f in (*kernel.stored, *kernel.accumulated)}
+        for f in (*kernel.fields, *kernel.stored, *kernel.accumulated):
+            if f.dtype.is_float and f.role == "primal":
+                self.places[id(f)] = f
+        for spec in kernel.specs:
+            if spec.kind == "array" and kernel.uses_of(spec)[1]:
+                self.writes.append(name)
+
+    def _enter(self) -> Version:
+        for twin in self.twins:
+            twin.copy_in()
+        self._is_on = True
+        self._exchange()
+        state.of_thread.version = self
+        return self
+
+    def _end(self) -> None:
+        if not self._is_on:
+            return
+        self._is_on = False
+        state.of_thread.version = None
+        self._exchange()
+
+    def _exchange(self) -> None:
+        for twin in self.twins:
+            twin.exchange()
+        self._owners = [(owner, _retyped(owner, dtype)) for owner, dtype in self._owners]
+        _forget_launches()
+
+    def copy_out(self) -> None:
+        """Gives the fields the values and gradients of the last run; to be called behind it."""
+        for twin in self.twins:
+            twin.copy_out()
+
+    def destroy(self) -> None:
+        for twin in self.twins:
+            twin.destroy()
+        self.twins = []
+
+
+def _owners(place: Any, dtype: Any) -> list[tuple[Any, Any]]:
+    """The vector or matrix field of a place, and its gradient, with their types."""
+    owner = owner_of(place)
+    if owner is place:
+        return []
+    found = [(owner, dtype)]
+    grad = owner._companions.get("grad")
+    if grad is not None:
+        found.append((grad, dtypes.gradient_of(dtype)))
+    return found
+
+
+def _retyped(owner: Any, dtype: Any) -> Any:
+    """Gives a field a type; returns the one that it had."""
+    former, owner.dtype = owner.dtype, dtype
+    return former
+
+
+def _forget_launches() -> None:
+    """Lets Python look again which code a launch needs, and which types `float` stands for."""
+    for kernel in snapshot(get_program().kernels):
+        kernel.forget_launches()
+        kernel.forget_types()
+
+
+def can_change(place: Any) -> bool:
+    """Whether a place may have a twin: it is dense, and no window of another one."""
+    return sparse_level(place) is None and not getattr(place, "is_window", False)

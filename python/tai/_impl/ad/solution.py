@@ -1,0 +1,87 @@
+"""The result of `ti.solve_to`: the choice, its error, and the causes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass
+class Part:
+    """One cause of error.
+
+    Attributes:
+        name: "rounding", "discretisation" or "solver".
+        error: relative, of the loss or of the gradient (L2), whichever is greater.
+        lines: the places that cause it, largest first: text and relative error of the loss.
+        how: how it was found.
+    """
+
+    name: str
+    error: float
+    lines: list[tuple[str, float]]
+    how: str
+
+    def __str__(self) -> str:
+        head = f"  {self.error:8.1e}  {self.name}: {self.how}"
+        return "\n".join([head, *(f"            {e:8.1e}  {text}" for text, e in self.lines[:4])])
+
+
+@dataclass
+class Solution:
+    """The result of `ti.solve_to`.
+
+    Attributes:
+        modes: the choice: `precision`, `sums` and `math` as in `ti.init`, `types` of fields by name
+            where they differ from the program's own, `steps` and `tol` where `run` takes them.
+        error: the relative error that is expected, at most the one that was asked for: the sum of
+            the parts.
+        parts: the causes, each with the lines that it comes from.
+        time: seconds of one run and its sweep in these modes.
+        asked: the error that was asked for.
+        loss, gradients: the results, in f64, an array for each field of `wrt`; the fields have
+            them too, rounded to their own types.
+        iterations: runs and sweeps that it took to choose.
+        reference_time: seconds of one run and its sweep in the reference.
+        tried: lines about the modes that were measured.
+        notes: remarks, such as that the fields cannot hold the digits that were asked for.
+    """
+
+    modes: dict[str, Any]
+    error: float
+    parts: list[Part]
+    time: float
+    asked: float
+    loss: float
+    gradients: list[np.ndarray]
+    iterations: int
+    reference_time: float
+    tried: list[str]
+    notes: list[str]
+    _again: Callable[[], None] = field(repr=False, default=lambda: None)
+
+    def run(self) -> None:
+        """Runs the program and its sweep once more, in the chosen modes.
+
+        It begins with the fields as they are, and leaves values and gradients in them.
+        """
+        self._again()
+
+    def __str__(self) -> str:
+        shown = ", ".join(f"{n}={v!r}" for n, v in self.modes.items() if n != "types")
+        kinds: dict[str, list[str]] = {}
+        for name, kind in self.modes["types"].items():
+            kinds.setdefault(kind, []).append(name)
+        for kind, names in kinds.items():
+            more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+            shown += f"; {', '.join(names[:6])}{more} in {kind}"
+        lines = [
+            f"solve_to: {shown}",
+            f"  {self.error:8.1e}  expected, {self.asked:.0e} allowed; "
+            f"{1e3 * self.time:.3g} ms for an iteration ({1e3 * self.reference_time:.3g} ms in the "
+            f"reference), chosen by {self.iterations} iterations",
+        ]
+        return "\n".join([*lines, *map(str, self.parts), *(f"  note: {n}" for n in self.notes)])

@@ -1,0 +1,772 @@
+"""`ti.solve_to`: the cheapest types, modes and steps that keep loss and gradient within an error.
+
+See docs/guides/solve-to.md and docs/decisions/0065-solve-to.md.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ...errors import (
+    TaiAutodiffError,
+    TaiError,
+    TaiGradientWarning,
+    TaiRuntimeError,
+    TaiRuntimeTypeError,
+    shorten,
+)
+from ..base import dtypes, state
+from ..base.program import get_program, sync
+from ..history.origins import calling_frame
+from .compare import as_fields
+from .precision import PrecisionReport, bytes_of, find_not_finite, owner_of
+from .retype import Version, can_change
+from .seeds import number_of, require_grad
+from .snapshot import Snapshot
+from .solution import Part, Solution
+from .tape import Tape
+from .tuning import Types, distance, is_named, made_by, parts_among, unknowns_of
+
+# Iterations (a run and its sweep) that a choice may cost.
+MOST_ITERATIONS = 20
+# An estimate of first order is within a factor of two as a rule; so is the next draw of an error.
+_SAFETY = 2.0
+# A mode that takes at most so much longer is taken if its fields take fewer bytes.
+_TIE = 1.05
+# Nothing is wider than f64, and the estimate is of the loss: that of the gradient may be greater.
+_MARGIN_OF_F64 = 8.0
+# The roundings of f64 next to those of f32; the same of fast elementary functions.
+_OF_F64, _OF_FAST = 2.0**-29, 4.0
+# The part of the error that each cause may have.
+_SHARE = {"discretisation": 0.5, "solver": 0.2}
+# The most steps, as a multiple of those with which the search begins.
+_MOST_REFINED = 256
+# Fields of fewer bytes gain nothing from a narrower type.
+_LEAST_BYTES = 4096
+# An estimate of rounding beyond which a number of the error says nothing.
+_HOPELESS = 0.1
+
+
+class _TooManyRuns(TaiAutodiffError):
+    """The budget of iterations is spent."""
+
+
+@dataclass
+class _Choice:
+    """Types and modes: one of the ways to run the program."""
+
+    name: str
+    modes: dict[str, Any]
+    base: Any
+    estimate: float
+    narrow: dict[str, str] = field(default_factory=dict)
+    version: Any = None
+    seconds: float = math.inf
+    result: tuple[float, np.ndarray] = (math.nan, np.zeros(0))
+    errors: tuple[float, float] = (math.inf, math.inf)
+    bytes: int = 0
+
+
+def solve_to(
+    run: Callable[..., Any], loss: Any = None, wrt: Any = None, error: float = 1e-4,
+    verbose: bool = False,
+) -> Solution:  # fmt: skip
+    """Computes a loss and its gradient to a relative error, in the cheapest way that keeps it.
+
+    ```python
+    result = ti.solve_to(simulate, loss=loss, wrt=[v0], error=1e-4)
+    print(result)
+    ```
+
+    Types of fields, arithmetic, the form of sums and the math library are chosen by the estimates
+    of one reverse sweep, and the choice is compared with a run in f64. A parameter `steps` of `run`
+    is a number of time steps, which is chosen by runs with other numbers of steps, and a parameter
+    `tol` a tolerance of solvers; the default of `steps` is where the search begins.
+
+    Args:
+        run: a function that launches kernels on the existing fields; or, without a loss, a function
+            that makes the program, as for `ti.ad.tune_precision`.
+        loss: a field of one number.
+        wrt: the fields whose gradient counts; those that kernels read and do not write, if left
+            out. Their names, if `run` makes the program.
+        error: the greatest relative error of the loss, and of the gradient (L2).
+        verbose: print the result.
+
+    Returns:
+        The choice with its error, parts and time. The fields are as before, but for the loss
+        and the gradients of `wrt`, which hold the results.
+
+    Raises:
+        TaiAutodiffError: the error cannot be kept, or no estimate can be trusted: the message has
+            the reason.
+    """
+    if state.tape is not None or state.forward:
+        raise TaiRuntimeError(
+            "ti.solve_to runs tapes of its own", "leave the tape or forward mode first"
+        )
+    if isinstance(error, bool) or not isinstance(error, (int, float)) or not 0 < error < 1:
+        raise TaiRuntimeTypeError(f"error is a relative error between 0 and 1, but got {error!r}")
+    if not callable(run):
+        raise TaiRuntimeTypeError(f"run must be a function that launches kernels, but got {run!r}")
+    names = None
+    if loss is None:
+        names = [wrt] if isinstance(wrt, str) else wrt
+        run, loss = made_by(run, Types(), "solve_to")
+        wrt = None
+    elif wrt is not None and not isinstance(wrt, (list, tuple)):
+        wrt = [wrt]
+    wanted = as_fields(wrt, "wrt") if wrt is not None else None
+    as_fields([loss], "loss")
+    for f in (loss, *(wanted or ())):
+        require_grad(f, inspect.currentframe())
+    try:
+        found = _Search(run, loss, wanted, names, float(error)).result()
+    except TaiAutodiffError as failure:
+        if failure.filename is None:
+            frame = calling_frame()
+            if frame is not None:
+                failure.locate(frame.f_code.co_filename, frame.f_lineno, 1)
+        raise
+    if verbose:
+        print(found)
+    return found
+
+
+class _Search:
+    """The measurements of one call."""
+
+    def __init__(self, run: Any, loss: Any, wrt: Any, names: Any, error: float):
+        self._run, self._loss, self._wrt, self._error = run, loss, wrt, error
+        self._names = names
+        self._options = _options_of(run)
+        self._start = Snapshot()
+        self._versions: list[Version] = []
+        self._places: list[Any] = []
+        self._unknowns: list[Any] = []
+        self._iterations = 0
+        self._tried: list[str] = []
+        self._generator = np.random.default_rng(5)
+
+    # Runs
+
+    def _version(self, modes: dict[str, Any], types: Any = (), is_plain: bool = False) -> Version:
+        made = Version(modes, types, is_plain)
+        self._versions.append(made)
+        return made
+
+    def _measure(
+        self, version: Version, change: Any = None, precision: bool = False, **options: Any
+    ) -> tuple[float, np.ndarray, float, Any]:
+        """Loss, gradient and seconds of a run and its sweep from the start, and its report."""
+        if self._iterations >= MOST_ITERATIONS:
+            raise _TooManyRuns(
+                f"{MOST_ITERATIONS} runs have not shown that an error of {self._error:.1e} is kept",
+                "ask for a greater error",
+            )
+        self._iterations += 1
+        self._start.restore()
+        with version:
+            if change is not None:
+                change()
+            sync()
+            begin = time.perf_counter()
+            report = None
+            with Tape(self._loss, precision=precision) as tape:
+                self._run(**{**self._options, **options})
+            sync()
+            seconds = time.perf_counter() - begin
+            if precision:
+                report = tape.precision_report(self._error)
+            gradients = [
+                Snapshot._take(f._companions["grad"]).astype(float).ravel() for f in self._unknowns
+            ]
+            gradient = np.concatenate(gradients) if gradients else np.zeros(0)
+            return float(number_of(self._loss)), gradient, seconds, report
+
+    # Phases
+
+    def result(self) -> Solution:
+        chosen = None
+        try:
+            self._discover()
+            reference, base = self._reference()
+            report = self._estimate(reference)
+            self._check_gradient(reference, base, report)
+            parts: list[Part] = []
+            for name, phase in (("tol", self._choose_tol), ("steps", self._choose_steps)):
+                if name in self._options:
+                    part, base = phase(reference, base)
+                    parts.append(part)
+            room = self._error - sum(part.error for part in parts)
+            if parts:
+                report = self._estimate(reference)
+            chosen = self._choose(reference, base, report, room)
+            parts.append(_rounding(chosen, report))
+            return self._finish(chosen, base, parts)
+        finally:
+            self._start.restore()
+            for version in self._versions:
+                if chosen is None or version is not chosen.version:
+                    version.destroy()
+            if chosen is not None:
+                self._leave_results(chosen)
+
+    def _discover(self) -> None:
+        """One run as the program stands: the fields that it uses, and what nobody can follow."""
+        for f, message in find_not_finite().items():
+            name = owner_of(get_program().fields[f]).name
+            _refuse(f"field '{name}' {message}", "fill it before")
+        first = self._version({}, is_plain=True)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", TaiGradientWarning)
+            self._measure(first)
+        for text in (str(warning.message) for warning in said):
+            if "it is a constant" in text:  # a detour through Python
+                _refuse(
+                    "a part of the program is outside of kernels, where no estimate sees it: "
+                    + text,
+                    "compute it in kernels",
+                )
+        if first.writes:
+            _refuse(
+                f"kernel '{first.writes[0]}' writes to an array of the caller, whose type cannot "
+                "be changed, so that nothing can be compared with a wider one",
+                "keep it in a field",
+            )
+        used = first.loaded | first.stored
+        self._places = [f for f in first.places.values() if f.symbol in used]
+        if self._names is not None:
+            self._wrt = self._by_name(self._names)
+        self._unknowns = parts_among(self._wrt) if self._wrt is not None else unknowns_of(first)
+        if not self._unknowns:
+            _refuse("nothing is differentiated: no field with a gradient is read and not written",
+                    "name the fields: wrt=[x]")  # fmt: skip
+        fixed = [f for f in self._places if not can_change(f) and f.dtype is not dtypes.f64]
+        if fixed:
+            _refuse(
+                f"field '{owner_of(fixed[0]).name}' is sparse, so that its type cannot be changed, "
+                "and nothing can be compared with a wider one",
+                "make it of f64, or dense",
+            )
+
+    def _by_name(self, names: Any) -> list[Any]:
+        owners = {id(owner_of(f)): owner_of(f) for f in self._places}
+        found = []
+        for name in names:
+            f = next((f for f in owners.values() if is_named(f, name)), None)
+            if f is None:
+                raise TaiRuntimeTypeError(f"wrt: the program uses no field '{name}'")
+            found.append(f)
+        return found
+
+    def _types(self, base: Any, narrow: dict[str, str] | None = None) -> list[tuple[Any, Any]]:
+        """The type of each place. The loss and unknowns of one number keep all digits."""
+        pairs = []
+        for f in self._places:
+            kind = (narrow or {}).get(owner_of(f).name)
+            if can_change(f):
+                pairs.append((f, getattr(dtypes, kind) if kind else base))
+        return pairs
+
+    def _reference(self) -> tuple[Version, tuple[float, np.ndarray]]:
+        """Two runs in f64, which have to agree."""
+        version = self._version(self._modes("f64"), self._types(dtypes.f64))
+        first = self._measure(version)[:2]
+        loss, gradient, self._reference_time, _ = self._measure(version)
+        if not math.isfinite(loss) or not np.all(np.isfinite(gradient)):
+            _refuse("the loss or its gradient is not finite, so that no error can be measured",
+                    "tape.health() says where that begins")  # fmt: skip
+        if loss == 0:
+            _refuse("the loss is 0, so that no error of it is a relative one",
+                    "start from a point where it is not 0")  # fmt: skip
+        if not gradient.any():
+            _refuse("the gradient is 0, so that no error of it is a relative one",
+                    "start from another point, or name other fields: wrt=[x]")  # fmt: skip
+        apart = max(distance(first, (loss, gradient)))
+        if apart > self._error / 10:
+            _refuse(
+                f"the program is not repeatable: two runs in f64 from the same fields differ by "
+                f"{apart:.1e}",
+                "draw random numbers before, into a field; deterministic=True gives sums one order",
+            )
+        return version, (loss, gradient)
+
+    def _modes(self, precision: str) -> dict[str, Any]:
+        """The words for a precision; what `ti.init` says of order and rounding stays."""
+        options = get_program().options
+        words = {"precision": precision}
+        if not (options.strict or options.shadow):
+            words["math"] = "default"
+        if not options.deterministic:
+            words["sums"] = "default"
+        return words
+
+    def _perturb(self, steps: list[np.ndarray]) -> Callable[[], None]:
+        """Adds to the unknowns, each step in units of the magnitude of an element."""
+
+        def change() -> None:
+            for f, step in zip(self._unknowns, steps, strict=True):
+                array = Snapshot._take(f)
+                moved = array + step * _scale_of(array)
+                f.core.copy_from(np.ascontiguousarray(moved, array.dtype))
+
+        return change
+
+    def _check_gradient(self, reference: Version, base: Any, report: PrecisionReport) -> None:
+        """Differences of the loss: a gradient that host code has cut has another slope."""
+        arrays = self._split(base[1])
+        self._start.restore()
+        slope = sum(
+            float(np.sum(np.abs(g) * _scale_of(Snapshot._take(f))))
+            for f, g in zip(self._unknowns, arrays, strict=True)
+        )
+
+        def difference(h: float) -> float:
+            moved = [self._perturb([size * np.sign(g) for g in arrays]) for size in (h, -h)]
+            above, below = (self._measure(reference, change)[0] for change in moved)
+            return (above - below) / (2 * h)
+
+        def is_right(found: float, h: float) -> bool:
+            noise = 4 * _OF_F64 * report.expected / h
+            return abs(found - slope) <= max(self._error / 2, 1e-4) * slope + noise
+
+        h = 1e-5
+        found = difference(h)
+        if is_right(found, h):
+            return
+        closer = difference(h / 16)
+        if is_right(closer, h / 16):
+            return
+        if abs(closer) > 4 * abs(found):
+            _refuse(
+                f"the loss jumps within {h:.0e} of the point: differences of it grow as their "
+                f"step shrinks, from {found:.3g} to {closer:.3g}, and no derivative foretells that",
+                "move the point, or smooth the condition; ti.ad.check shows the slopes",
+            )
+        _refuse(
+            f"along its gradient the loss grows by {found:.3g}, but the gradient says {slope:.3g}: "
+            "either a part of the program is outside of kernels (host code, other frameworks), "
+            "where no estimate sees it, or a kink is near by, or kernels pass numbers on as ti.f32",
+            "compute it in kernels; write float for ti.f32 in signatures; ti.ad.check finds kinks",
+        )
+
+    def _choose_tol(self, reference: Version, base: Any) -> tuple[Part, Any]:
+        """The greatest tolerance whose effect is within its share."""
+        room = _SHARE["solver"] * self._error
+        exact = self._measure(reference, tol=max(1e-13, min(1e-10, 1e-4 * self._error)))[:2]
+        tol, off = min(self._error, 0.1), math.inf
+        for _ in range(4):
+            found = self._measure(reference, tol=tol)[:2]
+            off = max(distance(found, exact))
+            if off <= room:
+                break
+            tol *= max(min(0.5 * room / off, 0.3), 1e-4)
+        else:
+            _refuse(
+                f"no tolerance of the solvers keeps an error of {room:.1e} "
+                f"({off:.1e} with tol={tol:.1e})",
+                "ask for a greater error",
+            )
+        self._options["tol"] = tol
+        return Part("solver", off, [(f"{_place_of(self._run)}: tol={tol:.2g}", off)],
+                    "compared with a run of a smaller tolerance"), found  # fmt: skip
+
+    def _choose_steps(self, reference: Version, base: Any) -> tuple[Part, Any]:
+        """The fewest steps whose discretisation error is within its share, by extrapolation."""
+        room = _SHARE["discretisation"] * self._error
+        n = first = int(self._options["steps"])
+        results = {n: base if "tol" not in self._options else self._at_steps(reference, n)}
+        order, off, fine = 0.0, math.inf, (math.inf, math.inf)
+        for _ in range(4):
+            for m in (2 * n, 4 * n):
+                if m not in results:
+                    results[m] = self._at_steps(reference, m)
+            coarse = _apart(results[n], results[2 * n], results[4 * n])
+            fine = _apart(results[2 * n], results[4 * n], results[4 * n])
+            ratio = min(a / b if b else math.inf for a, b in zip(coarse, fine, strict=True))
+            if max(fine) < 1e-13:
+                order, off = 1.0, 0.0
+                break
+            order = math.log2(ratio) if ratio > 0 else -math.inf
+            if order > 0.5:
+                order = min(order, 6.0)
+                # The error of the 4n steps is at most as great as its change.
+                off = max(coarse) / (1 - 2.0**-order)
+                break
+            n *= 2
+        if order <= 0.5:
+            _refuse(
+                f"the results do not converge in the number of steps: from {n // 2} to {2 * n} "
+                f"steps they change by {max(fine):.1e}, no less than before, as in chaos or at a "
+                "jump",
+                "begin with more steps, or over a shorter time",
+            )
+        wanted = max(1, math.ceil(n * (_SAFETY * off / room / 1.6) ** (1 / order)))
+        for _ in range(3):
+            if wanted > _MOST_REFINED * first:
+                _refuse(
+                    f"error={self._error:.1e} would take about {wanted} steps (order {order:.1f}, "
+                    f"{off:.1e} with {n})",
+                    "begin with more steps: the default of `steps`; or a method of higher order",
+                )
+            here = results[wanted] = results.get(wanted) or self._at_steps(reference, wanted)
+            double = results[2 * wanted] = results.get(2 * wanted) or self._at_steps(
+                reference, 2 * wanted
+            )
+            off = max(_apart(here, double, double)) / (1 - 2.0**-order)
+            if off <= room:
+                break
+            wanted = math.ceil(wanted * max((1.2 * off / room) ** (1 / order), 1.1))
+        else:
+            _refuse(f"error={self._error:.1e} is not reached by {wanted} steps ({off:.1e})",
+                    "begin with more steps: the default of `steps`")  # fmt: skip
+        self._options["steps"] = wanted
+        how = f"steps={wanted} against {2 * wanted}, of order {order:.1f}"
+        return Part("discretisation", off, [(f"{_place_of(self._run)}: steps={wanted}", off)],
+                    how), here  # fmt: skip
+
+    def _at_steps(self, reference: Version, steps: int) -> tuple[float, np.ndarray]:
+        try:
+            return self._measure(reference, steps=steps)[:2]
+        except _TooManyRuns:
+            raise
+        except TaiError as error:
+            raise TaiAutodiffError(
+                f"run(steps={steps}) fails, and the error of the discretisation is estimated from "
+                f"several numbers of steps: {error.message}",
+                "give fields with a time axis room for more steps",
+            ) from None
+
+    def _estimate(self, reference: Version) -> PrecisionReport:
+        """The effect of rounding on the loss, by one sweep."""
+        report = self._measure(reference, precision=True)[3]
+        off = _OF_F64 * report.relative
+        if off > _HOPELESS:
+            _refuse(
+                f"rounding changes the loss by {off:.1e} of it even in f64, as in chaos: most of "
+                f"it comes from {_worst(report, _OF_F64)}",
+                "differentiate over a shorter time",
+            )
+        return report
+
+    def _choices(self, report: PrecisionReport) -> list[_Choice]:
+        """The ways to run the program, the narrowest first."""
+        size = abs(report.loss)
+        whole = report.expected / size
+        terms = [line.error for line in report.lines]
+        others = [part for name, part in report.others if not name.startswith("the sum in")]
+        without = math.hypot(math.fsum(terms), *others) / size
+        bytes_now = {f.name: f.bytes for f in report.fields}
+        narrow = {
+            name: kind for name, kind in report.storable(self._error).items()
+            if kind in ("f16", "bf16") and bytes_now[name] >= _LEAST_BYTES
+        }  # fmt: skip
+        errors = {f.name: f.errors for f in report.fields}
+        choices = []
+        if narrow:
+            wide = math.hypot(whole, *(errors[n][k] / size for n, k in narrow.items()))
+            choices.append(_Choice("16-bit fields", self._modes("f32"), dtypes.f32, wide, narrow))
+        f32, f64, more = self._modes("f32"), self._modes("f64"), {"sums": "compensated"}
+        if "math" in f32:
+            fast = {**f32, "math": "fast"}
+            choices.append(_Choice("f32, fast", fast, dtypes.f32, _OF_FAST * whole))
+        choices += [
+            _Choice("f32", f32, dtypes.f32, whole),
+            _Choice("f32, compensated sums", {**f32, **more}, dtypes.f32, without),
+            _Choice("f64", f64, dtypes.f64, _OF_F64 * whole),
+            _Choice("f64, compensated sums", {**f64, **more}, dtypes.f64, _OF_F64 * without),
+        ]
+        return choices
+
+    def _choose(
+        self, reference: Version, base: Any, report: PrecisionReport, room: float
+    ) -> _Choice:
+        """The fastest choice whose estimate and measured error are within the room."""
+        choices = self._choices(report)
+        hopeful = [choice for choice in choices if _SAFETY * choice.estimate <= room]
+        if not hopeful:
+            best = min(choices, key=lambda choice: choice.estimate)
+            _refuse(
+                f"error={self._error:.1e} cannot be kept: {best.name} is expected to be off by "
+                f"{best.estimate:.1e}, most of it from {_worst(report, _OF_F64)}",
+                f"error={1.5 * _MARGIN_OF_F64 * best.estimate:.1e} can be had",
+            )
+        passed: list[_Choice] = []
+        for choice in hopeful:
+            if passed and choice.base is dtypes.f64:
+                break
+            # The other iterations are for the check of the choice, and for f64.
+            if self._iterations > MOST_ITERATIONS - 6 and choice.base is not dtypes.f64:
+                continue
+            if self._try(choice, reference, base, room):
+                passed.append(choice)
+                if choice.base is dtypes.f64:
+                    break
+        while passed:
+            fastest = min(choice.seconds for choice in passed)
+            near = [choice for choice in passed if choice.seconds <= _TIE * fastest]
+            best = min(near, key=lambda choice: (choice.bytes, len(choice.name), choice.seconds))
+            trouble = self._find_trouble(reference, base, best, room)
+            if trouble is None:
+                return best
+            passed = [choice for choice in passed if choice.base is not best.base]
+            if best.base is dtypes.f64:
+                _refuse(*trouble)
+            self._tried.append(f"{best.name}: {trouble[0]}")
+            if not passed:
+                wide = next((c for c in hopeful if c.base is dtypes.f64), None)
+                if wide is not None and self._try(wide, reference, base, room):
+                    passed = [wide]
+        _refuse(
+            f"error={self._error:.1e} is not kept by any mode: " + "; ".join(self._tried),
+            "ask for a greater error",
+        )
+
+    def _try(self, choice: _Choice, reference: Version, base: Any, room: float) -> bool:
+        """Runs a choice, and measures its error and time."""
+        for _ in range(1 + len(choice.narrow)):
+            same = choice.base is dtypes.f64 and "sums" not in choice.modes
+            choice.version = reference if same else self._version(
+                choice.modes, self._types(choice.base, choice.narrow)
+            )  # fmt: skip
+            try:
+                loss, gradient, seconds, _ = self._measure(choice.version)
+            except _TooManyRuns:
+                raise
+            except TaiError as error:
+                self._tried.append(f"{choice.name}: {error.message}")
+                return False
+            choice.errors = distance((loss, gradient), base)
+            choice.bytes = _bytes(self._places, choice)
+            self._tried.append(
+                f"{choice.name}: {max(choice.errors):.1e} measured, {choice.estimate:.1e} expected"
+            )
+            # Nothing is wider than f64: its error is that of the estimate.
+            is_widest = choice.base is dtypes.f64
+            off = 1.25 * max(choice.errors)
+            if max(off, _MARGIN_OF_F64 * choice.estimate if is_widest else 0.0) <= room:
+                # The first run has compiled the kernels.
+                if not same:
+                    loss, gradient, seconds, _ = self._measure(choice.version)
+                    again = distance((loss, gradient), base)
+                    choice.errors = max(choice.errors[0], again[0]), max(choice.errors[1], again[1])
+                choice.seconds, choice.result = seconds, (loss, gradient)
+                return max(choice.errors) <= room
+            if not choice.narrow:
+                return False
+            # The field that is expected to cost most of the gradient goes first.
+            choice.narrow = dict(list(choice.narrow.items())[1:])
+            if not choice.narrow:
+                return False
+        return False
+
+    def _find_trouble(
+        self, reference: Version, base: Any, choice: _Choice, room: float
+    ) -> tuple[str, str] | None:
+        """Whether inputs that differ in their last bit give another gradient."""
+        unit = 2.0 ** (-52 if choice.base is dtypes.f64 else -23)
+        signs = [self._generator.choice([-1.0, 1.0], f.shape + f.element_shape)
+                 for f in self._unknowns]  # fmt: skip
+
+        def perturbed(size: float) -> tuple[float, np.ndarray]:
+            change = self._perturb([size * sign for sign in signs])
+            return self._measure(reference, change)[:2]
+
+        far = distance(perturbed(16 * unit), base)
+        if max(far) <= room:
+            return None
+        near = distance(perturbed(unit), base)
+        if max(near) <= min(room, max(far) / 4):
+            return None  # smooth, and no more than roundings of inputs do
+        kind = "f64" if choice.base is dtypes.f64 else "f32"
+        where = f"inputs that differ by 16 units of {kind} ({16 * unit:.0e})"
+        if not all(map(math.isfinite, far)):
+            return f"{where} give no finite result", "tape.health() says where that begins"
+        if max(near) > max(far) / 4:
+            jumps = near[0] > max(far[0] / 4, room)
+            what = "loss" if jumps else "gradient"
+            return (
+                f"{where} change the {what} by {max(far):.1e}, and 16 times smaller ones by "
+                f"{max(near):.1e}: a {'jump' if jumps else 'kink'} is near by, where no estimate "
+                "of first order holds",
+                "move the point, or smooth the condition; ti.ad.check shows the slopes",
+            )
+        return (
+            f"{where} change loss or gradient by {max(far):.1e}: it magnifies them "
+            f"{max(far) / unit / 16:.0e} times, as chaos does",
+            "differentiate over a shorter time, or ask for a greater error",
+        )
+
+    # Results
+
+    def _finish(self, chosen: _Choice, base: Any, parts: list[Part]) -> Solution:
+        total = sum(part.error for part in parts)
+        assert total <= self._error
+        loss, gradient = self._values = chosen.result
+        own = {owner_of(f).name: f.dtype for f in self._places}
+        types = {
+            owner_of(f).name: dtype.name
+            for f, dtype in self._types(chosen.base, chosen.narrow)
+            if dtype is not own[owner_of(f).name]
+        }
+        modes = {
+            "precision": chosen.modes["precision"],
+            "sums": chosen.modes.get("sums", "default"),
+            "math": chosen.modes.get("math", "default"),
+            "types": types,
+            **self._options,
+        }
+        return Solution(
+            modes, total, parts, chosen.seconds, self._error, loss, self._by_field(gradient),
+            self._iterations, self._reference_time, self._tried, self._notes(),
+            lambda: self._again(chosen.version),
+        )  # fmt: skip
+
+    def _notes(self) -> list[str]:
+        """Fields that cannot hold as many digits as were asked for."""
+        units = {16: 2.0**-9, 32: 2.0**-24, 64: 0.0}
+        results = [self._loss, *(f._companions["grad"] for f in self._unknowns)]
+        short = [f for f in results if units[f.dtype.bits] > self._error / 2]
+        if not short:
+            return []
+        text = (
+            f"'{short[0].name}' is of {short[0].dtype}, which cannot hold an error of "
+            f"{self._error:.1e}: `loss` and `gradients` of the result have all digits"
+        )
+        warnings.warn(f"ti.solve_to: {text}", TaiGradientWarning, stacklevel=5)
+        return [text]
+
+    def _split(self, gradient: np.ndarray) -> list[np.ndarray]:
+        arrays, at = [], 0
+        for f in self._unknowns:
+            shape = f.shape + f.element_shape
+            size = math.prod(shape)
+            arrays.append(gradient[at : at + size].reshape(shape))
+            at += size
+        return arrays
+
+    def _by_field(self, gradient: np.ndarray) -> list[np.ndarray]:
+        """An array for each of the fields, whose components may be places of their own."""
+        arrays = {id(f): a for f, a in zip(self._unknowns, self._split(gradient), strict=True)}
+        owners = self._wrt or list({id(owner_of(f)): owner_of(f) for f in self._unknowns}.values())
+        found = []
+        for owner in owners:
+            parts = [arrays[id(part)] for part in getattr(owner, "parts", [owner])]
+            shape = owner.shape + owner.element_shape
+            found.append(parts[0] if len(parts) == 1 else np.stack(parts, -1).reshape(shape))
+        return found
+
+    def _leave_results(self, chosen: _Choice) -> None:
+        values = getattr(self, "_values", None)
+        if values is None:
+            return
+        self._loss.fill(values[0])
+        for f, array in zip(self._unknowns, self._split(values[1]), strict=True):
+            grad = f._companions["grad"]
+            grad.core.copy_from(np.ascontiguousarray(array, grad.dtype.numpy))
+
+    def _again(self, version: Version) -> None:
+        with version, Tape(self._loss):
+            self._run(**self._options)
+        version.copy_out()
+
+
+def _options_of(run: Callable[..., Any]) -> dict[str, Any]:
+    """The parameters of a program that can be chosen, with their defaults.
+
+    Raises:
+        TaiRuntimeTypeError: it has another parameter without a default, or these have none.
+    """
+    try:
+        parameters = inspect.signature(run).parameters.values()
+    except (TypeError, ValueError):  # a kernel
+        return {}
+    found: dict[str, Any] = {}
+    for p in parameters:
+        if p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD):
+            continue
+        if p.name in ("steps", "tol"):
+            known = isinstance(p.default, (int, float)) and not isinstance(p.default, bool)
+            if not known or p.default <= 0 or (p.name == "steps" and p.default != int(p.default)):
+                raise TaiRuntimeTypeError(
+                    f"the parameter '{p.name}' of run needs a default, a positive number",
+                    "def run(steps=64): …" if p.name == "steps" else "def run(tol=1e-6): …",
+                )
+            found[p.name] = p.default
+        elif p.default is p.empty:
+            raise TaiRuntimeTypeError(
+                f"run takes an argument '{p.name}', and ti.solve_to knows 'steps' and 'tol' alone",
+                "lambda: run(…)",
+            )
+    return found
+
+
+def _scale_of(array: np.ndarray) -> np.ndarray:
+    """The magnitude of each element, at least that of the others on the average."""
+    size = np.abs(array.astype(float))
+    return np.maximum(size, float(np.mean(size)) or 1.0)
+
+
+def _apart(a: Any, b: Any, scale: Any) -> tuple[float, float]:
+    """The distance of two results, next to a third one."""
+    if a[1].shape != b[1].shape:
+        raise TaiRuntimeTypeError("the gradient must have the same shape for all numbers of steps")
+    size = float(np.linalg.norm(scale[1]))
+    return abs(a[0] - b[0]) / abs(scale[0]), float(np.linalg.norm(a[1] - b[1])) / size
+
+
+def _place_of(function: Callable[..., Any]) -> str:
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return "run" if code is None else f"{shorten(code.co_filename)}:{code.co_firstlineno}"
+
+
+def _lines(report: PrecisionReport, unit: float) -> list[tuple[str, float]]:
+    """Lines and sums by their relative effect on the loss."""
+    size = abs(report.loss) / unit
+    found = [
+        (f"{shorten(line.filename)}:{line.lineno}  {line.text}", abs(line.error) / size)
+        for line in report.lines
+    ]
+    found += [(name, abs(part) / size) for name, part in report.others if part]
+    return sorted(found, key=lambda entry: -entry[1])
+
+
+def _worst(report: PrecisionReport, unit: float) -> str:
+    return "; ".join(f"{text} ({off:.1e})" for text, off in _lines(report, unit)[:3])
+
+
+def _rounding(chosen: _Choice, report: PrecisionReport) -> Part:
+    if chosen.base is dtypes.f64:
+        lines = _lines(report, _OF_F64)
+        return Part("rounding", max(_MARGIN_OF_F64 * chosen.estimate, *chosen.errors), lines,
+                    f"{chosen.name}, eight times the estimate of one sweep")  # fmt: skip
+    lines = _lines(report, 1.0)
+    size = abs(report.loss)
+    lines += [
+        (f"the storage of '{f.name}' in {chosen.narrow[f.name]}",
+         f.errors[chosen.narrow[f.name]] / size)
+        for f in report.fields if f.name in chosen.narrow
+    ]  # fmt: skip
+    return Part("rounding", max(chosen.errors), sorted(lines, key=lambda entry: -entry[1]),
+                f"{chosen.name}, measured against f64 "
+                f"({chosen.estimate:.1e} of the loss was expected)")  # fmt: skip
+
+
+def _bytes(places: list[Any], choice: _Choice) -> int:
+    return sum(
+        math.prod(f.shape + f.element_shape)
+        * bytes_of(choice.narrow.get(str(owner_of(f).name)) or choice.base.name)
+        for f in places
+    )
+
+
+def _refuse(message: str, hint: str) -> NoReturn:
+    raise TaiAutodiffError(message, hint)
