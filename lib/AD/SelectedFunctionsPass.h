@@ -21,7 +21,7 @@ namespace mlir::tai {
 
 /// A pass with the option `kernel`, which defines `LogicalResult
 /// runOnFunction(FunctionOpInterface)` and optionally `begin`, called before
-/// the first function. These are module passes, because the selection depends
+/// the first function, and `end`. These are module passes, because the selection depends
 /// on other functions of the module.
 template <typename Pass, template <typename> class GeneratedBase>
 struct SelectedFunctionsPass : GeneratedBase<Pass> {
@@ -43,11 +43,13 @@ struct SelectedFunctionsPass : GeneratedBase<Pass> {
     // Report the errors of all functions: continue after a failure.
     for (FunctionOpInterface function : *functions)
       isGood &= succeeded(self->runOnFunction(function));
+    self->end();
     if (!isGood)
       this->signalPassFailure();
   }
 
   LogicalResult begin() { return success(); }
+  void end() {}
 };
 
 } // namespace mlir::tai

@@ -74,6 +74,9 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
 
 void tai::buildAutodiffPipeline(OpPassManager &pm,
                                 const AutodiffOptions &options) {
+  PrepareForeignOptions prepare;
+  prepare.kernels.assign(options.kernels.begin(), options.kernels.end());
+  pm.addPass(createPrepareForeign(prepare));
   addIsolated(
       pm, [&](OpPassManager &own) { buildAutodiffPasses(own, options); },
       IsolateMode::Keep, options.kernels);
@@ -98,7 +101,21 @@ void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {
   });
 }
 
+void tai::buildForwardFunctionsPipeline(OpPassManager &pm) {
+  pm.addPass(createPrepareForeign());
+  addIsolated(
+      pm,
+      [](OpPassManager &own) {
+        buildForwardPipeline(own, /*arrayTangents=*/true);
+      },
+      IsolateMode::Keep, {});
+}
+
 void tai::registerAutodiffPipeline() {
+  PassPipelineRegistration<>(
+      "tai-autodiff-forward",
+      "Make the tangents of kernels and functions (forward mode)",
+      buildForwardFunctionsPipeline);
   PassPipelineRegistration<AutodiffOptions>(
       "tai-autodiff",
       "Make the adjoints of kernels, and the summaries of all kernels",

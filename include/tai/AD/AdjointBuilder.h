@@ -213,6 +213,7 @@ public:
 
 private:
   LogicalResult reverseOp(Operation *op);
+  void createOwnAdjoints(Frame &frame);
   LogicalResult reverseAccess(Operation *op);
   Value sumUp(Value value, PartialAdjoint &entry);
 

@@ -18,6 +18,7 @@
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/Support/Skips.h"
+#include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "llvm/ADT/SetVector.h"
 
 namespace mlir::tai {
@@ -43,6 +44,27 @@ struct AdjointOptions {
   /// recorded in chunks.
   int64_t historyBytes = kDefaultHistoryBytes;
   SkipSet skips = SkipSet::all();
+};
+
+/// What a function of arrays keeps to itself: arrays of its own, and values of
+/// elements that it overwrites.
+struct LocalMemory {
+  /// Tells `adjointOf` which array holds the adjoint of one that the function
+  /// makes. Null in kernels, where such arrays have none.
+  std::function<void(Value array, Value adjoint)> setAdjoint;
+  /// The results of reads that are recorded, each with the value of the record.
+  DenseMap<Value, Value> recorded;
+  /// Arguments of the function that stand for records, and the records.
+  SmallVector<std::pair<Value, Value>> records;
+  /// Where given, reads that must be recorded go here.
+  llvm::SetVector<Operation *> *toRecord = nullptr;
+  /// All reads of memory that the function writes are recorded.
+  bool recordsAll = false;
+
+  Value resolve(Value value) const {
+    auto it = recorded.find(value);
+    return it == recorded.end() ? value : it->second;
+  }
 };
 
 /// The stores whose reverse zeroes the adjoint of the element, which becomes
@@ -117,6 +139,14 @@ struct AdjointPlan {
   /// The storages that the adjoint accumulates into.
   DenseSet<const void *> accumulated;
   ReexecutionPlan reexecution;
+  LocalMemory local;
+
+  /// True for an array that a function makes, if such arrays have adjoints.
+  bool isOwnArray(Value array) const {
+    return local.setAdjoint && array.getDefiningOp() &&
+           array.getDefiningOp()->getNumRegions() == 0 &&
+           hasSingleEffect<MemoryEffects::Allocate>(array.getDefiningOp());
+  }
 
   /// True if all values that loops carry are recorded.
   bool recordsAll() const { return !options.skips.has(Skip::UnneededRecords); }

@@ -33,6 +33,7 @@ public:
       : plan(primal, std::move(adjointOf), std::move(shadows), options) {}
 
   const AdjointPlan &getPlan() const { return plan; }
+  void setLocalMemory(LocalMemory local) { plan.local = std::move(local); }
 
   /// Chooses the version of each storage that the adjoint reads. Fails after an
   /// error at a read whose value no version holds. True if the emitted adjoint
@@ -54,6 +55,7 @@ public:
 private:
   LogicalResult checkBefore(ArrayRef<DifferentiableAccessInterface> reads,
                             const PrimalDemands &demands);
+  bool chooseRecorded(ArrayRef<DifferentiableAccessInterface> reads);
   LogicalResult chooseVersion(ArrayRef<DifferentiableAccessInterface> reads);
   bool planReexecution(DifferentiableAccessInterface lost,
                        ArrayRef<DifferentiableAccessInterface> reads);

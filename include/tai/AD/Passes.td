@@ -145,6 +145,65 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
   ];
 }
 
+def PrepareForeign : Pass<"tai-prepare-foreign", "::mlir::ModuleOp"> {
+  let summary = "lower copies of functions of other dialects for derivatives";
+  let description = [{
+    Derivatives are made of `scf`, `memref`, `arith`, `math` and parts of
+    `vector`. For each function `@f` with `tai.differentiate` that holds more,
+    this pass makes a copy `@f_prepared`, of which `tai-make-adjoint` then makes
+    `@f_grad`, and `tai-forward-diff` makes `@f_fwd`. Both remove the copy. `@f`
+    stays as it is, as does every function that does not ask for a derivative.
+
+    The copy is lowered by upstream patterns: `tensor` is bufferized, `linalg`,
+    `affine` and `scf.forall` become loops, several blocks become structured
+    control flow, complex numbers become pairs. Then:
+
+    - calls are inlined, except those of functions that call themselves;
+    - prints, and calls that hand numbers to functions defined elsewhere and
+      return nothing, are left out;
+    - vectors in memory are accessed component by component;
+    - views and copies become accesses of the arrays themselves; an access of an
+      array that a loop carries or a branch chooses becomes a branch over the
+      arrays that it can be;
+    - updates that are no sums become a load, the operation and a store, and the
+      parallel loops around them, like those that reduce by other than sums, run
+      serially.
+
+    ```mlir
+    func.func @f(%x: memref<8xf64>, %y: memref<4xf64>)
+        attributes {tai.differentiate} {
+      %v = memref.subview %x[2] [4] [1]
+          : memref<8xf64> to memref<4xf64, strided<[1], offset: 2>>
+      linalg.map { math.sin }
+          ins(%v : memref<4xf64, strided<[1], offset: 2>>)
+          outs(%y : memref<4xf64>)
+      return
+    }
+    ```
+
+    has the copy
+
+    ```mlir
+    func.func @f_prepared(%x: memref<8xf64>, %y: memref<4xf64>)
+        attributes {tai.differentiate, tai.prepared_for = @f} {
+      scf.for %i = %c0 to %c4 step %c1 {
+        %j = arith.addi %i, %c2 : index
+        %0 = memref.load %x[%j] : memref<8xf64>
+        %1 = math.sin %0 : f64
+        memref.store %1, %y[%i] : memref<4xf64>
+      }
+      return
+    }
+    ```
+
+    A function of tensors has a copy of memrefs, with one more for each result.
+  }];
+  let options = [
+    ListOption<"kernels", "kernel", "std::string",
+               "Names of the functions to prepare">,
+  ];
+}
+
 def PromoteElements : Pass<"tai-promote-elements", "::mlir::ModuleOp"> {
   let summary = "keep elements that are stored and read again in variables";
   let description = [{

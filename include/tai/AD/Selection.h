@@ -33,6 +33,10 @@ LogicalResult checkIsFunction(FunctionOpInterface function);
 /// True if an array that is an argument, or a field, may have an adjoint.
 bool mayHaveAdjoint(FunctionOpInterface function, Storage storage);
 
+/// Takes the prepared copies for functions that have them.
+void takePrepared(ModuleOp module,
+                  SmallVectorImpl<FunctionOpInterface> &functions);
+
 } // namespace mlir::tai
 
 #endif // TAI_AD_SELECTION_H

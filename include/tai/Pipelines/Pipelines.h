@@ -97,7 +97,10 @@ void buildAutodiffPasses(OpPassManager &pm, const AutodiffOptions &options);
 /// Replaces all kernels by their forward-mode variants.
 void buildForwardPipeline(OpPassManager &pm, bool arrayTangents);
 
-/// Registers `tai-autodiff` by name.
+/// The same for a module that holds other functions too.
+void buildForwardFunctionsPipeline(OpPassManager &pm);
+
+/// Registers `tai-autodiff` and `tai-autodiff-forward` by name.
 void registerAutodiffPipeline();
 
 /// The values of an option of an enumeration type.

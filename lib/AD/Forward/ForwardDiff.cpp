@@ -17,6 +17,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/AD/Foreign.h"
 #include "tai/AD/Conventions.h"
 #include "tai/AD/DerivativeBuilder.h"
 #include "tai/AD/Passes.h"
@@ -81,6 +82,7 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
     // One error does not hide the next: every kernel is tried.
     for (FunctionOpInterface function : functions)
       failedAny |= failed(differentiate(function, symbols));
+    erasePrepared(getOperation());
     if (failedAny)
       signalPassFailure();
   }
@@ -96,19 +98,23 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
                                           << name << "' to differentiate";
       functions.push_back(function);
     }
-    if (!kernels.empty())
+    if (!kernels.empty()) {
+      takePrepared(getOperation(), functions);
       return success();
+    }
     for (auto function : getOperation().getOps<FunctionOpInterface>())
       if (!function.isExternal() && !hasTangentAlready(function) &&
           (isa<KernelOp>(function.getOperation()) ||
            function->hasAttr("tai.differentiate")))
         functions.push_back(function);
+    takePrepared(getOperation(), functions);
     return success();
   }
 
   LogicalResult differentiate(FunctionOpInterface function,
                               SymbolTable &symbols) {
-    if (hasTangentAlready(function))
+    FunctionOpInterface original = getOriginal(function);
+    if (hasTangentAlready(original))
       return success();
     if (failed(checkIsFunction(function)))
       return failure();
@@ -124,7 +130,7 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
           "control flow is expected");
     if (failed(Conventions::verify(function)) || failed(checkGuards(function)))
       return failure();
-    std::string name = (function.getName() + "_fwd").str();
+    std::string name = (original.getName() + "_fwd").str();
     if (Operation *taken = symbols.lookup(name)) {
       InFlightDiagnostic diag = function.emitError()
                                 << "cannot make the tangent '@" << name
@@ -135,18 +141,29 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
     FunctionOpInterface made = function.clone();
     made.setName(name);
     for (StringRef attribute :
-         {"adjoint", "tai.adjoint", "tai.differentiate", "summary"})
+         {"adjoint", "tai.adjoint", kPreparedFor.data(), "tai.differentiate", "summary"})
       made->removeAttr(attribute);
     symbols.insert(made, std::next(function->getIterator()));
     if (failed(extend(made))) {
       symbols.erase(made);
       return failure();
     }
-    if (isPlain && failed(checkHasDerivative(function, {}))) {
+    if (isPlain && !isWrapped(function) &&
+        failed(checkHasDerivative(function, {}))) {
       symbols.erase(made);
       return failure();
     }
-    function->setAttr(getFunctionAttrName(function, kTangent),
+    if (isPlain) {
+      auto plain = cast<func::FuncOp>(made.getOperation());
+      auto from = cast<func::FuncOp>(original.getOperation());
+      if (isWrapped(function)) {
+        symbols.remove(plain);
+        plain = wrapDerivative(from, plain, /*isForward=*/true);
+        symbols.insert(plain);
+      }
+      takeInterface(from, plain);
+    }
+    original->setAttr(getFunctionAttrName(function, kTangent),
                       FlatSymbolRefAttr::get(&getContext(), name));
     return success();
   }

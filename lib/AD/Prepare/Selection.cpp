@@ -7,6 +7,7 @@
 
 #include "tai/AD/Selection.h"
 #include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "tai/AD/Foreign.h"
 #include "tai/AD/Signature.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -92,6 +93,22 @@ LogicalResult mlir::tai::checkIsFunction(FunctionOpInterface function) {
          << function->getName() << "'; expects a 'func.func' or a 'tai.kernel'";
 }
 
+void mlir::tai::takePrepared(ModuleOp module,
+                             SmallVectorImpl<FunctionOpInterface> &functions) {
+  DenseMap<StringAttr, FunctionOpInterface> prepared;
+  for (auto function : module.getOps<func::FuncOp>())
+    if (auto name = function->getAttrOfType<FlatSymbolRefAttr>(kPreparedFor))
+      prepared[name.getAttr()] = function;
+  if (prepared.empty())
+    return;
+  llvm::SetVector<FunctionOpInterface> all;
+  for (FunctionOpInterface function : functions) {
+    FunctionOpInterface copy = prepared.lookup(function.getNameAttr());
+    all.insert(copy ? copy : function);
+  }
+  functions.assign(all.begin(), all.end());
+}
+
 static FailureOr<SmallVector<FunctionOpInterface>>
 selectWhole(ModuleOp module, ArrayRef<std::string> names) {
   SmallVector<FunctionOpInterface> functions;
@@ -104,6 +121,7 @@ selectWhole(ModuleOp module, ArrayRef<std::string> names) {
       if (!hasAdjointAlready(function))
         functions.push_back(function);
     }
+    takePrepared(module, functions);
     return functions;
   }
   // Adjoints need none of their own.
@@ -125,6 +143,7 @@ selectWhole(ModuleOp module, ArrayRef<std::string> names) {
     if (isWanted && !adjoints.contains(function.getNameAttr()))
       functions.push_back(function);
   }
+  takePrepared(module, functions);
   return functions;
 }
 

@@ -54,6 +54,8 @@ LogicalResult AdjointBuilder::build() {
         for (auto [from, to] :
              llvm::zip(body->getArguments(), mirror->getArguments()))
           frame.values.map(from, to);
+        for (auto &[from, to] : plan.local.records)
+          frame.values.map(from, to);
         seedOutputs(*this);
       },
       [&](Frame &) { accumulateInputs(*this); });
@@ -174,6 +176,8 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   bool isReexecuted = plan.reexecution.isReexecuted(primal);
   if (isReexecuted)
     reexecution->begin(frame);
+  if (plan.local.setAdjoint)
+    createOwnAdjoints(frame);
   if (beforeSweep)
     beforeSweep();
   LogicalResult result = success();
@@ -192,6 +196,45 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   reexecution->leave(frame);
   current = frame.parent;
   return result;
+}
+
+/// Makes the adjoints, all zero, of the arrays that the block makes.
+void AdjointBuilder::createOwnAdjoints(Frame &frame) {
+  Location loc = getLoc();
+  for (Operation &op : *frame.primal) {
+    if (!isa<memref::AllocOp, memref::AllocaOp>(op) ||
+        !plan.adjointOf(Storage(op.getResult(0))))
+      continue;
+    Value array = op.getResult(0);
+    // Without a derivative in it, zeroes would go round.
+    if (llvm::none_of(array.getUsers(), [&](Operation *user) {
+          return plan.activity.isActiveAccess(user);
+        }))
+      continue;
+    setLoc(op.getLoc());
+    MemRefType type = getShadowType(array.getType());
+    type = MemRefType::get(type.getShape(), type.getElementType(),
+                           MemRefLayoutAttrInterface(), type.getMemorySpace());
+    SmallVector<Value> sizes = getPrimals(op.getOperands());
+    Value shadow = memref::AllocOp::create(*this, type, sizes);
+    frame.buffers.push_back(shadow);
+    plan.local.setAdjoint(array, shadow);
+    Value zero = createZero(type.getElementType());
+    Value begin = arith::ConstantIndexOp::create(*this, 0);
+    Value step = arith::ConstantIndexOp::create(*this, 1);
+    SmallVector<Value> upper, lower(type.getRank(), begin),
+        steps(type.getRank(), step);
+    unsigned next = 0;
+    for (int64_t size : type.getShape())
+      upper.push_back(ShapedType::isDynamic(size)
+                          ? sizes[next++]
+                          : Value(arith::ConstantIndexOp::create(*this, size)));
+    scf::buildLoopNest(*this, getLoc(), lower, upper, steps,
+                       [&](OpBuilder &b, Location at, ValueRange ivs) {
+                         memref::StoreOp::create(b, at, zero, shadow, ivs);
+                       });
+  }
+  setLoc(loc);
 }
 
 static bool hasAdjoint(Frame &frame, Value value) {

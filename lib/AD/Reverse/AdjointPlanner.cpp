@@ -35,7 +35,9 @@ FailureOr<bool> AdjointPlanner::settle(const PrimalDemands &demands) {
           cast<DifferentiableAccessInterface>(op).getAccessedStorage().field);
   bool allChosen = true;
   for (auto &[storage, reads] : byStorage)
-    if (failed(chosen.contains(storage) ? checkBefore(reads, demands)
+    if (chooseRecorded(reads))
+      allChosen = false;
+    else if (failed(chosen.contains(storage) ? checkBefore(reads, demands)
                                         : chooseVersion(reads)))
       allChosen = false;
   if (!allChosen)
@@ -65,6 +67,27 @@ bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {
       return getFieldStorageKey(field) == getStorageKey(store);
     });
   });
+}
+
+/// Asks for these reads to be recorded, if their values are not in memory when
+/// the adjoint runs. False if they are.
+bool AdjointPlanner::chooseRecorded(
+    ArrayRef<DifferentiableAccessInterface> reads) {
+  if (!plan.local.toRecord)
+    return false;
+  DifferentiableAccessInterface first = reads.front();
+  Value array = first.getAccessedStorage().memref;
+  bool isWanted =
+      array && (plan.isOwnArray(array) ||
+                llvm::any_of(reads, [&](auto read) {
+                  return static_cast<bool>(plan.accesses.findLaterWrite(read)) ||
+                         (plan.local.recordsAll &&
+                          plan.accesses.findEarlierWrite(read));
+                }));
+  if (isWanted)
+    for (DifferentiableAccessInterface read : reads)
+      plan.local.toRecord->insert(read);
+  return isWanted;
 }
 
 /// Refuses reads of values that this launch wrote, in a storage that other

@@ -144,6 +144,7 @@ Value LoopHistory::getCarried(Frame &frame, unsigned index) {
 /// The primal value of an operand of a step, at the very beginning of the
 /// iteration. Nothing that the sweep recomputes there is known yet.
 Value LoopHistory::getEarly(Frame &frame, Value value) {
+  value = b.getPlan().local.resolve(value);
   if (!loop->isAncestor(value.getParentBlock()->getParentOp()))
     return b.getPrimal(value);
   if (std::optional<unsigned> index = carried.getIndex(value)) {

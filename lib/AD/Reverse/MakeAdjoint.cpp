@@ -10,6 +10,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../Foreign/Traces.h"
 #include "../SelectedFunctionsPass.h"
 #include "StoredOutputs.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
@@ -21,6 +22,7 @@
 #include "tai/AD/AdjointBuilder.h"
 #include "tai/AD/AdjointPlanner.h"
 #include "tai/AD/Conventions.h"
+#include "tai/AD/Foreign.h"
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
 #include "tai/AD/Signature.h"
@@ -75,7 +77,7 @@ static void relaxArrayAccumulations(FunctionOpInterface function) {
       return;
     Value memref =
         cast<DifferentiableAccessInterface>(op).getAccessedStorage().memref;
-    if (isa<BlockArgument>(memref))
+    if (isa<BlockArgument>(memref) || memref.getDefiningOp<memref::AllocOp>())
       groups[{getOutermostParallelLoop(op), memref}].push_back(op);
   });
   for (auto &[key, writes] : groups) {
@@ -117,10 +119,38 @@ static void clearBody(FunctionOpInterface shell) {
   body.getOperations().clear();
 }
 
+/// Values that stand for the adjoints of arrays that a function makes, until
+/// these are made.
+class OwnAdjoints {
+public:
+  OwnAdjoints(FunctionOpInterface function, DenseMap<Value, Value> &arrays) {
+    if (!isa<func::FuncOp>(function.getOperation()))
+      return;
+    function.walk([&](Operation *op) {
+      if (!isa<memref::AllocOp, memref::AllocaOp>(op) ||
+          !getShadowType(op->getResult(0).getType()))
+        return;
+      OpBuilder builder(op->getContext());
+      Operation *standIn = memref::AllocaOp::create(
+          builder, op->getLoc(), MemRefType::get({}, builder.getF32Type()));
+      arrays[op->getResult(0)] = standIn->getResult(0);
+      standIns.push_back(standIn);
+    });
+  }
+  ~OwnAdjoints() {
+    for (Operation *op : standIns)
+      op->destroy();
+  }
+
+private:
+  SmallVector<Operation *> standIns;
+};
+
 static LogicalResult fillWith(FunctionOpInterface function,
                               FunctionOpInterface shell,
                               const AdjointSignature &signature,
-                              const AdjointOptions &options, bool *needsParts) {
+                              const AdjointOptions &options, bool *needsParts,
+                              LocalMemory local = LocalMemory()) {
   DenseMap<Value, Value> arrays;
   ValueShadows values;
   unsigned next = function.getNumArguments();
@@ -147,7 +177,16 @@ static LogicalResult fillWith(FunctionOpInterface function,
                ? Storage(field.getAdjointAttr())
                : Storage();
   };
+  OwnAdjoints own(function, arrays);
+  if (isa<func::FuncOp>(function.getOperation()))
+    local.setAdjoint = [&](Value array, Value adjoint) {
+      arrays[array] = adjoint;
+    };
   AdjointPlanner planner(function, adjointOf, values, options);
+  SmallVector<Value> records;
+  for (auto &[argument, record] : local.records)
+    records.push_back(record);
+  planner.setLocalMemory(std::move(local));
   const AdjointPlan &plan = planner.getPlan();
   if (failed(verifyReversible(plan)))
     return failure();
@@ -180,6 +219,8 @@ static LogicalResult fillWith(FunctionOpInterface function,
   dropForms(shell);
   planner.annotate(shell);
   OpBuilder builder = OpBuilder::atBlockEnd(&shell.getFunctionBody().front());
+  for (Value record : records)
+    memref::DeallocOp::create(builder, function.getLoc(), record);
   if (isa<KernelOp>(shell.getOperation()))
     ReturnOp::create(builder, function.getLoc(), ValueRange());
   else
@@ -195,19 +236,100 @@ static LogicalResult fillWith(FunctionOpInterface function,
   return success();
 }
 
+/// As `fillWith`, for a function of arrays: what it overwrites or forgets is
+/// recorded by running it once more.
+static LogicalResult fillFunction(FunctionOpInterface function,
+                                  FunctionOpInterface shell,
+                                  const AdjointSignature &signature,
+                                  const AdjointOptions &options,
+                                  bool recordsAll) {
+  // Reads are known by their numbers in the order of the program: each attempt
+  // has its own copy.
+  llvm::SetVector<unsigned> numbers;
+  while (true) {
+    FunctionOpInterface copy = function;
+    OwningOpRef<func::FuncOp> owner;
+    if (!numbers.empty()) {
+      OpBuilder builder(function->getContext());
+      builder.setInsertionPointAfter(function);
+      owner = cast<func::FuncOp>(builder.clone(*function));
+      copy = cast<FunctionOpInterface>(owner->getOperation());
+    }
+    DenseMap<Operation *, unsigned> numberOf;
+    SmallVector<Operation *> reads;
+    copy.walk([&](Operation *op) {
+      unsigned number = numberOf.size();
+      numberOf[op] = number;
+      if (numbers.contains(number))
+        reads.push_back(op);
+    });
+    LocalMemory local;
+    llvm::SetVector<Operation *> missing;
+    local.toRecord = &missing;
+    local.recordsAll = recordsAll || !numbers.empty();
+    SmallVector<int64_t> before;
+    if (!reads.empty()) {
+      Traces traces = recordReads(copy, shell, reads);
+      local.recorded = std::move(traces.recorded);
+      local.records = std::move(traces.arrays);
+      before = std::move(traces.before);
+    }
+    // An attempt that lacks values says so in vain.
+    std::vector<Diagnostic> said;
+    LogicalResult filled = failure();
+    {
+      ScopedDiagnosticHandler handler(
+          function->getContext(),
+          [&, thread = llvm::get_threadid()](Diagnostic &diagnostic) {
+            if (llvm::get_threadid() != thread)
+              return failure();
+            said.push_back(std::move(diagnostic));
+            return success();
+          });
+      filled = fillWith(copy, shell, signature, options,
+                        /*needsParts=*/nullptr, std::move(local));
+    }
+    auto report = [&] {
+      for (Diagnostic &diagnostic : said)
+        function->getContext()->getDiagEngine().emit(std::move(diagnostic));
+    };
+    if (succeeded(filled)) {
+      report();
+      if (!before.empty())
+        shell->setAttr("tai.reads_before",
+                       DenseI64ArrayAttr::get(function->getContext(), before));
+      return success();
+    }
+    size_t known = numbers.size();
+    for (Operation *read : missing)
+      numbers.insert(numberOf.lookup(read));
+    clearBody(shell);
+    if (numbers.size() == known) {
+      report();
+      return failure();
+    }
+  }
+}
+
 LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
                                      FunctionOpInterface shell,
                                      const AdjointSignature &signature,
                                      AdjointOptions options, bool *needsParts) {
+  auto fill = [&] {
+    if (isa<func::FuncOp>(function.getOperation()))
+      return fillFunction(function, shell, signature, options,
+                          isWrapped(function));
+    return fillWith(function, shell, signature, options, needsParts);
+  };
   if (!options.skips.has(Skip::InactiveValues)) {
     // Not all that is assumed to carry derivatives can be differentiated.
     SilencedDiagnostics silence(function.getContext());
-    if (succeeded(fillWith(function, shell, signature, options, needsParts)))
+    if (succeeded(fill()))
       return success();
     clearBody(shell);
     options.skips.set(Skip::InactiveValues, true);
   }
-  return fillWith(function, shell, signature, options, needsParts);
+  return fill();
 }
 
 /// Fixes the cost of the loops as they were written, which the loops of the
@@ -222,12 +344,28 @@ static void fixCosts(FunctionOpInterface function) {
   });
 }
 
+/// Says that the gradient is to be called with values that are gone after the
+/// function.
+static void warnOfBefore(FunctionOpInterface function, func::FuncOp gradient) {
+  auto before = gradient->getAttrOfType<DenseI64ArrayAttr>("tai.reads_before");
+  if (!before)
+    return;
+  InFlightDiagnostic diag =
+      function->emitWarning("'@")
+      << gradient.getName() << "' runs '@" << function.getName()
+      << "' again, on copies: call it with the arrays as they are before '@"
+      << function.getName() << "'";
+  diag.attachNote() << "this concerns the arguments at the positions "
+                    << before.asArrayRef();
+}
+
 namespace {
 struct MakeAdjoint
     : SelectedFunctionsPass<MakeAdjoint, tai::impl::MakeAdjointBase> {
   using SelectedFunctionsPass::SelectedFunctionsPass;
 
   LogicalResult begin() { return checkNested(getOperation()); }
+  void end() { erasePrepared(getOperation()); }
   LogicalResult runOnFunction(FunctionOpInterface function) {
     return differentiate(function, getAnalysis<SymbolTable>());
   }
@@ -276,7 +414,10 @@ struct MakeAdjoint
       return function.emitError(
           "cannot differentiate a function of several blocks; structured "
           "control flow is expected");
-    std::string name = (function.getName() + "_grad").str();
+    FunctionOpInterface original = getOriginal(function);
+    if (original->hasAttr("tai.adjoint"))
+      return success();
+    std::string name = (original.getName() + "_grad").str();
     Operation *taken = symbols.lookup(name);
     // The arguments of a function are all that it can be differentiated by.
     bool arrays = arrayAdjoints || !isa<KernelOp>(function.getOperation());
@@ -312,13 +453,23 @@ struct MakeAdjoint
     }
     auto positions = function->getAttrOfType<DenseI64ArrayAttr>(
         getFunctionAttrName(function, kGradients));
-    if (isa<func::FuncOp>(function.getOperation()) &&
+    if (isa<func::FuncOp>(function.getOperation()) && !isWrapped(function) &&
         failed(checkHasDerivative(function, positions ? positions.asArrayRef()
                                                       : ArrayRef<int64_t>()))) {
       shell.erase();
       return failure();
     }
     symbols.insert(shell);
+    if (auto made = dyn_cast<func::FuncOp>(shell.getOperation())) {
+      if (isWrapped(function)) {
+        symbols.remove(made);
+        made = wrapDerivative(cast<func::FuncOp>(original.getOperation()), made,
+                              /*isForward=*/false);
+        symbols.insert(made);
+      }
+      takeInterface(cast<func::FuncOp>(original.getOperation()), made);
+      warnOfBefore(original, made);
+    }
     if (auto adjoint = dyn_cast<KernelOp>(shell.getOperation());
         adjoint && storedOutputs)
       makeStoredForm(function, adjoint, *signature, symbols);
@@ -326,7 +477,7 @@ struct MakeAdjoint
     if (auto kernel = dyn_cast<KernelOp>(function.getOperation()))
       kernel.setAdjointAttr(reference);
     else
-      function->setAttr("tai.adjoint", reference);
+      original->setAttr("tai.adjoint", reference);
     return success();
   }
 };

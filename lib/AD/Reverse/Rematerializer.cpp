@@ -23,6 +23,7 @@ Value Rematerializer::loadStored(Frame &frame, Value value) {
 }
 
 Value Rematerializer::get(Value value) {
+  value = plan.local.resolve(value);
   Block *block = value.getParentBlock();
   Frame *frame = &b.getFrame();
   while (frame && frame->primal != block)
@@ -33,13 +34,24 @@ Value Rematerializer::get(Value value) {
   return materialize(*frame, value);
 }
 
+/// True for a read of an array that the function makes, and that is gone.
+bool Rematerializer::isOwnRead(Operation *op) const {
+  auto read = dyn_cast<DifferentiableAccessInterface>(op);
+  Value array = read ? read.getAccessedStorage().memref : Value();
+  return plan.local.toRecord && array && plan.isOwnArray(array) &&
+         !holdsOwners(array);
+}
+
 /// Appends the ops of this block that `op` needs and that are not recomputed
 /// yet. Returns true if there are any.
 bool Rematerializer::needsOperands(Frame &frame, Operation *op,
                                    SmallVectorImpl<Operation *> &missing) {
   size_t before = missing.size();
-  for (Value operand : op->getOperands())
-    if (operand.getParentBlock() == frame.primal && operand.getDefiningOp() &&
+  if (isOwnRead(op))
+    return false;
+  for (Value given : op->getOperands())
+    if (Value operand = plan.local.resolve(given);
+        operand.getParentBlock() == frame.primal && operand.getDefiningOp() &&
         !frame.values.contains(operand)) {
       if (plan.reexecution.isRecorded(operand))
         frame.values.map(operand, reexecution.fetch(frame, operand));
@@ -179,6 +191,13 @@ void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
 void Rematerializer::recompute(Frame &frame, Operation *op) {
   if (auto alloc = dyn_cast<memref::AllocOp>(op); alloc && holdsOwners(alloc))
     return recomputeOwners(frame, alloc);
+  if (isOwnRead(op)) {
+    // The adjoint is emitted again, with the value from the record.
+    demands.reads.insert(op);
+    frame.values.map(op->getResults(), op->getResults());
+    refused.insert(op);
+    return;
+  }
   if (!checkRecomputable(op)) {
     frame.values.map(op->getResults(), op->getResults());
     refused.insert(op);

@@ -49,6 +49,7 @@ public:
 private:
   Value materialize(Frame &frame, Value value);
   void materializeArgument(Frame &frame, BlockArgument argument);
+  bool isOwnRead(Operation *op) const;
   bool needsOperands(Frame &frame, Operation *op,
                      SmallVectorImpl<Operation *> &missing);
   void recompute(Frame &frame, Operation *op);

@@ -75,6 +75,7 @@ void Verifier::checkArrays() {
                   ? kInlineFirst
                   : "access its elements by 'memref.load', 'memref.store' and "
                     "'memref.atomic_rmw addf'");
+
     }
   }
 }
@@ -114,7 +115,7 @@ void Verifier::checkDeactivation() {
 void Verifier::checkAccess(DifferentiableAccessInterface access) {
   Storage storage = access.getAccessedStorage();
   if (access.getAccessKind() == AccessKind::Read || !storage.memref ||
-      isa<BlockArgument>(storage.memref) ||
+      isa<BlockArgument>(storage.memref) || plan.adjointOf(storage) ||
       !plan.activity.isVaried(access.getAccessedValue()))
     return;
   emitError(access, "a derivative is lost in an array that the function makes "

@@ -1,0 +1,55 @@
+//===- Foreign.h - Functions of other compilers -----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Differentiation knows scf, memref, arith, math and parts of vector. A
+// `func.func` that holds more is copied, and upstream passes lower the copy.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_AD_FOREIGN_H
+#define TAI_AD_FOREIGN_H
+
+#include "mlir/Dialect/Func/IR/FuncOps.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+
+namespace mlir::tai {
+
+/// On a copy of a function, prepared to be differentiated: the function.
+constexpr llvm::StringLiteral kPreparedFor = "tai.prepared_for";
+
+/// The function whose derivative is made of `function`: the one that it is a
+/// copy of, or itself.
+FunctionOpInterface getOriginal(FunctionOpInterface function);
+/// Removes the prepared copies.
+void erasePrepared(ModuleOp module);
+
+/// True if the derivative of the original has other arguments and results than
+/// that of its copy: it has values where the copy has memory.
+bool isWrapped(FunctionOpInterface prepared);
+/// Makes `derivative`, of a copy whose arguments are memory, that of a function
+/// of values: tensors and numbers.
+func::FuncOp wrapDerivative(func::FuncOp original, func::FuncOp derivative,
+                            bool isForward);
+
+/// Gives a derivative the visibility and the C interface of its function.
+void takeInterface(func::FuncOp original, func::FuncOp derivative);
+
+/// Replaces accesses of memory by vectors, and some ops of vectors, by ops on
+/// single elements.
+LogicalResult lowerVectors(func::FuncOp function);
+
+/// Leaves loads, stores and atomic updates of arguments and of local arrays
+/// alone: no copies, views, arrays that loops carry or branches choose. Local
+/// arrays are freed at the end of their blocks.
+LogicalResult normalizeMemory(func::FuncOp function);
+
+/// Replaces a parallel loop by serial ones.
+void serialize(scf::ParallelOp loop);
+
+} // namespace mlir::tai
+
+#endif // TAI_AD_FOREIGN_H

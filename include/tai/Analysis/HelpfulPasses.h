@@ -1,0 +1,24 @@
+//===- HelpfulPasses.h - Upstream passes in front of ours -------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_ANALYSIS_HELPFULPASSES_H
+#define TAI_ANALYSIS_HELPFULPASSES_H
+
+#include "mlir/IR/Diagnostics.h"
+
+namespace mlir::tai {
+
+/// The upstream pass that turns this op into ones that have derivatives, or an
+/// empty string.
+StringRef getHelpfulPass(Operation *op);
+
+/// Adds a note that names this pass. False if there is none.
+bool attachHelpfulPass(InFlightDiagnostic &diag, Operation *op);
+
+} // namespace mlir::tai
+
+#endif // TAI_ANALYSIS_HELPFULPASSES_H

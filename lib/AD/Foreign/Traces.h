@@ -1,0 +1,47 @@
+//===- Traces.h - Values that a function read ------------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// The gradient of a function that overwrites what it has read, or that keeps
+// values in arrays of its own, runs the function once more and records what it
+// reads: the trace. The reverse sweep then takes the values from there.
+//
+// A trace is an array with one element for each execution of the read. The
+// number of an execution follows from the iterations of the loops around it. If
+// the bounds of all loops are known when the first begins, the array has the
+// right size from the start. Else it grows, and where a loop begins in it is
+// recorded too, as the trace of that number.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_AD_FOREIGN_TRACES_H
+#define TAI_LIB_AD_FOREIGN_TRACES_H
+
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "llvm/ADT/DenseMap.h"
+
+namespace mlir::tai {
+
+struct Traces {
+  /// The results of recorded reads, each with the value in the trace.
+  DenseMap<Value, Value> recorded;
+  /// Arguments that stand for traces in the primal, and the traces in the
+  /// gradient.
+  SmallVector<std::pair<Value, Value>> arrays;
+  /// The arguments of the function that are read as they were before it.
+  SmallVector<int64_t> before;
+};
+
+/// Runs `primal` again at the beginning of `gradient`, which is empty and whose
+/// arguments begin with those of `primal`, and records the results of `reads`.
+/// Extends `primal` by arguments and ops that read the traces. Memory of the
+/// caller is not changed.
+Traces recordReads(FunctionOpInterface primal, FunctionOpInterface gradient,
+                   ArrayRef<Operation *> reads);
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_AD_FOREIGN_TRACES_H

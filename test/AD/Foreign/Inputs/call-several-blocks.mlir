@@ -1,0 +1,23 @@
+// Row: func | `func.call` of a function of several blocks
+func.func private @ramp(%a: f64) -> f64 {
+  %zero = arith.constant 0.0 : f64
+  %c = arith.cmpf ogt, %a, %zero : f64
+  cf.cond_br %c, ^bb1, ^bb2
+^bb1:
+  %b = arith.mulf %a, %a : f64
+  return %b : f64
+^bb2:
+  %d = math.sin %a : f64
+  return %d : f64
+}
+func.func @f(%x: memref<4xf64>, %y: memref<4xf64>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c4 = arith.constant 4 : index
+  scf.for %i = %c0 to %c4 step %c1 {
+    %a = memref.load %x[%i] : memref<4xf64>
+    %b = func.call @ramp(%a) : (f64) -> f64
+    memref.store %b, %y[%i] : memref<4xf64>
+  }
+  return
+}

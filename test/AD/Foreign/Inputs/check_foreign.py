@@ -1,0 +1,374 @@
+"""Differentiates functions of upstream dialects, lowers all with stock `mlir-opt` and compares with differences.
+
+`python check_foreign.py --tai-opt=... --llvm-bin=... [files]` prints one line for each file and mode: `right`,
+`refused` with the first line of the error, or `wrong`. A number of a function with in- and outputs of any kind is
+L = sum w * after; the adjoint is seeded with w, and must be dL / d before.
+"""
+
+import argparse
+import ctypes
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+ELEMENTS = {
+    "f64": np.float64,
+    "f32": np.float32,
+    "i32": np.int32,
+    "i64": np.int64,
+    "index": np.int64,
+    "complex<f64>": np.complex128,
+    "complex<f32>": np.complex64,
+}
+CTYPES = {"f64": ctypes.c_double, "f32": ctypes.c_float, "i32": ctypes.c_int32, "i64": ctypes.c_int64}
+CTYPES["index"] = ctypes.c_int64
+DYNAMIC = 5
+LOWER = (
+    "builtin.module({tensors}func.func(convert-linalg-to-loops,scf-forall-to-parallel,lower-affine),"
+    "func.func(convert-vector-to-scf{{full-unroll=true}},canonicalize,llvm-request-c-wrappers),"
+    "convert-complex-to-standard,"
+    "convert-scf-to-cf,func.func(memref-expand),convert-scf-to-cf,expand-strided-metadata,lower-affine,convert-complex-to-llvm,func.func(convert-math-to-llvm),"
+    "convert-math-to-libm,convert-vector-to-llvm,convert-ub-to-llvm,finalize-memref-to-llvm,convert-arith-to-llvm,"
+    "convert-func-to-llvm,convert-cf-to-llvm,convert-index-to-llvm,reconcile-unrealized-casts)"
+)
+TENSORS = (
+    "one-shot-bufferize{bufferize-function-boundaries function-boundary-type-conversion=identity-layout-map},"
+)
+
+
+class Refused(Exception):
+    """The compiler refuses the function, with a message."""
+
+
+def split(text):
+    """The parts of a list between commas that stand in no brackets."""
+    parts, depth, last = [], 0, 0
+    for i, c in enumerate(text):
+        if c in "<([{":
+            depth += 1
+        elif c in ">)]}" and text[i - 1 : i] != "-":
+            depth -= 1
+        elif c == "," and depth == 0:
+            parts.append(text[last:i])
+            last = i + 1
+    parts.append(text[last:])
+    return [part.strip() for part in parts if part.strip()]
+
+
+def signature(text, name):
+    """The types of the arguments and results of a function in printed IR, and its attributes."""
+    start = re.search(rf"func\.func (?:\w+ )?@{name}\(", text).end()
+    depth, end = 1, start
+    while depth:
+        depth += {"(": 1, ")": -1}.get(text[end], 0)
+        end += 1
+    inputs = [part.split(": ", 1)[1] if part.startswith("%") else part for part in split(text[start : end - 1])]
+    line = text[end : text.index("\n", end)]
+    attributes = ""
+    if "attributes {" in line:
+        line, attributes = line.split("attributes {", 1)
+    results = []
+    if "->" in line:
+        found = line.split("->", 1)[1].strip().rstrip("{").strip()
+        results = split(found[1:-1]) if found.startswith("(") else [found]
+    return inputs, results, attributes
+
+
+class Type:
+    """A number, or an array with its shape."""
+
+    def __init__(self, text):
+        match = re.match(r"(memref|tensor)<((?:[\d?]+x)*)(.+?)(?:, .*)?>$", text)
+        self.is_array = bool(match)
+        self.element = text
+        self.shape = ()
+        if match:
+            self.element = match[3]
+            self.shape = tuple(DYNAMIC if d == "?" else int(d) for d in match[2].split("x") if d)
+        self.is_float = "f" in self.element
+        self.dtype = ELEMENTS[self.element]
+
+    def random(self, rng):
+        if not self.is_float:
+            return np.full(self.shape, 3, self.dtype)
+        value = rng.uniform(0.4, 1.6, self.shape) * rng.choice([-1, 1], self.shape)
+        if np.issubdtype(self.dtype, np.complexfloating):
+            value = value + 1j * rng.uniform(0.4, 1.6, self.shape)
+        return np.asarray(value, self.dtype)
+
+    def descriptor(self, array):
+        fields = [("base", ctypes.c_void_p), ("data", ctypes.c_void_p), ("offset", ctypes.c_int64)]
+        rank = len(self.shape)
+        if rank:
+            fields += [("sizes", ctypes.c_int64 * rank), ("strides", ctypes.c_int64 * rank)]
+        kind = type("Descriptor", (ctypes.Structure,), {"_fields_": fields})
+        made = kind()
+        if array is not None:
+            made.base = made.data = array.ctypes.data
+            for i in range(rank):
+                made.sizes[i] = array.shape[i]
+                made.strides[i] = array.strides[i] // array.itemsize
+        return made
+
+
+def lower(tools, text, directory, name):
+    """A shared library of a module."""
+    tensors = TENSORS if "tensor<" in text else ""
+    (directory / f"{name}.mlir").write_text(text)
+    lowered = subprocess.run(
+        [tools.mlir_opt, f"--pass-pipeline={LOWER.format(tensors=tensors)}", directory / f"{name}.mlir"],
+        capture_output=True,
+        text=True,
+    )
+    if lowered.returncode:
+        raise RuntimeError("stock lowering: " + lowered.stderr.splitlines()[0])
+    translated = subprocess.run(
+        [tools.translate, "--mlir-to-llvmir"], input=lowered.stdout, capture_output=True, text=True
+    )
+    if translated.returncode:
+        raise RuntimeError("translation: " + translated.stderr.splitlines()[0])
+    (directory / f"{name}.ll").write_text(translated.stdout)
+    library = directory / f"lib{name}.so"
+    utilities = Path(tools.llvm_lib)
+    subprocess.run(
+        [tools.clang, "-shared", "-fPIC", "-O1", "-Wno-override-module", directory / f"{name}.ll", "-o", library]
+        + [f"-Wl,-rpath,{utilities}", f"-L{utilities}", "-lmlir_c_runner_utils", "-lm"],
+        check=True,
+        capture_output=True,
+    )
+    return ctypes.CDLL(str(library))
+
+
+def call(library, name, types, results, values):
+    """Calls a function; arrays among the values are changed. Returns what the function returns."""
+    function = getattr(library, f"_mlir_ciface_{name}")
+    keep, given = [], []
+    made = None
+    if any(r.is_array for r in results) or len(results) > 1:
+        fields = [(f"r{i}", type(r.descriptor(None)) if r.is_array else CTYPES[r.element]) for i, r in enumerate(results)]
+        made = type("Results", (ctypes.Structure,), {"_fields_": fields})()
+        given.append(ctypes.byref(made))
+    for kind, value in zip(types, values, strict=True):
+        if kind.is_array:
+            keep.append(kind.descriptor(value))
+            given.append(ctypes.byref(keep[-1]))
+        else:
+            given.append(CTYPES[kind.element](value.item()))
+    function.restype = None if made or not results else CTYPES[results[0].element]
+    returned = function(*given)
+    if made is None:
+        return [np.asarray(returned, results[0].dtype)] if results else []
+    out = []
+    for i, r in enumerate(results):
+        field = getattr(made, f"r{i}")
+        if not r.is_array:
+            out.append(np.asarray(field, r.dtype))
+            continue
+        count = int(np.prod(r.shape))
+        raw = (ctypes.c_char * (count * np.dtype(r.dtype).itemsize)).from_address(field.data)
+        out.append(np.frombuffer(raw, r.dtype, count).reshape(r.shape).copy())
+    return out
+
+
+def differentiate(tools, path, flag):
+    """The module with the derivative, or an error."""
+    run = subprocess.run([tools.tai_opt, *flag.split(), path], capture_output=True, text=True, timeout=100)
+    if run.returncode:
+        lines = [line for line in run.stderr.splitlines() if ": error:" in line or ": note:" in line]
+        raise Refused(" | ".join(re.sub(r"^\S*?([^/]+\.mlir)", r"\1", line) for line in lines[:4]) or "crash")
+    return run.stdout
+
+
+def inner(a, b):
+    """The inner product of two lists of arrays; complex numbers are pairs."""
+    return sum(float(np.sum((np.conj(x.astype(np.complex128)) * y.astype(np.complex128)).real)) for x, y in zip(a, b))
+
+
+class Function:
+    """`@f` of a file, as a map from the floats before it to those after it."""
+
+    def __init__(self, tools, path, directory):
+        text = path.read_text()
+        self.inputs, self.results, attributes = ([Type(t) for t in signature(text, "f")[0]],
+                                                 [Type(t) for t in signature(text, "f")[1]], signature(text, "f")[2])
+        self.is_tensor = "tensor<" in "".join(signature(text, "f")[0])
+        plain = re.sub(r"tai\.[\w]+( = array<[^>]*>)?,? ?", "", text)
+        plain = re.sub(r"attributes \{,? ?\}", "", plain).replace(", }", "}")
+        self.library = lower(tools, plain, directory, "primal")
+        found = re.search(r"tai\.gradients = array<i64: ([^>]*)>", attributes)
+        self.positions = [int(i) for i in found[1].split(",")] if found else None
+        count = len(self.inputs)
+        if self.positions is None:
+            self.wrt = [i for i, t in enumerate(self.inputs) if t.is_array and t.is_float]
+            self.of = [i for i, t in enumerate(self.results) if t.is_float]
+        else:
+            self.wrt = [i for i in self.positions if i < count]
+            self.of = [i - count for i in self.positions if i >= count]
+
+    def run(self, before):
+        values = [v.copy() for v in before]
+        results = call(self.library, "f", self.inputs, self.results, values)
+        return values, results
+
+    def outputs(self, before):
+        values, results = self.run(before)
+        arrays = [] if self.is_tensor else [values[i] for i in self.wrt if self.inputs[i].is_array]
+        return arrays + [results[i] for i in self.of]
+
+    def directional(self, before, direction):
+        """The derivative of the outputs in a direction of the inputs, of the fourth order."""
+        single = any(t.element in ("f32", "complex<f32>") for t in self.inputs)
+        h = 1e-2 if single else 2e-4
+
+        def at(step):
+            moved = [v.copy() for v in before]
+            for i, d in zip(self.wrt, direction):
+                moved[i] = np.array(moved[i] + step * d, moved[i].dtype)
+            return [o.astype(np.complex128) for o in self.outputs(moved)]
+
+        terms = zip(at(h), at(-h), at(2 * h), at(-2 * h))
+        return [(8 * (a - b) - (c - d)) / (12 * h) for a, b, c, d in terms], (3e-3 if single else 2e-7)
+
+
+def compare(got, wanted, tolerance, what):
+    scale = max(1.0, abs(wanted))
+    if not np.isfinite(got) or abs(got - wanted) > tolerance * scale:
+        raise AssertionError(f"wrong: {what} is {got:.9g}, differences say {wanted:.9g}")
+
+
+def check_no_tai(text, name):
+    body = re.search(rf"func\.func (?:\w+ )?@{name}\(.*?\n  }}\n", text, re.S)
+    found = set(re.findall(r"\b(tai(?:_\w+)?\.\w+)(?= )", body[0].split("\n", 1)[1]))
+    if found:
+        raise AssertionError(f"wrong: {name} has ops of tai: {', '.join(sorted(found))}")
+
+
+def check_reverse(tools, path, directory, function, rng):
+    text = differentiate(tools, path, tools.reverse)
+    inputs, results, attributes = signature(text, "f_grad")
+    check_no_tai(text, "f_grad")
+    library = lower(tools, text, directory, "reverse")
+    types, returned = [Type(t) for t in inputs], [Type(t) for t in results]
+    found = re.search(r"tai\.reads_before = array<i64(?:: ([^>]*))?>", attributes)
+    restored = [int(i) for i in (found[1] or "").split(",") if i] if found else []
+    for _ in range(3):
+        before = [t.random(rng) for t in function.inputs]
+        after, _ = function.run(before)
+        given = [(before if i in restored else after)[i].copy() for i in range(len(before))]
+        count = len(function.inputs)
+        seeds = [t.random(rng) for t in types[count:]]
+        state = [g.copy() for g in given]
+        kept = [s.copy() for s in seeds]
+        made = call(library, "f_grad", types, returned, state + kept)
+        for i, (s, g) in enumerate(zip(state, given)):
+            if not np.array_equal(s, g):
+                raise AssertionError(f"wrong: the gradient changes argument {i}")
+        direction = [function.inputs[i].random(rng) for i in function.wrt]
+        moved, tolerance = function.directional(before, direction)
+        if function.is_tensor:
+            gradients, weights, constant = made, seeds, []
+        else:
+            n = len(function.wrt)
+            gradients = kept[:n]
+            arrays = [k for k in range(n) if function.inputs[function.wrt[k]].is_array]
+            weights = [seeds[k] for k in arrays] + seeds[n:]
+            # The adjoint of a number is added to.
+            constant = [(seeds[k], direction[k]) for k in range(n) if k not in arrays]
+        got = inner(gradients, direction) - sum(inner([s], [d]) for s, d in constant)
+        compare(got, inner(weights, moved), tolerance, "the gradient")
+
+
+def check_forward(tools, path, directory, function, rng):
+    text = differentiate(tools, path, tools.forward)
+    inputs, results, _ = signature(text, "f_fwd")
+    check_no_tai(text, "f_fwd")
+    library = lower(tools, text, directory, "forward")
+    types, returned = [Type(t) for t in inputs], [Type(t) for t in results]
+    count = len(function.inputs)
+    for _ in range(3):
+        before = [t.random(rng) for t in function.inputs]
+        after, primal = function.run(before)
+        direction = [function.inputs[i].random(rng) for i in function.wrt]
+        moved, tolerance = function.directional(before, direction)
+        state = [b.copy() for b in before]
+        tangents = [d.copy() for d in direction]
+        extra = [np.zeros(t.shape, t.dtype) for t in types[count + len(tangents) :]]
+        made = call(library, "f_fwd", types, returned, state + tangents + extra)
+        arrays = [] if function.is_tensor else [
+            tangents[k] for k, i in enumerate(function.wrt) if function.inputs[i].is_array
+        ]
+        got = arrays + (made[len(primal) :] if function.is_tensor else extra)
+        values = state + made[: len(primal)]
+        for value, wanted in zip(values, after + primal):
+            if not np.allclose(value, wanted, rtol=1e-5, atol=1e-6):
+                raise AssertionError("wrong: the tangent computes other values than the function")
+        weights = [np.asarray(rng.uniform(-1, 1, m.shape)) for m in moved]
+        compare(inner(weights, got), inner(weights, moved), tolerance, "the tangent")
+
+
+def check(tools, path):
+    lines = {}
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name)
+        function = None
+        for mode, run in (("reverse", check_reverse), ("forward", check_forward)):
+            if tools.mode not in (mode, "both"):
+                continue
+            try:
+                function = function or Function(tools, path, directory)
+                run(tools, path, directory, function, np.random.default_rng(1))
+                lines[mode] = "right"
+            except Refused as error:
+                lines[mode] = f"refused: {error}"
+            except (AssertionError, RuntimeError) as error:
+                lines[mode] = str(error)
+            except Exception as error:
+                lines[mode] = f"wrong: {type(error).__name__}: {error}"
+    return lines
+
+
+def parse(arguments):
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tai-opt", required=True)
+    parser.add_argument("--llvm-bin", required=True)
+    parser.add_argument("--mode", default="both", choices=["reverse", "forward", "both"])
+    parser.add_argument("--reverse", default="--tai-autodiff")
+    parser.add_argument("--forward", default="--tai-autodiff-forward")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("files", nargs="*", type=Path)
+    tools = parser.parse_args(arguments)
+    tools.mlir_opt, tools.translate = f"{tools.llvm_bin}/mlir-opt", f"{tools.llvm_bin}/mlir-translate"
+    tools.clang, tools.llvm_lib = f"{tools.llvm_bin}/clang", os.path.realpath(f"{tools.llvm_bin}/../lib")
+    tools.files = tools.files or sorted(HERE.glob("*.mlir"))
+    return tools
+
+
+def run(arguments):
+    """The outcome of each file, by its name and mode."""
+    tools = parse(arguments)
+    with ThreadPoolExecutor(tools.jobs) as pool:
+        return {path.stem: lines for path, lines in zip(tools.files, pool.map(lambda p: check(tools, p), tools.files))}
+
+
+def main():
+    outcomes = run(sys.argv[1:])
+    for name, lines in outcomes.items():
+        for mode, line in lines.items():
+            print(f"{name} {mode}: {line}")
+    every = [(mode, line) for lines in outcomes.values() for mode, line in lines.items()]
+    for mode in ("reverse", "forward"):
+        said = [line for m, line in every if m == mode]
+        counts = {k: sum(line.startswith(k) for line in said) for k in ("right", "refused")}
+        print(f"{mode}: {counts['right']} right, {counts['refused']} refused, of {len(said)}", file=sys.stderr)
+    sys.exit(any(not line.startswith(("right", "refused")) for _, line in every))
+
+
+if __name__ == "__main__":
+    main()
