@@ -21,8 +21,8 @@ namespace mlir::tai {
 
 /// A pass with the option `kernel`, which defines `LogicalResult
 /// runOnFunction(FunctionOpInterface)` and optionally `begin`, called before
-/// the first function, and `end`. These are module passes, because the selection depends
-/// on other functions of the module.
+/// the first function, and `end`. These are module passes, because the
+/// selection depends on other functions of the module.
 template <typename Pass, template <typename> class GeneratedBase>
 struct SelectedFunctionsPass : GeneratedBase<Pass> {
   using Generated = GeneratedBase<Pass>;

@@ -103,12 +103,11 @@ void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {
 
 void tai::buildForwardFunctionsPipeline(OpPassManager &pm) {
   pm.addPass(createPrepareForeign());
-  addIsolated(
-      pm,
-      [](OpPassManager &own) {
-        buildForwardPipeline(own, /*arrayTangents=*/true);
-      },
-      IsolateMode::Keep, {});
+  addIsolated(pm,
+              [](OpPassManager &own) {
+                buildForwardPipeline(own, /*arrayTangents=*/true);
+              },
+              IsolateMode::Keep, {});
 }
 
 void tai::registerAutodiffPipeline() {

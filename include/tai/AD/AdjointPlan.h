@@ -15,10 +15,10 @@
 #ifndef TAI_AD_ADJOINTPLAN_H
 #define TAI_AD_ADJOINTPLAN_H
 
+#include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/AccessOrder.h"
 #include "tai/Analysis/Activity.h"
 #include "tai/Support/Skips.h"
-#include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "llvm/ADT/SetVector.h"
 
 namespace mlir::tai {

@@ -186,6 +186,10 @@ def PrepareForeign : Pass<"tai-prepare-foreign", "::mlir::ModuleOp"> {
     ```mlir
     func.func @f_prepared(%x: memref<8xf64>, %y: memref<4xf64>)
         attributes {tai.differentiate, tai.prepared_for = @f} {
+      %c0 = arith.constant 0 : index
+      %c1 = arith.constant 1 : index
+      %c2 = arith.constant 2 : index
+      %c4 = arith.constant 4 : index
       scf.for %i = %c0 to %c4 step %c1 {
         %j = arith.addi %i, %c2 : index
         %0 = memref.load %x[%j] : memref<8xf64>

@@ -191,8 +191,8 @@ LogicalResult Lowering::lowerContract(vector::ContractionOp contract) {
     Value product = isa<FloatType>(left.getType())
                         ? Value(arith::MulFOp::create(b, left, right))
                         : Value(arith::MulIOp::create(b, left, right));
-    Value &sum = sums[number(shapeOf(contract.getAcc()),
-                             maps[2].compose(position))];
+    Value &sum =
+        sums[number(shapeOf(contract.getAcc()), maps[2].compose(position))];
     sum = vector::makeArithReduction(b, op->getLoc(), contract.getKind(),
                                      product, sum);
   }
@@ -349,8 +349,9 @@ LogicalResult Lowering::run() {
     load(extract.getType(), [&](const Position &position) {
       Position moved(position);
       for (auto [i, offset] : llvm::enumerate(extract.getOffsets()))
-        moved[i] = cast<IntegerAttr>(offset).getInt() +
-                   moved[i] * cast<IntegerAttr>(extract.getStrides()[i]).getInt();
+        moved[i] =
+            cast<IntegerAttr>(offset).getInt() +
+            moved[i] * cast<IntegerAttr>(extract.getStrides()[i]).getInt();
       return elements[number(shape, moved)];
     });
     return success();
@@ -363,7 +364,8 @@ LogicalResult Lowering::run() {
   for (auto [offset, attr] : llvm::zip(offsets, insert.getOffsets()))
     offset = cast<IntegerAttr>(attr).getInt();
   int64_t first = outer.getRank() - inner.getRank();
-  for (auto [i, element] : llvm::enumerate(getElements(insert.getValueToStore()))) {
+  for (auto [i, element] :
+       llvm::enumerate(getElements(insert.getValueToStore()))) {
     Position position(offsets);
     for (auto [k, index] :
          llvm::enumerate(at(inner.getShape(), static_cast<int64_t>(i))))

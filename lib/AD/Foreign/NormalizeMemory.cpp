@@ -214,13 +214,12 @@ static LogicalResult expandCopies(func::FuncOp function) {
     Value zero = arith::ConstantIndexOp::create(b, copy.getLoc(), 0);
     Value one = arith::ConstantIndexOp::create(b, copy.getLoc(), 1);
     SmallVector<Value> lower(sizes.size(), zero), steps(sizes.size(), one);
-    scf::buildLoopNest(b, copy.getLoc(), lower, sizes, steps,
-                       [&](OpBuilder &nested, Location loc, ValueRange ivs) {
-                         Value value =
-                             memref::LoadOp::create(nested, loc, source, ivs);
-                         memref::StoreOp::create(nested, loc, value, target,
-                                                 ivs);
-                       });
+    scf::buildLoopNest(
+        b, copy.getLoc(), lower, sizes, steps,
+        [&](OpBuilder &nested, Location loc, ValueRange ivs) {
+          Value value = memref::LoadOp::create(nested, loc, source, ivs);
+          memref::StoreOp::create(nested, loc, value, target, ivs);
+        });
     copy.erase();
   }
   return success();
@@ -241,10 +240,9 @@ void mlir::tai::serialize(scf::ParallelOp loop) {
         for (auto [from, to] : llvm::zip(loop.getInductionVars(), ivs))
           from.replaceAllUsesWith(to);
         Block *body = nested.getInsertionBlock();
-        body->getOperations().splice(nested.getInsertionPoint(),
-                                     loop.getBody()->getOperations(),
-                                     loop.getBody()->begin(),
-                                     reduce->getIterator());
+        body->getOperations().splice(
+            nested.getInsertionPoint(), loop.getBody()->getOperations(),
+            loop.getBody()->begin(), reduce->getIterator());
         scf::ValueVector next;
         for (auto [i, operand] : llvm::enumerate(reduce.getOperands())) {
           Block &combine = reduce.getReductions()[i].front();
@@ -253,8 +251,8 @@ void mlir::tai::serialize(scf::ParallelOp loop) {
           mapping.map(combine.getArgument(1), operand);
           for (Operation &op : combine.without_terminator())
             nested.clone(op, mapping);
-          next.push_back(mapping.lookupOrDefault(
-              combine.getTerminator()->getOperand(0)));
+          next.push_back(
+              mapping.lookupOrDefault(combine.getTerminator()->getOperand(0)));
         }
         return next;
       });
@@ -320,8 +318,8 @@ static void expandUpdates(func::FuncOp function) {
       old = memref::LoadOp::create(b, array, indices);
       made = atomic.getKind() == arith::AtomicRMWKind::assign
                  ? atomic.getValue()
-                 : arith::getReductionOp(atomic.getKind(), b, op->getLoc(),
-                                         old, atomic.getValue());
+                 : arith::getReductionOp(atomic.getKind(), b, op->getLoc(), old,
+                                         atomic.getValue());
     }
     memref::StoreOp::create(b, made, array, indices);
     // The former returns the new value, the latter the old one.
@@ -442,8 +440,7 @@ LogicalResult ChosenArrays::collect() {
         if (!op)
           op = cast<BlockArgument>(value).getOwner()->getParentOp();
         if (!first || op->isProperAncestor(first) ||
-            (op->getBlock() == first->getBlock() &&
-             op->isBeforeInBlock(first)))
+            (op->getBlock() == first->getBlock() && op->isBeforeInBlock(first)))
           first = op;
       }
     for (Value ground : grounds)
@@ -518,8 +515,8 @@ void ChosenArrays::replaceUses() {
       if (accessed != &use && !isa<memref::DimOp>(op))
         continue;
       ImplicitLocOpBuilder b(op->getLoc(), op);
-      SmallVector<Value> results = branch(b, op, use.getOperandNumber(),
-                                          numbers.lookup(array), arrays);
+      SmallVector<Value> results =
+          branch(b, op, use.getOperandNumber(), numbers.lookup(array), arrays);
       op->replaceAllUsesWith(results);
       op->erase();
     }
@@ -695,8 +692,8 @@ LogicalResult mlir::tai::normalizeMemory(func::FuncOp function) {
     return failure();
   expandUpdates(function);
   // Views of a chosen array, then those that it is chosen from.
-  if (failed(foldViews(function)) ||
-      failed(ChosenArrays(function).run()) || failed(foldViews(function)))
+  if (failed(foldViews(function)) || failed(ChosenArrays(function).run()) ||
+      failed(foldViews(function)))
     return failure();
   eraseDeadViews(function);
   return freeAtEnds(function);

@@ -67,7 +67,8 @@ FunctionOpInterface mlir::tai::getOriginal(FunctionOpInterface function) {
 }
 
 void mlir::tai::erasePrepared(ModuleOp module) {
-  for (auto function : llvm::make_early_inc_range(module.getOps<func::FuncOp>()))
+  for (auto function :
+       llvm::make_early_inc_range(module.getOps<func::FuncOp>()))
     if (function->hasAttr(kPreparedFor))
       function.erase();
 }
@@ -95,10 +96,10 @@ static bool isForeign(Operation *op) {
   if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op))
     return !isSumOrUnused(atomic);
   if (auto parallel = dyn_cast<scf::ParallelOp>(op))
-    return llvm::any_of(
-        parallel.getBody()->getTerminator()->getRegions(), [](Region &region) {
-          return !isa<arith::AddFOp>(region.front().front());
-        });
+    return llvm::any_of(parallel.getBody()->getTerminator()->getRegions(),
+                        [](Region &region) {
+                          return !isa<arith::AddFOp>(region.front().front());
+                        });
   if (isa<arith::SelectOp>(op))
     return isa<BaseMemRefType>(op->getResult(0).getType());
   if (isa<memref::MemRefDialect>(op->getDialect()))
@@ -174,8 +175,7 @@ static void lowerSwitches(func::FuncOp function) {
       to.takeBody(from);
     };
     OpBuilder::InsertionGuard guard(b);
-    for (auto [value, region] :
-         llvm::zip(op.getCases(), op.getCaseRegions())) {
+    for (auto [value, region] : llvm::zip(op.getCases(), op.getCaseRegions())) {
       Value wanted = arith::ConstantIndexOp::create(b, value);
       Value isCase = arith::CmpIOp::create(b, arith::CmpIPredicate::eq,
                                            op.getArg(), wanted);
@@ -333,21 +333,21 @@ static LogicalResult passMemory(func::FuncOp function) {
   for (Value result : end->getOperands()) {
     if (!hasFloats(result.getType()))
       continue;
-    Value out = block.addArgument(getBufferType(result.getType()),
-                                  function.getLoc());
+    Value out =
+        block.addArgument(getBufferType(result.getType()), function.getLoc());
     if (!isTensor(result.getType())) {
       memref::StoreOp::create(b, result, out, ValueRange());
       continue;
     }
-    auto store = bufferization::MaterializeInDestinationOp::create(
-        b, result, out);
+    auto store =
+        bufferization::MaterializeInDestinationOp::create(b, result, out);
     store.setRestrict(true);
     store.setWritable(true);
   }
   end->setOperands({});
   function.setType(b.getFunctionType(block.getArgumentTypes(), {}));
-  function.setAllArgAttrs(SmallVector<DictionaryAttr>(
-      block.getNumArguments(), b.getDictionaryAttr({})));
+  function.setAllArgAttrs(SmallVector<DictionaryAttr>(block.getNumArguments(),
+                                                      b.getDictionaryAttr({})));
   function.setAllResultAttrs(ArrayRef<DictionaryAttr>());
   return success();
 }
@@ -414,7 +414,8 @@ Value Wrapper::createFilled(Value value) {
 Value Wrapper::createZeros(Type type, Value like) {
   Value buffer = createBuffer(type, like);
   auto memory = cast<MemRefType>(buffer.getType());
-  Value zero = arith::ConstantOp::create(b, b.getZeroAttr(memory.getElementType()));
+  Value zero =
+      arith::ConstantOp::create(b, b.getZeroAttr(memory.getElementType()));
   Value begin = arith::ConstantIndexOp::create(b, 0);
   Value step = arith::ConstantIndexOp::create(b, 1);
   SmallVector<Value> sizes;
@@ -456,8 +457,8 @@ func::FuncOp Wrapper::create(bool isForward) {
     results = active;
   }
   b.setInsertionPoint(inner);
-  auto wrapper = func::FuncOp::create(
-      b, inner.getName(), b.getFunctionType(inputs, results));
+  auto wrapper = func::FuncOp::create(b, inner.getName(),
+                                      b.getFunctionType(inputs, results));
   Block *block = wrapper.addEntryBlock();
   b.setInsertionPointToStart(block);
 
@@ -468,11 +469,10 @@ func::FuncOp Wrapper::create(bool isForward) {
   auto values = block->getArguments().take_front(count);
   for (BlockArgument value : values) {
     bool isArray = isTensor(value.getType());
-    given.push_back(isArray
-                        ? Value(bufferization::ToBufferOp::create(
-                              b, getBufferType(value.getType()), value,
-                              /*read_only=*/true))
-                        : Value(value));
+    given.push_back(isArray ? Value(bufferization::ToBufferOp::create(
+                                  b, getBufferType(value.getType()), value,
+                                  /*read_only=*/true))
+                            : Value(value));
     if (!isArray || !hasFloats(value.getType())) {
       // A memref among the arguments keeps its own shadow, at the end.
       continue;
@@ -570,13 +570,12 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
 
   void getDependentDialects(DialectRegistry &registry) const override {
     Base::getDependentDialects(registry);
-    registry.insert<affine::AffineDialect, arith::ArithDialect,
-                    bufferization::BufferizationDialect,
-                    cf::ControlFlowDialect, complex::ComplexDialect,
-                    func::FuncDialect, linalg::LinalgDialect, math::MathDialect,
-                    memref::MemRefDialect, scf::SCFDialect,
-                    tensor::TensorDialect, ub::UBDialect,
-                    vector::VectorDialect>();
+    registry.insert<
+        affine::AffineDialect, arith::ArithDialect,
+        bufferization::BufferizationDialect, cf::ControlFlowDialect,
+        complex::ComplexDialect, func::FuncDialect, linalg::LinalgDialect,
+        math::MathDialect, memref::MemRefDialect, scf::SCFDialect,
+        tensor::TensorDialect, ub::UBDialect, vector::VectorDialect>();
     arith::registerBufferizableOpInterfaceExternalModels(registry);
     bufferization::func_ext::registerBufferizableOpInterfaceExternalModels(
         registry);
@@ -624,8 +623,7 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
   }
 
   LogicalResult lower(func::FuncOp copy) {
-    if (failed(liftBlocks(copy)) ||
-        failed(Inlining(getOperation()).run(copy)))
+    if (failed(liftBlocks(copy)) || failed(Inlining(getOperation()).run(copy)))
       return failure();
     copy.walk([](Operation *op) {
       if (isa<vector::PrintOp, cf::AssertOp>(op))

@@ -44,7 +44,8 @@ struct Recorded {
 class Recorder {
 public:
   Recorder(FunctionOpInterface primal, FunctionOpInterface gradient)
-      : primal(primal), gradient(gradient), b(primal.getLoc(), primal.getContext()) {}
+      : primal(primal), gradient(gradient),
+        b(primal.getLoc(), primal.getContext()) {}
 
   Traces run(ArrayRef<Operation *> reads);
 
@@ -123,9 +124,8 @@ static bool isKnownInFunction(Operation *loop, FunctionOpInterface function) {
     return false;
   Block *body = &function.getFunctionBody().front();
   Operation *outermost = body->findAncestorOpInBlock(*loop);
-  size_t count = isa<scf::ForOp>(loop)
-                     ? 3
-                     : 3 * cast<scf::ParallelOp>(loop).getNumLoops();
+  size_t count =
+      isa<scf::ForOp>(loop) ? 3 : 3 * cast<scf::ParallelOp>(loop).getNumLoops();
   return llvm::all_of(loop->getOperands().take_front(count), [&](Value value) {
     return value.getParentBlock() == body &&
            (!value.getDefiningOp() ||
@@ -161,13 +161,14 @@ void Recorder::countIterations(scf::WhileOp loop) {
   auto made = scf::WhileOp::create(b, types, inits);
   made.getBefore().takeBody(loop.getBefore());
   made.getAfter().takeBody(loop.getAfter());
-  Value before = made.getBeforeBody()->addArgument(b.getIndexType(), b.getLoc());
+  Value before =
+      made.getBeforeBody()->addArgument(b.getIndexType(), b.getLoc());
   Value after = made.getAfterBody()->addArgument(b.getIndexType(), b.getLoc());
   made.getConditionOp().getArgsMutable().append(before);
   scf::YieldOp yield = made.getYieldOp();
   b.setInsertionPoint(yield);
-  Value next = arith::AddIOp::create(b, after,
-                                     arith::ConstantIndexOp::create(b, 1));
+  Value next =
+      arith::AddIOp::create(b, after, arith::ConstantIndexOp::create(b, 1));
   yield.getResultsMutable().append(next);
   loop.replaceAllUsesWith(made.getResults().drop_back());
   loop.erase();
@@ -221,8 +222,8 @@ Value Recorder::getIteration(Operation *loop, Block *block) {
 
 memref::LoadOp Recorder::readTrace(Type type, Value number) {
   Block &body = primal.getFunctionBody().front();
-  Value array = body.addArgument(
-      MemRefType::get({ShapedType::kDynamic}, type), primal.getLoc());
+  Value array = body.addArgument(MemRefType::get({ShapedType::kDynamic}, type),
+                                 primal.getLoc());
   return memref::LoadOp::create(b, array, number);
 }
 
@@ -244,11 +245,10 @@ Slot &Recorder::getSlot(Block *block) {
     // are known when the first begins.
     first = loops.size() - 1;
     auto extendsTo = [&](size_t begin) {
-      return llvm::all_of(llvm::drop_begin(loops, begin + 1),
-                          [&](const auto &entry) {
-                            return isKnownOutside(entry.first,
-                                                  loops[begin].first);
-                          });
+      return llvm::all_of(
+          llvm::drop_begin(loops, begin + 1), [&](const auto &entry) {
+            return isKnownOutside(entry.first, loops[begin].first);
+          });
     };
     while (first > 0 && extendsTo(first - 1))
       --first;
@@ -284,8 +284,7 @@ Slot &Recorder::getSlot(Block *block) {
       b.setInsertionPointToStart(block);
     for (Value size : sizes)
       count = count ? b.createOrFold<arith::MulIOp>(count, size) : size;
-    slot.count = count ? count
-                       : Value(arith::ConstantIndexOp::create(b, 1));
+    slot.count = count ? count : Value(arith::ConstantIndexOp::create(b, 1));
   }
   b.setInsertionPointToStart(block);
   Value number;
@@ -363,12 +362,13 @@ Value Recorder::ensureRoom(Value cell, Value number) {
             n, arith::AddIOp::create(n, number, one), two);
         Value larger = memref::AllocOp::create(
             n, cast<MemRefType>(array.getType()), wanted);
-        scf::ForOp::create(n, zero, room, one, ValueRange(),
-                           [&](OpBuilder &inner, Location at, Value i, ValueRange) {
-                             Value old = memref::LoadOp::create(inner, at, array, i);
-                             memref::StoreOp::create(inner, at, old, larger, i);
-                             scf::YieldOp::create(inner, at);
-                           });
+        scf::ForOp::create(
+            n, zero, room, one, ValueRange(),
+            [&](OpBuilder &inner, Location at, Value i, ValueRange) {
+              Value old = memref::LoadOp::create(inner, at, array, i);
+              memref::StoreOp::create(inner, at, old, larger, i);
+              scf::YieldOp::create(inner, at);
+            });
         memref::DeallocOp::create(n, array);
         memref::StoreOp::create(n, larger, cell, ValueRange());
         scf::YieldOp::create(n, larger);
@@ -395,6 +395,7 @@ void Recorder::record(Recorded &what, Traces &traces) {
     value = memref::LoadOp::create(b, slots[what.begins].next, ValueRange());
     copy->replaceAllUsesWith(ValueRange{value});
     copy->erase();
+    b.setInsertionPointAfterValue(value);
     again.map(what.fromTrace.getResult(), value);
     if (number.getDefiningOp() == copy)
       number = value;
@@ -476,8 +477,10 @@ void Recorder::prune() {
     for (Operation &op : gradient.getFunctionBody().front()) {
       if (&op == end)
         break;
-      op.walk([&](Operation *inner) { ops.push_back(inner); });
+      op.walk<WalkOrder::PreOrder>(
+          [&](Operation *inner) { ops.push_back(inner); });
     }
+    // From the inside.
     for (Operation *op : llvm::reverse(ops))
       if (isOpTriviallyDead(op)) {
         op->erase();
@@ -509,8 +512,8 @@ Traces Recorder::run(ArrayRef<Operation *> reads) {
     if (what.begins) {
       Slot &slot = slots[what.begins];
       b.setInsertionPointToStart(&gradient.getFunctionBody().front());
-      slot.next = memref::AllocaOp::create(
-          b, MemRefType::get({}, b.getIndexType()));
+      slot.next =
+          memref::AllocaOp::create(b, MemRefType::get({}, b.getIndexType()));
       memref::StoreOp::create(b, arith::ConstantIndexOp::create(b, 0),
                               slot.next, ValueRange());
     }

@@ -17,9 +17,9 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
-#include "tai/AD/Foreign.h"
 #include "tai/AD/Conventions.h"
 #include "tai/AD/DerivativeBuilder.h"
+#include "tai/AD/Foreign.h"
 #include "tai/AD/Passes.h"
 #include "tai/AD/Selection.h"
 #include "tai/AD/Signature.h"
@@ -140,8 +140,8 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
     }
     FunctionOpInterface made = function.clone();
     made.setName(name);
-    for (StringRef attribute :
-         {"adjoint", "tai.adjoint", kPreparedFor.data(), "tai.differentiate", "summary"})
+    for (StringRef attribute : {"adjoint", "tai.adjoint", kPreparedFor.data(),
+                                "tai.differentiate", "summary"})
       made->removeAttr(attribute);
     symbols.insert(made, std::next(function->getIterator()));
     if (failed(extend(made))) {

@@ -28,6 +28,11 @@ AdjointZeroing::AdjointZeroing(FunctionOpInterface primal,
       if (access.getAccessKind() == AccessKind::Write)
         writes.push_back(access);
     }
+    // An array of the function's own has no adjoint where no derivative is.
+    DifferentiableAccessInterface first = list.front();
+    Value array = first.getAccessedStorage().memref;
+    if (array && !isa<BlockArgument>(array) && active.empty())
+      continue;
     for (DifferentiableAccessInterface store : writes)
       if (zeroesAll || store.getAccessedStorage().memref ||
           llvm::any_of(active, [&](auto access) {

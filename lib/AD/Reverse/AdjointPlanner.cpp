@@ -38,7 +38,7 @@ FailureOr<bool> AdjointPlanner::settle(const PrimalDemands &demands) {
     if (chooseRecorded(reads))
       allChosen = false;
     else if (failed(chosen.contains(storage) ? checkBefore(reads, demands)
-                                        : chooseVersion(reads)))
+                                             : chooseVersion(reads)))
       allChosen = false;
   if (!allChosen)
     return failure();
@@ -78,12 +78,11 @@ bool AdjointPlanner::chooseRecorded(
   DifferentiableAccessInterface first = reads.front();
   Value array = first.getAccessedStorage().memref;
   bool isWanted =
-      array && (plan.isOwnArray(array) ||
-                llvm::any_of(reads, [&](auto read) {
-                  return static_cast<bool>(plan.accesses.findLaterWrite(read)) ||
-                         (plan.local.recordsAll &&
-                          plan.accesses.findEarlierWrite(read));
-                }));
+      array &&
+      (plan.isOwnArray(array) || llvm::any_of(reads, [&](auto read) {
+         return static_cast<bool>(plan.accesses.findLaterWrite(read)) ||
+                (plan.local.recordsAll && plan.accesses.findEarlierWrite(read));
+       }));
   if (isWanted)
     for (DifferentiableAccessInterface read : reads)
       plan.local.toRecord->insert(read);

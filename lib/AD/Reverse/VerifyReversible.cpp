@@ -75,7 +75,6 @@ void Verifier::checkArrays() {
                   ? kInlineFirst
                   : "access its elements by 'memref.load', 'memref.store' and "
                     "'memref.atomic_rmw addf'");
-
     }
   }
 }
