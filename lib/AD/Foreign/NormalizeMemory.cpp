@@ -183,7 +183,10 @@ LogicalResult Elements::step(Value &array, SmallVector<Value> &indices) {
     while (isView(source.getDefiningOp()))
       source = source.getDefiningOp()->getOperand(0);
     auto type = dyn_cast<MemRefType>(source.getType());
-    if (!type || !type.getLayout().isIdentity())
+    Operation *maker = source.getDefiningOp();
+    if (!type || !type.getLayout().isIdentity() ||
+        (maker &&
+         !isa<memref::AllocOp, memref::AllocaOp, memref::GetGlobalOp>(maker)))
       return failure();
     Value number = toValue(cast_.getMixedOffsets().front());
     for (auto [index, stride] : llvm::zip(indices, cast_.getMixedStrides()))
@@ -579,8 +582,7 @@ static LogicalResult foldViews(func::FuncOp function) {
   SmallVector<Operation *> ops;
   function.walk([&](Operation *op) {
     OpOperand *array = getArray(op);
-    if ((array && isView(array->get().getDefiningOp())) ||
-        isa<memref::DimOp>(op))
+    if (array || isa<memref::DimOp>(op))
       ops.push_back(op);
   });
   for (Operation *op : ops) {
@@ -616,6 +618,17 @@ static LogicalResult foldViews(func::FuncOp function) {
                "with the identity layout";
         return diag;
       }
+    Operation *maker = array.getDefiningOp();
+    bool isKnown =
+        maker
+            ? isa<memref::AllocOp, memref::AllocaOp, memref::GetGlobalOp>(maker)
+            : array.getParentRegion() == &function.getBody();
+    if (!isKnown && getSources(array).empty()) {
+      InFlightDiagnostic diag = op->emitError(
+          "cannot differentiate an access of an array of unknown origin");
+      diag.attachNote(array.getLoc()) << "it comes from here";
+      return diag;
+    }
     operand->set(array);
     range.assign(indices);
   }

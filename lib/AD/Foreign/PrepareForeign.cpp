@@ -100,8 +100,9 @@ static bool isForeign(Operation *op) {
                         [](Region &region) {
                           return !isa<arith::AddFOp>(region.front().front());
                         });
-  if (isa<arith::SelectOp>(op))
-    return isa<BaseMemRefType>(op->getResult(0).getType());
+  if (isa<arith::SelectOp, scf::ForOp, scf::IfOp, scf::WhileOp>(op))
+    return llvm::any_of(op->getResultTypes(),
+                        [](Type type) { return isa<BaseMemRefType>(type); });
   if (isa<memref::MemRefDialect>(op->getDialect()))
     return !isa<memref::LoadOp, memref::StoreOp, memref::DimOp,
                 memref::GetGlobalOp>(op);
@@ -313,6 +314,25 @@ static bool hasFloats(Type type) {
 /// Gives the copy memrefs for tensors, and one more for each result with
 /// floats; other results go.
 static LogicalResult passMemory(func::FuncOp function) {
+  auto isArray = [](Type type) { return isa<BaseMemRefType>(type); };
+  if (function->hasAttr("tai.gradients"))
+    return function.emitError("a function of tensors is differentiated with "
+                              "respect to all tensors of floats: leave out "
+                              "'tai.gradients'");
+  if (llvm::any_of(function.getArgumentTypes(), isArray))
+    return function.emitError("cannot differentiate a function of tensors and "
+                              "memrefs; use one of them");
+  if (llvm::none_of(
+          function.getArgumentTypes(),
+          [](Type type) { return isTensor(type) && hasFloats(type); }) ||
+      llvm::none_of(function.getResultTypes(), hasFloats))
+    return function.emitError("there is nothing to differentiate: this "
+                              "function takes or returns no tensor of floats");
+  for (Type type : function.getResultTypes())
+    if (auto tensor = dyn_cast<TensorType>(type);
+        tensor && (!tensor.hasRank() || !hasFloats(type)))
+      return function.emitError("cannot differentiate a function that returns ")
+             << type << "; expects tensors of floats with a rank";
   ImplicitLocOpBuilder b(function.getLoc(), function.getContext());
   Block &block = function.getBody().front();
   for (BlockArgument argument : block.getArguments()) {

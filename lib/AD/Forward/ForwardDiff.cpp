@@ -130,6 +130,14 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
           "control flow is expected");
     if (failed(Conventions::verify(function)) || failed(checkGuards(function)))
       return failure();
+    if (isPlain && isWrapped(function))
+      for (Type type : original.getResultTypes())
+        if (auto tensor = dyn_cast<RankedTensorType>(type);
+            tensor && !tensor.hasStaticShape())
+          return original.emitError(
+                     "cannot make the tangent of a function that "
+                     "returns ")
+                 << type << ": its sizes are not known before it runs";
     std::string name = (original.getName() + "_fwd").str();
     if (Operation *taken = symbols.lookup(name)) {
       InFlightDiagnostic diag = function.emitError()

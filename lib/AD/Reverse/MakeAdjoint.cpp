@@ -236,6 +236,41 @@ static LogicalResult fillWith(FunctionOpInterface function,
   return success();
 }
 
+/// Refuses an op that a second execution of the function would repeat.
+static LogicalResult checkRunsAgain(FunctionOpInterface function) {
+  auto isOwn = [&](Value array) {
+    auto argument = dyn_cast<BlockArgument>(array);
+    return argument
+               ? argument.getOwner()->getParentOp() == function
+               : isa<memref::AllocOp, memref::AllocaOp>(array.getDefiningOp());
+  };
+  WalkResult result = function->walk([&](Operation *op) {
+    if (op == function || op->getNumRegions() != 0 ||
+        op->hasTrait<OpTrait::IsTerminator>() || isMemoryEffectFree(op) ||
+        hasSingleEffect<MemoryEffects::Read>(op) ||
+        isa<memref::AllocOp, memref::AllocaOp>(op))
+      return WalkResult::advance();
+    if (auto store = dyn_cast<memref::StoreOp>(op);
+        store && isOwn(store.getMemref()))
+      return WalkResult::advance();
+    if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op);
+        atomic && isOwn(atomic.getMemref()))
+      return WalkResult::advance();
+    if (auto dealloc = dyn_cast<memref::DeallocOp>(op);
+        dealloc && isOwn(dealloc.getMemref()) &&
+        !isa<BlockArgument>(dealloc.getMemref()))
+      return WalkResult::advance();
+    InFlightDiagnostic diag =
+        op->emitError("the gradient has to run this function again, and '")
+        << op->getName() << "' would happen twice";
+    diag.attachNote(function->getLoc())
+        << "it overwrites values that the gradient needs, or keeps them in "
+           "arrays of its own";
+    return WalkResult::interrupt();
+  });
+  return failure(result.wasInterrupted());
+}
+
 /// As `fillWith`, for a function of arrays: what it overwrites or forgets is
 /// recorded by running it once more.
 static LogicalResult fillFunction(FunctionOpInterface function,
@@ -269,6 +304,8 @@ static LogicalResult fillFunction(FunctionOpInterface function,
     local.recordsAll = recordsAll || !numbers.empty();
     SmallVector<int64_t> before;
     if (!reads.empty()) {
+      if (failed(checkRunsAgain(copy)))
+        return failure();
       Traces traces = recordReads(copy, shell, reads);
       local.recorded = std::move(traces.recorded);
       local.records = std::move(traces.arrays);

@@ -16,3 +16,18 @@ func.func @f(%x: memref<4xf64>, %y: memref<2xf64>) attributes {tai.differentiate
   }
   return
 }
+func.func @plain(%x: memref<4xf64>, %y: memref<2xf64>) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c4 = arith.constant 4 : index
+  scf.for %i = %c0 to %c4 step %c1 {
+    %k = arith.remsi %i, %c2 : index
+    %a = memref.load %x[%i] : memref<4xf64>
+    %old = memref.load %y[%k] : memref<2xf64>
+    %s = arith.mulf %old, %a : f64
+    %q = math.sin %s : f64
+    memref.store %q, %y[%k] : memref<2xf64>
+  }
+  return
+}

@@ -1,0 +1,91 @@
+"""Writes the table of docs/reference/differentiable-dialects.md from the functions of test/AD/Foreign.
+
+Each function is differentiated in reverse and forward mode, lowered by stock passes, run, and compared with central
+differences. `--write` puts the outcomes into the page; without it the page is compared with them. A wrong derivative
+is an error either way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs/reference/differentiable-dialects.md"
+CASES = ROOT / "test/AD/Foreign/Inputs"
+BEGIN = "<!-- Made by scripts/foreign_table.py --write -->"
+END = "<!-- End of the table -->"
+
+sys.path.insert(0, str(CASES))
+import check_foreign  # noqa: E402
+
+
+def describe(outcome: str) -> str:
+    """The cell of an outcome: yes, or the reason of a refusal."""
+    if outcome == "right":
+        return "yes"
+    if not outcome.startswith("refused: "):
+        raise SystemExit(outcome)
+    parts = [
+        re.sub(r"^.*?: (?:error|note): ", "", part)
+        for part in outcome[len("refused: ") :].split(" | ")
+    ]
+    helpful = [part for part in parts if part.startswith("run '--")]
+    return f"refused; {helpful[0]}" if helpful else "refused"
+
+
+def table(outcomes: dict[str, dict[str, str]]) -> list[str]:
+    lines = ["| dialect | construct | reverse | forward | test |", "|---|---|---|---|---|"]
+    for name, modes in outcomes.items():
+        first = (CASES / f"{name}.mlir").read_text().splitlines()[0]
+        dialect, construct = re.match(r"// Row: (.*?) \| (.*)", first).groups()
+        lines.append(
+            f"| {dialect} | {construct} | {describe(modes['reverse'])} | {describe(modes['forward'])} | `{name}` |"
+        )
+    right = {
+        mode: sum(m[mode] == "right" for m in outcomes.values()) for mode in ("reverse", "forward")
+    }
+    count = len(outcomes)
+    return [
+        f"Of {count} functions, {right['reverse']} are differentiated in reverse, {right['forward']} forwards."
+    ] + [
+        "",
+        *lines,
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--tai-opt", default=str(ROOT / "build/bin/tai-opt"))
+    parser.add_argument("--llvm-bin", default="/usr/lib/llvm-22/bin")
+    given = parser.parse_args()
+    outcomes = check_foreign.run(["--tai-opt", given.tai_opt, "--llvm-bin", given.llvm_bin])
+    wrong = [
+        f"{name} {mode}: {outcome}"
+        for name, modes in outcomes.items()
+        for mode, outcome in modes.items()
+        if not outcome.startswith(("right", "refused"))
+    ]
+    if wrong:
+        sys.exit("\n".join(wrong))
+    text = PAGE.read_text()
+    before, rest = text.split(BEGIN)
+    after = rest.split(END)[1]
+    made = before + BEGIN + "\n\n" + "\n".join(table(outcomes)) + "\n\n" + END + after
+    if given.write:
+        PAGE.write_text(made)
+    elif made != text:
+        sys.exit(
+            "".join(
+                difflib.unified_diff(text.splitlines(True), made.splitlines(True), "page", "tests")
+            )
+        )
+    print("the table is current")
+
+
+if __name__ == "__main__":
+    main()

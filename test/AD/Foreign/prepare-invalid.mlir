@@ -1,0 +1,72 @@
+// RUN: tai-opt %s --tai-prepare-foreign --split-input-file --verify-diagnostics
+
+func.func @returns(%x: memref<4xf64>) -> memref<4xf64> attributes {tai.differentiate} {
+  %t = memref.alloc() : memref<4xf64>
+  // expected-error @+2 {{cannot differentiate a function that returns an array}}
+  // expected-note @+1 {{run '--buffer-results-to-out-params' before}}
+  return %t : memref<4xf64>
+}
+
+// -----
+
+func.func @carried(%x: memref<4xf64>, %y: memref<4xf64>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c4 = arith.constant 4 : index
+  // expected-note @+1 {{one of several arrays is chosen here; make them before, or copy to one of them ('memref.copy')}}
+  %r = scf.for %i = %c0 to %c4 step %c1 iter_args(%a = %x) -> memref<4xf64> {
+    // expected-error @+1 {{cannot differentiate an array that is made in a loop or branch and used outside of it}}
+    %b = memref.alloc() : memref<4xf64>
+    %0 = memref.load %a[%c0] : memref<4xf64>
+    memref.store %0, %b[%c0] : memref<4xf64>
+    scf.yield %b : memref<4xf64>
+  }
+  %1 = memref.load %r[%c0] : memref<4xf64>
+  memref.store %1, %y[%c0] : memref<4xf64>
+  return
+}
+
+// -----
+
+func.func @strided(%x: memref<12xf64, strided<[?], offset: ?>>, %y: memref<f64>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  // expected-note @+1 {{made here, of memory whose layout is not known; view an array with the identity layout}}
+  %v = memref.reinterpret_cast %x to offset: [3], sizes: [2], strides: [4] : memref<12xf64, strided<[?], offset: ?>> to memref<2xf64, strided<[4], offset: 3>>
+  // expected-error @+1 {{cannot differentiate an access of this view}}
+  %a = memref.load %v[%c0] : memref<2xf64, strided<[4], offset: 3>>
+  memref.store %a, %y[] : memref<f64>
+  return
+}
+
+// -----
+
+func.func @bytes(%x: memref<64xi8>, %y: memref<f64>) attributes {tai.differentiate} {
+  %c0 = arith.constant 0 : index
+  // expected-note @+1 {{it comes from here}}
+  %v = memref.view %x[%c0][] : memref<64xi8> to memref<8xf64>
+  // expected-error @+1 {{cannot differentiate an access of an array of unknown origin}}
+  %a = memref.load %v[%c0] : memref<8xf64>
+  memref.store %a, %y[] : memref<f64>
+  return
+}
+
+// -----
+
+// expected-error @+1 {{cannot differentiate a function of tensors and memrefs; use one of them}}
+func.func @mixed(%x: tensor<4xf64>, %y: memref<4xf64>) -> tensor<4xf64> attributes {tai.differentiate} {
+  return %x : tensor<4xf64>
+}
+
+// -----
+
+// expected-error @+1 {{there is nothing to differentiate: this function takes or returns no tensor of floats}}
+func.func @integers(%x: tensor<4xi32>) -> tensor<4xi32> attributes {tai.differentiate} {
+  return %x : tensor<4xi32>
+}
+
+// -----
+
+// expected-error @+1 {{a function of tensors is differentiated with respect to all tensors of floats: leave out 'tai.gradients'}}
+func.func @positions(%x: tensor<4xf64>) -> tensor<4xf64> attributes {tai.differentiate, tai.gradients = array<i64: 0, 1>} {
+  return %x : tensor<4xf64>
+}
