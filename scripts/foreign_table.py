@@ -1,8 +1,8 @@
-"""Writes the table of docs/reference/differentiable-dialects.md from the functions of test/AD/Foreign.
+"""Writes the table of docs/reference/differentiable-dialects.md from test/AD/Foreign.
 
-Each function is differentiated in reverse and forward mode, lowered by stock passes, run, and compared with central
-differences. `--write` puts the outcomes into the page; without it the page is compared with them. A wrong derivative
-is an error either way.
+Each function is differentiated in reverse and forward mode, lowered by stock passes, run, and
+compared with central differences. `--write` puts the outcomes into the page; without it the page is
+compared with them. A wrong derivative is an error either way.
 """
 
 from __future__ import annotations
@@ -42,19 +42,17 @@ def table(outcomes: dict[str, dict[str, str]]) -> list[str]:
     for name, modes in outcomes.items():
         first = (CASES / f"{name}.mlir").read_text().splitlines()[0]
         dialect, construct = re.match(r"// Row: (.*?) \| (.*)", first).groups()
-        lines.append(
-            f"| {dialect} | {construct} | {describe(modes['reverse'])} | {describe(modes['forward'])} | `{name}` |"
-        )
+        cells = [describe(modes[mode]) for mode in ("reverse", "forward")]
+        lines.append("| " + " | ".join([dialect, construct, *cells, f"`{name}`"]) + " |")
     right = {
         mode: sum(m[mode] == "right" for m in outcomes.values()) for mode in ("reverse", "forward")
     }
     count = len(outcomes)
-    return [
-        f"Of {count} functions, {right['reverse']} are differentiated in reverse, {right['forward']} forwards."
-    ] + [
-        "",
-        *lines,
-    ]
+    said = (
+        f"Of {count} functions, {right['reverse']} are differentiated in reverse, "
+        f"{right['forward']} forwards."
+    )
+    return [said, "", *lines]
 
 
 def main() -> None:

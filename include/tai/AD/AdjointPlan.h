@@ -46,8 +46,8 @@ struct AdjointOptions {
   SkipSet skips = SkipSet::all();
 };
 
-/// What a function of arrays keeps to itself: arrays of its own, and values of
-/// elements that it overwrites.
+/// The memory of a function of arrays that is gone when its gradient runs:
+/// arrays of its own, and values of elements that it overwrites.
 struct LocalMemory {
   /// Tells `adjointOf` which array holds the adjoint of one that the function
   /// makes. Null in kernels, where such arrays have none.

@@ -558,7 +558,7 @@ LogicalResult ChosenArrays::run() {
   for (auto &[array, grounds] : chosen)
     if (auto select = array.getDefiningOp<arith::SelectOp>()) {
       OpBuilder b(select);
-      // Those selected from are known before: the walk is in program order.
+      // Its operands are known before: the walk is in program order.
       numbers[array] = arith::SelectOp::create(
           b, select.getLoc(), IndexType::get(b.getContext()),
           select.getCondition(), getNumber(select.getTrueValue()),

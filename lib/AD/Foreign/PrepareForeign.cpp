@@ -150,7 +150,7 @@ static LogicalResult liftBlocks(func::FuncOp function) {
       return function.emitError(
           "cannot make structured control flow of the blocks of this function");
   }
-  // What is never used still needs a value.
+  // A value that is never used is needed all the same.
   function.walk([](ub::PoisonOp poison) {
     OpBuilder b(poison);
     Type type = poison.getType();
@@ -256,7 +256,7 @@ private:
     }
     func::FuncOp body = callee.clone();
     OwningOpRef<func::FuncOp> owner(body);
-    // Lifting asks for what stands around.
+    // The pass that lifts looks up symbols around the function.
     symbols.getOp()->getRegion(0).front().push_back(body);
     LogicalResult lifted = liftBlocks(body);
     body->remove();
@@ -482,7 +482,7 @@ func::FuncOp Wrapper::create(bool isForward) {
   Block *block = wrapper.addEntryBlock();
   b.setInsertionPointToStart(block);
 
-  // As the copy has them: the arguments, what stands for results, and the
+  // As the copy has them: the arguments, the memory of results, and the
   // derivatives of both.
   SmallVector<Value> given, shadows;
   auto extra = block->getArguments().drop_front(count).begin();

@@ -433,7 +433,7 @@ void Recorder::record(Recorded &what, Traces &traces) {
                              memref::LoadOp::create(b, cell, ValueRange()));
 }
 
-/// Drops what the second execution stores and never reads.
+/// Drops arrays that the second execution stores to and never reads.
 void Recorder::prune() {
   auto isOnlyWritten = [](Value array) {
     return llvm::all_of(array.getUsers(), [&](Operation *op) {
@@ -472,7 +472,7 @@ void Recorder::prune() {
       op->erase();
       changed = true;
     }
-    // What was computed for them alone.
+    // Then the values that only they used.
     SmallVector<Operation *> ops;
     for (Operation &op : gradient.getFunctionBody().front()) {
       if (&op == end)

@@ -1,8 +1,9 @@
-"""Differentiates functions of upstream dialects, lowers all with stock `mlir-opt` and compares with differences.
+"""Compares derivatives of functions of upstream dialects with central differences.
 
-`python check_foreign.py --tai-opt=... --llvm-bin=... [files]` prints one line for each file and mode: `right`,
-`refused` with the first line of the error, or `wrong`. A number of a function with in- and outputs of any kind is
-L = sum w * after; the adjoint is seeded with w, and must be dL / d before.
+`python check_foreign.py --tai-opt=... --llvm-bin=... [files]` prints one line for each file and
+mode: `right`, `refused` with the errors, or `wrong`. All is lowered with stock `mlir-opt`. The
+adjoint is seeded with weights w, and must be the derivative of the sum of w * after by the contents
+before.
 """
 
 import argparse
@@ -43,7 +44,10 @@ LOWER = (
     "convert-math-to-libm,convert-vector-to-llvm,convert-ub-to-llvm,finalize-memref-to-llvm,convert-arith-to-llvm,"
     "convert-func-to-llvm,convert-cf-to-llvm,convert-index-to-llvm,reconcile-unrealized-casts)"
 )
-TENSORS = "one-shot-bufferize{bufferize-function-boundaries function-boundary-type-conversion=identity-layout-map},"
+TENSORS = (
+    "one-shot-bufferize{bufferize-function-boundaries "
+    "function-boundary-type-conversion=identity-layout-map},"
+)
 
 
 class Refused(Exception):
@@ -172,7 +176,7 @@ def lower(tools, text, directory, name):
 
 
 def call(library, name, types, results, values):
-    """Calls a function; arrays among the values are changed. Returns what the function returns."""
+    """Calls a function, which may change arrays among the values. Returns its results."""
     function = getattr(library, f"_mlir_ciface_{name}")
     keep, given = [], []
     made = None
