@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The gradient of a function that overwrites elements it has read, or that keeps
-// values in arrays of its own, runs the function once more and records the
-// values of its reads: the trace. The reverse sweep then takes the values from there.
+// The gradient of a function that overwrites elements it has read, or that
+// keeps values in arrays of its own, runs the function once more and records
+// the values of its reads: the trace. The reverse sweep then takes the values
+// from there.
 //
 // A trace is an array with one element for each execution of the read. The
 // number of an execution follows from the iterations of the loops around it. If

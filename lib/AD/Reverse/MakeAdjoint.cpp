@@ -271,8 +271,8 @@ static LogicalResult checkRunsAgain(FunctionOpInterface function) {
   return failure(result.wasInterrupted());
 }
 
-/// As `fillWith`, for a function of arrays: values that it overwrites or forgets
-/// are recorded by running it once more.
+/// As `fillWith`, for a function of arrays: values that it overwrites or
+/// forgets are recorded by running it once more.
 static LogicalResult fillFunction(FunctionOpInterface function,
                                   FunctionOpInterface shell,
                                   const AdjointSignature &signature,
