@@ -579,22 +579,21 @@ ArrayRef<StringRef> Compiler::getStages() {
 std::optional<std::string> Compiler::print(CompileRequest request,
                                            StringRef stage,
                                            const CompileOptions &options,
-                                           Failure &failure) {
+                                           Failure &failure, bool withPlaces) {
   Prepared prepared;
   // The compilation that makes the code reports warnings; this one drops them.
   WarningScope warnings;
   std::optional<std::string> text =
-      printStage(request, stage, options, prepared, failure);
+      printStage(request, stage, options, prepared, failure, withPlaces);
   if (!text)
     addReproducer(request, options, prepared.step, failure);
   return text;
 }
 
-std::optional<std::string> Compiler::printStage(CompileRequest request,
-                                                StringRef stage,
-                                                const CompileOptions &options,
-                                                Prepared &prepared,
-                                                Failure &failure) {
+std::optional<std::string>
+Compiler::printStage(CompileRequest request, StringRef stage,
+                     const CompileOptions &options, Prepared &prepared,
+                     Failure &failure, bool withPlaces) {
   if (!llvm::is_contained(getStages(), stage)) {
     failure = Failure::get(FailureKind::Usage,
                            "unknown stage '" + stage + "'; the stages are " +
@@ -632,7 +631,7 @@ std::optional<std::string> Compiler::printStage(CompileRequest request,
                            "differentiation of '" + request.name + "'",
                            FailureKind::Autodiff, failure)))
       return std::nullopt;
-    module->print(stream);
+    module->print(stream, OpPrintingFlags().enableDebugInfo(withPlaces));
     return text;
   }
   std::vector<std::string> trees;

@@ -5,17 +5,20 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The remarks of the passes on one kernel in program order, and the fields that
-// its adjoint reads and accumulates into.
+// The loops of a kernel, the remarks of the passes on it in program order, and
+// the fields that its adjoint reads and accumulates into.
 //
 //===----------------------------------------------------------------------===//
 
 #include "tai/ExecutionEngine/Explain.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/LoopBox.h"
 #include "tai/CodeGen/Diagnostics.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/Support/Places.h"
 #include "llvm/ADT/SetVector.h"
+#include "llvm/Support/MathExtras.h"
 #include "llvm/Support/Path.h"
 
 using namespace mlir;
@@ -134,6 +137,69 @@ static void describeMemory(llvm::raw_ostream &os, ModuleOp module,
     os << "  the kernel is run again, before its gradient, on what was saved\n";
 }
 
+/// A GPU with fewer threads than this leaves most of itself idle.
+static constexpr int64_t kFewThreads = 8192;
+
+static bool isSerialLoop(Operation *op) {
+  return isa<scf::ForOp, scf::WhileOp>(op);
+}
+
+static void describeParallelLoop(llvm::raw_ostream &os, ParallelForOp loop,
+                                 bool onDevice) {
+  os << "  parallel loop at " << formatPlace(loop.getLoc()) << ": ";
+  std::optional<int64_t> iterations;
+  if (std::optional<LoopBox> box = getConstantBox(loop)) {
+    iterations = 1;
+    for (auto [lower, upper] : llvm::zip(box->lower, box->upper))
+      iterations = llvm::SaturatingMultiply<uint64_t>(
+          *iterations, std::max<int64_t>(upper - lower, 0));
+    os << *iterations << (*iterations == 1 ? " iteration" : " iterations");
+  } else if (loop.isStructFor()) {
+    os << "the active cells of " << *loop.getField();
+  } else {
+    os << "a number of iterations that is known at run time";
+  }
+  bool isLong = loop.getBody()
+                    .walk([](Operation *op) {
+                      return isSerialLoop(op) ? WalkResult::interrupt()
+                                              : WalkResult::advance();
+                    })
+                    .wasInterrupted();
+  if (loop.getInOrder() || loop.getSerialize())
+    os << "; one thread runs them";
+  else if (onDevice && iterations && *iterations == 1 && isLong)
+    os << "; one thread runs it, on a GPU many times slower than a core of the "
+          "CPU: use arch=ti.cpu, or launch a kernel with a parallel loop for "
+          "each step of its serial loop";
+  else if (onDevice && iterations && *iterations < kFewThreads && isLong)
+    os << "; so few threads, each with a serial loop, leave most of a GPU "
+          "idle: the CPU may be faster";
+  os << '\n';
+}
+
+/// The loops that threads share, and the serial loops outside of them.
+static void describeLoops(llvm::raw_ostream &os, KernelOp kernel,
+                          bool onDevice) {
+  kernel.walk<WalkOrder::PreOrder>([&](Operation *op) {
+    if (auto loop = dyn_cast<ParallelForOp>(op)) {
+      describeParallelLoop(os, loop, onDevice);
+      return WalkResult::skip();
+    }
+    if (!isSerialLoop(op) || op->walk([](ParallelForOp) {
+                                 return WalkResult::interrupt();
+                               }).wasInterrupted())
+      return WalkResult::advance();
+    os << "  serial loop at " << formatPlace(op->getLoc())
+       << ": one thread runs it";
+    if (onDevice)
+      os << ", on a GPU many times slower than a core of the CPU; use "
+            "arch=ti.cpu, or launch a kernel with a parallel loop for each of "
+            "its steps";
+    os << '\n';
+    return WalkResult::skip();
+  });
+}
+
 /// The updates of the kernel that parallel loops do.
 static void describeUpdates(llvm::raw_ostream &os,
                             ArrayRef<KeptRemark> remarks) {
@@ -151,14 +217,17 @@ static void describeUpdates(llvm::raw_ostream &os,
   }
 }
 
-std::string mlir::tai::explainAdjoint(ModuleOp module, StringRef name,
-                                      ArrayRef<KeptRemark> remarks,
-                                      ArrayRef<KeptRemark> lowering) {
+std::string mlir::tai::explainKernel(ModuleOp module, StringRef name,
+                                     bool onDevice,
+                                     ArrayRef<KeptRemark> remarks,
+                                     ArrayRef<KeptRemark> lowering) {
   std::string text;
   llvm::raw_string_ostream os(text);
   os << "kernel '" << name << "'\n";
-  describeUpdates(os, lowering);
   auto kernel = module.lookupSymbol<KernelOp>(name);
+  if (kernel)
+    describeLoops(os, kernel, onDevice);
+  describeUpdates(os, lowering);
   KernelOp adjoint;
   if (kernel && kernel.getAdjointAttr())
     adjoint = module.lookupSymbol<KernelOp>(kernel.getAdjointAttr());

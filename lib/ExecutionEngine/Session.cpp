@@ -300,9 +300,12 @@ FailureOr<std::string> Session::getIR(SessionKernel &kernel, StringRef stage) {
 
 FailureOr<std::string> Session::explain(SessionKernel &kernel) {
   RemarkScope scope;
-  FailureOr<std::string> text = getIR(kernel, "autodiff");
-  if (failed(text))
-    return failure();
+  Failure reason;
+  std::optional<std::string> text = compiler->print(
+      kernel.code->getRequest(CompileRequest::Goal::Primal, /*forward=*/false),
+      "autodiff", kernel.code->getOptions(), reason, /*withPlaces=*/true);
+  if (!text)
+    return failures.fail(std::move(reason));
   OwningOpRef<ModuleOp> module =
       readModule(*text, ParserConfig(context.get()), "gradient");
   if (!module)
@@ -310,6 +313,7 @@ FailureOr<std::string> Session::explain(SessionKernel &kernel) {
   RemarkScope lowering;
   if (failed(getIR(kernel, "scf")))
     return failure();
-  return explainAdjoint(*module, kernel.code->getName(), scope.getRemarks(),
-                        lowering.getRemarks());
+  return explainKernel(*module, kernel.code->getName(),
+                       kernel.code->getOptions().device.has_value(),
+                       scope.getRemarks(), lowering.getRemarks());
 }

@@ -213,10 +213,11 @@ public:
   int64_t numLinked() const { return linker ? linker->numLinked() : 0; }
 
   /// The IR at a stage: "tai", "autodiff", "scf", "llvm", "llvmir", "asm"; with
-  /// a device also its code, "nvvm" and "ptx".
+  /// a device also its code, "nvvm" and "ptx". "autodiff" can have the places
+  /// of its operations.
   std::optional<std::string> print(CompileRequest request, StringRef stage,
                                    const CompileOptions &options,
-                                   Failure &failure);
+                                   Failure &failure, bool withPlaces = false);
   static ArrayRef<StringRef> getStages();
   /// Whether a stage exists only with a device.
   static bool isDeviceStage(StringRef stage) {
@@ -267,7 +268,8 @@ private:
                                     Failure &failure);
   std::optional<std::string> printStage(CompileRequest request, StringRef stage,
                                         const CompileOptions &options,
-                                        Prepared &prepared, Failure &failure);
+                                        Prepared &prepared, Failure &failure,
+                                        bool withPlaces);
   /// Takes the device code out of a lowered module and compiles it.
   LogicalResult compileDeviceCode(Worker &worker, const CompileOptions &options,
                                   Prepared &prepared,

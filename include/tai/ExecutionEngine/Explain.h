@@ -40,12 +40,13 @@ private:
   RemarkScope *outer;
 };
 
-/// A text on how kernel `name` does its updates, and how its gradient handles
-/// loops and branches and which memory it accesses. `module` holds the adjoint;
-/// the remarks are those of differentiation and of the kernel's lowering.
-std::string explainAdjoint(ModuleOp module, StringRef name,
-                           ArrayRef<KeptRemark> remarks,
-                           ArrayRef<KeptRemark> lowering);
+/// A text on how kernel `name` runs its loops and does its updates, and how its
+/// gradient handles loops and branches and which memory it accesses. `module`
+/// holds the adjoint; the remarks are those of differentiation and of the
+/// kernel's lowering.
+std::string explainKernel(ModuleOp module, StringRef name, bool onDevice,
+                          ArrayRef<KeptRemark> remarks,
+                          ArrayRef<KeptRemark> lowering);
 
 } // namespace mlir::tai
 

@@ -10,6 +10,7 @@
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/Utils/StaticValueUtils.h"
+#include "mlir/Interfaces/DataLayoutInterfaces.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
@@ -96,13 +97,26 @@ private:
     Operation *table = SymbolTable::getNearestSymbolTable(function);
     FailureOr<LLVM::LLVMFuncOp> malloc =
         LLVM::lookupOrCreateMallocFn(builder, table, builder.getI64Type());
-    Value one = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(), 1);
+    base = LLVM::CallOp::create(builder, loc, *malloc,
+                                getBytes(builder, loc, math.toI64(count)))
+               .getResult();
+  }
+
+  /// A constant where the shape is one.
+  Value getBytes(OpBuilder &builder, Location loc, Value count) {
+    Type i64 = builder.getI64Type();
+    if (type.hasStaticShape()) {
+      auto each = static_cast<int64_t>(
+          DataLayout::closest(alloc).getTypeSize(storage).getFixedValue());
+      return LLVM::ConstantOp::create(builder, loc, i64,
+                                      type.getNumElements() * each);
+    }
+    auto pointer = LLVM::LLVMPointerType::get(builder.getContext());
+    Value one = LLVM::ConstantOp::create(builder, loc, i64, 1);
     Value null = LLVM::ZeroOp::create(builder, loc, pointer);
     Value end = LLVM::GEPOp::create(builder, loc, pointer, storage, null, one);
-    Value each =
-        LLVM::PtrToIntOp::create(builder, loc, builder.getI64Type(), end);
-    Value bytes = LLVM::MulOp::create(builder, loc, math.toI64(count), each);
-    base = LLVM::CallOp::create(builder, loc, *malloc, bytes).getResult();
+    Value each = LLVM::PtrToIntOp::create(builder, loc, i64, end);
+    return LLVM::MulOp::create(builder, loc, count, each);
   }
 
   Value getElement(OpBuilder &builder, Location loc, ValueRange indices) {

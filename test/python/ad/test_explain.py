@@ -1,5 +1,6 @@
 """The text of `kernel.explain()` on loops, branches and memory; the page on loops."""
 
+import os
 import re
 import subprocess
 import sys
@@ -128,3 +129,48 @@ def test_programs_of_the_page(number, tmp_path):
         for line in re.search(r"prints \(among others\)\n\n```\n(.*?)```", PAGE.read_text(),
                               re.DOTALL).group(1).splitlines():  # fmt: skip
             assert line in done.stdout
+
+
+def test_loops_of_threads_and_of_one_thread():
+    ti.init(arch=ti.cpu, offline_cache=False)
+    x = ti.field(ti.f32, shape=(4, 5), needs_grad=True)
+    n = ti.field(ti.i32, shape=())
+
+    @ti.kernel
+    def kernel():
+        for i, j in x:  # all elements
+            x[i, j] += 1.0
+        for i in range(n[None]):  # a run-time bound
+            x[i, 0] *= 2.0
+        ti.loop_config(serialize=True)
+        for i in range(3):  # in order
+            x[i + 1, 0] = x[i, 0]
+        for _ in range(1):  # one iteration
+            for i in range(3):
+                x[i + 1, 1] += x[i, 1]
+
+    text = kernel.explain()
+
+    def at(mark):
+        return f"test_explain.py:{line_of(kernel, mark)}: "
+
+    assert f"parallel loop at {at('# all elements')}20 iterations\n" in text
+    bound = "a number of iterations that is known at run time\n"
+    assert f"parallel loop at {at('# a run-time bound')}{bound}" in text
+    order = f"serial loop at {at('# in order')}one thread runs it\n"
+    assert order in text or order.replace("serial", "parallel", 1) in text
+    assert f"parallel loop at {at('# one iteration')}1 iteration\n" in text
+
+
+def test_one_thread_of_a_gpu():
+    """A serial loop on a GPU is named, with a way out."""
+    program = Path(__file__).with_name("explain_on_a_device.py")
+    environment = {"TAI_CUDA_EMULATION": "1", "TI_ARCH": "cuda"}
+    run = subprocess.run(
+        [sys.executable, program], capture_output=True, text=True, env={**os.environ, **environment}
+    )
+    assert run.returncode == 0, run.stderr
+    serial, short = run.stdout.split("---")
+    assert "one thread runs it, on a GPU many times slower than a core of the CPU" in serial
+    assert "use arch=ti.cpu" in serial
+    assert "64 iterations; so few threads, each with a serial loop" in short
