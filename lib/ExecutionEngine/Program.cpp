@@ -57,21 +57,6 @@ static OwningOpRef<ModuleOp> extract(ModuleOp file, KernelOp kernel) {
   return module;
 }
 
-/// Makes one kernel of those that a function launches one after another.
-static LogicalResult fuseLaunches(Session &session, ModuleOp file) {
-  if (!session.fusesLaunches())
-    return success();
-  DiagnosticCollector collector(session.getContext());
-  FuseLaunchesOptions options;
-  options.deterministic = session.isDeterministic();
-  PassManager manager(session.getContext());
-  manager.addPass(createFuseLaunches(options));
-  if (succeeded(manager.run(file)))
-    return success();
-  return session.fail(
-      collector.take(FailureKind::Internal, "launches cannot be fused"));
-}
-
 LogicalResult Program::declare() {
   SmallVector<std::string> trees;
   auto declareAll = [&]() -> LogicalResult {
@@ -113,7 +98,7 @@ FailureOr<std::unique_ptr<Program>> Program::load(Session &session,
       return session.fail(
           collector.take(FailureKind::Type, "the file does not verify"));
   }
-  if (failed(fuseLaunches(session, *file)))
+  if (failed(session.fuseLaunches(*file)))
     return failure();
   std::unique_ptr<Program> program(new Program(session, std::move(file)));
   if (failed(program->declare()))

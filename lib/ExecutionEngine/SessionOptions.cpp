@@ -12,8 +12,10 @@
 
 #include "EmulatedCode.h"
 #include "OptionKinds.h"
+#include "mlir/Pass/PassManager.h"
 #include "tai/ExecutionEngine/Session.h"
 #include "tai/Runtime/Device/DeviceHeap.h"
+#include "tai/Transforms/Passes.h"
 
 #include "llvm/ADT/StringExtras.h"
 #include "llvm/Support/Process.h"
@@ -364,4 +366,18 @@ LogicalResult Session::setFuseLaunches(bool on) {
     queue->setMode(on ? runtime::ProgramMode::Automatic
                       : runtime::ProgramMode::Launches);
   return success();
+}
+
+LogicalResult Session::fuseLaunches(ModuleOp file) {
+  if (!fusesLaunches())
+    return success();
+  DiagnosticCollector collector(getContext());
+  FuseLaunchesOptions options;
+  options.deterministic = isDeterministic();
+  PassManager manager(getContext());
+  manager.addPass(createFuseLaunches(options));
+  if (succeeded(manager.run(file)))
+    return success();
+  return fail(
+      collector.take(FailureKind::Internal, "launches cannot be fused"));
 }

@@ -326,7 +326,7 @@ bool ChosenExtremum::takes(Value value, Row row) const {
 
 bool ChosenExtremum::takes(Row row) const {
   return llvm::all_of(guards,
-                      [&](const Guard &guard) {
+                      [&](const SideOfBranch &guard) {
                         scf::IfOp branch = guard.branch;
                         return holds(branch.getCondition(), row) ==
                                guard.inThen;
@@ -420,8 +420,9 @@ bool ChosenExtremum::match() {
   auto isSafe = [&](scf::IfOp branch) {
     return !old.reaches(branch.getCondition()) || mayRunMore(branch, compared);
   };
-  return llvm::all_of(guards,
-                      [&](Guard &guard) { return isSafe(guard.branch); }) &&
+  return llvm::all_of(
+             guards,
+             [&](SideOfBranch &guard) { return isSafe(guard.branch); }) &&
          llvm::all_of(branches, [&](OpResult result) {
            return isSafe(cast<scf::IfOp>(result.getOwner()));
          });
@@ -504,7 +505,7 @@ void ChosenExtremum::rewrite(llvm::SetVector<Operation *> &path,
     path.remove(branch);
     branch->erase();
   }
-  for (Guard &guard : guards) {
+  for (SideOfBranch &guard : guards) {
     path.remove(guard.branch);
     APInt holds;
     if (!matchPattern(guard.branch.getCondition(), m_ConstantInt(&holds)))

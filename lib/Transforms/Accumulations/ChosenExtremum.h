@@ -38,6 +38,12 @@ unsigned getNumberWidth(Type type);
 /// True if no op in `op` has an effect, except for `but`. It may read.
 bool hasNoEffectBut(Operation *op, Operation *but = nullptr);
 
+/// The branch that an op is in, and the side.
+struct SideOfBranch {
+  scf::IfOp branch;
+  bool inThen;
+};
+
 class ChosenExtremum {
 public:
   ChosenExtremum(DifferentiableAccessInterface store, ParallelForOp loop,
@@ -74,10 +80,6 @@ private:
   struct Row {
     Order order;
     unsigned holding;
-  };
-  struct Guard {
-    scf::IfOp branch;
-    bool inThen;
   };
   /// A value that is an extremum itself.
   struct Extremum {
@@ -124,7 +126,7 @@ private:
   std::optional<OperationName> extension;
   bool isUnsigned = false, isSigned = false, asksForNaN = false;
   unsigned visited = 0;
-  SmallVector<Guard, 1> guards;
+  SmallVector<SideOfBranch, 1> guards;
   /// Conditions that do not ask for the element; equal ones have one number.
   SmallVector<Value, 4> atoms;
   llvm::DenseMap<Value, unsigned> numbers;
