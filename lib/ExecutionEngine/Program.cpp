@@ -98,7 +98,7 @@ FailureOr<std::unique_ptr<Program>> Program::load(Session &session,
       return session.fail(
           collector.take(FailureKind::Type, "the file does not verify"));
   }
-  if (failed(session.fuseLaunches(*file)))
+  if (failed(session.fuseLaunchesIn(*file)))
     return failure();
   std::unique_ptr<Program> program(new Program(session, std::move(file)));
   if (failed(program->declare()))

@@ -368,7 +368,7 @@ LogicalResult Session::setFuseLaunches(bool on) {
   return success();
 }
 
-LogicalResult Session::fuseLaunches(ModuleOp file) {
+LogicalResult Session::fuseLaunchesIn(ModuleOp file) {
   if (!fusesLaunches())
     return success();
   DiagnosticCollector collector(getContext());

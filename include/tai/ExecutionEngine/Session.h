@@ -160,7 +160,7 @@ public:
   bool fusesLaunches() const;
   /// Makes one kernel of those that a host function of the file launches one
   /// after another, where the options allow it.
-  LogicalResult fuseLaunches(ModuleOp file);
+  LogicalResult fuseLaunchesIn(ModuleOp file);
   bool isDeterministic() const { return compileOptions.deterministic; }
 
   /// The IR of a kernel at a stage (see Compiler::getStages), or the result of

@@ -180,8 +180,10 @@ bool ChosenExtremum::addComparison(Operation *op) {
   if (auto integers = dyn_cast<arith::CmpIOp>(op)) {
     bool isOrder = integers.getPredicate() > arith::CmpIPredicate::ne;
     bool isOfBits = integers.getPredicate() >= arith::CmpIPredicate::ult;
-    isUnsigned |= isOrder && isOfBits;
-    isSigned |= isOrder && !isOfBits;
+    if (isOrder) {
+      Signs here = isOfBits ? Signs::Unsigned : Signs::Signed;
+      signs = signs == Signs::None || signs == here ? here : Signs::Both;
+    }
   } else {
     arith::CmpFPredicate predicate = cast<arith::CmpFOp>(op).getPredicate();
     if (isOfBoth && (predicate == arith::CmpFPredicate::UNO ||
@@ -348,8 +350,9 @@ bool ChosenExtremum::decide() {
       return false;
     isMin = ifLess;
   }
-  if (!isMin || (isUnsigned && isSigned) || !isExtendedAlike(given))
+  if (!isMin || signs == Signs::Both || !isExtendedAlike(given))
     return false;
+  bool isUnsigned = signs == Signs::Unsigned;
   kind = *isMin       ? isUnsigned ? AtomicKind::MinU : AtomicKind::Min
          : isUnsigned ? AtomicKind::MaxU
                       : AtomicKind::Max;

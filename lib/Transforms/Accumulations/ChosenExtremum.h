@@ -124,7 +124,10 @@ private:
   /// Whether the given number is known at the store.
   bool isGivenKnown = false;
   std::optional<OperationName> extension;
-  bool isUnsigned = false, isSigned = false, asksForNaN = false;
+  /// How comparisons take the bits of integers.
+  enum class Signs { None, Signed, Unsigned, Both };
+  Signs signs = Signs::None;
+  bool asksForNaN = false;
   unsigned visited = 0;
   SmallVector<SideOfBranch, 1> guards;
   /// Conditions that do not ask for the element; equal ones have one number.
