@@ -59,9 +59,15 @@ public:
       return alloc->emitOpError("makes an array of a type that cannot be "
                                 "lowered");
     bool isInLoop = alloc->getParentOfType<ParallelForOp>() != nullptr;
-    if (isa<memref::AllocaOp>(alloc) &&
-        ((onDevice && isInLoop) || !type.hasStaticShape()))
+    if (isa<memref::AllocaOp>(alloc) && !type.hasStaticShape())
       return alloc->emitOpError("cannot be lowered here; use 'memref.alloc'");
+    isOnStack = isa<memref::AllocaOp>(alloc) && !(onDevice && isInLoop);
+    // A thread of a device runs several iterations in a loop, in which its
+    // stack would grow. See ToNVVM/LocalMemory.cpp.
+    if (isa<memref::AllocaOp>(alloc) && !isOnStack) {
+      OpBuilder end(alloc->getBlock()->getTerminator());
+      memref::DeallocOp::create(end, alloc->getLoc(), array);
+    }
     allocate();
     for (Operation *user : llvm::make_early_inc_range(array.getUsers()))
       lowerUse(user);
@@ -83,7 +89,7 @@ private:
       count = math.mul(count, extents.back());
     }
     auto pointer = LLVM::LLVMPointerType::get(builder.getContext());
-    if (isa<memref::AllocaOp>(alloc)) {
+    if (isOnStack) {
       // Once for the kernel, wherever it stands: the stack does not grow. That
       // of an iteration of a parallel loop becomes one of the loop's function,
       // where its other local variables are.
@@ -183,6 +189,7 @@ private:
   FunctionOpInterface function;
   Operation *alloc;
   bool onDevice;
+  bool isOnStack = false;
   Value array;
   MemRefType type;
   Type storage;

@@ -20,6 +20,7 @@
 //   select (e < old), e, old     an atomic minimum with e
 //   if (e < old) { store e }     the same
 //   either under conditions      the same, under them (ChosenExtremum.h)
+//   components of a vector       each for itself (SplitComponents.h)
 //
 // The last step of all is the store, which goes.
 //
@@ -31,6 +32,7 @@
 #include "IterationShadow.h"
 #include "OtherIterations.h"
 #include "SharedUpdate.h"
+#include "SplitComponents.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/IterationOrder.h"
@@ -308,10 +310,12 @@ struct RecognizeReductions
         if (!loop.getSerialize())
           loops.push_back(loop);
       });
-      for (ParallelForOp loop : loops)
+      for (ParallelForOp loop : loops) {
+        splitComponents(loop);
         hasErrors |= failed(LoopUpdates(loop).run(
             oneThread, checks,
             checks && function->hasAttr(kCheckUpdatesAttrName)));
+      }
     }
     if (hasErrors)
       signalPassFailure();

@@ -365,10 +365,17 @@ bool SharedUpdate::isOnlyUsedHere() {
   return llvm::all_of(path, isFine) && llvm::all_of(loads, isFine);
 }
 
-/// True if nothing writes to the storage between the loads and the store, and
+/// True if nothing writes to the element between the loads and the store, and
 /// the indices are known at each step.
 bool SharedUpdate::isUndisturbed() {
   const void *key = getStorageKey(store);
+  // Other components are other memory, whatever the indices.
+  auto isElsewhere = [&](DifferentiableAccessInterface access) {
+    return !store.getAccessComponents().empty() &&
+           !access.getAccessComponents().empty() &&
+           areProvablyDistinct(store.getAccessComponents(),
+                               access.getAccessComponents());
+  };
   for (DifferentiableAccessInterface load : loads) {
     Operation *from = load, *to = store;
     Block *common = findCommonBlock(from, to);
@@ -385,7 +392,7 @@ bool SharedUpdate::isUndisturbed() {
         auto access = dyn_cast<DifferentiableAccessInterface>(nested);
         return access && access != store &&
                        access.getAccessKind() != AccessKind::Read &&
-                       getStorageKey(access) == key
+                       getStorageKey(access) == key && !isElsewhere(access)
                    ? WalkResult::interrupt()
                    : WalkResult::advance();
       });

@@ -601,3 +601,55 @@ def test_gradients(deterministic):
         with ti.ad.Tape(loss):
             run()
         np.testing.assert_allclose(x.grad.to_numpy(), expected, rtol=1e-9)
+
+
+def test_components_through_copies_of_vectors(mode):
+    """A vector is loaded, changed in some components and stored: an update of each."""
+    data = Data()
+    x, n, g = data.x, data.n, data.g
+    v, w = ti.Vector.field(3, ti.i32, GROUPS), ti.Matrix.field(2, 2, ti.f64, GROUPS)
+
+    @ti.kernel
+    def one():
+        for i in x:
+            old = v[g[i]]
+            v[g[i]][1] = old[1] + 1
+
+    @ti.kernel
+    def copy():
+        for i in x:
+            c = g[i]
+            old = v[c]
+            old[1] += 1
+            v[c] = old
+
+    @ti.kernel
+    def whole():
+        for i in x:
+            c = g[i]
+            old = v[c]
+            v[c] = ti.Vector([ti.max(old[0], n[i]), old[1] + 1, old[2]])
+
+    @ti.kernel
+    def matrices():
+        for i in x:
+            c = g[i]
+            old = w[c]
+            old[1, 0] += 0.5
+            old[0, 1] = ti.max(old[0, 1], n[i])
+            w[c] = old
+
+    counts = np.bincount(data.groups, minlength=GROUPS)
+    most = data.by_group(np.maximum, 0, data.whole)
+    for kernel in (one, copy, whole):
+        for _ in range(3):
+            v.fill(0)
+            kernel()
+            found = v.to_numpy()
+            np.testing.assert_array_equal(found[:, 1], counts)
+            np.testing.assert_array_equal(found[:, 0], most if kernel is whole else 0)
+            assert (found[:, 2] == 0).all()
+    w.fill(0)
+    matrices()
+    np.testing.assert_array_equal(w.to_numpy()[:, 1, 0], 0.5 * counts)
+    np.testing.assert_array_equal(w.to_numpy()[:, 0, 1], most)

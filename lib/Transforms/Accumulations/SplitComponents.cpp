@@ -1,0 +1,221 @@
+//===- SplitComponents.cpp - Updates of components of a vector ------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "SplitComponents.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/SharedElements.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+using Position = SmallVector<int64_t>;
+
+/// The position of component number `i`.
+static Position getPosition(VectorType type, int64_t i) {
+  Position position(type.getRank());
+  for (int64_t dim = type.getRank() - 1; dim >= 0; --dim) {
+    position[dim] = i % type.getDimSize(dim);
+    i /= type.getDimSize(dim);
+  }
+  return position;
+}
+
+static bool isScalarAt(vector::ExtractOp extract) {
+  return !extract.hasDynamicPosition() &&
+         !isa<VectorType>(extract.getResult().getType());
+}
+
+namespace {
+/// A component of a stored vector.
+struct Component {
+  Position position;
+  /// The new value; null if the component keeps its value.
+  Value value;
+};
+
+class ComponentSplitter {
+public:
+  explicit ComponentSplitter(ParallelForOp loop) : loop(loop), same(loop) {}
+  void run();
+
+private:
+  bool find(Value vector, Component &component, StoreOp store) const;
+  void split(StoreOp store);
+  void split(LoadOp load);
+  bool isOld(Value vector, StoreOp store) const;
+
+  ParallelForOp loop;
+  SameIteration same;
+  llvm::DenseMap<const void *, unsigned> writes;
+};
+} // namespace
+
+/// Whether the vector is loaded from the element that the store writes.
+bool ComponentSplitter::isOld(Value vector, StoreOp store) const {
+  auto load = vector.getDefiningOp<LoadOp>();
+  return load && load.getFieldAttr() == store.getFieldAttr() &&
+         load.getComponents().empty() &&
+         same.areEqual(load.getIndices(), store.getIndices());
+}
+
+/// Finds the value of a component in a vector that inserts and lists of
+/// elements have made. False if another op has made it.
+bool ComponentSplitter::find(Value vector, Component &component,
+                             StoreOp store) const {
+  if (isOld(vector, store))
+    return true;
+  if (auto insert = vector.getDefiningOp<vector::InsertOp>()) {
+    if (insert.hasDynamicPosition() ||
+        isa<VectorType>(insert.getValueToStore().getType()))
+      return false;
+    if (insert.getStaticPosition() != ArrayRef(component.position))
+      return find(insert.getDest(), component, store);
+    component.value = insert.getValueToStore();
+  } else if (auto elements = vector.getDefiningOp<vector::FromElementsOp>()) {
+    auto type = cast<VectorType>(vector.getType());
+    int64_t number = 0;
+    for (auto [dim, at] : llvm::enumerate(component.position))
+      number = number * type.getDimSize(dim) + at;
+    component.value = elements.getElements()[number];
+  } else {
+    return false;
+  }
+  auto extract = component.value.getDefiningOp<vector::ExtractOp>();
+  if (extract && isScalarAt(extract) &&
+      extract.getStaticPosition() == ArrayRef(component.position) &&
+      isOld(extract.getSource(), store))
+    component.value = {};
+  return true;
+}
+
+static SmallVector<Value> makeIndices(OpBuilder &builder, Location loc,
+                                      ArrayRef<int64_t> position) {
+  return llvm::map_to_vector(position, [&](int64_t at) -> Value {
+    return arith::ConstantIndexOp::create(builder, loc, at);
+  });
+}
+
+/// Takes the component from the vector that other components were inserted
+/// into.
+static void lookThroughInserts(vector::ExtractOp extract) {
+  while (auto insert = extract.getSource().getDefiningOp<vector::InsertOp>()) {
+    if (insert.hasDynamicPosition() ||
+        isa<VectorType>(insert.getValueToStore().getType()))
+      return;
+    if (insert.getStaticPosition() == extract.getStaticPosition()) {
+      extract.replaceAllUsesWith(insert.getValueToStore());
+      extract.erase();
+      return;
+    }
+    extract.getSourceMutable().set(insert.getDest());
+  }
+}
+
+void ComponentSplitter::split(StoreOp store) {
+  auto type = cast<VectorType>(store.getValue().getType());
+  SmallVector<Component> components;
+  for (int64_t i = 0, e = type.getNumElements(); i != e; ++i) {
+    Component component{getPosition(type, i), {}};
+    if (!find(store.getValue(), component, store))
+      return;
+    if (component.value)
+      components.push_back(std::move(component));
+  }
+  // A component that keeps its value would be stored after another write.
+  if (writes.lookup(getStorageKey(store)) != 1 &&
+      static_cast<int64_t>(components.size()) != type.getNumElements())
+    return;
+  OpBuilder builder(store);
+  Location loc = store.getLoc();
+  for (const Component &component : components)
+    StoreOp::create(builder, loc, component.value, store.getFieldAttr(),
+                    store.getIndices(),
+                    makeIndices(builder, loc, component.position));
+  store.erase();
+}
+
+void ComponentSplitter::split(LoadOp load) {
+  for (Operation *user : llvm::make_early_inc_range(load->getUsers())) {
+    auto extract = dyn_cast<vector::ExtractOp>(user);
+    if (!extract || !isScalarAt(extract))
+      continue;
+    OpBuilder builder(load->getContext());
+    builder.setInsertionPointAfter(load);
+    Location loc = load.getLoc();
+    Value part = LoadOp::create(
+        builder, loc, extract.getType(), load.getFieldAttr(), load.getIndices(),
+        makeIndices(builder, loc, extract.getStaticPosition()));
+    extract.replaceAllUsesWith(part);
+    extract.erase();
+  }
+}
+
+void ComponentSplitter::run() {
+  SmallVector<LoadOp> loads;
+  SmallVector<StoreOp> stores;
+  loop.walk([&](DifferentiableAccessInterface access) {
+    if (access.getAccessKind() != AccessKind::Read)
+      ++writes[getStorageKey(access)];
+    Operation *op = access;
+    if (auto load = dyn_cast<LoadOp>(op); load && load.getComponents().empty())
+      loads.push_back(load);
+    if (auto store = dyn_cast<StoreOp>(op))
+      stores.push_back(store);
+  });
+  auto isOfVector = [](LoadOp load) {
+    return isa<VectorType>(load.getResult().getType());
+  };
+  llvm::erase_if(loads, [&](LoadOp load) { return !isOfVector(load); });
+  if (loads.empty())
+    return;
+  SmallVector<LoadOp> old;
+  SmallVector<vector::ExtractOp> extracts;
+  for (StoreOp store : stores) {
+    auto access = cast<DifferentiableAccessInterface>(store.getOperation());
+    if (getSharing(access, loop) == Sharing::Own)
+      continue;
+    bool reads = false;
+    for (LoadOp load : loads)
+      if (isOld(load.getResult(), store)) {
+        reads = true;
+        if (!llvm::is_contained(old, load))
+          old.push_back(load);
+      }
+    if (!reads)
+      continue;
+    if (extracts.empty()) {
+      loop.walk([&](vector::ExtractOp extract) {
+        if (isScalarAt(extract))
+          extracts.push_back(extract);
+      });
+      llvm::for_each(extracts, lookThroughInserts);
+    }
+    if (isa<VectorType>(store.getValue().getType()))
+      split(store);
+  }
+  for (LoadOp load : old)
+    split(load);
+  // Loads and vectors that are left without a use would count as reads.
+  bool changed = !old.empty();
+  while (changed) {
+    changed = false;
+    loop.walk([&](Operation *op) {
+      if (!isa<vector::InsertOp, vector::FromElementsOp, vector::ExtractOp,
+               LoadOp>(op) ||
+          !op->use_empty())
+        return;
+      op->erase();
+      changed = true;
+    });
+  }
+}
+
+void mlir::tai::splitComponents(ParallelForOp loop) {
+  ComponentSplitter(loop).run();
+}

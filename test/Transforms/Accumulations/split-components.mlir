@@ -1,0 +1,108 @@
+// RUN: tai-opt %s --tai-recognize-reductions --canonicalize | FileCheck %s
+
+// A vector is loaded, changed in some components and stored.
+
+!t = !tai.root<dense<[i: 64], {x: f32, b: i32}>, dense<[i: 8], {v: vector<3xf32>}>>
+tai.tree @t : !t
+tai.field @x = @t["x"] : f32, rank 1
+tai.field @b = @t["b"] : i32, rank 1
+tai.field @v = @t["v"] : vector<3xf32>, rank 1
+
+// One component is inserted: the others keep their values.
+// CHECK-LABEL: tai.kernel @insert
+//   CHECK-NOT: tai.load @v
+//       CHECK: tai.atomic add %{{.*}}, @v[%{{.*}}] component[%c1] : f32
+//   CHECK-NOT: tai.atomic
+//   CHECK-NOT: tai.store
+//       CHECK: tai.return
+tai.kernel @insert() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @v[%1] : vector<3xf32>
+    %3 = tai.load @x[%i] : f32
+    %4 = vector.extract %2[1] : f32 from vector<3xf32>
+    %5 = arith.addf %4, %3 : f32
+    %6 = vector.insert %5, %2[1] : f32 into vector<3xf32>
+    tai.store %6, @v[%1] : vector<3xf32>
+  }
+  tai.return
+}
+
+// Two of three elements of a list change, by two operations.
+// CHECK-LABEL: tai.kernel @elements
+//   CHECK-NOT: tai.load @v
+//   CHECK-DAG: tai.atomic add %{{.*}}, @v[%{{.*}}] component[%c0] : f32
+//   CHECK-DAG: tai.atomic {{(min|max|minimumf|maximumf).*}}, @v[%{{.*}}] component[%c2] : f32
+//   CHECK-NOT: tai.store
+//       CHECK: tai.return
+tai.kernel @elements() {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @v[%1] : vector<3xf32>
+    %3 = tai.load @x[%i] : f32
+    %5 = vector.extract %2[0] : f32 from vector<3xf32>
+    %6 = vector.extract %2[1] : f32 from vector<3xf32>
+    %7 = vector.extract %2[2] : f32 from vector<3xf32>
+    %8 = arith.addf %5, %3 : f32
+    %9 = arith.maxnumf %7, %3 : f32
+    %10 = vector.from_elements %8, %6, %9 : vector<3xf32>
+    tai.store %10, @v[%1] : vector<3xf32>
+  }
+  tai.return
+}
+
+// A component of the loaded vector is stored alone.
+// CHECK-LABEL: tai.kernel @component
+//       CHECK: tai.atomic add %{{.*}}, @v[%{{.*}}] component[%c2] : f32
+//   CHECK-NOT: tai.store
+//       CHECK: tai.return
+tai.kernel @component() {
+  %two = arith.constant 2 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @v[%1] : vector<3xf32>
+    %3 = tai.load @x[%i] : f32
+    %4 = vector.extract %2[2] : f32 from vector<3xf32>
+    %5 = arith.addf %3, %4 : f32
+    tai.store %5, @v[%1] component[%two] : f32
+  }
+  tai.return
+}
+
+// Another store writes a component whose former value this one restores.
+// CHECK-LABEL: tai.kernel @restored
+//       CHECK: tai.store %{{.*}}, @v[%{{.*}}] component[%c0] : f32
+//       CHECK: tai.store %{{.*}}, @v[%{{.*}}] : vector<3xf32>
+tai.kernel @restored() {
+  %zero = arith.constant 0 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @v[%1] : vector<3xf32>
+    %3 = tai.load @x[%i] : f32
+    tai.store %3, @v[%1] component[%zero] : f32
+    %4 = vector.extract %2[1] : f32 from vector<3xf32>
+    %5 = arith.addf %4, %3 : f32
+    %6 = vector.insert %5, %2[1] : f32 into vector<3xf32>
+    tai.store %6, @v[%1] : vector<3xf32>
+  }
+  tai.return
+}
+
+// The element belongs to the iteration.
+// CHECK-LABEL: tai.kernel @own
+//       CHECK: tai.load @v[%{{.*}}] : vector<3xf32>
+//       CHECK: tai.store %{{.*}}, @v[%{{.*}}] : vector<3xf32>
+tai.kernel @own() {
+  tai.parallel_for (%i) in @v {
+    %2 = tai.load @v[%i] : vector<3xf32>
+    %4 = vector.extract %2[1] : f32 from vector<3xf32>
+    %5 = arith.addf %4, %4 : f32
+    %6 = vector.insert %5, %2[1] : f32 into vector<3xf32>
+    tai.store %6, @v[%i] : vector<3xf32>
+  }
+  tai.return
+}
