@@ -38,6 +38,8 @@ PAGES = (
             "Layouts": "SNode FieldsBuilder Layout axes",
             "Arrays": "ndarray Ndarray ScalarNdarray VectorNdarray MatrixNdarray",
             "Memory of other libraries": "from_dlpack wait_for_stream let_stream_wait",
+            "Gradients to a given error": "solve_to",
+            "Programs in a file": "export",
         },
     ),
     Page(
