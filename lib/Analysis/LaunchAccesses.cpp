@@ -258,9 +258,9 @@ mlir::tai::findStoredBoxes(KernelOp kernel, BlockArgument array) {
 // Accesses
 //===----------------------------------------------------------------------===//
 
-/// If a field is accessed at more places, only the first fixed index of further
-/// ones counts.
-static constexpr unsigned mostPlaces = 64;
+/// If a field is accessed at more places, only the first fixed index of each
+/// counts: each launch looks at all places.
+static constexpr unsigned mostPlaces = 8;
 
 std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
   using Kind = runtime::AccessKind;
@@ -272,13 +272,9 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
   auto add = [&](FlatSymbolRefAttr field, Kind kind, ValueRange indices = {}) {
     NamedAccess access{field.getValue().str(), kind,
                        getFixedIndices(indices, slots)};
-    // Each element of a matrix of weights may be named by constants.
-    unsigned &count = places[access.field];
-    if (count >= mostPlaces && access.fixed.size() > 1)
-      access.fixed.erase(access.fixed.begin() + 1, access.fixed.end());
     if (llvm::is_contained(list, access))
       return;
-    ++count;
+    ++places[access.field];
     list.push_back(std::move(access));
   };
   // An op that has effects and names a field without describing its access may
@@ -320,5 +316,13 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
     add(field, Kind::Read);
     add(field, Kind::Write);
   });
-  return list;
+  std::vector<NamedAccess> result;
+  for (NamedAccess &access : list) {
+    // Each element of a matrix of weights may be named by constants.
+    if (places[access.field] > mostPlaces && access.fixed.size() > 1)
+      access.fixed.erase(access.fixed.begin() + 1, access.fixed.end());
+    if (!llvm::is_contained(result, access))
+      result.push_back(std::move(access));
+  }
+  return result;
 }

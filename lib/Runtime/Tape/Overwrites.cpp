@@ -26,17 +26,22 @@ struct Used {
   std::vector<char> stored;
   OwedZeros boxes;
 
+  /// The index of an access along the dimension, or null if it is not fixed.
+  const FixedIndex *find(const Access &access) const {
+    for (const FixedIndex &fixed : access.fixed)
+      if (fixed.dimension == dimension)
+        return &fixed;
+    return nullptr;
+  }
   /// The position of an access, or -1 if it is not known.
   int64_t locate(const Access &access, const uint64_t *args) const {
-    for (const FixedIndex &fixed : access.fixed) {
-      if (fixed.dimension != dimension)
-        continue;
-      int64_t position =
-          fixed.evaluate(args) - access.field->firstIndex(dimension);
-      bool inRange = position >= 0 && position < int64_t(positions.size());
-      return inRange ? position : -1;
-    }
-    return -1;
+    const FixedIndex *fixed = find(access);
+    if (!fixed)
+      return -1;
+    int64_t position =
+        fixed->evaluate(args) - access.field->firstIndex(dimension);
+    bool inRange = position >= 0 && position < int64_t(positions.size());
+    return inRange ? position : -1;
   }
   bool has(int64_t position) const {
     return anywhere || (position < 0 ? any : positions[position] != 0);
@@ -185,12 +190,17 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
                        ? Repeated::Effect::StoresSlab
                        : Repeated::Effect::StoresElements;
         size_t index = lookup(access);
-        bool varies =
-            std::any_of(access.fixed.begin(), access.fixed.end(),
-                        [&](const FixedIndex &fixed) {
-                          return fixed.dimension == used[index].dimension &&
-                                 !fixed.terms.empty();
-                        });
+        const FixedIndex *fixed = used[index].find(access);
+        bool varies = fixed && !fixed->terms.empty();
+        // Accesses that differ in another dimension are one here.
+        auto isAlike = [&](const Repeated::Use &use) {
+          const FixedIndex *other = used[index].find(*use.access);
+          return use.used == index && !use.stores() &&
+                 (fixed ? other && *other == *fixed : !other);
+        };
+        if (effect == Repeated::Effect::None &&
+            std::any_of(repeated.uses.begin(), repeated.uses.end(), isAlike))
+          continue;
         repeated.uses.push_back({index, &access, effect, varies});
       }
     }
