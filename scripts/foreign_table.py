@@ -49,7 +49,7 @@ def table(outcomes: dict[str, dict[str, str]]) -> list[str]:
     }
     count = len(outcomes)
     said = (
-        f"Of {count} functions, {right['reverse']} are differentiated in reverse, "
+        f"{right['reverse']} of {count} functions are differentiated in reverse, "
         f"{right['forward']} forwards."
     )
     return [said, "", *lines]

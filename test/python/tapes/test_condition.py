@@ -60,7 +60,7 @@ def test_the_gradient_of_coupled_inputs():
 
 
 def test_relative_changes_change_the_loss_as_said():
-    """Of 200 random changes by at most u, none changes the loss by more than the condition says."""
+    """200 random changes by at most u change the loss by no more than the condition says."""
     ti.init(default_fp=ti.f64)
     x, y, loss = both(30), both(30), both()
 

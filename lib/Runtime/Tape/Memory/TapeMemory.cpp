@@ -21,16 +21,18 @@ using namespace mlir::tai::runtime;
 SlabRange TapeMemory::Use::locate(const uint64_t *args) const {
   if (fixed.empty())
     return {};
-  int64_t number = 0, count = track->slabs.count();
-  for (const FixedIndex &index : fixed) {
-    int64_t extent = track->field->shape()[index.dimension];
-    int64_t position =
-        index.evaluate(args) - field->firstIndex(index.dimension);
+  int64_t number = 0, located = 1;
+  for (size_t i = 0; i < fixed.size(); ++i) {
+    int64_t position = fixed[i].evaluate(args) - ranges[i].first;
+    int64_t extent = ranges[i].count;
     if (position < 0 || position >= extent)
       return {};
     number = number * extent + position;
-    count /= extent;
+    located *= extent;
   }
+  // No division where each slab is told apart, in each launch.
+  int64_t all = track->slabs.count();
+  int64_t count = located == all ? 1 : all / located;
   return {number * count, count};
 }
 
@@ -65,7 +67,6 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
 
 TapeMemory::Use TapeMemory::makeUse(const Access &access) {
   Use use;
-  use.field = access.field;
   use.track = &trackOf(access.field, access.fixed);
   for (int dimension : use.track->slabs.dimensions()) {
     auto index = std::find_if(
@@ -74,6 +75,8 @@ TapeMemory::Use TapeMemory::makeUse(const Access &access) {
     if (index == access.fixed.end())
       break;
     use.fixed.push_back(*index);
+    use.ranges.push_back({access.field->firstIndex(dimension),
+                          use.track->field->shape()[dimension]});
   }
   return use;
 }
@@ -96,6 +99,7 @@ static void mergeSlabs(std::vector<TapeMemory::Use> &uses) {
         whole = &use;
     TapeMemory::Use merged = *whole;
     merged.fixed.clear();
+    merged.ranges.clear();
     uses.erase(std::remove_if(uses.begin(), uses.end(),
                               [&, track = track](const TapeMemory::Use &use) {
                                 return use.track == track && use.isConstant();
@@ -277,7 +281,8 @@ Status TapeMemory::save(const Candidate &candidate) {
   Track &track = *candidate.track;
   Status status = saveOne(candidate);
   if (!runtime.isForward()) {
-    lacksTangents |= track.field->dual() != nullptr;
+    if (track.field->dual())
+      tangents = Tangents::Lacking;
     return status;
   }
   Track *tangent = track.tangentIn(runtime);
@@ -398,7 +403,7 @@ void TapeMemory::beginSegment(uint32_t record) {
   growing.clear();
   unsettled = 0;
   saved = 0;
-  lacksTangents = false;
+  tangents = Tangents::Kept;
   nextCandidate = firstCandidate(record);
 }
 
@@ -578,7 +583,7 @@ Status TapeMemory::beginReverse() {
                                  piece.track->field->name() +
                                  "', whose tree has been destroyed");
   // Values would come back without their tangents.
-  if (runtime.isForward() && lacksTangents)
+  if (runtime.isForward() && tangents == Tangents::Lacking)
     return failWithoutTangents();
   return Status::success();
 }

@@ -40,11 +40,12 @@ public:
 
   /// How the launches of a kernel use one field.
   struct Use {
-    FieldPtr field;
     Track *track;
     /// The fixed indices along the first of the dimensions that the track has
     /// slabs for.
     std::vector<FixedIndex> fixed;
+    /// The indices of the field along each of these dimensions.
+    std::vector<SlabRange> ranges;
     /// For changes: the adjoint reads the version of the field before the
     /// launch.
     bool before = false;
@@ -207,8 +208,9 @@ private:
   std::vector<Piece> pieces;
   /// Pieces from here on have not been compared yet.
   size_t unsettled = 0;
-  /// Whether values were saved out of forward mode, without their tangents.
-  bool lacksTangents = false;
+  /// Values that were saved out of forward mode lack their tangents.
+  enum class Tangents { Kept, Lacking };
+  Tangents tangents = Tangents::Kept;
   /// Passed by the save, comparison or restoration that runs.
   CopySafepoints safepoints;
   /// For the running record: copies of sparse fields.
