@@ -27,6 +27,35 @@ def ctrl_c_after(seconds):
         thread.join()
 
 
+def interrupt(work, seconds=0.005):
+    """Runs `work`, to which a signal comes once it has begun; says whether that ended it.
+
+    Python may call the handler some steps after the signal, so that one which comes at the very
+    end of `work` is seen behind it: the handler raises only while `work` is the caller's.
+    """
+    armed = True
+
+    def stop(*_):
+        if armed:
+            raise KeyboardInterrupt
+
+    former = signal.signal(signal.SIGALRM, stop)
+    try:
+        try:
+            signal.setitimer(signal.ITIMER_REAL, seconds)
+            work()
+        finally:
+            # No call stands before this, so that a late handler either raises in here or not at
+            # all.
+            armed = False
+    except KeyboardInterrupt:
+        return True
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, former)
+    return False
+
+
 def check_usable():
     """The context goes on: kernels, tapes, new fields."""
     x = ti.field(ti.f64, shape=3, needs_grad=True)

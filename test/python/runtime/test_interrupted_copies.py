@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tai as ti
 
-from interrupts import check_usable
+from interrupts import check_usable, interrupt
 
 # 1 GB of f32, which takes far longer than the 20 ms between the ticks of safepoints.
 SIZE = 1 << 28
@@ -22,24 +22,6 @@ def field():
     x = ti.field(ti.f32, shape=SIZE, needs_grad=True)
     x.fill(1.0)
     return x
-
-
-def interrupt(work, seconds=0.005):
-    """Runs `work`, to which a signal comes once it has begun; says whether that ended it."""
-
-    def stop(*_):
-        raise KeyboardInterrupt
-
-    former = signal.signal(signal.SIGALRM, stop)
-    try:
-        signal.setitimer(signal.ITIMER_REAL, seconds)
-        work()
-    except KeyboardInterrupt:
-        return True
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, former)
-    return False
 
 
 def writes(x):
@@ -404,8 +386,9 @@ def test_a_handler_that_destroys_the_tree(field):
 
     former = signal.signal(signal.SIGPROF, destroy)
     try:
-        # Time of this process: before the copy has begun, a tree that is gone would be an error.
-        signal.setitimer(signal.ITIMER_PROF, 0.005)
+        # Time of all threads of this process: the call has begun long before, also beside another
+        # busy thread, and a tree that is gone by then would be an error.
+        signal.setitimer(signal.ITIMER_PROF, 0.03)
         y.fill(2.0)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tai as ti
 
-from interrupts import check_usable, ctrl_c_after
+from interrupts import check_usable, ctrl_c_after, interrupt
 
 
 @pytest.fixture(autouse=True)
@@ -429,3 +429,22 @@ def test_threads_compile_and_launch_their_own_programs():
     for number in range(count):
         n = 1000 + number
         assert results[number] == n * (n - 1) + number * n
+
+
+@pytest.mark.parametrize("lines", [1, 400])
+def test_the_helper_keeps_a_late_signal(lines):
+    """A signal that comes while the last call returns is not raised behind the helper."""
+
+    def work():
+        for _ in range(lines):
+            threading.get_ident()
+        signal.raise_signal(signal.SIGALRM)
+
+    def late():
+        # A native call that ends with the signal set, as a copy behind its last safepoint.
+        work()
+
+    assert interrupt(late, 10.0)
+    stopped = sum(interrupt(lambda: sum(range(lines)), k * 1e-6) for k in range(1, 400))
+    assert 0 <= stopped < 400
+    check_usable()
