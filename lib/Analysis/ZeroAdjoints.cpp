@@ -19,6 +19,7 @@
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "mlir/IR/Matchers.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "llvm/ADT/SetVector.h"
 #include "llvm/ADT/TypeSwitch.h"
 
@@ -229,7 +230,9 @@ std::vector<LoopFlags> mlir::tai::findLoopFlags(KernelOp primal,
     LoopAnalysis analysis(loop, *layout);
     bool vanishes = analysis.run();
     LoopFlags entry{loop.getFieldAttr().getValue().str(), {}, analysis.sumsUp};
-    if (vanishes)
+    // Sums are split by the number of iterations: where their bits are fixed, a
+    // loop that sums up runs for all cells.
+    if (vanishes && !(analysis.sumsUp && hasFixedBits(primal)))
       for (StringAttr source : analysis.sources)
         entry.sources.push_back(source.str());
     flags.push_back(std::move(entry));

@@ -46,7 +46,9 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
                                               : "math=\"accurate\"") +
                 " cannot be had where no code is made; choose arch=ti.cpu");
   CompileOptions result = options;
-  result.deterministic = modes.isDeterministic(options.deterministic);
+  result.deterministic =
+      (options.deterministic ? modes.inDeterministicContext() : modes)
+          .isDeterministic();
   if (options.device && result.deterministic && !options.deterministic)
     return fail("sums=\"deterministic\" cannot be had for one kernel on a GPU; "
                 "give it to ti.init, for all");

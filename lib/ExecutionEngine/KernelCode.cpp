@@ -480,11 +480,9 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
     if (runtime::FieldPtr field = findField(name))
       plan.activity.push_back(field);
   for (const LoopFlags &loop : told->flags) {
-    runtime::ZeroAdjoints flags{findField(loop.field), {}, loop.sumsUp};
-    // Where its order is fixed, a loop that sums up runs for all cells.
-    if (!getOptions().deterministic || !loop.sumsUp)
-      for (const std::string &name : loop.sources)
-        flags.sources.push_back(findField(name));
+    runtime::ZeroAdjoints flags{findField(loop.field), {}};
+    for (const std::string &name : loop.sources)
+      flags.sources.push_back(findField(name));
     if (flags.loop)
       plan.flags.push_back(std::move(flags));
   }

@@ -149,7 +149,7 @@ LogicalResult Session::setModes(const ContextModes &wanted) {
   bool isDeterministic = modes.isDeterministic();
   if (isDeterministic != compileOptions.deterministic) {
     compileOptions.deterministic = isDeterministic;
-    rt->setDeterministic(isDeterministic);
+    rt->setTriesBlocks(!isDeterministic);
   }
   // Another number of threads divides loops differently, and whether an
   // addition is fused may depend on the end of a vectorised loop. Shadow values
@@ -372,10 +372,10 @@ LogicalResult Session::fuseLaunchesIn(ModuleOp file) {
   if (!fusesLaunches())
     return success();
   DiagnosticCollector collector(getContext());
-  FuseLaunchesOptions options;
-  options.deterministic = isDeterministic();
   PassManager manager(getContext());
-  manager.addPass(createFuseLaunches(options));
+  if (compileOptions.deterministic)
+    manager.addPass(createFixSumOrder());
+  manager.addPass(createFuseLaunches());
   if (succeeded(manager.run(file)))
     return success();
   return fail(

@@ -17,6 +17,7 @@ using namespace mlir;
 void tai::buildAutodiffPasses(OpPassManager &pm,
                               const AutodiffOptions &options) {
   pm.addPass(createExpandGradients());
+  addContextModes(pm, options);
   // Helpers go into the kernels that call them: a call hides their reads.
   addInliner(pm);
   pm.addPass(createRecognizeReductions());
@@ -57,7 +58,6 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
   adjoint.historyBytes = options.historyBytes;
   adjoint.zeroOverwritten = options.zeroOverwritten;
   adjoint.storedOutputs = options.storedOutputs;
-  adjoint.deterministic = options.deterministic;
   adjoint.skip = options.skip;
   pm.addPass(createMakeAdjoint(adjoint));
 

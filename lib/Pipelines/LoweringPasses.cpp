@@ -21,17 +21,26 @@ void tai::addInliner(OpPassManager &pm) {
   pm.addPass(createInlinerPass({}, [](OpPassManager &) {}));
 }
 
+void tai::addContextModes(OpPassManager &pm, const LoweringOptions &options) {
+  if (options.deterministic)
+    pm.addPass(createFixSumOrder());
+}
+
+void tai::addContextModes(OpPassManager &pm, const AutodiffOptions &options) {
+  if (options.deterministic)
+    pm.addPass(createFixSumOrder());
+}
+
 void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
                           bool oneThread) {
   bool checked = options.checksIndices();
   pm.addPass(createExpandGradients());
   pm.addPass(createCheckLowerable());
+  addContextModes(pm, options);
   // While kernels are as they were written.
   if (options.optLevel > 0 && !checked && options.bounds != BoundsMode::Clamp &&
       options.fuseLaunches) {
-    FuseLaunchesOptions fuse;
-    fuse.deterministic = options.deterministic;
-    pm.addPass(createFuseLaunches(fuse));
+    pm.addPass(createFuseLaunches());
   }
 
   // Helpers go into the kernels that call them.

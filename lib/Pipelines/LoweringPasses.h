@@ -12,6 +12,10 @@
 
 namespace mlir::tai {
 
+/// Lets kernels have the modes that the options of their context give them.
+void addContextModes(OpPassManager &pm, const LoweringOptions &options);
+void addContextModes(OpPassManager &pm, const AutodiffOptions &options);
+
 /// The first passes of both targets, on kernels as written: fusion of launches,
 /// inlining, checking or clamping of indices.
 void addSourcePasses(OpPassManager &pm, const LoweringOptions &options,

@@ -55,7 +55,6 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
         options.skip.has(Skip::RepeatedLookups))
       function.addPass(createVectorizeBlocks());
     LowerStructForOptions loops;
-    loops.deterministic = options.deterministic;
     loops.skip = options.skip;
     function.addPass(createLowerStructFor(loops));
 
@@ -63,9 +62,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
       function.addPass(createCSEPass());
 
     // The form of accumulations is decided while they still name fields.
-    RelaxAtomicsOptions relax;
-    relax.deterministic = options.deterministic;
-    function.addPass(createRelaxAtomics(relax));
+    function.addPass(createRelaxAtomics());
   });
 
   LowerLayoutOptions layout;
@@ -92,8 +89,6 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   ConvertToLLVMOptions llvm;
   llvm.fastMath = options.fastMath;
   llvm.contract = options.contract;
-  // Their bits do not depend on where a loop ends.
-  llvm.vectorFunctions = options.deterministic;
   pm.addPass(createConvertToLLVM(llvm));
   if (options.shadow)
     pm.addPass(createShadowExecution());

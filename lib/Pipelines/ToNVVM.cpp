@@ -38,16 +38,14 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
   pm.addPass(createGuardDivisions(divisions));
   addPerFunction(pm, [&](OpPassManager &function) {
     LowerStructForOptions loops;
-    loops.deterministic = options.deterministic;
     loops.skip = options.skip;
     function.addPass(createLowerStructFor(loops));
-    if (fast && !options.deterministic)
+    if (fast) {
       function.addPass(createRerollAccumulations());
-    if (fast)
       function.addPass(createCSEPass());
+    }
 
     RelaxAtomicsOptions relax;
-    relax.deterministic = options.deterministic;
     relax.onDevice = true;
     function.addPass(createRelaxAtomics(relax));
     if (fast)

@@ -1,6 +1,6 @@
 // RUN: tai-opt %s --convert-tai-to-scf | FileCheck %s
 // RUN: tai-opt %s --convert-tai-to-scf=debug=true | FileCheck %s --check-prefix=DEBUG
-// RUN: tai-opt %s --tai-relax-atomics=deterministic=true --tai-lower-layout --convert-tai-to-scf | FileCheck %s --check-prefix=DET
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics --tai-lower-layout --convert-tai-to-scf | FileCheck %s --check-prefix=DET
 
 tai.tree @s : !tai.root<dense<[i: 8], {a: f32}>>
 tai.tree @t : !tai.root<dense<[i: 8], {x: f32}>>

@@ -1,4 +1,4 @@
-// RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" --tai-lower-layout=on-device=true --convert-tai-to-gpu | FileCheck %s
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics=on-device=true --tai-lower-layout=on-device=true --convert-tai-to-gpu | FileCheck %s
 
 // The first two passes of additions in fixed point are without the other
 // effects of the loop. Values that only these used go with them: a branch whose

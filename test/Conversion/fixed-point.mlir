@@ -1,4 +1,4 @@
-// RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" -o %t.relaxed.mlir
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics=on-device=true -o %t.relaxed.mlir
 // RUN: FileCheck %s --check-prefix=RELAX < %t.relaxed.mlir
 // RUN: tai-opt %t.relaxed.mlir --tai-lower-layout=on-device=true --convert-tai-to-gpu -o %t.gpu.mlir
 // RUN: FileCheck %s --check-prefix=GPU < %t.gpu.mlir

@@ -1,7 +1,7 @@
-// RUN: tai-opt %s --tai-relax-atomics=deterministic=true | FileCheck %s --check-prefixes=RELAX,HOST
-// RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" | FileCheck %s --check-prefixes=RELAX,DEVICE
-// RUN: tai-opt %s --tai-relax-atomics=deterministic=true --tai-lower-layout --convert-tai-to-scf | FileCheck %s --check-prefix=CPU
-// RUN: tai-opt %s --tai-relax-atomics="deterministic=true on-device=true" --tai-lower-layout=on-device=true --convert-tai-to-gpu | FileCheck %s --check-prefix=GPU
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics | FileCheck %s --check-prefixes=RELAX,HOST
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics=on-device=true | FileCheck %s --check-prefixes=RELAX,DEVICE
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics --tai-lower-layout --convert-tai-to-scf | FileCheck %s --check-prefix=CPU
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics=on-device=true --tai-lower-layout=on-device=true --convert-tai-to-gpu | FileCheck %s --check-prefix=GPU
 
 // Strict and deterministic kernels add up in one order on all targets.
 

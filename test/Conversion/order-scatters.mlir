@@ -1,8 +1,8 @@
-// RUN: tai-opt %s --tai-scalarize --tai-lower-struct-for --tai-relax-atomics="deterministic=true on-device=true" -o %t.relaxed.mlir
+// RUN: tai-opt %s --tai-fix-sum-order --tai-scalarize --tai-lower-struct-for --tai-relax-atomics=on-device=true -o %t.relaxed.mlir
 // RUN: FileCheck %s --check-prefix=RELAX < %t.relaxed.mlir
 // RUN: tai-opt %t.relaxed.mlir --tai-lower-layout=on-device=true --convert-tai-to-gpu | FileCheck %s --check-prefix=GPU
 // RUN: tai-opt %t.relaxed.mlir --tai-lower-layout="on-device=true bounds-check=true" --convert-tai-to-gpu | FileCheck %s --check-prefix=CHECKED
-// RUN: tai-opt %s --tai-scalarize --tai-lower-struct-for --tai-relax-atomics="deterministic=true" | FileCheck %s --check-prefix=CPU
+// RUN: tai-opt %s --tai-fix-sum-order --tai-scalarize --tai-lower-struct-for --tai-relax-atomics | FileCheck %s --check-prefix=CPU
 
 // Loops whose additions meet in memory, in deterministic mode on a GPU. One
 // warp runs those whose threads can come to the additions together, and one
@@ -27,7 +27,7 @@ tai.field @p = @s["p"] : f32, rank 1
 // RELAX-LABEL: tai.kernel @neighbours
 //       RELAX: } {in_warp, order = #tai.loop_order<{{fixed|common}}>}
 //   GPU-LABEL: llvm.func @neighbours_0(
-//    GPU-SAME: passthrough = {{\["tai.lowered", \["tai.block_size", "32"\]\]}}
+//    GPU-SAME: passthrough = {{\["tai.lowered", \["tai.block_size", "32"\], \["tai.modes", "sums=deterministic"\]\]}}
 //       GPU:   %[[LANES:.+]] = llvm.call @tai_dev_ordered_lanes() : () -> i32
 //       GPU:   scf.if
 //       GPU:     llvm.call @tai_dev_ordered_meet()

@@ -2,7 +2,7 @@
 // RUN: tai-opt %s --tai-lower-struct-for="skip=all,-activity-tests" | FileCheck %s --check-prefixes=CHECK,ASKS
 // RUN: tai-opt %s --tai-lower-struct-for="skip=-repeated-lookups" | FileCheck %s --check-prefixes=CHECK,EACH
 // RUN: tai-opt %s --tai-lower-struct-for="skip=none" | FileCheck %s --check-prefixes=CHECK,NONE
-// RUN: tai-opt %s --tai-lower-struct-for="deterministic" | FileCheck %s --check-prefix=FIXED
+// RUN: tai-opt %s --tai-fix-sum-order --tai-lower-struct-for | FileCheck %s --check-prefix=FIXED
 // RUN: tai-opt %s --tai-to-llvm="skip=none" | FileCheck %s --check-prefix=LLVM
 // RUN: not tai-opt %s --tai-lower-struct-for="skip=lists" 2>&1 | FileCheck %s --check-prefix=WRONG
 // RUN: not tai-opt %s --tai-to-llvm="skip=all,-lists" 2>&1 | FileCheck %s --check-prefix=WRONG

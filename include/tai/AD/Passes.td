@@ -137,8 +137,6 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
            "Leave zero in the adjoints of all that a kernel stores">,
     Option<"storedOutputs", "stored-outputs", "bool", /*default=*/"false",
            "Make the forms of adjoints that load what kernels have stored">,
-    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
-           "Let how loops are cut not depend on what they record">,
     Option<"skip", "skip", "::mlir::tai::SkipSet",
            /*default=*/"::mlir::tai::SkipSet::all()",
            "The skips that are on: all, none, or names">,

@@ -32,8 +32,6 @@ def LowerStructFor : Pass<"tai-lower-struct-for"> {
     a sparse field reads the list of cells again.
   }];
   let options = [
-    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
-           "Let the order of sums not depend on how a loop is lowered">,
     Option<"skip", "skip", "::mlir::tai::SkipSet",
            /*default=*/"::mlir::tai::SkipSet::all()",
            "What to leave out where it is not needed: all, none, or names">,
@@ -237,16 +235,15 @@ def ConvertToLLVM : Pass<"tai-convert-to-llvm", "::mlir::ModuleOp"> {
     of libm.
 
     Elementary functions that may be contracted are those for which loops may
-    call vector forms: with `contract` or `vector-functions`, but for kernels
-    with `math = "strict"`.
+    call vector forms: with `contract` and in deterministic kernels, but for kernels
+    with `math = "strict"`. Bits of vector forms do not depend on where a loop
+    ends.
   }];
   let options = [
     Option<"fastMath", "fast-math", "bool", /*default=*/"false",
            "Let float operations be reordered and approximated">,
     Option<"contract", "contract", "bool", /*default=*/"true",
            "Let a product and a sum be rounded once">,
-    Option<"vectorFunctions", "vector-functions", "bool", /*default=*/"false",
-           "Let elementary functions be contracted in any case">,
   ];
   let dependentDialects = ["::mlir::LLVM::LLVMDialect",
                            "::mlir::cf::ControlFlowDialect",

@@ -423,14 +423,13 @@ def FuseLaunches : Pass<"tai-fuse-launches", "::mlir::ModuleOp"> {
     tai.launch @f_g(%t) : (i32) -> ()
     ```
 
+    The float sums of deterministic kernels into the same elements are not mixed.
+
     Not fused: launches under a tape, which are differentiated one by one, and
     kernels that return values, have array arguments, draw random numbers,
     print, assert, or access sparse fields.
   }];
   let options = [
-    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
-           "Keep the order of float sums: those of two launches into the same "
-           "elements are not mixed">,
     Option<"maxAccesses", "max-accesses", "int64_t", /*default=*/"128",
            "Most accesses to fields in a kernel that is made">,
   ];
@@ -599,6 +598,22 @@ def RecognizeReductions : Pass<"tai-recognize-reductions", "::mlir::ModuleOp"> {
                            "::mlir::scf::SCFDialect"];
 }
 
+def FixSumOrder : Pass<"tai-fix-sum-order", "::mlir::ModuleOp"> {
+  let summary = "make the kernels of a deterministic context deterministic";
+  let description = [{
+    Adds `sums = "deterministic"` to the modes of kernels, and of functions with
+    parallel loops, that do not say how their sums are kept, and
+    `"compensated+deterministic"` where they say `"compensated"`. Later passes
+    read the modes, and not the context's option.
+
+    ```mlir
+    tai.kernel @k() { ... }
+    // becomes
+    tai.kernel @k() attributes {modes = {sums = "deterministic"}} { ... }
+    ```
+  }];
+}
+
 def RelaxAtomics : Pass<"tai-relax-atomics"> {
   let summary = "choose how parallel loops do each of their updates";
   let description = [{
@@ -615,16 +630,14 @@ def RelaxAtomics : Pass<"tai-relax-atomics"> {
 
     `#tai.reduction` also has the digits of a sum and the order of its terms.
     Partial sums and buffers are combined in the order of the partitions, which
-    makes the result independent of timing. With `deterministic`, a loop has an
-    `order`, and no float accumulation stays atomic: a loop whose accumulations
+    makes the result independent of timing. In a deterministic kernel, a loop has
+    an `order`, and no float accumulation stays atomic: a loop whose accumulations
     cannot be made independent of timing runs on one thread, or in one warp.
 
     A remark of the category `tai-reductions` names the form of each update, and
     for one that stays atomic the reason.
   }];
   let options = [
-    Option<"deterministic", "deterministic", "bool", /*default=*/"false",
-           "Leave no accumulation whose result depends on timing">,
     Option<"onDevice", "on-device", "bool", /*default=*/"false",
            "Choose for a GPU: atomics are fast, threads are many, and no loop "
            "is too small to be parallel">,

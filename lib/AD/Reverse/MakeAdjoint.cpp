@@ -29,6 +29,7 @@
 #include "tai/AD/SpectralForms.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/Cost.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Support/SilencedDiagnostics.h"
@@ -480,7 +481,7 @@ struct MakeAdjoint
     bool zeroesAll = zeroOverwritten && isa<KernelOp>(function.getOperation());
     if (zeroesAll)
       cast<KernelOp>(shell.getOperation()).setZeroesAdjoint(true);
-    if (deterministic)
+    if (hasFixedBits(function))
       fixCosts(function);
     SpectralForms forms(function);
     if (failed(fillAdjoint(function, shell, *signature,

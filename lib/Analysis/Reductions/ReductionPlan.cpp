@@ -78,13 +78,13 @@ struct FieldAccesses {
 
 class Planner {
 public:
-  Planner(ParallelForOp loop, FieldTable &fields, bool deterministic,
-          const Modes &modes, bool onDevice)
+  Planner(ParallelForOp loop, FieldTable &fields, const Modes &modes,
+          bool onDevice)
       : loop(loop), fields(fields), compensated(modes.isCompensated()),
         onDevice(onDevice) {
-    if (modes.hasOneOrder(deterministic))
+    if (modes.hasOneOrder())
       plan.order = LoopOrder::Common;
-    else if (modes.isDeterministic(deterministic))
+    else if (modes.isDeterministic())
       plan.order = LoopOrder::Fixed;
   }
 
@@ -538,15 +538,26 @@ static bool canStoreTerms(ArrayRef<Operation *> updates, ParallelForOp loop) {
   return !lower || !upper || *upper - *lower >= kFewIterations;
 }
 
+/// The digits that Forms.def has for a sum or product.
+static SumDigits getPreciseDigits(AtomicKind kind, Type type) {
+  constexpr bool F64 = true, Narrow = false;
+#define TAI_PRECISE_TOTAL(rowKind, terms, digits, form)                        \
+  if (kind == AtomicKind::rowKind && type.isF64() == terms)                    \
+    return SumDigits::digits;
+#include "tai/Analysis/Reductions/Forms.def"
+  return SumDigits::Own;
+}
+
 /// The digits of a sum of all iterations.
 SumDigits Planner::getTotalDigits(Operation *update) {
   Type type = getTermType(update);
-  if (!isa<FloatType>(type) || getCombiningKind(update) != AtomicKind::Add)
+  AtomicKind kind = getCombiningKind(update);
+  if (!isa<FloatType>(type))
     return SumDigits::Own;
   if (!onDevice)
-    return !compensated   ? SumDigits::Own
-           : type.isF64() ? SumDigits::Pair
-                          : SumDigits::Wide;
+    return compensated ? getPreciseDigits(kind, type) : SumDigits::Own;
+  if (kind != AtomicKind::Add)
+    return SumDigits::Own;
   // Each thread adds up in f64; this is about the sum of the blocks.
   if (isDeterministic() || type.isF64())
     return SumDigits::Own;
@@ -736,9 +747,17 @@ void ReductionPlan::apply(ParallelForOp loop) const {
     loop.walk([](scf::IfOp branch) { branch->removeAttr("tai.interior"); });
 }
 
-FailureOr<ReductionPlan> tai::planReductions(ParallelForOp loop,
-                                             FieldTable &fields,
-                                             bool deterministic,
-                                             bool onDevice) {
-  return Planner(loop, fields, deterministic, Modes::of(loop), onDevice).run();
+bool tai::hasFixedBits(Operation *op) {
+  return Modes::of(op).isDeterministic();
+}
+
+TermSum tai::planGatheredSum(ParallelForOp loop, Type scalar, bool pairs) {
+  if (!Modes::of(loop).isCompensated())
+    return TermSum::Plain;
+  return scalar.isF64() && !pairs ? TermSum::Unavailable : TermSum::Compensated;
+}
+
+FailureOr<ReductionPlan>
+tai::planReductions(ParallelForOp loop, FieldTable &fields, bool onDevice) {
+  return Planner(loop, fields, Modes::of(loop), onDevice).run();
 }

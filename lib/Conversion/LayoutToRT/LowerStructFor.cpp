@@ -19,9 +19,9 @@
 
 #include "CountWrites.h"
 #include "tai/Analysis/Cost.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Analysis/SkipScope.h"
 #include "tai/Conversion/Passes.h"
-#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include "tai/Transforms/Utils/ActiveCells.h"
@@ -86,7 +86,7 @@ getDigits(const FieldInfo &field, unsigned first, unsigned last) {
 /// by the box form. `last` is the number of levels that are looped over; unless
 /// `hoists`, every element finds its cell for itself.
 static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
-                          unsigned last, bool hoists, bool deterministic) {
+                          unsigned last, bool hoists) {
   double cost = estimateNanoseconds(loop.getBody().front());
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
@@ -129,7 +129,7 @@ static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
   ArrayRef<BlockArgument> ivs = box.getInductionVars();
   if (sparse) {
     box.setOuterDims(1);
-    if (deterministic && !loop.getFixedCostAttr())
+    if (!loop.getFixedCostAttr() && hasFixedBits(loop))
       box.setFixedCostAttr(builder.getF64FloatAttr(cost));
     Type i64 = builder.getI64Type();
     Value pointer = LLVM::GEPOp::create(
@@ -221,8 +221,7 @@ struct LowerStructFor : tai::impl::LowerStructForBase<LowerStructFor> {
         lower(loop, *field);
       else
         lowerByDigits(loop, *field, levels + 1 - loop.getLevel().value_or(1),
-                      skip.has(Skip::RepeatedLookups),
-                      Modes::of(getOperation()).isDeterministic(deterministic));
+                      skip.has(Skip::RepeatedLookups));
     }
     countWrites(getOperation());
   }

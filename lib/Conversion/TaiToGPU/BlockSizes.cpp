@@ -11,7 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "WarpLoop.h"
+#include "Reductions/WarpLoop.h"
 #include "mlir/Dialect/LLVMIR/NVVMDialect.h"
 #include "tai/ABI/DeviceAccesses.h"
 #include "tai/Analysis/Reductions/Accumulation.h"

@@ -11,11 +11,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "../TaiToHost/Accumulators.h"
+#include "../TaiToHost/Reductions/Accumulators.h"
 #include "LoopAccesses.h"
 #include "Offload.h"
-#include "Sums.h"
-#include "WarpLoop.h"
+#include "Reductions/Sums.h"
+#include "Reductions/WarpLoop.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"

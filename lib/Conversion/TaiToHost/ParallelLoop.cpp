@@ -13,8 +13,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "Accumulators.h"
 #include "Lowering.h"
+#include "Reductions/Accumulators.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "tai/ABI/SumModes.h"
 #include "tai/Analysis/Cost.h"

@@ -27,6 +27,7 @@
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Conversion/Passes.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Ownership.h"
@@ -360,7 +361,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
       if (failed(verifyPassedModes(op)))
         return signalPassFailure();
       std::optional<MathMode> own = Modes::of(op).math;
-      if (vectorFunctions && own != MathMode::Strict)
+      // The bits of vector forms do not depend on where a loop ends.
+      if (own != MathMode::Strict && hasFixedBits(op))
         relaxMathOps(op);
       setFloatOptions(op, own ? own == MathMode::Fast : fastMath,
                       contract && own != MathMode::Strict);

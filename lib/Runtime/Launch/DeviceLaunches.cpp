@@ -137,7 +137,7 @@ Status DeviceLaunches::load(Kernel &kernel, uint64_t epoch) {
       entry.threads = std::min(entry.hasSize ? said : wanted, most);
       entry.mostBlocks =
           std::max(target.residentBlocks(*entry.function, entry.threads), 1u);
-      if (!entry.hasSize && options.blockThreads <= 0 && !options.deterministic)
+      if (!entry.hasSize && options.blockThreads <= 0 && options.triesBlocks)
         entry.trials = makeTrials(target, entry, most, blockSizes,
                                   keyOf(*loaded->image, name, target));
       loaded->functions.push_back(entry);

@@ -209,8 +209,7 @@ int64_t Launch::partition(int64_t n, int64_t cost, bool reduces) {
   // The estimate is wrong by less than this.
   constexpr double factor = 16;
   double total = static_cast<double>(n) * static_cast<double>(cost);
-  bool isFixed = reduces && workers.isDeterministic();
-  if (isFixed || workers.threads() == 1 || !loopTimes ||
+  if (workers.threads() == 1 || !loopTimes ||
       total * factor < Workers::leastNs ||
       total > Workers::leastNs * factor * factor)
     return workers.partition(n, static_cast<double>(cost), reduces);

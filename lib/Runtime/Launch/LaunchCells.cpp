@@ -108,14 +108,12 @@ static bool numbersAlike(const Field &a, const Field &b) {
 
 /// The fields that must be zero; none if some loop over the level does more.
 static std::vector<const Field *>
-findSources(const std::vector<ZeroAdjoints> &flags, const SparseNode &node,
-            bool deterministic) {
+findSources(const std::vector<ZeroAdjoints> &flags, const SparseNode &node) {
   std::vector<const Field *> sources;
   for (const ZeroAdjoints &loop : flags) {
     if (loop.loop->sparseNode() != &node)
       continue;
-    // Sums are split by the number of iterations.
-    if (loop.sources.empty() || (deterministic && loop.sumsUp))
+    if (loop.sources.empty())
       return {};
     for (const FieldPtr &source : loop.sources) {
       if (!source || !source->valid() || !numbersAlike(*loop.loop, *source))
@@ -131,8 +129,7 @@ findSources(const std::vector<ZeroAdjoints> &flags, const SparseNode &node,
 const std::vector<int64_t> &
 Launch::withoutZeroAdjoints(const SparseNode &node,
                             const std::vector<int64_t> &cells) {
-  std::vector<const Field *> sources =
-      findSources(*flags, node, owner().options().deterministic);
+  std::vector<const Field *> sources = findSources(*flags, node);
   if (sources.empty() || cells.empty())
     return cells;
   struct Job {

@@ -16,9 +16,8 @@ static int threadsFor(int wanted) {
   return wanted > 0 ? std::min(wanted, 1024) : availableThreads();
 }
 
-Workers::Workers(int threads, bool deterministic)
-    : numThreads(threadsFor(threads)), deterministic(deterministic),
-      forkGuard(new ForkGuard) {}
+Workers::Workers(int threads)
+    : numThreads(threadsFor(threads)), forkGuard(new ForkGuard) {}
 
 Workers::~Workers() {
   if (!forkGuard->sameProcess())
@@ -109,8 +108,6 @@ int64_t Workers::partition(int64_t n, double cost, bool reduces) {
     return 1;
   double exact = static_cast<double>(n) * std::max(cost, 1e-3);
   int64_t total = exact < 9e18 ? static_cast<int64_t>(exact) : INT64_MAX;
-  if (reduces && deterministic)
-    return fixedParts(n, cost);
   if (numThreads == 1)
     return 1;
   if (total < leastNs)

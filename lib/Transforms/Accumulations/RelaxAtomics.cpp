@@ -77,8 +77,7 @@ struct RelaxAtomics : tai::impl::RelaxAtomicsBase<RelaxAtomics> {
     for (ParallelForOp loop : loops) {
       if (!loop.getSerialize())
         moveLoopInvariantCode(cast<LoopLikeOpInterface>(loop.getOperation()));
-      FailureOr<ReductionPlan> plan =
-          planReductions(loop, fields, deterministic, onDevice);
+      FailureOr<ReductionPlan> plan = planReductions(loop, fields, onDevice);
       if (failed(plan))
         return signalPassFailure();
       report(loop, *plan);

@@ -39,6 +39,7 @@
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Analysis/Reductions/Accumulation.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Transforms/Passes.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "tai/Transforms/Utils/IndexMath.h"
@@ -670,7 +671,8 @@ struct RerollAccumulations
     std::optional<FieldTable> fields;
     for (LoopBox &box : findConstantBoxes(getOperation())) {
       std::optional<int64_t> count = getNumIterations(box.loop);
-      if (!count || *count == 0 || *count > maxIterations)
+      if (!count || *count == 0 || *count > maxIterations ||
+          hasFixedBits(box.loop))
         continue;
       // Whole warps: one row that is made longer, or a box that fills them.
       if (box.lower.size() > 1 && *count % kWarpSize != 0)

@@ -31,8 +31,8 @@
 #include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/LoopBox.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
-#include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Support/BoundsMode.h"
 #include "tai/Transforms/Passes.h"
@@ -573,7 +573,7 @@ static Value emitCompensatedSum(OpBuilder &builder, Location loc,
 
 /// Computes at the end of the body the terms of `group` for the element that
 /// the iteration owns.
-static Gathered gather(LoopBox &box, Group &group, bool compensated) {
+static Gathered gather(LoopBox &box, Group &group, TermSum sum) {
   OpBuilder builder(box.body().getTerminator());
   Scatter &first = group.front();
   Gathered gathered{first.op, {}, {}, {}};
@@ -581,8 +581,9 @@ static Gathered gather(LoopBox &box, Group &group, bool compensated) {
   for (Scatter &scatter : group)
     values.push_back(recompute(builder, box, scatter));
   Location loc = first.op.getLoc();
-  gathered.sum = compensated ? emitCompensatedSum(builder, loc, values)
-                             : emitSum(builder, loc, values);
+  gathered.sum = sum == TermSum::Compensated
+                     ? emitCompensatedSum(builder, loc, values)
+                     : emitSum(builder, loc, values);
   IRMapping identity;
   for (BlockArgument iv : box.ivs())
     identity.map(iv, iv);
@@ -649,11 +650,10 @@ static void widen(LoopBox &box, const Owned &owned) {
 }
 
 /// Replaces the additions of each group by one at the end of the body.
-static void rewrite(LoopBox &box, MutableArrayRef<Group> groups,
-                    bool compensated) {
+static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind) {
   SmallVector<Gathered> all;
   for (Group &group : groups)
-    all.push_back(gather(box, group, compensated));
+    all.push_back(gather(box, group, kind));
   sinkAdditions(box);
   OpBuilder builder(box.body().getTerminator());
   for (Gathered &gathered : all) {
@@ -703,8 +703,8 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
 namespace {
 struct GatherOptions {
   unsigned maxOps;
-  /// Whether sums keep twice their digits, and whether those of f64 can.
-  bool compensated, pairSums;
+  /// Whether a sum of f64 can keep its rounding errors beside it.
+  bool pairSums;
 };
 } // namespace
 
@@ -725,7 +725,8 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     FieldOp field =
         lookupField(atomics.front(), atomics.front().getFieldAttr());
     Type number = getElementTypeOrSelf(atomics.front().getValue().getType());
-    if (options.compensated && number.isF64() && !options.pairSums)
+    TermSum kind = planGatheredSum(box.loop, number, options.pairSums);
+    if (kind == TermSum::Unavailable)
       continue;
     SmallVector<Group> groups =
         getGroups(field, box, atomics, owned, options.maxOps);
@@ -739,7 +740,7 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     if (!owned && (wanted.lower != box.lower || wanted.upper != box.upper))
       widen(box, wanted);
     owned = wanted;
-    rewrite(box, groups, options.compensated);
+    rewrite(box, groups, kind);
     changed = true;
   }
   if (changed && succeeded(visited))
@@ -776,7 +777,7 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
       if (!box || loop.getInductionVars().empty() || loop.getInOrder() ||
           checksIndices(loop))
         continue;
-      GatherOptions options{maxOps, Modes::of(loop).isCompensated(), pairSums};
+      GatherOptions options{maxOps, pairSums};
       if (failed(getSparseLoopField(loop)))
         gatherLoop(*box, options);
       else if (keepsActivity(loop) && !loop->getParentOfType<ParallelForOp>())

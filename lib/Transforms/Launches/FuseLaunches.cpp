@@ -21,6 +21,7 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/LoopBox.h"
+#include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Modes.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
@@ -141,13 +142,13 @@ static bool isSum(Operation *access) {
 /// True if iterations of the first loop and other iterations of the second one
 /// never meet by these accesses, or may meet in any order.
 static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
-                           Operation *b, bool deterministic) {
+                           Operation *b) {
   if (getStorageKey(a) != getStorageKey(b) ||
       (isa<LoadOp>(a) && isa<LoadOp>(b)))
     return true;
   if (isSum(a) && isSum(b)) {
     Type type = getElementTypeOrSelf(cast<AtomicOp>(a).getValue().getType());
-    if (!deterministic || !isa<FloatType>(type))
+    if (!isa<FloatType>(type) || !hasFixedBits(a))
       return true;
   }
   ValueRange ivs = second.box.loop.getInductionVars();
@@ -173,7 +174,7 @@ static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
   return running.empty() || isInjectiveOver(common, running);
 }
 
-static bool canFuse(Candidate &first, Candidate &second, bool deterministic) {
+static bool canFuse(Candidate &first, Candidate &second) {
   if (first.box.lower != second.box.lower ||
       first.box.upper != second.box.upper ||
       first.box.loop.getBlockDim() != second.box.loop.getBlockDim() ||
@@ -181,7 +182,7 @@ static bool canFuse(Candidate &first, Candidate &second, bool deterministic) {
     return false;
   for (Operation *a : first.accesses)
     for (Operation *b : second.accesses)
-      if (!areIndependent(first, a, second, b, deterministic))
+      if (!areIndependent(first, a, second, b))
         return false;
   return true;
 }
@@ -357,7 +358,7 @@ struct FuseLaunches : tai::impl::FuseLaunchesBase<FuseLaunches> {
       std::optional<Candidate> next = getCandidate(launch, symbols);
       if (!last || !next ||
           last->accesses.size() + next->accesses.size() > size_t(maxAccesses) ||
-          !canFuse(*last, *next, deterministic)) {
+          !canFuse(*last, *next)) {
         last = std::move(next);
         continue;
       }

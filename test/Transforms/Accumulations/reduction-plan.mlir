@@ -1,7 +1,7 @@
 // RUN: tai-opt %s --tai-relax-atomics | FileCheck %s --check-prefixes=CHECK,FREE
-// RUN: tai-opt %s --tai-relax-atomics=deterministic=true | FileCheck %s --check-prefixes=CHECK,DET
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics | FileCheck %s --check-prefixes=CHECK,DET
 // RUN: tai-opt %s --tai-relax-atomics=on-device=true | FileCheck %s --check-prefix=GPU
-// RUN: tai-opt %s --tai-relax-atomics="on-device=true deterministic=true" | FileCheck %s --check-prefix=GPUDET
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics=on-device=true | FileCheck %s --check-prefix=GPUDET
 // RUN: tai-opt %s --tai-relax-atomics --remark-format=emitRemark --remarks-filter=tai-reductions -o /dev/null 2>&1 | FileCheck %s --check-prefix=REMARK
 
 // The digits, the order and the blocks of sums, by mode and target.

@@ -1,5 +1,5 @@
 // RUN: tai-opt %s --tai-relax-atomics | FileCheck %s --check-prefixes=CHECK,FREE
-// RUN: tai-opt %s --tai-relax-atomics=deterministic=true | FileCheck %s --check-prefixes=CHECK,DET
+// RUN: tai-opt %s --tai-fix-sum-order --tai-relax-atomics | FileCheck %s --check-prefixes=CHECK,DET
 
 tai.tree @t : !tai.root<dense<[i: 100000], {x: f32}>, dense<[i: 100000], {y: f32}>,
                         dense<[i: 16], dense<[j: 100, k: 100], {grid: f32}>>,

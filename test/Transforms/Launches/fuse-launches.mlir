@@ -1,5 +1,5 @@
 // RUN: tai-opt %s --tai-fuse-launches --canonicalize --split-input-file | FileCheck %s
-// RUN: tai-opt %s --tai-fuse-launches=deterministic=true --canonicalize --split-input-file | FileCheck %s --check-prefix=DET
+// RUN: tai-opt %s --tai-fix-sum-order --tai-fuse-launches --canonicalize --split-input-file | FileCheck %s --check-prefix=DET
 // RUN: tai-opt %s --tai-fuse-launches=max-accesses=3 --canonicalize --split-input-file | FileCheck %s --check-prefix=SMALL
 // RUN: tai-opt %s --tai-to-llvm --split-input-file | FileCheck %s --check-prefix=PIPELINE
 // RUN: tai-opt %s --tai-to-llvm=fuse-launches=false --split-input-file | FileCheck %s --check-prefix=OFF

@@ -30,6 +30,7 @@ def test_there_is_an_example_of_each():
         "A kind of layout level",
         "An option of a context",
         "An entry point of the runtime",
+        "A form of a reduction",
         "A pass",
     ]
 
@@ -81,6 +82,7 @@ def compile_changed(folder: Path, like: str, *how: str) -> None:
         ("The derivative of a scalar op", "lib/AD/Rules/ScalarRules.cpp"),
         ("A kind of layout level", "lib/AD/Rules/ScalarRules.cpp"),
         ("An entry point of the runtime", "lib/Runtime/Launch/Abi.cpp"),
+        ("A form of a reduction", "lib/Conversion/TaiToHost/Reductions/RegisterTotal.cpp"),
     ],
 )
 def test_the_changed_sources_compile(title, like, tmp_path):

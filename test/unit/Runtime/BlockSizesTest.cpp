@@ -138,7 +138,7 @@ TEST_F(BlockSizes, OfLoopsComeBeforeTheUsualOne) {
 
 TEST_F(BlockSizes, AreThereInDeterministicMode) {
   Program program({64, 0});
-  program.runtime.setDeterministic(true);
+  program.runtime.setTriesBlocks(false);
   EXPECT_EQ(program.launch(kLarge, 0).second, 64);
   EXPECT_EQ(program.launch(kLarge, 1).second, 256);
 }
@@ -224,7 +224,7 @@ TEST_F(BlockSizes, AreNotKeptWithoutTrials) {
     return last;
   };
   auto nothing = [](Runtime &) {};
-  EXPECT_EQ(run([](Runtime &r) { r.setDeterministic(true); }), 256);
+  EXPECT_EQ(run([](Runtime &r) { r.setTriesBlocks(false); }), 256);
   EXPECT_EQ(run([](Runtime &r) { r.setBlockThreads(128); }), 128);
   EXPECT_EQ(run(nothing, "key", {64}), 64);
   // Without a cache the compiler knows no key, and the trials are this

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "RuntimeTestUtils.h"
+#include "tai/ABI/SumModes.h"
 #include "tai/Support/Philox.h"
 #include <chrono>
 #include <cmath>
@@ -420,17 +421,18 @@ TEST(RuntimeLoop, MeasuresWhatEstimatesLeaveOpen) {
   EXPECT_LT(known, 20);
 }
 
-TEST(RuntimeLoop, DeterministicPartsIgnoreTheThreads) {
+TEST(RuntimeLoop, FixedPartsIgnoreTheThreads) {
   std::set<std::vector<int64_t>> answers;
+  static std::vector<int64_t> parts;
   for (int threads : {1, 2, 5, 64}) {
-    Options options;
-    options.threads = threads;
-    options.deterministic = true;
-    Runtime runtime(options);
-    std::vector<int64_t> parts;
-    for (int64_t n : {1, 10, 1000, 100000, 10000000})
-      for (int64_t cost : {1, 7, 500})
-        parts.push_back(runtime.partition(n, cost, true));
+    Runtime runtime(withThreads(threads));
+    parts.clear();
+    EXPECT_OK(launchOnce(runtime, [](TaiFrame *frame) {
+      for (int64_t n : {1, 10, 1000, 100000, 10000000})
+        for (int64_t cost : {1, 7, 500})
+          parts.push_back(tai_rt_parts(frame, n, cost, kPartsFixed));
+      return 0;
+    }));
     answers.insert(parts);
   }
   EXPECT_EQ(answers.size(), 1u);

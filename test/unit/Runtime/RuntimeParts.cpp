@@ -109,16 +109,6 @@ TEST(Workers, RunEachPartOnce) {
   }
 }
 
-TEST(Workers, PartsOfDeterministicSumsAreThoseOfTheLoop) {
-  Workers two(2, /*deterministic=*/true), seven(7, /*deterministic=*/true);
-  for (int64_t n : {1, 100, 65537, 10000000})
-    EXPECT_EQ(two.partition(n, 3, /*reduces=*/true),
-              seven.partition(n, 3, /*reduces=*/true))
-        << n;
-  two.setDeterministic(false);
-  EXPECT_EQ(two.partition(10000000, 3, /*reduces=*/true), 2);
-}
-
 TEST(Printer, GivesWholeLinesToItsSink) {
   Printer printer;
   std::string text;

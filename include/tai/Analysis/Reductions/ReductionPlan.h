@@ -49,11 +49,22 @@ struct ReductionPlan {
   void apply(ParallelForOp loop) const;
 };
 
+/// Whether the results of the kernel or function that `op` is, or is in, may
+/// not depend on the number of threads, nor on timing.
+bool hasFixedBits(Operation *op);
+
+/// How a kernel adds up several terms of one iteration.
+enum class TermSum { Plain, Compensated, Unavailable };
+
+/// The sum that a gather of terms of type `scalar` in `loop` makes. `pairs`:
+/// the target can keep a sum of f64 with its rounding errors.
+TermSum planGatheredSum(ParallelForOp loop, Type scalar, bool pairs);
+
 /// Plans a loop from which invariant code has been moved: such indices tell
 /// which part of a field is updated. `onDevice`: for a GPU. Fails after an
 /// error at a sum for which the kernel asks for digits that it cannot have.
 FailureOr<ReductionPlan> planReductions(ParallelForOp loop, FieldTable &fields,
-                                        bool deterministic, bool onDevice);
+                                        bool onDevice);
 
 } // namespace mlir::tai
 

@@ -62,8 +62,6 @@ struct LoopLevel {
 struct ZeroAdjoints {
   FieldPtr loop;
   std::vector<FieldPtr> sources;
-  /// It adds to elements that are not below a sparse level.
-  bool sumsUp = false;
 };
 
 /// An end of a float data flow in a kernel: a field, an array argument, or,

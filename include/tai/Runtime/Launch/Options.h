@@ -26,8 +26,9 @@ struct Instruments {
 struct Options {
   /// Worker threads; 0 = as many as the process may use.
   int threads = 0;
-  /// Partitions of reductions do not depend on the number of threads.
-  bool deterministic = false;
+  /// Whether a device may time several sizes of blocks, which changes the bits
+  /// of sums.
+  bool triesBlocks = true;
   Instruments instruments;
   uint64_t seed = 0;
   /// Maximum of bytes for trees and scratch memory; 0 = the memory of the

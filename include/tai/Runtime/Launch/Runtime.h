@@ -39,8 +39,7 @@ struct Counters {
 class Runtime final : public ::TaiRuntime {
 public:
   explicit Runtime(Options options = {})
-      : opts(options), workerThreads(opts.threads, opts.deterministic),
-        account(opts.memoryLimit),
+      : opts(options), workerThreads(opts.threads), account(opts.memoryLimit),
         trees(account, state, {workerThreads, opts.skips, skipCounts}),
         deviceHost({printer, account, opts.skips, skipCounts}),
         tapes(state, trees), fieldCopies(workerThreads, deviceHost),
@@ -85,10 +84,7 @@ public:
     opts.threads = threads;
     workerThreads.setThreads(threads);
   }
-  void setDeterministic(bool on) {
-    opts.deterministic = on;
-    workerThreads.setDeterministic(on);
-  }
+  void setTriesBlocks(bool on) { opts.triesBlocks = on; }
   void setDebug(bool on) { opts.instruments.debug = on; }
   /// Fails if the address space for shadows cannot be reserved.
   Status setShadow(bool on) {

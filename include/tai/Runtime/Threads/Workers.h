@@ -27,16 +27,13 @@ class WorkerPool;
 class Workers {
 public:
   /// 0 for as many threads as the process may use.
-  explicit Workers(int threads = 0, bool deterministic = false);
+  explicit Workers(int threads = 0);
   ~Workers();
   Workers(const Workers &) = delete;
   Workers &operator=(const Workers &) = delete;
 
   int threads() const { return numThreads; }
   void setThreads(int threads);
-  /// Partitions of reductions do not depend on the number of threads.
-  bool isDeterministic() const { return deterministic; }
-  void setDeterministic(bool on) { deterministic = on; }
 
   /// The number of partitions of a loop of `n` iterations of `cost` nanoseconds
   /// each, estimated by the compiler or measured.
@@ -68,7 +65,6 @@ private:
   void leaveParent();
 
   int numThreads;
-  bool deterministic;
   std::unique_ptr<ForkGuard> forkGuard;
   std::unique_ptr<WorkerPool> pool;
   std::mutex mutex;

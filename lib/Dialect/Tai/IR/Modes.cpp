@@ -38,6 +38,7 @@ static constexpr Word<SumsMode> kSums[] = {
     {"default", SumsMode::Default},
     {"compensated", SumsMode::Compensated},
     {"deterministic", SumsMode::Deterministic},
+    {"compensated+deterministic", SumsMode::Both},
 };
 static constexpr Word<MathMode> kMath[] = {
     {"default", MathMode::Default},
@@ -226,8 +227,11 @@ void Modes::setOn(Operation *function) const {
     kernel.setModesAttr(builder.getDictionaryAttr(entries));
 }
 
-bool Modes::isDeterministic(bool otherwise) const {
-  if (!sums || sums == SumsMode::Compensated)
-    return otherwise;
-  return sums == SumsMode::Deterministic;
+Modes Modes::inDeterministicContext() const {
+  Modes result = *this;
+  if (!sums)
+    result.sums = SumsMode::Deterministic;
+  else if (sums == SumsMode::Compensated)
+    result.sums = SumsMode::Both;
+  return result;
 }

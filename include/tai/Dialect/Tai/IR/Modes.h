@@ -10,6 +10,7 @@
 //   precision = "f64" or "f32"       the type of arithmetic, whatever fields
 //   hold sums = "compensated"             sums are kept with twice the digits
 //          "deterministic"           bits do not depend on threads
+//          "compensated+deterministic"   both: of a deterministic context
 //   math = "fast", "strict" or "accurate"
 //   ftz = true                       denormal numbers are zero
 //
@@ -35,7 +36,7 @@ namespace mlir::tai {
 enum class Precision { Default, F64, F32 };
 
 /// How sums over iterations, and scatters, are kept.
-enum class SumsMode { Default, Compensated, Deterministic };
+enum class SumsMode { Default, Compensated, Deterministic, Both };
 
 /// The transformations allowed for arithmetic and elementary functions.
 enum class MathMode { Default, Fast, Strict, Accurate };
@@ -49,14 +50,19 @@ struct Modes {
   /// The modes of the kernel or function that `op` is or is in.
   static Modes of(Operation *op);
 
-  /// Whether the kernel is deterministic; `otherwise` is the context's setting.
-  bool isDeterministic(bool otherwise) const;
-  bool isCompensated() const { return sums == SumsMode::Compensated; }
-  /// Whether its sums have the order that all targets share, in a context that
-  /// is deterministic or not: see docs/decisions/0039-bits.md.
-  bool hasOneOrder(bool deterministic) const {
-    return math == MathMode::Strict && !isCompensated() &&
-           isDeterministic(deterministic);
+  /// The modes of the kernel in a deterministic context.
+  Modes inDeterministicContext() const;
+
+  bool isDeterministic() const {
+    return sums == SumsMode::Deterministic || sums == SumsMode::Both;
+  }
+  bool isCompensated() const {
+    return sums == SumsMode::Compensated || sums == SumsMode::Both;
+  }
+  /// Whether its sums have the order that all targets share: see
+  /// docs/decisions/0039-bits.md.
+  bool hasOneOrder() const {
+    return math == MathMode::Strict && !isCompensated() && isDeterministic();
   }
   bool isAccurate() const { return math == MathMode::Accurate; }
   bool flushes() const { return ftz.value_or(false); }

@@ -11,10 +11,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_CONVERSION_TAITOGPU_SCATTERBUFFERS_H
-#define TAI_LIB_CONVERSION_TAITOGPU_SCATTERBUFFERS_H
+#ifndef TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SCATTERBUFFERS_H
+#define TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SCATTERBUFFERS_H
 
-#include "Offload.h"
+#include "../Offload.h"
 #include "tai/Analysis/Reductions/Accumulation.h"
 
 namespace mlir::tai {
@@ -60,4 +60,4 @@ void emitRoundedAddition(OpBuilder &builder, Location loc, Type scalar,
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_CONVERSION_TAITOGPU_SCATTERBUFFERS_H
+#endif // TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SCATTERBUFFERS_H

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_CONVERSION_TAITOGPU_SUMS_H
-#define TAI_LIB_CONVERSION_TAITOGPU_SUMS_H
+#ifndef TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SUMS_H
+#define TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SUMS_H
 
-#include "Offload.h"
+#include "../Offload.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 
 namespace mlir::tai {
@@ -45,4 +45,4 @@ void emitSumEnd(OpBuilder &builder, Location loc, Sum &sum,
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_CONVERSION_TAITOGPU_SUMS_H
+#endif // TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_SUMS_H

@@ -1,11 +1,19 @@
-//===- PairSums.cpp - Sums of f64 with twice the digits -------------------===//
+//===- PairTotal.cpp - Sums of f64 with twice the digits ------------------===//
 //
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
+//
+// LLVM must not reorder compensated sums, and does not vectorise a loop that
+// forms one. So the loop over iterations stores its terms, which LLVM
+// vectorises, and after each block of iterations the terms are summed in lanes.
+//
+//===----------------------------------------------------------------------===//
 
+#include "../Lowering.h"
 #include "PairSums.h"
+#include "TotalForm.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "tai/Transforms/Utils/FieldAddress.h"
 #include "tai/Transforms/Utils/IndexMath.h"
@@ -64,6 +72,59 @@ static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x,
                      LLVM::FSubOp::create(builder, loc, x, taken));
   return {sum, LLVM::FAddOp::create(builder, loc, pair.rest, lost)};
 }
+
+namespace {
+/// A pair for each vector lane, and the terms of a block of iterations.
+class PairLanes {
+public:
+  /// At the entry of a function, for `updates` updates in each of the `block`
+  /// iterations of a block.
+  PairLanes(OpBuilder &builder, Location loc, size_t updates, int64_t block);
+
+  /// At update number `update`, in the innermost loop: stores its term. Must
+  /// run in every iteration; the term of a skipped update is zero.
+  void emitTerm(OpBuilder &builder, Location loc, size_t update,
+                scf::ForOp loop, Value term);
+  /// After that loop: sums its terms.
+  void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
+  /// The sum over all lanes.
+  Pair emitTotal(OpBuilder &builder, Location loc);
+
+private:
+  static constexpr int64_t kLanes = 8;
+  static constexpr int64_t kVectors = 2;
+
+  VectorType type;
+  /// The buffer of terms of each update.
+  SmallVector<Value> terms;
+  SmallVector<Value> sums, rests;
+};
+
+class PairTotal final : public TotalForm {
+public:
+  explicit PairTotal(const TotalUpdates &sum)
+      : TotalForm(sum), type(Float64Type::get(sum.termType.getContext())) {}
+
+  bool storesTerms() const override { return getBlockLength() != 0; }
+  unsigned getNumSlots() const override { return 2; }
+  void emitEntry(OpBuilder &builder, Location loc) override;
+  void emitTerm(OpBuilder &builder, Location loc, size_t number,
+                AtomicKind update, Value term, Place place) override;
+  void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop) override;
+  SmallVector<Value> emitPartial(OpBuilder &builder, Location loc) override;
+  SmallVector<Value> emitNone(OpBuilder &builder, Location loc) override;
+  SmallVector<Value> emitCombined(OpBuilder &builder, Location loc,
+                                  ValueRange sums, ValueRange partial) override;
+  void emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
+                  Value address, AliasScopes scopes) override;
+
+private:
+  Type type;
+  /// The sum, and the sum of its rounding errors.
+  Value slot, rest;
+  std::optional<PairLanes> lanes;
+};
+} // namespace
 
 /// Memory for so many vectors, at the entry of the function.
 static Value emitRoom(OpBuilder &builder, Location loc, VectorType type,
@@ -161,4 +222,67 @@ Pair PairLanes::emitTotal(OpBuilder &builder, Location loc) {
     }
   }
   return total;
+}
+
+void PairTotal::emitEntry(OpBuilder &builder, Location loc) {
+  Value none = emitNone(builder, loc).front();
+  for (Value *number : {&slot, &rest}) {
+    *number = emitStackSlots(builder, loc, 1);
+    emitSlotStore(builder, loc, none, *number);
+  }
+  if (storesTerms())
+    lanes.emplace(builder, loc, sum.count, getBlockLength());
+}
+
+void PairTotal::emitTerm(OpBuilder &builder, Location loc, size_t number,
+                         AtomicKind update, Value term, Place place) {
+  term = emitWidened(builder, loc, term, type);
+  if (update == AtomicKind::Sub)
+    term = LLVM::FNegOp::create(builder, loc, term);
+  if (lanes)
+    return lanes->emitTerm(builder, loc, number, place.loop, term);
+  Pair pair = {emitSlotLoad(builder, loc, type, slot),
+               emitSlotLoad(builder, loc, type, rest)};
+  pair = emitPairSum(builder, loc, pair, term);
+  emitSlotStore(builder, loc, pair.sum, slot);
+  emitSlotStore(builder, loc, pair.rest, rest);
+}
+
+void PairTotal::emitBlockEnd(OpBuilder &builder, Location loc,
+                             scf::ForOp loop) {
+  if (lanes)
+    lanes->emitBlockEnd(builder, loc, loop);
+}
+
+SmallVector<Value> PairTotal::emitPartial(OpBuilder &builder, Location loc) {
+  if (!lanes)
+    return {emitSlotLoad(builder, loc, type, slot),
+            emitSlotLoad(builder, loc, type, rest)};
+  Pair total = lanes->emitTotal(builder, loc);
+  return {total.sum, total.rest};
+}
+
+SmallVector<Value> PairTotal::emitNone(OpBuilder &builder, Location loc) {
+  Value none =
+      arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, type));
+  return {none, none};
+}
+
+SmallVector<Value> PairTotal::emitCombined(OpBuilder &builder, Location loc,
+                                           ValueRange sums,
+                                           ValueRange partial) {
+  Pair pair = emitPairSum(builder, loc, {sums[0], sums[1]}, partial[0]);
+  return {pair.sum, LLVM::FAddOp::create(builder, loc, pair.rest, partial[1])};
+}
+
+void PairTotal::emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
+                           Value address, AliasScopes scopes) {
+  // Rounds once.
+  Value old = emitLoad(builder, loc, sum.termType, address, scopes);
+  Pair next = emitPairSum(builder, loc, {total[0], total[1]}, old);
+  emitStore(builder, loc, emitRounded(builder, loc, next), address, scopes);
+}
+
+std::unique_ptr<TotalForm> tai::createPairTotal(const TotalUpdates &sum) {
+  return std::make_unique<PairTotal>(sum);
 }

@@ -11,12 +11,12 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
-#define TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
+#ifndef TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_ACCUMULATORS_H
+#define TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_ACCUMULATORS_H
 
-#include "LaneSums.h"
-#include "Lowering.h"
-#include "PairSums.h"
+#include "../Lowering.h"
+#include "BufferSums.h"
+#include "TotalForm.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 #include <optional>
 #include <vector>
@@ -59,10 +59,7 @@ public:
   void emitChunkStart(OpBuilder &builder, Location loc);
   void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk);
   /// Iteration i of `loop` belongs to lane i - `base` of these sums.
-  void setLanes(scf::ForOp loop, Value base) {
-    innermost = loop;
-    laneBase = base;
-  }
+  void setLanes(scf::ForOp loop, Value base) { innermost = {loop, base}; }
 
   /// In the kernel, after the loop: adds the partial sums to the fields.
   void emitAfter(OpBuilder &builder, Location loc, Value frame, Value parts);
@@ -70,85 +67,31 @@ public:
   void emitAfterChunks(OpBuilder &builder, Location loc, Value chunks);
 
 private:
-  /// A sum of one component in a register.
+  /// A sum of one component, in one of the forms.
   struct Register {
-    /// `field` is null for a sum in an array of the kernel.
     Register(const FieldInfo *field, Total updates);
 
+    /// Null for a sum in an array of the kernel.
     const FieldInfo *field;
     Total updates;
-    ReductionAttr reduction;
-    AtomicKind kind; // how partial sums are combined
-    /// The type of the terms, of the sum over a block, and of the totals over
-    /// blocks and partitions.
-    Type termType, type, totalType;
+    std::unique_ptr<TotalForm> form;
     // In the kernel: the place in a field, or the address in an array. The
     // operands of the updates change when their loop becomes a function.
     SmallVector<Value> indices, components;
     Value address;
-    // In the outlined function: the sum of the block, the total of earlier
-    // blocks, and the rounding error of a pair.
-    Value slot, total, rest;
-    /// For blocks of terms.
-    std::optional<PairLanes> lanes;
-    /// For sums in the order of all targets.
-    std::optional<LaneSum> ordered;
-
-    bool isPair() const { return reduction.getDigits() == SumDigits::Pair; }
-    bool isBlocked() const { return reduction.getBlock() != 0 && !isPair(); }
-    bool storesTerms() const { return reduction.getBlock() != 0 && isPair(); }
-  };
-  /// Sums of a part of a field in a buffer.
-  struct Buffer {
-    AccumulationGroup group;
-    FieldSlice slice;
-    double updatesPerIteration = 0;
-    /// For `Wide` and `Pair` every partition has a buffer.
-    SumDigits digits = SumDigits::Own;
-    // In the kernel:
-    Value target, memory, partStride, cellStride;
-    // In the function of the loop:
-    Value base;
-
-    int64_t numElements() const {
-      return slice.numCells * group.field->numComponents;
-    }
-    /// Bytes of a number in the buffer.
-    int64_t scalarSize() const {
-      switch (digits) {
-      case SumDigits::Own:
-        return group.field->scalarSize;
-      case SumDigits::Wide:
-        return sizeof(double);
-      case SumDigits::Pair:
-        return 2 * sizeof(double);
-      }
-      llvm_unreachable("unknown digits");
-    }
-    /// Whether every partition has a buffer, so that none updates the field
-    /// itself.
-    bool isApart() const { return digits != SumDigits::Own; }
-    bool isPair() const { return digits == SumDigits::Pair; }
-    int64_t compactStride() const {
-      return group.field->numComponents * group.field->scalarSize;
-    }
-    bool isContiguous() const { return slice.cellStride == compactStride(); }
   };
 
   explicit Accumulators(ModuleLowering &lowering) : lowering(&lowering) {}
-  Value emitTarget(OpBuilder &builder, Location loc, const Buffer &buffer);
-  void emitBlockSums(OpBuilder &builder, Location loc);
   void emitTotal(OpBuilder &builder, Location loc, const Register &sum,
-                 Pair total);
+                 ValueRange total);
   int64_t getPartialSlot(size_t i) const;
   int64_t getPartialBytes() const;
 
   ModuleLowering *lowering;
   std::vector<Register> registers;
-  std::vector<Buffer> buffers;
-  /// The innermost loop, in the function, and its iteration of the first lane.
-  scf::ForOp innermost;
-  Value laneBase;
+  std::vector<BufferSums> buffers;
+  /// The innermost loop, in the function.
+  TotalForm::Place innermost;
   /// Memory for the register sums of all partitions, in the kernel.
   Value partials;
   Value insidePartials;
@@ -159,4 +102,4 @@ LogicalResult lowerNonAtomic(AtomicOp atomic, FieldTable &fields);
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_CONVERSION_TAITOHOST_ACCUMULATORS_H
+#endif // TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_ACCUMULATORS_H

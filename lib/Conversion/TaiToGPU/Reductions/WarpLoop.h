@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_LIB_CONVERSION_TAITOGPU_WARPLOOP_H
-#define TAI_LIB_CONVERSION_TAITOGPU_WARPLOOP_H
+#ifndef TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_WARPLOOP_H
+#define TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_WARPLOOP_H
 
 #include "Sums.h"
 
@@ -58,4 +58,4 @@ void storeParts(OpBuilder &builder, Location loc, Sum &sum, Value thread,
 
 } // namespace mlir::tai
 
-#endif // TAI_LIB_CONVERSION_TAITOGPU_WARPLOOP_H
+#endif // TAI_LIB_CONVERSION_TAITOGPU_REDUCTIONS_WARPLOOP_H

@@ -1,0 +1,70 @@
+//===- BufferSums.h - Sums of a part of a field -----------------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Each partition has a copy of the updated part of the field, in the digits
+// that the plan chose, and the runtime adds the copies to the field. A sum in
+// the field's own digits that has a single partition goes to the field itself.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_BUFFERSUMS_H
+#define TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_BUFFERSUMS_H
+
+#include "../Lowering.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
+
+namespace mlir::tai {
+
+class BufferSums {
+public:
+  /// Fails after an error at a part that is not evenly spaced in memory.
+  static FailureOr<BufferSums> create(AccumulationGroup group,
+                                      ParallelForOp loop);
+
+  double getUpdatesPerIteration() const { return updatesPerIteration; }
+  int64_t getNumElements() const {
+    return slice.numCells * group.field->numComponents;
+  }
+
+  /// In the kernel, before the loop. `single`: there is one partition.
+  void emitBefore(OpBuilder &builder, Location loc, ModuleLowering &lowering,
+                  Value frame, Value parts, Value single);
+  /// In the function of the loop: at its entry, and in place of the updates.
+  void emitEntry(OpBuilder &builder, Location loc, Value part);
+  void rewriteUpdates(ModuleLowering &lowering);
+  /// In the kernel, after the loop: `whereSeveral` is a place that only several
+  /// partitions reach.
+  void emitAfter(OpBuilder &builder, OpBuilder &whereSeveral, Location loc,
+                 ModuleLowering &lowering, Value frame, Value parts);
+
+private:
+  BufferSums(AccumulationGroup group, FieldSlice slice)
+      : group(std::move(group)), slice(std::move(slice)) {}
+  int64_t getScalarBytes() const;
+  /// Whether every partition has a buffer, so that none updates the field
+  /// itself.
+  bool isApart() const { return digits != SumDigits::Own; }
+  int64_t getCompactStride() const {
+    return group.field->numComponents * group.field->scalarSize;
+  }
+  bool isContiguous() const { return slice.cellStride == getCompactStride(); }
+  Value emitTarget(OpBuilder &builder, Location loc);
+  int32_t getCombineKind() const;
+
+  AccumulationGroup group;
+  FieldSlice slice;
+  double updatesPerIteration = 0;
+  SumDigits digits = SumDigits::Own;
+  // In the kernel:
+  Value target, memory, partStride, cellStride;
+  // In the function of the loop:
+  Value base;
+};
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_BUFFERSUMS_H

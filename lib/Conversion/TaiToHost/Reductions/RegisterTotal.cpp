@@ -1,0 +1,158 @@
+//===- RegisterTotal.cpp - A sum in a register ----------------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A register in the type of the terms, or in f64 (`wide`). A sum of n numbers
+// one after another is off by about n roundings; in blocks of m it is off by
+// the square root of m n of them, and adding the blocks up in f64 costs
+// nothing.
+//
+//===----------------------------------------------------------------------===//
+
+#include "../Lowering.h"
+#include "TotalForm.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "tai/Transforms/Utils/Accumulate.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// The type of partial sums: f32 for 16-bit floats, since those stop growing at
+/// 2048 of their terms; f64 for sums with more digits.
+static Type getSumType(const TotalUpdates &sum) {
+  Type type = sum.termType;
+  if (!isa<FloatType>(type) || sum.kind != AtomicKind::Add)
+    return type;
+  if (sum.reduction.getDigits() != SumDigits::Own)
+    return Float64Type::get(type.getContext());
+  bool isNarrow = isa<Float16Type, BFloat16Type>(type);
+  return isNarrow ? Float32Type::get(type.getContext()) : type;
+}
+
+/// a (kind) b, in an op to which no float options are added: its order is part
+/// of the result in every mode.
+static Value emitInOrder(OpBuilder &builder, Location loc, AtomicKind kind,
+                         Value a, Value b) {
+  if (isa<FloatType>(a.getType()))
+    switch (kind) {
+    case AtomicKind::Add:
+      return LLVM::FAddOp::create(builder, loc, a, b);
+    case AtomicKind::Mul:
+      return LLVM::FMulOp::create(builder, loc, a, b);
+    case AtomicKind::Min:
+      return LLVM::MinimumOp::create(builder, loc, a, b);
+    case AtomicKind::Max:
+      return LLVM::MaximumOp::create(builder, loc, a, b);
+    default:
+      break;
+    }
+  return emitCombination(builder, loc, kind, a, b);
+}
+
+namespace {
+class RegisterTotal final : public TotalForm {
+public:
+  explicit RegisterTotal(const TotalUpdates &sum)
+      : TotalForm(sum), type(getSumType(sum)),
+        totalType(isBlocked() ? Float64Type::get(type.getContext()) : type) {}
+
+  void emitEntry(OpBuilder &builder, Location loc) override;
+  void emitTerm(OpBuilder &builder, Location loc, size_t number,
+                AtomicKind update, Value term, Place place) override;
+  void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop) override;
+  SmallVector<Value> emitPartial(OpBuilder &builder, Location loc) override;
+  SmallVector<Value> emitNone(OpBuilder &builder, Location loc) override;
+  SmallVector<Value> emitCombined(OpBuilder &builder, Location loc,
+                                  ValueRange sums, ValueRange partial) override;
+  void emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
+                  Value address, AliasScopes scopes) override;
+
+private:
+  bool isBlocked() const { return getBlockLength() != 0; }
+  Value emitIdentity(OpBuilder &builder, Location loc, Type of) {
+    return arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, of));
+  }
+
+  /// Of the sum over a block, and of the totals over blocks and partitions.
+  Type type, totalType;
+  /// The sum of the block, and the total of earlier blocks.
+  Value slot, total;
+};
+} // namespace
+
+void RegisterTotal::emitEntry(OpBuilder &builder, Location loc) {
+  slot = emitStackSlots(builder, loc, 1);
+  emitSlotStore(builder, loc, emitIdentity(builder, loc, type), slot);
+  if (!isBlocked())
+    return;
+  total = emitStackSlots(builder, loc, 1);
+  emitSlotStore(builder, loc, emitIdentity(builder, loc, totalType), total);
+}
+
+void RegisterTotal::emitTerm(OpBuilder &builder, Location loc, size_t number,
+                             AtomicKind update, Value term, Place place) {
+  Value old = emitSlotLoad(builder, loc, type, slot);
+  term = emitWidened(builder, loc, term, type);
+  Value next = emitCombination(builder, loc, update, old, term);
+  // The order of a sum over iterations is ours to choose; LLVM needs to know to
+  // vectorise it.
+  if (sum.reduction.getOrder() == ReductionOrder::Any &&
+      isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
+    next.getDefiningOp()->setAttr(
+        "fastmath",
+        arith::FastMathFlagsAttr::get(builder.getContext(),
+                                      arith::FastMathFlags::reassoc |
+                                          arith::FastMathFlags::contract));
+  emitSlotStore(builder, loc, next, slot);
+}
+
+void RegisterTotal::emitBlockEnd(OpBuilder &builder, Location loc,
+                                 scf::ForOp loop) {
+  if (!isBlocked())
+    return;
+  Value block = emitWidened(builder, loc,
+                            emitSlotLoad(builder, loc, type, slot), totalType);
+  Value before = emitSlotLoad(builder, loc, totalType, total);
+  emitSlotStore(builder, loc,
+                arith::AddFOp::create(builder, loc, before, block), total);
+  emitSlotStore(builder, loc, emitIdentity(builder, loc, type), slot);
+}
+
+SmallVector<Value> RegisterTotal::emitPartial(OpBuilder &builder,
+                                              Location loc) {
+  emitBlockEnd(builder, loc, {});
+  return {emitSlotLoad(builder, loc, totalType, isBlocked() ? total : slot)};
+}
+
+SmallVector<Value> RegisterTotal::emitNone(OpBuilder &builder, Location loc) {
+  return {emitIdentity(builder, loc, totalType)};
+}
+
+SmallVector<Value> RegisterTotal::emitCombined(OpBuilder &builder, Location loc,
+                                               ValueRange sums,
+                                               ValueRange partial) {
+  return {emitInOrder(builder, loc, sum.kind, sums.front(), partial.front())};
+}
+
+void RegisterTotal::emitUpdate(OpBuilder &builder, Location loc,
+                               ValueRange total, Value address,
+                               AliasScopes scopes) {
+  Value result = total.front();
+  if (sum.reduction.getDigits() == SumDigits::Own)
+    return void(emitPlainUpdate(
+        builder, loc, sum.kind,
+        emitNarrowed(builder, loc, result, sum.termType), address, scopes));
+  // Rounds once.
+  Value old = emitLoad(builder, loc, sum.termType, address, scopes);
+  Value next = LLVM::FAddOp::create(
+      builder, loc, emitWidened(builder, loc, old, result.getType()), result);
+  emitStore(builder, loc, emitNarrowed(builder, loc, next, sum.termType),
+            address, scopes);
+}
+
+std::unique_ptr<TotalForm> tai::createRegisterTotal(const TotalUpdates &sum) {
+  return std::make_unique<RegisterTotal>(sum);
+}

@@ -1,0 +1,113 @@
+//===- TotalForm.h - Forms of sums over all iterations ----------*- C++ -*-===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// A form says how a partition keeps a sum that all iterations share, and how
+// the kernel combines those of the partitions. Each form is one source here;
+// those with more digits have a row in tai/Analysis/Reductions/Forms.def. A
+// form reads the reduction that the plan wrote to the update, and no mode.
+//
+//===----------------------------------------------------------------------===//
+
+#ifndef TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_TOTALFORM_H
+#define TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_TOTALFORM_H
+
+#include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/Reductions/Accumulation.h"
+#include <memory>
+
+namespace mlir::tai {
+
+/// The updates of one element, and how the loop does them.
+struct TotalUpdates {
+  explicit TotalUpdates(const Total &updates);
+
+  size_t count;
+  ReductionAttr reduction;
+  /// How partial sums are combined.
+  AtomicKind kind;
+  Type termType;
+};
+
+class TotalForm {
+public:
+  /// The form for a sum.
+  static std::unique_ptr<TotalForm> create(const TotalUpdates &sum);
+
+  explicit TotalForm(const TotalUpdates &sum) : sum(sum) {}
+  virtual ~TotalForm() = default;
+
+  /// The maximum number of iterations in a block, or 0. `storesTerms`: that
+  /// limit is strict, in loops over rows, too.
+  int64_t getBlockLength() const { return sum.reduction.getBlock(); }
+  virtual bool storesTerms() const { return false; }
+
+  // In the kernel, before the loop.
+  virtual void emitBefore(OpBuilder &builder, Location loc) {}
+
+  // In the function of the loop: at its entry, at an update, after a block of
+  // iterations of `loop`, and at its end.
+  virtual void emitEntry(OpBuilder &builder, Location loc) = 0;
+  /// The innermost loop, and its iteration of the first lane.
+  struct Place {
+    scf::ForOp loop;
+    Value firstLane;
+  };
+  /// At update `number` of the element, which adds or subtracts, say.
+  virtual void emitTerm(OpBuilder &builder, Location loc, size_t number,
+                        AtomicKind update, Value term, Place place) = 0;
+  virtual void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop) {
+  }
+  /// Returns the numbers that the partition leaves: none for a sum in chunks.
+  virtual SmallVector<Value> emitPartial(OpBuilder &builder, Location loc) {
+    return {};
+  }
+
+  // Around the iterations of a chunk, for a sum in the order of all targets.
+  virtual void emitChunkStart(OpBuilder &builder, Location loc) {}
+  virtual void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk) {}
+
+  // In the kernel, after the loop.
+  /// The numbers of a sum of no terms.
+  virtual SmallVector<Value> emitNone(OpBuilder &builder, Location loc) {
+    return {};
+  }
+  /// The numbers of two partial sums together.
+  virtual SmallVector<Value> emitCombined(OpBuilder &builder, Location loc,
+                                          ValueRange sums, ValueRange partial) {
+    return {};
+  }
+  /// The sum of all chunks.
+  virtual Value emitChunksTotal(OpBuilder &builder, Location loc,
+                                Value chunks) {
+    return {};
+  }
+  /// Adds the sum of all iterations to the element at `address`.
+  virtual void emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
+                          Value address, AliasScopes scopes) = 0;
+
+  /// The number of numbers that a partition leaves.
+  virtual unsigned getNumSlots() const { return 1; }
+
+protected:
+  TotalUpdates sum;
+};
+
+/// A number in a wider type of floats, or as it is.
+Value emitWidened(OpBuilder &builder, Location loc, Value value, Type type);
+/// A sum of such numbers, in the type of the field.
+Value emitNarrowed(OpBuilder &builder, Location loc, Value sum, Type type);
+
+// The forms.
+std::unique_ptr<TotalForm> createLaneTotal(const TotalUpdates &sum);
+std::unique_ptr<TotalForm> createRegisterTotal(const TotalUpdates &sum);
+#define TAI_PRECISE_TOTAL(kind, terms, digits, form)                           \
+  std::unique_ptr<TotalForm> create##form(const TotalUpdates &sum);
+#include "tai/Analysis/Reductions/Forms.def"
+
+} // namespace mlir::tai
+
+#endif // TAI_LIB_CONVERSION_TAITOHOST_REDUCTIONS_TOTALFORM_H
