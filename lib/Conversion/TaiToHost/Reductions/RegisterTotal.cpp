@@ -76,7 +76,8 @@ private:
     return arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, of));
   }
 
-  /// Of the sum over a block, and of the totals over blocks and partitions.
+  /// The type of a sum over a block, and that of the totals over blocks and
+  /// partitions.
   Type type, totalType;
   /// The sum of the block, and the total of earlier blocks.
   Value slot, total;

@@ -5,7 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Chooses the form of a sum by what the plan wrote to its updates.
+// Chooses the form of a sum by the reduction that the plan wrote to its
+// updates.
 //
 //===----------------------------------------------------------------------===//
 
