@@ -14,6 +14,14 @@
 
 using namespace mlir;
 
+/// The options of a pass that looks at the kernels to be differentiated.
+template <typename Options>
+static Options getKernelsOf(const tai::AutodiffOptions &options) {
+  Options result;
+  result.kernels.assign(options.kernels.begin(), options.kernels.end());
+  return result;
+}
+
 void tai::buildAutodiffPasses(OpPassManager &pm,
                               const AutodiffOptions &options) {
   pm.addPass(createExpandGradients());
@@ -28,32 +36,22 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
     // One value for each index, so that equal elements are seen to be equal.
     function.addPass(createCSEPass());
   });
-  ExpandAtomicsOptions expand;
-  expand.kernels.assign(options.kernels.begin(), options.kernels.end());
-  pm.addPass(createExpandAtomics(expand));
+  pm.addPass(createExpandAtomics(getKernelsOf<ExpandAtomicsOptions>(options)));
   // On the program as it was written: flattened branches hide conditions.
-  CheckAccessRulesOptions rules;
-  rules.kernels.assign(options.kernels.begin(), options.kernels.end());
-  pm.addPass(createCheckAccessRules(rules));
-  PromoteElementsOptions forward;
-  forward.kernels.assign(options.kernels.begin(), options.kernels.end());
-  pm.addPass(createPromoteElements(forward));
+  pm.addPass(
+      createCheckAccessRules(getKernelsOf<CheckAccessRulesOptions>(options)));
+  pm.addPass(
+      createPromoteElements(getKernelsOf<PromoteElementsOptions>(options)));
   addPerFunction(pm, [](OpPassManager &function) {
     function.addPass(createEliminateLocals());
   });
   if (options.flatten)
     pm.addPass(createFlattenBranches());
 
-  SplitKernelOptions split;
-  split.kernels.assign(options.kernels.begin(), options.kernels.end());
-  pm.addPass(createSplitKernel(split));
+  pm.addPass(createSplitKernel(getKernelsOf<SplitKernelOptions>(options)));
+  pm.addPass(createChooseWriters(getKernelsOf<ChooseWritersOptions>(options)));
 
-  ChooseWritersOptions writers;
-  writers.kernels.assign(options.kernels.begin(), options.kernels.end());
-  pm.addPass(createChooseWriters(writers));
-
-  MakeAdjointOptions adjoint;
-  adjoint.kernels.assign(options.kernels.begin(), options.kernels.end());
+  auto adjoint = getKernelsOf<MakeAdjointOptions>(options);
   adjoint.arrayAdjoints = options.arrayAdjoints;
   adjoint.historyBytes = options.historyBytes;
   adjoint.zeroOverwritten = options.zeroOverwritten;
@@ -74,9 +72,8 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
 
 void tai::buildAutodiffPipeline(OpPassManager &pm,
                                 const AutodiffOptions &options) {
-  PrepareForeignOptions prepare;
-  prepare.kernels.assign(options.kernels.begin(), options.kernels.end());
-  pm.addPass(createPrepareForeign(prepare));
+  pm.addPass(
+      createPrepareForeign(getKernelsOf<PrepareForeignOptions>(options)));
   addIsolated(
       pm, [&](OpPassManager &own) { buildAutodiffPasses(own, options); },
       IsolateMode::Keep, options.kernels);

@@ -28,4 +28,10 @@ enum { kSumsI32 = kSumsBF16 + 1, kSumsI64 };
 /// partition depends on the loop alone, whatever the options of the context.
 enum { kPartsFixed = 2 };
 
+namespace mlir::tai::runtime {
+/// On functions of which the plan of reductions lets LLVM choose the order of
+/// sums: those of f32 are kept in f64 (`WidenSums`).
+inline constexpr char kFreeSumsAttrName[] = "tai.free_sums";
+} // namespace mlir::tai::runtime
+
 #endif // TAI_ABI_SUMMODES_H

@@ -57,7 +57,7 @@ using namespace mlir::tai;
 static constexpr int64_t kMaxElements = int64_t(1) << 28;
 
 namespace {
-/// Where an access of an iteration is.
+/// The indices and components of the element that an access reaches.
 struct Place {
   SmallVector<Value> indices, components;
 

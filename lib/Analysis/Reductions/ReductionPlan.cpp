@@ -34,8 +34,8 @@ constexpr int64_t kBlock = 2048;
 constexpr int64_t kWidenedBlock = 8192;
 /// The same for the terms of pairs, which fit into the L1 cache.
 constexpr int64_t kBlockOfTerms = 1024;
-/// Loops that are known to be shorter add the terms of pairs one after another,
-/// as do loops with more updates in an iteration.
+/// A loop with fewer iterations than this, or with more updates in an
+/// iteration, adds the terms of a compensated sum of f64 one after another.
 constexpr int64_t kFewIterations = 64;
 constexpr size_t kMostUpdates = 4;
 

@@ -12,12 +12,16 @@
 // additions, which is hidden by loads unless the numbers are in the L1 cache. A
 // loop that is not vectorised adds in f64 alone, with the same latency.
 //
+// The lowering of loops marks the functions with such sums. The flags of an
+// addition alone do not tell them from sums of the program.
+//
 // If sums were f64 from the start, LLVM would choose its vector width by f64
 // for the whole loop.
 //
 //===----------------------------------------------------------------------===//
 
 #include "WidenSums.h"
+#include "tai/ABI/SumModes.h"
 #include "llvm/Analysis/LoopInfo.h"
 #include "llvm/IR/IRBuilder.h"
 #include "llvm/IR/IntrinsicInst.h"
@@ -26,7 +30,8 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-/// So many terms are added up in f32 before they are widened.
+/// The number of terms that are added up in f32 before their sum is converted
+/// to f64.
 static constexpr size_t kTermsInF32 = 4;
 /// The most sums at once that have registers in f64: the adjoint of a layer of
 /// a network has one for each of its inputs.
@@ -442,6 +447,8 @@ bool SumWidener::run(Function &function) {
 
 PreservedAnalyses WidenSums::run(Function &function,
                                  FunctionAnalysisManager &analyses) {
+  if (!function.hasFnAttribute(runtime::kFreeSumsAttrName))
+    return PreservedAnalyses::all();
   LoopInfo &loops = analyses.getResult<LoopAnalysis>(function);
   if (!SumWidener(loops).run(function))
     return PreservedAnalyses::all();

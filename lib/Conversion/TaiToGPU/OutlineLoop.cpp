@@ -85,7 +85,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
     thread = warp.first;
     threads = warp.step;
   } else if (llvm::any_of(sums, [](const Sum &sum) { return sum.isPartial; })) {
-    // This thread stands in for some of a fixed number.
+    // The order of these sums needs a fixed number of threads. A thread of the
+    // launch does the work of one or more of them.
     auto standIns = scf::ForOp::create(
         builder, loc, thread, math.constant(getSumThreads(loop)), threads);
     builder.setInsertionPointToStart(standIns.getBody());

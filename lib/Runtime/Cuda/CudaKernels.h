@@ -44,7 +44,7 @@ private:
                  std::initializer_list<uint64_t> parameters);
   struct Filling;
 
-  /// Units of 1, 4, 8 and 16 bytes.
+  /// The kernels copy units of 1, 4, 8 or 16 bytes.
   static constexpr int kUnits = 4;
 
   Device &device;

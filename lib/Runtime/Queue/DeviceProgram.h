@@ -66,8 +66,9 @@ private:
   void begin(ProgramMode mode, const Tools &tools);
   bool hasTrials() const;
   Way *nextTrial();
-  /// Whether the code of the way is loaded. It may be made now, or later in the
-  /// background; a way whose code cannot be made is refused.
+  /// Loads the code of this way to run the program. Returns false if the code
+  /// is still being made in the background, or cannot be made, which refuses
+  /// the way.
   bool makeCode(Way &way);
   bool isWorthCompiling(Way &way) const;
   bool mayTry() const;

@@ -325,7 +325,7 @@ Status DeviceQueue::runCollected(bool isWhole) {
   } unused{*device, {}};
   unused.memory.swap(released);
   Status status;
-  // Less than this is not worth a graph.
+  // The fewest steps for which a graph pays.
   constexpr size_t fewest = 4;
   RecordedLaunches::Outcome outcome;
   if (!isWhole || sequence.steps.size() < fewest ||

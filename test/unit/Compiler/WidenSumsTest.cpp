@@ -60,7 +60,8 @@ Counts widen(const std::string &function) {
 /// Two vectors of sums, and their use behind the loop.
 std::string lanes(const std::string &flags, const std::string &in = "",
                   const std::string &behind = "") {
-  return "define double @f(ptr %x, i64 %n, double %before) {\n"
+  return "define double @f(ptr %x, i64 %n, double %before) \"tai.free_sums\" "
+         "{\n"
          "entry:\n  br label %loop\n"
          "loop:\n"
          "  %i = phi i64 [ 0, %entry ], [ %j, %loop ]\n"
@@ -90,7 +91,7 @@ std::string lanes(const std::string &flags, const std::string &in = "",
 
 /// A sum of single numbers.
 std::string scalar(const std::string &sum, const std::string &in = "") {
-  return "define float @f(ptr %x, i64 %n) {\n"
+  return "define float @f(ptr %x, i64 %n) \"tai.free_sums\" {\n"
          "entry:\n  br label %loop\n"
          "loop:\n"
          "  %i = phi i64 [ 0, %entry ], [ %j, %loop ]\n"
@@ -121,6 +122,15 @@ TEST(WidenSumsTest, OrderThatIsFixedStays) {
   EXPECT_EQ(counts.phis64, 0) << counts.text;
 }
 
+TEST(WidenSumsTest, SumsThatThePlanDoesNotKnowStay) {
+  std::string program = lanes("reassoc");
+  const std::string mark = " \"tai.free_sums\"";
+  program.erase(program.find(mark), mark.size());
+  Counts counts = widen(program);
+  EXPECT_EQ(counts.phis32, 2) << counts.text;
+  EXPECT_EQ(counts.phis64, 0) << counts.text;
+}
+
 TEST(WidenSumsTest, LanesThatAreSeenStay) {
   EXPECT_EQ(
       widen(lanes("reassoc", "  call void @see(<8 x float> %c)\n")).phis32, 2);
@@ -146,7 +156,7 @@ std::string sums(int count) {
         "  %a" + n + " = phi float [ 0.0, %entry ], [ %b" + n + ", %loop ]\n";
     adds += "  %b" + n + " = fadd reassoc float %a" + n + ", %u\n";
   }
-  return "define float @f(ptr %x, i64 %n) {\n"
+  return "define float @f(ptr %x, i64 %n) \"tai.free_sums\" {\n"
          "entry:\n  br label %loop\n"
          "loop:\n"
          "  %i = phi i64 [ 0, %entry ], [ %j, %loop ]\n" +

@@ -230,7 +230,7 @@ public:
   /// element of its fields (or of the slab of a fixed index) once. Negative if
   /// the summary is empty, or a field is sparse.
   int64_t touchedBytes() const;
-  /// Whether it uses the tree, once it is resolved.
+  /// Whether the kernel uses the tree: known once its names are resolved.
   bool uses(const Tree &tree) const;
   int64_t argSlots() const { return info.argSlots; }
   /// Number of slots of a launch that may be differentiated.

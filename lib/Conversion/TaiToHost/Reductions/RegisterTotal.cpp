@@ -15,6 +15,7 @@
 #include "../Lowering.h"
 #include "TotalForm.h"
 #include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "tai/ABI/SumModes.h"
 #include "tai/Transforms/Utils/Accumulate.h"
 
 using namespace mlir;
@@ -50,6 +51,26 @@ static Value emitInOrder(OpBuilder &builder, Location loc, AtomicKind kind,
       break;
     }
   return emitCombination(builder, loc, kind, a, b);
+}
+
+/// Lets LLVM reorder a sum over iterations, which is ours to choose: it needs
+/// to know to vectorise it. Marks the function for `WidenSums`.
+static void freeOrder(Operation *addition) {
+  using arith::FastMathFlags;
+  Builder builder(addition->getContext());
+  addition->setAttr("fastmath",
+                    arith::FastMathFlagsAttr::get(builder.getContext(),
+                                                  FastMathFlags::reassoc |
+                                                      FastMathFlags::contract));
+  auto function = addition->getParentOfType<LLVM::LLVMFuncOp>();
+  SmallVector<Attribute> entries;
+  if (ArrayAttr others = function.getPassthroughAttr())
+    llvm::append_range(entries, others);
+  Attribute mark = builder.getStringAttr(runtime::kFreeSumsAttrName);
+  if (llvm::is_contained(entries, mark))
+    return;
+  entries.push_back(mark);
+  function.setPassthroughAttr(builder.getArrayAttr(entries));
 }
 
 namespace {
@@ -98,15 +119,9 @@ void RegisterTotal::emitTerm(OpBuilder &builder, Location loc, size_t number,
   Value old = emitSlotLoad(builder, loc, type, slot);
   term = emitWidened(builder, loc, term, type);
   Value next = emitCombination(builder, loc, update, old, term);
-  // The order of a sum over iterations is ours to choose; LLVM needs to know to
-  // vectorise it.
   if (sum.reduction.getOrder() == ReductionOrder::Any &&
       isa<arith::AddFOp, arith::SubFOp>(next.getDefiningOp()))
-    next.getDefiningOp()->setAttr(
-        "fastmath",
-        arith::FastMathFlagsAttr::get(builder.getContext(),
-                                      arith::FastMathFlags::reassoc |
-                                          arith::FastMathFlags::contract));
+    freeOrder(next.getDefiningOp());
   emitSlotStore(builder, loc, next, slot);
 }
 
