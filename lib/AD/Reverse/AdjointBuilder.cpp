@@ -395,8 +395,8 @@ static Value addUp(ImplicitLocOpBuilder &builder, Value sum, Value term) {
   Value wideSum = getWidened(sum), wideTerm = getWidened(term);
   if (wideSum == sum || wideSum.getType() != wideTerm.getType())
     return arith::AddFOp::create(builder, sum, term);
-  Value wide = arith::AddFOp::create(builder, wideSum, wideTerm);
-  return arith::TruncFOp::create(builder, sum.getType(), wide);
+  Value inF64 = arith::AddFOp::create(builder, wideSum, wideTerm);
+  return arith::TruncFOp::create(builder, sum.getType(), inF64);
 }
 
 void AdjointBuilder::addAdjoint(Value value, Value contribution) {

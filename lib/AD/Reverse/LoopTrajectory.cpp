@@ -143,15 +143,15 @@ static bool canLeave(Value value, Block *block, unsigned depth) {
 /// are. There is no integer division, which could not leave a loop around.
 static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
                                                  Value most) {
-  Type wide = b.getI64Type(), real = b.getF64Type();
+  Type integer = b.getI64Type(), real = b.getF64Type();
   auto toReal = [&](Value index) -> Value {
-    return arith::SIToFPOp::create(b, real,
-                                   arith::IndexCastOp::create(b, wide, index));
+    return arith::SIToFPOp::create(
+        b, real, arith::IndexCastOp::create(b, integer, index));
   };
   auto toIndex = [&](Value number) -> Value {
     return arith::IndexCastOp::create(
         b, b.getIndexType(),
-        arith::FPToSIOp::create(b, wide, math::CeilOp::create(b, number)));
+        arith::FPToSIOp::create(b, integer, math::CeilOp::create(b, number)));
   };
   Value size = arith::MaxSIOp::create(
       b, toIndex(math::SqrtOp::create(b, toReal(trips))), most);

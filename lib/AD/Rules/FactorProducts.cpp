@@ -47,7 +47,7 @@ struct FactorFrame {
 };
 
 /// A matrix and its tangent, null for zero.
-struct Pair {
+struct FactorPair {
   Value value, tangent;
 };
 } // namespace
@@ -66,7 +66,8 @@ static std::optional<FactorFrame> findFrame(ArrayRef<Value> factors) {
   return std::nullopt;
 }
 
-static Pair multiply(TangentBuilder &b, const Pair &lhs, const Pair &rhs) {
+static FactorPair multiply(TangentBuilder &b, const FactorPair &lhs,
+                           const FactorPair &rhs) {
   if (!lhs.value)
     return rhs;
   Value left, right;
@@ -77,8 +78,8 @@ static Pair multiply(TangentBuilder &b, const Pair &lhs, const Pair &rhs) {
   return {createMatmul(b, lhs.value, rhs.value), addTerms(b, left, right)};
 }
 
-static Pair multiply(TangentBuilder &b, ArrayRef<Value> factors) {
-  Pair product;
+static FactorPair multiply(TangentBuilder &b, ArrayRef<Value> factors) {
+  FactorPair product;
   for (Value factor : factors)
     product = multiply(b, product, {factor, b.getTangent(factor)});
   return product;
@@ -125,8 +126,8 @@ static Value createCommutator(TangentBuilder &b, Value turn,
 }
 
 /// F M Hᵀ and its tangent, where F and H are factors of one decomposition.
-static Pair createCore(TangentBuilder &b, FactorFrame frame,
-                       ArrayRef<Value> factors) {
+static FactorPair createCore(TangentBuilder &b, FactorFrame frame,
+                             ArrayRef<Value> factors) {
   Value left = factors.front(), right = factors.back();
   bool leftIsU = left == frame.svd.getU();
   bool rightIsU =
@@ -136,7 +137,7 @@ static Pair createCore(TangentBuilder &b, FactorFrame frame,
     return isU ? rotations.odd : Value(arith::NegFOp::create(b, rotations.odd));
   };
   ArrayRef<Value> between = factors.drop_front().drop_back();
-  Pair middle = multiply(b, between);
+  FactorPair middle = multiply(b, between);
   Value inner;
   if (!middle.value) {
     // Uᵀ U and Vᵀ V are constant.
@@ -150,7 +151,7 @@ static Pair createCore(TangentBuilder &b, FactorFrame frame,
     inner = addTerms(b, addTerms(b, even, odd), middle.tangent);
   }
   Value start = middle.value ? createMatmul(b, left, middle.value) : left;
-  Pair core = {createMatmul(b, start, right), Value()};
+  FactorPair core = {createMatmul(b, start, right), Value()};
   if (inner)
     core.tangent = createMatmul(b, createMatmul(b, left, inner), right);
   return core;
@@ -172,7 +173,7 @@ Value mlir::tai::createFactorProductTangent(TangentBuilder &b,
       return {};
   }
   ArrayRef<Value> all = factors;
-  Pair result = multiply(b, all.take_front(frame->first));
+  FactorPair result = multiply(b, all.take_front(frame->first));
   result = multiply(
       b, result,
       createCore(b, *frame,

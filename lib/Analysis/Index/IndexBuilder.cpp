@@ -332,12 +332,12 @@ std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
                 std::move(a), std::move(b)});
 }
 
-/// Shifts by constants, constant masks of low or high bits, and the union of
-/// bits that do not overlap.
+/// Shifts by constants, constant masks of low or high bits, the union of bits
+/// that do not overlap, and complements.
 std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
                                                  unsigned depth) {
   if (!isa<arith::ShLIOp, arith::ShRSIOp, arith::ShRUIOp, arith::AndIOp,
-           arith::OrIOp>(op))
+           arith::OrIOp, arith::XOrIOp>(op))
     return std::nullopt;
   Value lhs = op->getOperand(0), rhs = op->getOperand(1);
   Type type = lhs.getType();
@@ -364,6 +364,18 @@ std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
     IndexExpr all = buildExact(lhs, depth);
     IndexExpr low = getRemainder(all, IndexExpr(mask + 1));
     return *number < 0 ? all.add(low, -1) : low;
+  }
+  if (isa<arith::XOrIOp>(op)) {
+    // The complement of a number is minus one less the number; that of a digit
+    // is the largest digit less it.
+    IndexExpr all = buildExact(lhs, depth);
+    IndexRange range = getRange(all);
+    bool isMask = *number > 0 && *number != INT64_MAX &&
+                  (*number & (*number + 1)) == 0 && range.low >= 0 &&
+                  range.high <= *number;
+    if (getWidth(type) == 1 || (*number != -1 && !isMask))
+      return std::nullopt;
+    return IndexExpr(*number).add(all, -1);
   }
   if (*number < 0 || *number >= getWidth(type) || *number == 63)
     return std::nullopt;

@@ -276,8 +276,8 @@ bool tai::canOrderAdditions(ParallelForOp loop, FieldTable &fields,
 bool Checker::readsComeFirst(const PlaceAccesses &place) {
   return llvm::all_of(place.writes, [&](const auto &write) {
     return llvm::all_of(place.reads, [&](const auto &read) {
-      // Both in the body of the loop or of branches: in no inner loop, whose
-      // next iteration could read.
+      // No inner loop may hold both: its next iteration could read the element
+      // that this one has written.
       for (Operation *at = write.op->getParentOp(); at != loop;
            at = at->getParentOp())
         if (!isa<scf::IfOp>(at) && at->isProperAncestor(read.op))

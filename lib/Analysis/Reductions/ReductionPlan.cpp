@@ -754,7 +754,7 @@ bool tai::hasFixedBits(Operation *op) {
 TermSum tai::planGatheredSum(ParallelForOp loop, Type scalar, bool pairs) {
   if (!Modes::of(loop).isCompensated())
     return TermSum::Plain;
-  return scalar.isF64() && !pairs ? TermSum::Unavailable : TermSum::Compensated;
+  return scalar.isF64() && !pairs ? TermSum::Unavailable : TermSum::WithErrors;
 }
 
 FailureOr<ReductionPlan>

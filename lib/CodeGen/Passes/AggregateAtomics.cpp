@@ -384,13 +384,13 @@ void GroupEmitter::emitFull(BasicBlock *tail) {
                                      builder.getInt32(0)));
     SmallVector<Value *> nextValues, nextBases, nextOffsets;
     for (size_t i = 0; i < values.size(); i += 2) {
-      bool isPair = i + 1 < values.size();
+      bool hasOther = i + 1 < values.size();
       Value *mine = values[i], *theirs = values[i];
-      if (isPair) {
+      if (hasOther) {
         mine = builder.CreateSelect(isUpper, values[i + 1], values[i]);
         theirs = builder.CreateSelect(isUpper, values[i], values[i + 1]);
       }
-      size_t other = isPair ? i + 1 : i;
+      size_t other = hasOther ? i + 1 : i;
       nextBases.push_back(select(isUpper, bases[other], bases[i]));
       nextOffsets.push_back(select(isUpper, offsets[other], offsets[i]));
       nextValues.push_back(

@@ -17,14 +17,14 @@ using namespace llvm;
 /// bits, and the last kept bit decides a tie. A NaN stays one and becomes
 /// quiet.
 static Value *roundToBfloat(IRBuilder<> &builder, Value *number, Type *type) {
-  Type *wide = number->getType()->getWithNewType(builder.getInt32Ty());
-  Type *narrow = wide->getWithNewType(builder.getInt16Ty());
-  Value *bits = builder.CreateBitCast(number, wide);
+  Type *larger = number->getType()->getWithNewType(builder.getInt32Ty());
+  Type *narrow = larger->getWithNewType(builder.getInt16Ty());
+  Value *bits = builder.CreateBitCast(number, larger);
   Value *upper = builder.CreateLShr(bits, 16);
   Value *last = builder.CreateAnd(upper, 1);
-  Value *half = builder.CreateAdd(last, ConstantInt::get(wide, 0x7fff));
+  Value *half = builder.CreateAdd(last, ConstantInt::get(larger, 0x7fff));
   Value *rounded = builder.CreateLShr(builder.CreateAdd(bits, half), 16);
-  Value *quiet = builder.CreateOr(upper, ConstantInt::get(wide, 0x40));
+  Value *quiet = builder.CreateOr(upper, ConstantInt::get(larger, 0x40));
   Value *isNaN = builder.CreateFCmpUNO(number, number);
   Value *result = builder.CreateSelect(isNaN, quiet, rounded);
   return builder.CreateBitCast(builder.CreateTrunc(result, narrow), type);
@@ -52,14 +52,17 @@ static Value *expand(Instruction &instruction) {
   if (isa<FPTruncInst>(instruction))
     return roundToBfloat(builder, instruction.getOperand(0), type);
   builder.setFastMathFlags(instruction.getFastMathFlags());
-  Type *wide = type->getWithNewType(builder.getFloatTy());
-  auto extend = [&](Value *value) { return builder.CreateFPExt(value, wide); };
+  Type *larger = type->getWithNewType(builder.getFloatTy());
+  auto extend = [&](Value *value) {
+    return builder.CreateFPExt(value, larger);
+  };
   Value *result;
   if (auto *call = dyn_cast<IntrinsicInst>(&instruction)) {
     SmallVector<Value *> operands;
     for (Value *operand : call->args())
       operands.push_back(extend(operand));
-    result = builder.CreateIntrinsic(call->getIntrinsicID(), {wide}, operands);
+    result =
+        builder.CreateIntrinsic(call->getIntrinsicID(), {larger}, operands);
   } else {
     auto &binary = cast<BinaryOperator>(instruction);
     result =

@@ -25,7 +25,8 @@ struct HugeBodyLimits {
   /// Instructions of a loop after vectorisation: a larger loop is not
   /// vectorised.
   unsigned vectorized = 5000;
-  /// A loop's writes times its accesses: the vectoriser compares pairs.
+  /// Writes of a loop times its accesses: a loop with more such pairs, each of
+  /// which the vectoriser compares, is not vectorised.
   uint64_t loopPairs = 200000;
   /// Loops of a function: with more, they are not unrolled.
   unsigned loops = 200;

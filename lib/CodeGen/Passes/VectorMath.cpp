@@ -28,14 +28,14 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
   bool has512 = target.checkFeatures("+avx512f,+avx512dq,+avx512vl");
 
   auto addWide = [&](StringRef name) {
-    Forms wide;
+    Forms ofF32;
     std::string stem = ("tai_wide_" + name + "_").str();
-    wide.scalar = stem + "1";
+    ofF32.scalar = stem + "1";
     for (unsigned lanes : {4, 8, 16})
       if (lanes < 16 || has512)
-        wide.vectors.push_back({lanes, stem + std::to_string(lanes)});
-    forms[("llvm." + name + ".f32").str()] = wide;
-    forms[(name + "f").str()] = wide;
+        ofF32.vectors.push_back({lanes, stem + std::to_string(lanes)});
+    forms[("llvm." + name + ".f32").str()] = ofF32;
+    forms[(name + "f").str()] = ofF32;
   };
   auto addSleef = [&](StringRef name, StringRef type, unsigned least) {
     // SLEEF's functions that have the same bits for any number of lanes.

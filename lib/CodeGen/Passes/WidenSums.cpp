@@ -159,9 +159,9 @@ static Value *emitSum(IRBuilder<> &builder, ArrayRef<Term> terms, size_t most) {
         next.push_back(level.back());
       level = std::move(next);
     }
-    Value *wide =
+    Value *inF64 =
         builder.CreateFPExt(level.front(), getWide(level.front()->getType()));
-    total = total ? builder.CreateFAdd(total, wide) : wide;
+    total = total ? builder.CreateFAdd(total, inF64) : inF64;
   }
   return total;
 }
@@ -170,7 +170,7 @@ static Value *emitSum(IRBuilder<> &builder, ArrayRef<Term> terms, size_t most) {
 /// value behind an iteration.
 static Value *emitWideChain(Loop &loop, ArrayRef<Chain> chains, size_t most) {
   BasicBlock *latch = loop.getLoopLatch(), *before = loop.getLoopPreheader();
-  Type *wide = getWide(chains.front().phi->getType());
+  Type *inF64 = getWide(chains.front().phi->getType());
   FastMathFlags flags = chains.front().last->getFastMathFlags();
 
   IRBuilder<> builder(before->getTerminator());
@@ -180,11 +180,11 @@ static Value *emitWideChain(Loop &loop, ArrayRef<Chain> chains, size_t most) {
   for (const Chain &chain : chains) {
     Value *initial = chain.phi->getIncomingValueForBlock(before);
     llvm::append_range(terms, chain.terms);
-    Value *own = builder.CreateFPExt(initial, wide);
+    Value *own = builder.CreateFPExt(initial, inF64);
     start = start ? builder.CreateFAdd(start, own) : own;
   }
   builder.SetInsertPoint(loop.getHeader(), loop.getHeader()->begin());
-  PHINode *carried = builder.CreatePHI(wide, 2);
+  PHINode *carried = builder.CreatePHI(inF64, 2);
   builder.SetInsertPoint(latch->getTerminator());
   Value *next = builder.CreateFAdd(carried, emitSum(builder, terms, most));
   carried->addIncoming(start, before);
@@ -233,8 +233,8 @@ Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   SmallVector<Term> terms;
   IRBuilder<> builder(user);
   builder.setFastMathFlags(sums.back()->getFastMathFlags());
-  auto add = [&](Value *wide) {
-    total = total ? builder.CreateFAdd(total, wide) : wide;
+  auto add = [&](Value *inF64) {
+    total = total ? builder.CreateFAdd(total, inF64) : inF64;
   };
   for (BinaryOperator *sum : sums) {
     builder.SetInsertPoint(sum);
@@ -245,8 +245,8 @@ Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
         terms.push_back({operand, isNegative.lookup(operand)});
         continue;
       }
-      Value *wide = cast<FPTruncInst>(operand)->getOperand(0);
-      add(isNegative.lookup(operand) ? builder.CreateFNeg(wide) : wide);
+      Value *inF64 = cast<FPTruncInst>(operand)->getOperand(0);
+      add(isNegative.lookup(operand) ? builder.CreateFNeg(inF64) : inF64);
     }
     if (terms.size() >= most || sum == sums.back()) {
       if (!terms.empty())
@@ -333,9 +333,9 @@ bool SumWidener::widenScalar(Loop &loop, PHINode &phi) {
   }
   if (outside.empty())
     return false;
-  Value *wide = emitWideChain(loop, *chain, 1);
+  Value *inF64 = emitWideChain(loop, *chain, 1);
   IRBuilder<> builder(exit, exit->getFirstInsertionPt());
-  Value *narrow = builder.CreateFPTrunc(wide, phi.getType());
+  Value *narrow = builder.CreateFPTrunc(inF64, phi.getType());
   rounded.insert(narrow);
   for (Use *use : outside) {
     auto *user = cast<Instruction>(use->getUser());
@@ -375,7 +375,7 @@ bool SumWidener::skipRounding(Function &function) {
           extension && extension->getSrcTy()->isFloatTy() &&
           extension->getDestTy()->isDoubleTy())
         extensions.push_back(extension);
-  DenseMap<PHINode *, PHINode *> wide;
+  DenseMap<PHINode *, PHINode *> inF64;
   for (FPExtInst *extension : extensions) {
     SmallPtrSet<PHINode *, 8> phis;
     if (Value *sum = widenTree(extension->getOperand(0), extension, 1)) {
@@ -387,13 +387,13 @@ bool SumWidener::skipRounding(Function &function) {
     if (!isRounded(extension->getOperand(0), phis))
       continue;
     for (PHINode *phi : phis)
-      if (!wide.contains(phi))
-        wide[phi] =
+      if (!inF64.contains(phi))
+        inF64[phi] =
             PHINode::Create(extension->getDestTy(), phi->getNumIncomingValues(),
                             "", phi->getIterator());
     auto widen = [&](Value *value) -> Value * {
       if (auto *phi = dyn_cast<PHINode>(value))
-        return wide.lookup(phi);
+        return inF64.lookup(phi);
       if (rounded.contains(value))
         return cast<FPTruncInst>(value)->getOperand(0);
       return ConstantFP::get(
@@ -401,7 +401,7 @@ bool SumWidener::skipRounding(Function &function) {
           cast<ConstantFP>(value)->getValueAPF().convertToFloat());
     };
     for (PHINode *phi : phis)
-      if (PHINode *made = wide[phi]; made->getNumIncomingValues() == 0)
+      if (PHINode *made = inF64[phi]; made->getNumIncomingValues() == 0)
         for (unsigned i = 0, e = phi->getNumIncomingValues(); i < e; ++i)
           made->addIncoming(widen(phi->getIncomingValue(i)),
                             phi->getIncomingBlock(i));
@@ -409,7 +409,7 @@ bool SumWidener::skipRounding(Function &function) {
     dead.push_back(extension);
     changed = true;
   }
-  for (auto [narrow, made] : wide)
+  for (auto [narrow, made] : inF64)
     deadPhis.push_back(narrow);
   return changed;
 }

@@ -117,7 +117,7 @@ void LoopPolls::visitIterations(scf::ForOp loop, bool areCountless) {
 }
 
 /// Whether a bound comes from more than 32 bits.
-static bool isWide(Value bound) {
+static bool isLong(Value bound) {
   auto cast = bound.getDefiningOp<arith::IndexCastOp>();
   if (!cast || !cast.getIn().getType().isInteger(64))
     return false;
@@ -132,7 +132,7 @@ bool tai::mayBeCountless(ParallelForOp loop) {
   for (auto [lower, upper] :
        llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
     auto first = getConstantIntValue(lower), end = getConstantIntValue(upper);
-    if ((!first && isWide(lower)) || (!end && isWide(upper)))
+    if ((!first && isLong(lower)) || (!end && isLong(upper)))
       return true;
     if (first && end)
       known = llvm::SaturatingMultiply(

@@ -197,9 +197,9 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
     extents.push_back(digits[i + 1]);
     begins.push_back(digits[i + 2]);
   }
-  auto widenBy = [&](Address &wide, size_t digit) {
-    wide.access.offset += begins[digit] * strides[digit];
-    widen(wide, extents[digit], strides[digit]);
+  auto widenBy = [&](Address &grown, size_t digit) {
+    grown.access.offset += begins[digit] * strides[digit];
+    widen(grown, extents[digit], strides[digit]);
   };
   attempt = address;
   llvm::SmallDenseSet<size_t> seen;

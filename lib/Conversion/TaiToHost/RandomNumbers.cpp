@@ -154,8 +154,8 @@ private:
     return arith::XOrIOp::create(b, value, shifted);
   }
   Value product(uint32_t multiplier, Value value) {
-    Value wide = arith::ExtUIOp::create(b, i64, value);
-    return arith::MulIOp::create(b, wide, word(multiplier));
+    Value extended = arith::ExtUIOp::create(b, i64, value);
+    return arith::MulIOp::create(b, extended, word(multiplier));
   }
   Value mix(Value x, Value y, Value z) {
     return arith::XOrIOp::create(b, arith::XOrIOp::create(b, x, y), z);
@@ -231,10 +231,10 @@ Value tai::emitDraw(UnrealizedConversionCastOp op, Value frame,
   Type type = op.getResult(0).getType();
   Type i64 = builder.getI64Type();
   unsigned width = type.getIntOrFloatBitWidth();
-  bool isWide = width > 32;
+  bool isLong = width > 32;
 
-  auto [bits, next] = emitBits(op, isWide ? 2 : 1, frame, builder, runtime);
-  if (isWide) {
+  auto [bits, next] = emitBits(op, isLong ? 2 : 1, frame, builder, runtime);
+  if (isLong) {
     Value high = arith::ExtUIOp::create(builder, loc, i64, bits);
     Value low = arith::ExtUIOp::create(builder, loc, i64, next);
     high = arith::ShLIOp::create(builder, loc, high,
@@ -251,7 +251,7 @@ Value tai::emitDraw(UnrealizedConversionCastOp op, Value frame,
   auto floatType = cast<FloatType>(type);
   unsigned kept =
       llvm::APFloat::semanticsPrecision(floatType.getFloatSemantics());
-  unsigned available = isWide ? 64 : 32;
+  unsigned available = isLong ? 64 : 32;
   Value shift =
       arith::ConstantIntOp::create(builder, loc, available - kept, available);
   bits = arith::ShRUIOp::create(builder, loc, bits, shift);

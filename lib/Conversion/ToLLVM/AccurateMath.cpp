@@ -31,18 +31,18 @@ template <typename Op> struct ComputeInF64 : OpRewritePattern<Op> {
     Type type = op.getType();
     if (!getElementTypeOrSelf(type).isF32() || !Modes::of(op).isAccurate())
       return failure();
-    Type wide = rewriter.getF64Type();
+    Type larger = rewriter.getF64Type();
     if (auto vector = dyn_cast<VectorType>(type))
-      wide = vector.clone(wide);
+      larger = vector.clone(larger);
     SmallVector<Value> operands;
     for (Value operand : op->getOperands())
       operands.push_back(
-          arith::ExtFOp::create(rewriter, op.getLoc(), wide, operand));
+          arith::ExtFOp::create(rewriter, op.getLoc(), larger, operand));
     Value computed;
     if constexpr (std::is_same_v<Op, math::RsqrtOp>) {
       Value root = math::SqrtOp::create(rewriter, op.getLoc(), operands[0]);
       Attribute one = rewriter.getFloatAttr(rewriter.getF64Type(), 1.0);
-      if (auto vector = dyn_cast<VectorType>(wide))
+      if (auto vector = dyn_cast<VectorType>(larger))
         one = DenseElementsAttr::get(vector, one);
       computed =
           arith::DivFOp::create(rewriter, op.getLoc(),
@@ -51,7 +51,7 @@ template <typename Op> struct ComputeInF64 : OpRewritePattern<Op> {
                                 root);
     } else {
       computed =
-          Op::create(rewriter, op.getLoc(), wide, operands, op->getAttrs());
+          Op::create(rewriter, op.getLoc(), larger, operands, op->getAttrs());
     }
     rewriter.replaceOpWithNewOp<arith::TruncFOp>(op, type, computed);
     return success();
@@ -75,8 +75,8 @@ template <typename Op> struct ComputeExtended : OpRewritePattern<Op> {
     if (!type.isF64() || !Modes::of(op).isAccurate())
       return failure();
     Location loc = op.getLoc();
-    FloatType wide = getExtendedType(rewriter.getContext());
-    Value x = LLVM::FPExtOp::create(rewriter, loc, wide, op.getOperand());
+    FloatType larger = getExtendedType(rewriter.getContext());
+    Value x = LLVM::FPExtOp::create(rewriter, loc, larger, op.getOperand());
     rewriter.replaceOpWithNewOp<LLVM::FPTruncOp>(op, type,
                                                  compute(rewriter, loc, x));
     return success();

@@ -60,10 +60,10 @@ namespace {
 class Shadows {
 public:
   Shadows(LLVM::LLVMFuncOp function, RuntimeCalls &runtime,
-          ShadowReports::Texts &texts, Type wide, unsigned mostPrecision)
+          ShadowReports::Texts &texts, Type largest, unsigned mostPrecision)
       : b(function.getLoc(), function.getContext()), function(function),
-        runtime(runtime), reports(b, function, runtime, texts), wide(wide),
-        mostPrecision(mostPrecision) {}
+        runtime(runtime), reports(b, function, runtime, texts),
+        largest(largest), mostPrecision(mostPrecision) {}
 
   void run();
 
@@ -80,7 +80,7 @@ private:
 
   Type shadowType(Type type) {
     Type element = getElementTypeOrSelf(type);
-    return withElement(type, element.isF64() ? wide : Type(b.getF64Type()));
+    return withElement(type, element.isF64() ? largest : Type(b.getF64Type()));
   }
   /// Bits of a number of the type.
   static unsigned getPrecision(Type type) {
@@ -135,7 +135,7 @@ private:
   RuntimeCalls &runtime;
   ShadowReports reports;
   /// The type of shadows of f64.
-  Type wide;
+  Type largest;
   unsigned mostPrecision;
   Value table;
   DenseMap<Value, Value> shadows, off, tainted;
@@ -688,12 +688,12 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
   void runOnOperation() override {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
-    Type wide;
+    Type largest;
     if (f64Shadow == "f80")
-      wide = Float80Type::get(context);
+      largest = Float80Type::get(context);
     else if (f64Shadow == "f128")
-      wide = Float128Type::get(context);
-    if (!wide) {
+      largest = Float128Type::get(context);
+    if (!largest) {
       module.emitError("the shadows of f64 are f80 or f128, not '")
           << f64Shadow << "'";
       return signalPassFailure();
@@ -725,7 +725,7 @@ struct ShadowExecution : tai::impl::ShadowExecutionBase<ShadowExecution> {
                                cast<FloatType>(type).getFloatSemantics()));
       });
     for (LLVM::LLVMFuncOp function : functions)
-      Shadows(function, runtime, texts, wide, mostPrecision).run();
+      Shadows(function, runtime, texts, largest, mostPrecision).run();
     ShadowReports::restrictEffects(module);
   }
 };

@@ -60,7 +60,7 @@ private:
   Value getScalar(Value value) { return scalars.lookupOrDefault(value); }
 
   /// The loop, and the one over vectors that is put before it.
-  scf::ForOp loop, wide;
+  scf::ForOp loop, vectorLoop;
   OpBuilder builder;
   VectorType type;
   ArrayRef<LLVM::AccessGroupAttr> groups;
@@ -218,7 +218,7 @@ Value Lanes::getVector(Value value) {
   Value scalar = getScalar(value);
   Location loc = value.getLoc();
   if (loop.isDefinedOutsideOfLoop(value))
-    builder.setInsertionPoint(wide);
+    builder.setInsertionPoint(vectorLoop);
   else
     builder.setInsertionPointAfterValue(scalar);
   FloatAttr number;
@@ -318,10 +318,10 @@ void Lanes::vectorize() {
   count = arith::MaxSIOp::create(builder, loc, count, constant(0));
   count = arith::AndIOp::create(builder, loc, count, constant(-kLanes));
   Value end = arith::AddIOp::create(builder, loc, lower, count);
-  wide = scf::ForOp::create(builder, loc, lower, end, constant(kLanes));
+  vectorLoop = scf::ForOp::create(builder, loc, lower, end, constant(kLanes));
   loop.getLowerBoundMutable().assign(end);
-  scalars.map(loop.getInductionVar(), wide.getInductionVar());
-  builder.setInsertionPointToStart(wide.getBody());
+  scalars.map(loop.getInductionVar(), vectorLoop.getInductionVar());
+  builder.setInsertionPointToStart(vectorLoop.getBody());
   emit(*loop.getBody());
 }
 

@@ -24,10 +24,10 @@ using namespace mlir::tai;
 
 namespace {
 /// Arithmetic on f64, or vectors of it, that may be contracted.
-class Wide {
+class F64Builder {
 public:
   /// `type`: f32, or a vector of it.
-  Wide(OpBuilder &builder, Location loc, Type type)
+  F64Builder(OpBuilder &builder, Location loc, Type type)
       : builder(builder), loc(loc), narrowType(type),
         wideType(withElement(builder.getF64Type())),
         bitsType(withElement(builder.getI64Type())),
@@ -155,76 +155,76 @@ using Predicate = arith::CmpFPredicate;
 
 /// A power of which `split` gives two factors. Beyond `lowest` and `highest`
 /// f32 knows zero and infinity alone. NaN stays.
-Value expandPower(Wide &wide, Value x, double lowest, double highest,
-                  std::pair<Value, Value> (Wide::*split)(Value)) {
-  Value most = wide.constant(highest), least = wide.constant(lowest);
-  x = wide.extend(x);
-  x = wide.choose(Predicate::OGT, x, most, most, x);
-  x = wide.choose(Predicate::OLT, x, least, least, x);
-  auto [scale, minusOne] = (wide.*split)(x);
-  return wide.truncate(wide.add(scale, wide.mul(scale, minusOne)));
+Value expandPower(F64Builder &inF64, Value x, double lowest, double highest,
+                  std::pair<Value, Value> (F64Builder::*split)(Value)) {
+  Value most = inF64.constant(highest), least = inF64.constant(lowest);
+  x = inF64.extend(x);
+  x = inF64.choose(Predicate::OGT, x, most, most, x);
+  x = inF64.choose(Predicate::OLT, x, least, least, x);
+  auto [scale, minusOne] = (inF64.*split)(x);
+  return inF64.truncate(inF64.add(scale, inF64.mul(scale, minusOne)));
 }
 
-Value expandExp(Wide &wide, Value x) {
-  return expandPower(wide, x, -110, 90, &Wide::splitExp);
+Value expandExp(F64Builder &inF64, Value x) {
+  return expandPower(inF64, x, -110, 90, &F64Builder::splitExp);
 }
-Value expandExp2(Wide &wide, Value x) {
-  return expandPower(wide, x, -160, 130, &Wide::splitExp2);
+Value expandExp2(F64Builder &inF64, Value x) {
+  return expandPower(inF64, x, -160, 130, &F64Builder::splitExp2);
 }
 
 /// t / (t + 2) with t = e^2x - 1, of which nothing cancels.
-Value expandTanh(Wide &wide, Value x) {
+Value expandTanh(F64Builder &inF64, Value x) {
   // From 9.1 on the result is 1.
-  Value most = wide.constant(20);
-  Value twice = wide.extend(x);
-  twice = wide.add(twice, twice);
-  twice = wide.choose(Predicate::OGT, twice, most, most, twice);
-  auto [scale, minusOne] = wide.splitExp(twice);
-  Value t =
-      wide.add(wide.mul(scale, minusOne), wide.sub(scale, wide.constant(1)));
-  return wide.truncate(wide.div(t, wide.add(t, wide.constant(2))));
+  Value most = inF64.constant(20);
+  Value twice = inF64.extend(x);
+  twice = inF64.add(twice, twice);
+  twice = inF64.choose(Predicate::OGT, twice, most, most, twice);
+  auto [scale, minusOne] = inF64.splitExp(twice);
+  Value t = inF64.add(inF64.mul(scale, minusOne),
+                      inF64.sub(scale, inF64.constant(1)));
+  return inF64.truncate(inF64.div(t, inF64.add(t, inF64.constant(2))));
 }
 
 /// e ln 2 + ln m, where x = 2^e m, by the series of artanh((m - 1) / (m + 1)).
 /// To another base, ln 2 is `ofTwo`, and ln m is multiplied by `scale`.
-Value expandLog(Wide &wide, Value narrow, double ofTwo, double scale) {
-  Value x = wide.extend(narrow);
+Value expandLog(F64Builder &inF64, Value narrow, double ofTwo, double scale) {
+  Value x = inF64.extend(narrow);
   // Every f32 but 0 is a normal f64. Counted from sqrt(1/2), the bits of the
   // exponent are those of e.
   constexpr auto rootHalf = int64_t(0x3fe6a09e667f3bcd);
-  Value above = wide.subBits(wide.toBits(x), wide.bits(rootHalf));
-  Value e = wide.toFloat(wide.shiftRight(above, 52));
-  Value m = wide.fromBits(wide.addBits(
-      wide.andBits(above, (int64_t(1) << 52) - 1), wide.bits(rootHalf)));
-  Value one = wide.constant(1);
-  Value s = wide.div(wide.sub(m, one), wide.add(m, one));
+  Value above = inF64.subBits(inF64.toBits(x), inF64.bits(rootHalf));
+  Value e = inF64.toFloat(inF64.shiftRight(above, 52));
+  Value m = inF64.fromBits(inF64.addBits(
+      inF64.andBits(above, (int64_t(1) << 52) - 1), inF64.bits(rootHalf)));
+  Value one = inF64.constant(1);
+  Value s = inF64.div(inF64.sub(m, one), inF64.add(m, one));
   // s^2 < 0.03: the next term is below 2^-40.
-  Value series =
-      wide.polynomial(wide.mul(s, s), {2.0, 2.0 / 3, 2.0 / 5, 2.0 / 7, 2.0 / 9,
-                                       2.0 / 11, 2.0 / 13, 2.0 / 15});
+  Value series = inF64.polynomial(
+      inF64.mul(s, s),
+      {2.0, 2.0 / 3, 2.0 / 5, 2.0 / 7, 2.0 / 9, 2.0 / 11, 2.0 / 13, 2.0 / 15});
   if (scale != 1)
-    s = wide.mul(s, wide.constant(scale));
+    s = inF64.mul(s, inF64.constant(scale));
   Value result =
-      wide.add(wide.mul(e, wide.constant(ofTwo)), wide.mul(s, series));
-  Value zero = wide.constant(0);
-  Value infinity = wide.constant(std::numeric_limits<double>::infinity());
-  Value nan = wide.constant(std::numeric_limits<double>::quiet_NaN());
-  result = wide.choose(Predicate::OLT, x, infinity, result, x);
-  result = wide.choose(Predicate::OGT, x, zero, result, nan);
-  result = wide.choose(Predicate::OEQ, x, zero,
-                       wide.constant(-std::numeric_limits<double>::infinity()),
-                       result);
-  return wide.truncate(result);
+      inF64.add(inF64.mul(e, inF64.constant(ofTwo)), inF64.mul(s, series));
+  Value zero = inF64.constant(0);
+  Value infinity = inF64.constant(std::numeric_limits<double>::infinity());
+  Value nan = inF64.constant(std::numeric_limits<double>::quiet_NaN());
+  result = inF64.choose(Predicate::OLT, x, infinity, result, x);
+  result = inF64.choose(Predicate::OGT, x, zero, result, nan);
+  result = inF64.choose(
+      Predicate::OEQ, x, zero,
+      inF64.constant(-std::numeric_limits<double>::infinity()), result);
+  return inF64.truncate(result);
 }
 
-Value expandLogE(Wide &wide, Value x) {
-  return expandLog(wide, x, /*ofTwo=*/0x1.62e42fefa39efp-1, /*scale=*/1);
+Value expandLogE(F64Builder &inF64, Value x) {
+  return expandLog(inF64, x, /*ofTwo=*/0x1.62e42fefa39efp-1, /*scale=*/1);
 }
-Value expandLog2(Wide &wide, Value x) {
-  return expandLog(wide, x, /*ofTwo=*/1, /*scale=*/0x1.71547652b82fep0);
+Value expandLog2(F64Builder &inF64, Value x) {
+  return expandLog(inF64, x, /*ofTwo=*/1, /*scale=*/0x1.71547652b82fep0);
 }
 
-template <typename Op, Value (*expand)(Wide &, Value), bool isOdd = false>
+template <typename Op, Value (*expand)(F64Builder &, Value), bool isOdd = false>
 struct ExpandWide : OpRewritePattern<Op> {
   using OpRewritePattern<Op>::OpRewritePattern;
   LogicalResult matchAndRewrite(Op op,
@@ -234,12 +234,12 @@ struct ExpandWide : OpRewritePattern<Op> {
     if (!getElementTypeOrSelf(type).isF32() || (vector && vector.isScalable()))
       return failure();
     Location loc = op.getLoc();
-    Wide wide(rewriter, loc, type);
+    F64Builder inF64(rewriter, loc, type);
     Value x = op.getOperand();
     // Zeros have signs too.
     if constexpr (isOdd)
       x = math::AbsFOp::create(rewriter, loc, x);
-    Value result = expand(wide, x);
+    Value result = expand(inF64, x);
     if constexpr (isOdd)
       result = math::CopySignOp::create(rewriter, loc, result, op.getOperand());
     rewriter.replaceOp(op, result);

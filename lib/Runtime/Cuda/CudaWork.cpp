@@ -271,7 +271,8 @@ Status CudaDevice::beginCapture(size_t changeable, bool overlaps) {
 
 Status CudaDevice::endCapture(std::unique_ptr<DeviceGraph> &graph) {
   Graph recorded = nullptr;
-  // The driver takes no graph of which a branch stays open.
+  // The driver refuses to end a recording while work of the second stream has
+  // not been joined to the first.
   (void)joinAside();
   capture.isOpen = false;
   Status status = check(cu.streamEndCapture(stream, &recorded),

@@ -189,7 +189,7 @@ template <typename T> static T combine(T before, T operand, int32_t kind) {
 }
 
 /// `alone`: no other thread of the launch updates.
-template <typename T, typename Wide>
+template <typename T, typename Exact>
 static double update(T *address, int32_t kind, T value, double error,
                      double *oldError, bool alone) {
   std::optional<UpdateLock> lock;
@@ -197,10 +197,10 @@ static double update(T *address, int32_t kind, T value, double error,
     lock.emplace(address);
   T old, result;
   __atomic_load(address, &old, __ATOMIC_RELAXED);
-  Wide operand = static_cast<Wide>(value) + static_cast<Wide>(error), before;
+  Exact operand = static_cast<Exact>(value) + static_cast<Exact>(error), before;
   // Other threads may update the element without its shadow.
   do {
-    before = shadow::read<T, Wide>(address, old);
+    before = shadow::read<T, Exact>(address, old);
     result = combine(old, value, kind);
     if (alone) {
       __atomic_store(address, &result, __ATOMIC_RELAXED);
@@ -208,8 +208,8 @@ static double update(T *address, int32_t kind, T value, double error,
     }
   } while (!__atomic_compare_exchange(address, &old, &result, true,
                                       __ATOMIC_RELAXED, __ATOMIC_RELAXED));
-  *oldError = static_cast<double>(before - static_cast<Wide>(old));
-  shadow::write<T, Wide>(address, result, combine(before, operand, kind));
+  *oldError = static_cast<double>(before - static_cast<Exact>(old));
+  shadow::write<T, Exact>(address, result, combine(before, operand, kind));
   return old;
 }
 

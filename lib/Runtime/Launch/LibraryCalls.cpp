@@ -62,27 +62,31 @@ static double powerOfDouble(double base, int exponent) {
   return std::pow(base, exponent);
 }
 
-__extension__ typedef __int128 Wide;
+__extension__ typedef __int128 Int128;
 __extension__ typedef unsigned __int128 UnsignedWide;
 
-static Wide divideWide(Wide a, Wide b) { return a / b; }
-static Wide remainderWide(Wide a, Wide b) { return a % b; }
+static Int128 divideWide(Int128 a, Int128 b) { return a / b; }
+static Int128 remainderWide(Int128 a, Int128 b) { return a % b; }
 static UnsignedWide divideUnsignedWide(UnsignedWide a, UnsignedWide b) {
   return a / b;
 }
 static UnsignedWide remainderUnsignedWide(UnsignedWide a, UnsignedWide b) {
   return a % b;
 }
-static float floatFromWide(Wide value) { return static_cast<float>(value); }
-static double doubleFromWide(Wide value) { return static_cast<double>(value); }
+static float floatFromWide(Int128 value) { return static_cast<float>(value); }
+static double doubleFromWide(Int128 value) {
+  return static_cast<double>(value);
+}
 static float floatFromUnsignedWide(UnsignedWide value) {
   return static_cast<float>(value);
 }
 static double doubleFromUnsignedWide(UnsignedWide value) {
   return static_cast<double>(value);
 }
-static Wide wideFromFloat(float value) { return static_cast<Wide>(value); }
-static Wide wideFromDouble(double value) { return static_cast<Wide>(value); }
+static Int128 wideFromFloat(float value) { return static_cast<Int128>(value); }
+static Int128 wideFromDouble(double value) {
+  return static_cast<Int128>(value);
+}
 static UnsignedWide unsignedWideFromFloat(float value) {
   return static_cast<UnsignedWide>(value);
 }

@@ -14,12 +14,14 @@
 #define TAI_DEFINE_1(name)                                                     \
   TAI_DEFINE_WIDE_1(name, 4)                                                   \
   TAI_DEFINE_WIDE_1(name, 8)                                                   \
-  extern "C" float tai_wide_##name##_1(float x) { return Wide<4>::name(x)[0]; }
+  extern "C" float tai_wide_##name##_1(float x) {                              \
+    return WideLanes<4>::name(x)[0];                                           \
+  }
 #define TAI_DEFINE_2(name)                                                     \
   TAI_DEFINE_WIDE_2(name, 4)                                                   \
   TAI_DEFINE_WIDE_2(name, 8)                                                   \
   extern "C" float tai_wide_##name##_1(float x, float y) {                     \
-    return Wide<4>::name(x, y)[0];                                             \
+    return WideLanes<4>::name(x, y)[0];                                        \
   }
 #define TAI_WIDE_FUNCTION(name, arguments) TAI_DEFINE_##arguments(name)
 #include "tai/ABI/VectorMath.def"

@@ -36,7 +36,7 @@ float tanhf(float);
 }
 
 namespace {
-template <int lanes> struct Wide {
+template <int lanes> struct WideLanes {
   typedef float F32 __attribute__((ext_vector_type(lanes)));
   typedef double F64 __attribute__((ext_vector_type(lanes)));
   typedef long I64 __attribute__((ext_vector_type(lanes)));
@@ -95,8 +95,8 @@ template <int lanes> struct Wide {
 
   /// The result as f32 where it is covered; that of libm where it is not.
   template <typename Libm, typename... X>
-  TAI_WIDE_INLINE F32 finish(F64 wide, I64 covered, Libm libm, X... x) {
-    F32 result = truncate(wide);
+  TAI_WIDE_INLINE F32 finish(F64 inF64, I64 covered, Libm libm, X... x) {
+    F32 result = truncate(inF64);
     if (__builtin_expect(!all(covered), false))
       for (int i = 0; i < lanes; ++i)
         if (!covered[i])
@@ -106,13 +106,13 @@ template <int lanes> struct Wide {
 
   TAI_WIDE_INLINE F32 sin(F32 x) {
     I64 covered;
-    F64 wide = sine(extend(x), 0, covered);
-    return finish(wide, covered, sinf, x);
+    F64 inF64 = sine(extend(x), 0, covered);
+    return finish(inF64, covered, sinf, x);
   }
   TAI_WIDE_INLINE F32 cos(F32 x) {
     I64 covered;
-    F64 wide = sine(extend(x), 1, covered);
-    return finish(wide, covered, cosf, x);
+    F64 inF64 = sine(extend(x), 1, covered);
+    return finish(inF64, covered, cosf, x);
   }
 
   /// The logarithm to base 2 of a positive normal f64, to 2^-44 of itself.
@@ -135,9 +135,9 @@ template <int lanes> struct Wide {
   /// The logarithm of a positive finite number, to the base that makes log(2)
   /// `ofTwo`.
   TAI_WIDE_INLINE F32 logarithm(F32 x, double ofTwo, float (*libm)(float)) {
-    F64 wide = extend(x);
-    I64 covered = (wide > 0.) & (wide < __builtin_inf());
-    return finish(binaryLogarithm(wide) * ofTwo, covered, libm, x);
+    F64 inF64 = extend(x);
+    I64 covered = (inF64 > 0.) & (inF64 < __builtin_inf());
+    return finish(binaryLogarithm(inF64) * ofTwo, covered, libm, x);
   }
   TAI_WIDE_INLINE F32 log(F32 x) {
     return logarithm(x, 0x1.62e42fefa39efp-1, logf);
@@ -148,13 +148,13 @@ template <int lanes> struct Wide {
   }
 
   TAI_WIDE_INLINE F32 log1p(F32 x) {
-    F64 wide = extend(x);
-    I64 covered = (wide > -1.) & (wide < __builtin_inf());
-    F64 sum = wide + 1.;
+    F64 inF64 = extend(x);
+    I64 covered = (inF64 > -1.) & (inF64 < __builtin_inf());
+    F64 sum = inF64 + 1.;
     // The rounding error of the sum, to first order.
-    F64 rest = (wide - (sum - 1.)) / sum;
+    F64 rest = (inF64 - (sum - 1.)) / sum;
     F64 result = fma(binaryLogarithm(sum), F64(0x1.62e42fefa39efp-1), rest);
-    return finish(withSignOf(wide, result), covered, log1pf, x);
+    return finish(withSignOf(inF64, result), covered, log1pf, x);
   }
 
   /// 2^x as scale + scale * minusOne for |x| < 1000, where minusOne is right to
@@ -186,13 +186,13 @@ template <int lanes> struct Wide {
 
   /// t / (t + 2) with t = e^2x - 1, of which nothing cancels.
   TAI_WIDE_INLINE F32 tanh(F32 x) {
-    F64 wide = extend(x);
+    F64 inF64 = extend(x);
     // From 9.1 on the result is 1.
-    I64 covered = __builtin_elementwise_abs(wide) < 9.5;
-    wide = number(bits(wide) & covered);
-    F64 minusOne, scale = splitPower(wide * 0x1.71547652b82fep1, minusOne);
+    I64 covered = __builtin_elementwise_abs(inF64) < 9.5;
+    inF64 = number(bits(inF64) & covered);
+    F64 minusOne, scale = splitPower(inF64 * 0x1.71547652b82fep1, minusOne);
     F64 t = fma(scale, minusOne, scale - 1.);
-    return finish(withSignOf(wide, t / (t + 2.)), covered, tanhf, x);
+    return finish(withSignOf(inF64, t / (t + 2.)), covered, tanhf, x);
   }
 
   TAI_WIDE_INLINE F32 pow(F32 x, F32 y) {
@@ -208,13 +208,14 @@ template <int lanes> struct Wide {
 
 /// Defines the function for `lanes` numbers at once.
 #define TAI_DEFINE_WIDE_1(name, lanes)                                         \
-  extern "C" Wide<lanes>::F32 tai_wide_##name##_##lanes(Wide<lanes>::F32 x) {  \
-    return Wide<lanes>::name(x);                                               \
+  extern "C" WideLanes<lanes>::F32 tai_wide_##name##_##lanes(                  \
+      WideLanes<lanes>::F32 x) {                                               \
+    return WideLanes<lanes>::name(x);                                          \
   }
 #define TAI_DEFINE_WIDE_2(name, lanes)                                         \
-  extern "C" Wide<lanes>::F32 tai_wide_##name##_##lanes(Wide<lanes>::F32 x,    \
-                                                        Wide<lanes>::F32 y) {  \
-    return Wide<lanes>::name(x, y);                                            \
+  extern "C" WideLanes<lanes>::F32 tai_wide_##name##_##lanes(                  \
+      WideLanes<lanes>::F32 x, WideLanes<lanes>::F32 y) {                      \
+    return WideLanes<lanes>::name(x, y);                                       \
   }
 
 #endif // TAI_LIB_RUNTIME_MATH_WIDEFUNCTIONS_H

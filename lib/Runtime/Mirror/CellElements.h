@@ -29,8 +29,6 @@ public:
     int64_t bytes;
   };
   const std::vector<Run> &runs() const { return pieces; }
-  /// The stride of consecutive cells if uniform, else 0.
-  int64_t evenCellStride() const { return uniform ? cellStride : 0; }
   int64_t bytes() const { return total; }
 
   /// The address of the first component of the first element in the cell. Call

@@ -116,10 +116,10 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
         GraphOrder(sequence).splitFront())
       add(ProgramMode::Aside, 0, 0);
     unsigned most = limits.threadsPerBlock;
-    unsigned wide = std::min(most, warps(width));
-    add(ProgramMode::Block, 1, wide);
+    unsigned full = std::min(most, warps(width));
+    add(ProgramMode::Block, 1, full);
     // Fewer threads have more registers each.
-    for (unsigned threads : {wide / 2, wide / 4})
+    for (unsigned threads : {full / 2, full / 4})
       if (threads >= 128)
         add(ProgramMode::Block, 1, warps(threads));
     if (limits.mostClusterBlocks > 1 && width > most / 2) {

@@ -137,10 +137,10 @@ bool ChosenExtremum::isExtendedAlike(Value number) const {
 
 /// True if the value is the given number, be it in the type of the element.
 bool ChosenExtremum::isGiven(Value value) const {
-  APInt wide, narrow;
-  if (matchPattern(given, m_ConstantInt(&wide)) &&
+  APInt longer, narrow;
+  if (matchPattern(given, m_ConstantInt(&longer)) &&
       matchPattern(value, m_ConstantInt(&narrow)))
-    return wide.sextOrTrunc(narrow.getBitWidth()) == narrow;
+    return longer.sextOrTrunc(narrow.getBitWidth()) == narrow;
   APFloat precise(0.0), rounded(0.0);
   if (matchPattern(given, m_ConstantFloat(&precise)) &&
       matchPattern(value, m_ConstantFloat(&rounded))) {

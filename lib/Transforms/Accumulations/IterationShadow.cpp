@@ -139,10 +139,10 @@ Value IterationShadow::getIteration() {
   for (Value iv : loop.getInductionVars())
     iteration = arith::AddIOp::create(
         b, arith::MulIOp::create(b, iteration, index(1000003)), iv);
-  Value wide = arith::IndexCastOp::create(b, b.getI64Type(), iteration);
-  wide = arith::AndIOp::create(
-      b, wide, arith::ConstantIntOp::create(b, kSeveral - 1, 64));
-  return arith::SIToFPOp::create(b, b.getF64Type(), wide);
+  Value lowBits = arith::IndexCastOp::create(b, b.getI64Type(), iteration);
+  lowBits = arith::AndIOp::create(
+      b, lowBits, arith::ConstantIntOp::create(b, kSeveral - 1, 64));
+  return arith::SIToFPOp::create(b, b.getF64Type(), lowBits);
 }
 
 Value IterationShadow::isNoneOr(Value number, Value own) {

@@ -445,7 +445,7 @@ void OtherIterations::refuseLaunches() {
 // Runs
 //===----------------------------------------------------------------------===//
 
-void OtherIterations::checkStorage(ArrayRef<Pair> pairs) {
+void OtherIterations::checkStorage(ArrayRef<AccessPair> pairs) {
   auto [first, other] = pairs.front();
   Value isWanted;
   if (!haveSameStorage(first, other)) {
@@ -477,8 +477,8 @@ void OtherIterations::checkStorage(ArrayRef<Pair> pairs) {
 
 void OtherIterations::check() {
   using Key = std::pair<const void *, const void *>;
-  llvm::MapVector<Key, SmallVector<Pair>> storages;
-  for (const Pair &pair : possible)
+  llvm::MapVector<Key, SmallVector<AccessPair>> storages;
+  for (const AccessPair &pair : possible)
     storages[Key(getStorageKey(pair.write), getStorageKey(pair.read))]
         .push_back(pair);
   for (auto &[key, pairs] : storages)

@@ -36,14 +36,14 @@ public:
   void check();
 
 private:
-  struct Pair {
+  struct AccessPair {
     DifferentiableAccessInterface write, read;
   };
 
-  void checkStorage(ArrayRef<Pair> pairs);
+  void checkStorage(ArrayRef<AccessPair> pairs);
 
   ParallelForOp loop;
-  SmallVector<Pair> certain, possible;
+  SmallVector<AccessPair> certain, possible;
 };
 
 } // namespace mlir::tai

@@ -544,12 +544,12 @@ static Value emitCompensatedSum(OpBuilder &builder, Location loc,
     return arith::AddFOp::create(builder, loc, a, b);
   };
   if (!getElementTypeOrSelf(type).isF64()) {
-    Type wide = builder.getF64Type();
+    Type larger = builder.getF64Type();
     if (auto vector = dyn_cast<VectorType>(type))
-      wide = vector.clone(wide);
+      larger = vector.clone(larger);
     SmallVector<Value> extended;
     for (Value value : values)
-      extended.push_back(arith::ExtFOp::create(builder, loc, wide, value));
+      extended.push_back(arith::ExtFOp::create(builder, loc, larger, value));
     return arith::TruncFOp::create(builder, loc, type,
                                    emitSum(builder, loc, extended));
   }
@@ -581,7 +581,7 @@ static Gathered gather(LoopBox &box, Group &group, TermSum sum) {
   for (Scatter &scatter : group)
     values.push_back(recompute(builder, box, scatter));
   Location loc = first.op.getLoc();
-  gathered.sum = sum == TermSum::Compensated
+  gathered.sum = sum == TermSum::WithErrors
                      ? emitCompensatedSum(builder, loc, values)
                      : emitSum(builder, loc, values);
   IRMapping identity;

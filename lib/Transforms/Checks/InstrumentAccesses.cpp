@@ -154,14 +154,14 @@ void Instrumentation::createReport(Value condition, Value before,
   auto branch = scf::IfOp::create(b, condition, /*withElseRegion=*/false);
   OpBuilder::InsertionGuard guard(b);
   b.setInsertionPointToStart(branch.thenBlock());
-  auto wide = [&](int64_t value) -> Value {
+  auto number64 = [&](int64_t value) -> Value {
     return arith::ConstantIntOp::create(b, value, 64);
   };
   int64_t first = ordinal * kLogWords;
   Value count = memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::addi,
-                                            wide(1), log, index(first));
+                                            number64(1), log, index(first));
   Value fits = arith::CmpIOp::create(b, arith::CmpIPredicate::ult, count,
-                                     wide(kLogEntries));
+                                     number64(kLogEntries));
   auto room = scf::IfOp::create(b, fits, /*withElseRegion=*/false);
   b.setInsertionPointToStart(room.thenBlock());
   Value at = arith::IndexCastOp::create(b, b.getIndexType(), count);
@@ -169,7 +169,7 @@ void Instrumentation::createReport(Value condition, Value before,
   at = arith::AddIOp::create(b, at, index(first + 1));
   Value words[] = {arith::ExtSIOp::create(b, b.getI64Type(), before),
                    arith::IndexCastOp::create(b, b.getI64Type(), component),
-                   wide(static_cast<int64_t>(kind))};
+                   number64(static_cast<int64_t>(kind))};
   for (auto [i, word] : llvm::enumerate(words))
     memref::StoreOp::create(b, word, log,
                             ValueRange{arith::AddIOp::create(b, at, index(i))});

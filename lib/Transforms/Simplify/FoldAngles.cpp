@@ -148,10 +148,11 @@ template <typename Op> static bool keepTruncation(Op op) {
       (narrow.getWidth() >= 32 && isOfIndexSpace(op.getIn())))
     return false;
   OpBuilder builder(op);
-  Value wide =
+  Value extended =
       Op::create(builder, op.getLoc(), builder.getI64Type(), op.getIn());
   op.replaceAllUsesWith(
-      arith::TruncIOp::create(builder, op.getLoc(), narrow, wide).getResult());
+      arith::TruncIOp::create(builder, op.getLoc(), narrow, extended)
+          .getResult());
   return true;
 }
 

@@ -27,7 +27,8 @@ using namespace mlir::tai;
 namespace {
 class Widening {
 public:
-  Widening(KernelOp kernel, FloatType wide) : kernel(kernel), wide(wide) {}
+  Widening(KernelOp kernel, FloatType target)
+      : kernel(kernel), target(target) {}
 
   void run();
 
@@ -42,7 +43,7 @@ private:
   void keep(Operation *op, ArrayRef<Type> operandTypes);
 
   KernelOp kernel;
-  FloatType wide;
+  FloatType target;
 };
 } // namespace
 
@@ -52,7 +53,7 @@ bool Widening::isNarrow(Type type) {
   if (auto local = dyn_cast<LocalType>(type))
     return isNarrow(local.getElementType());
   auto element = dyn_cast<FloatType>(getElementTypeOrSelf(type));
-  return element && element.getWidth() < wide.getWidth();
+  return element && element.getWidth() < target.getWidth();
 }
 
 Type Widening::widen(Type type) {
@@ -64,8 +65,8 @@ Type Widening::widen(Type type) {
   if (auto local = dyn_cast<LocalType>(type))
     return LocalType::get(type.getContext(), widen(local.getElementType()));
   if (auto vector = dyn_cast<VectorType>(type))
-    return vector.clone(wide);
-  return wide;
+    return vector.clone(target);
+  return target;
 }
 
 /// True for an array that the kernel makes for itself.
@@ -93,15 +94,15 @@ bool Widening::keepsTypes(Operation *op) {
   return !llvm::is_contained({"arith", "math", "scf", "vector"}, dialect);
 }
 
-static Attribute widenNumber(Attribute attr, Type type, FloatType wide) {
+static Attribute widenNumber(Attribute attr, Type type, FloatType target) {
   auto widen = [&](APFloat value) {
     bool lost = false;
-    value.convert(wide.getFloatSemantics(), APFloat::rmNearestTiesToEven,
+    value.convert(target.getFloatSemantics(), APFloat::rmNearestTiesToEven,
                   &lost);
     return value;
   };
   if (auto number = dyn_cast<FloatAttr>(attr))
-    return FloatAttr::get(wide, widen(number.getValue()));
+    return FloatAttr::get(target, widen(number.getValue()));
   auto numbers = dyn_cast<DenseFPElementsAttr>(attr);
   if (!numbers)
     return attr;
@@ -118,9 +119,9 @@ static Attribute widenNumber(Attribute attr, Type type, FloatType wide) {
 void Widening::widenAttributes(Operation *op) {
   // A constant of a wider type than `wide` stays.
   if (auto constant = dyn_cast<arith::ConstantOp>(op);
-      constant && getElementTypeOrSelf(constant.getType()) == wide)
+      constant && getElementTypeOrSelf(constant.getType()) == target)
     constant.setValueAttr(cast<TypedAttr>(
-        widenNumber(constant.getValue(), constant.getType(), wide)));
+        widenNumber(constant.getValue(), constant.getType(), target)));
 }
 
 void Widening::widenUses(OpBuilder &builder, Value value) {

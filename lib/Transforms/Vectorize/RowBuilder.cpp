@@ -262,8 +262,8 @@ void RowBuilder::storeRow(const BlockAccess &access, Value vector) {
 Value RowBuilder::broadcast(Value scalar) {
   Type type = scalar.getType();
   if (type.isIndex()) {
-    Value wide = broadcast(math.toI64(scalar));
-    return arith::IndexCastOp::create(builder, loc, vectorOf(type), wide);
+    Value extended = broadcast(math.toI64(scalar));
+    return arith::IndexCastOp::create(builder, loc, vectorOf(type), extended);
   }
   VectorType vector = vectorOf(type);
   Attribute constant;

@@ -254,3 +254,29 @@ TEST_F(IndexDigitsTest, DigitsOfBits) {
   EXPECT_EQ(builder.get(arith::AndIOp::create(b, both, number(-4))),
             builder.get(arith::ShLIOp::create(b, i, number(2))));
 }
+
+// A complement counts down: of all bits, or of those of a digit.
+TEST_F(IndexDigitsTest, ComplementsOfBits) {
+  start(0, 24, 0, 4);
+  Value i = loop.getInductionVars()[0], j = loop.getInductionVars()[1];
+  auto number = [&](int64_t value) {
+    return constant(value, b.getIndexType());
+  };
+  IndexBuilder builder;
+  auto without = [&](int64_t from, Value value) {
+    return builder.get(
+        arith::SubIOp::create(b, number(from), value).getResult());
+  };
+  auto flip = [&](Value value, int64_t mask) {
+    return builder.get(
+        arith::XOrIOp::create(b, value, number(mask)).getResult());
+  };
+  EXPECT_EQ(flip(i, -1), without(-1, i));
+  EXPECT_EQ(flip(i, 31), without(31, i));
+  EXPECT_EQ(flip(j, 3), without(3, j));
+  ValueRange ivs = loop.getInductionVars();
+  EXPECT_TRUE(isInjectiveOver(builder, {flip(i, 31), flip(j, 3)}, ivs));
+  // 24 and more have other bits; 5 is no mask.
+  EXPECT_FALSE(flip(i, 15) == without(15, i));
+  EXPECT_FALSE(flip(j, 5) == without(5, j));
+}

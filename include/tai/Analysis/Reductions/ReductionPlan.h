@@ -54,7 +54,7 @@ struct ReductionPlan {
 bool hasFixedBits(Operation *op);
 
 /// How a kernel adds up several terms of one iteration.
-enum class TermSum { Plain, Compensated, Unavailable };
+enum class TermSum { Plain, WithErrors, Unavailable };
 
 /// The sum that a gather of terms of type `scalar` in `loop` makes. `pairs`:
 /// the target can keep a sum of f64 with its rounding errors.
