@@ -115,15 +115,19 @@ HeldArrays::~HeldArrays() {
     Py_DECREF(object);
 }
 
-Match HeldArrays::pack(const ArrayArg &arg, PyObject *object, Slots &slots) {
+Match HeldArrays::pack(const ArrayArg &arg, PyObject *object,
+                       PyObject *gradient, Slots &slots) {
   size_t first = slots.size();
   Match match;
-  if (ndarrayType && PyObject_TypeCheck(object, ndarrayType))
+  if (gradient) // by the side of a tensor
+    match = arg.element.empty() ? packTensor(arg, object, gradient, slots)
+                                : Match::No;
+  else if (ndarrayType && PyObject_TypeCheck(object, ndarrayType))
     match = packNdarray(arg, object, slots);
   else if (!arg.isElementFixed && !arg.element.empty())
     return Match::No;
   else if (!PyObject_CheckBuffer(object))
-    match = packTensor(arg, object, slots);
+    match = packTensor(arg, object, nullptr, slots);
   else
     match = arg.hasGradient ? Match::No : packBuffer(arg, object, slots);
   if (match != Match::Yes || (use == ArrayUse::Forward && !mayAlias))
@@ -215,8 +219,8 @@ static PyObject *makeGradient(PyObject *tensor, PyObject *name) {
 template <typename Packer>
 Match HeldArrays::packGradient(PyObject *owner, PyObject *name, Slots &slots,
                                size_t first, Packer pack) {
-  size_t count = slots.size() - first;
   if (use == ArrayUse::Forward) {
+    size_t count = slots.size() - first;
     for (size_t i = 0; i < count; ++i)
       slots.push_back(slots[first + i]);
     return Match::Yes;
@@ -231,9 +235,15 @@ Match HeldArrays::packGradient(PyObject *owner, PyObject *name, Slots &slots,
     return Match::No;
   }
   objects.push_back(gradient);
-  Match match = pack(gradient);
+  return addGradient(pack(gradient), slots, first);
+}
+
+/// Notes the slots of a gradient as those of an adjoint. They follow the slots
+/// of the array, which begin at \p first; \p match says whether they do.
+Match HeldArrays::addGradient(Match match, Slots &slots, size_t first) {
   if (match != Match::Yes)
     return match;
+  size_t count = (slots.size() - first) / 2;
   // The gradient must have the shape of the array.
   if (slots.size() != first + 2 * count ||
       !std::equal(slots.begin() + static_cast<ptrdiff_t>(first + 1),
@@ -276,7 +286,7 @@ bool HeldArrays::isUsable(uint64_t address) const {
 }
 
 Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
-                             Slots &slots) {
+                             PyObject *given, Slots &slots) {
   auto packOne = [&](const TensorType &type, PyObject *tensor) {
     TensorView view;
     if (!readTensor(type, tensor, view) || arg.format.size() != 1 ||
@@ -303,7 +313,10 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   TensorType type = findTensorType(object);
   if (!type.isTensor)
     return Match::No;
-  if (isFloat(arg.format[0])) {
+  if (given) {
+    if (isFloat(arg.format[0]) && (given == Py_None) == arg.hasGradient)
+      return Match::No;
+  } else if (isFloat(arg.format[0])) {
     static const Name requiresGrad("requires_grad");
     py::object wants = take(get(object, requiresGrad));
     if (!wants || wants.is(py::bool_(true)) != arg.hasGradient)
@@ -313,6 +326,12 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   Match match = packOne(type, object);
   if (match != Match::Yes || !arg.hasGradient)
     return match;
+  auto packPlain = [&](PyObject *tensor) {
+    TensorType type = findTensorType(tensor);
+    return type.isTensor ? packOne(type, tensor) : Match::No;
+  };
+  if (given)
+    return addGradient(packPlain(given), slots, first);
   static const Name gradient("grad"), isLeaf("is_leaf");
   if (use != ArrayUse::Forward) {
     // Python code says why a tensor that torch computed cannot be used.
@@ -320,11 +339,8 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
     if (leaf && leaf.is(py::bool_(false)))
       return Match::No;
   }
-  return packGradient(object, gradient, slots, first, [&](PyObject *tensor) {
-    // That of a parameter of a network is a plain tensor.
-    TensorType type = findTensorType(tensor);
-    return type.isTensor ? packOne(type, tensor) : Match::No;
-  });
+  // The gradient of a parameter of a network is a plain tensor.
+  return packGradient(object, gradient, slots, first, packPlain);
 }
 
 const HeldArrays::Range &

@@ -58,7 +58,11 @@ public:
   HeldArrays &operator=(const HeldArrays &) = delete;
 
   /// Adds the slots of an array. `No` means that Python code must handle it.
-  Match pack(const ArrayArg &arg, PyObject *object, Slots &slots);
+  ///
+  /// \p gradient is the tensor that its gradient is added to, or None; null if
+  /// the array has its gradient itself.
+  Match pack(const ArrayArg &arg, PyObject *object, PyObject *gradient,
+             Slots &slots);
   /// Call when all arguments have been packed: appends the gradients, as
   /// adjoints. `No` for forbidden overlaps: one of two overlapping arrays is
   /// written, and they are not identical, or one has a gradient.
@@ -86,10 +90,12 @@ private:
   bool orderStreams(TaiStatus (*order)(TaiContext, uint64_t));
   Match packBuffer(const ArrayArg &arg, PyObject *object, Slots &slots);
   Match packNdarray(const ArrayArg &arg, PyObject *object, Slots &slots);
-  Match packTensor(const ArrayArg &arg, PyObject *object, Slots &slots);
+  Match packTensor(const ArrayArg &arg, PyObject *object, PyObject *gradient,
+                   Slots &slots);
   template <typename Packer>
   Match packGradient(PyObject *owner, PyObject *name, Slots &slots,
                      size_t first, Packer pack);
+  Match addGradient(Match match, Slots &slots, size_t first);
   const Range &addRange(const ArrayArg &arg, const Slots &slots, size_t first);
   bool isUsable(uint64_t address) const;
   Match matchTaped(const Range &range, PyObject *object, Slots &slots,

@@ -215,7 +215,8 @@ Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
 }
 
 Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
-              Slots &slots, std::optional<HeldArrays> &held) {
+              PyObject *gradient, Slots &slots,
+              std::optional<HeldArrays> &held) {
   uint64_t slot = 0;
   switch (arg.kind) {
   case ArgKind::Constant:
@@ -230,7 +231,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
                    : spec.grad   ? ArrayUse::Gradient
                                  : ArrayUse::Forward,
                    spec.arraysMayAlias);
-    return held->pack(arg.array, object, slots);
+    return held->pack(arg.array, object, gradient, slots);
   case ArgKind::F32:
   case ArgKind::F64: {
     double number;
@@ -345,8 +346,11 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
 }
 
 /// Tries one specialisation. Yes: `answer` is the result or null on error.
-Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
-                PyObject *&answer) {
+///
+/// \p gradients: for each argument, the tensor of its gradient, or None; null
+/// where the arrays have their gradients themselves.
+Match tryLaunch(Specialization &spec, PyObject *const *args,
+                PyObject *const *gradients, size_t count, PyObject *&answer) {
   if (spec.generation != generation || spec.args.size() != count ||
       (isRecording() &&
        (spec.tracking == Specialization::Tracking::Python ||
@@ -364,7 +368,8 @@ Match tryLaunch(Specialization &spec, PyObject *const *args, size_t count,
   Slots slots;
   std::optional<HeldArrays> held;
   for (size_t i = 0; i < count; ++i) {
-    Match match = packArg(spec, spec.args[i], args[i], slots, held);
+    Match match = packArg(spec, spec.args[i], args[i],
+                          gradients ? gradients[i] : nullptr, slots, held);
     if (match != Match::Yes)
       return match;
   }
@@ -403,30 +408,39 @@ PyObject *callSlow(Launcher *self, PyObject *const *args, size_t count,
   return answer;
 }
 
+/// Launches the specialisation that fits. No: none does. Yes: `answer` is the
+/// result or null on error.
+Match launchKnown(Launcher *self, PyObject *const *args,
+                  PyObject *const *gradients, size_t count, PyObject *&answer) {
+  calledLauncher = reinterpret_cast<PyObject *>(self);
+  auto &all = *self->specializations;
+  for (size_t i = all.size(); i-- > 0;) {
+    Specialization *spec = all[i].get();
+    Match match = tryLaunch(*spec, args, gradients, count, answer);
+    if (match == Match::Error) {
+      answer = nullptr;
+      return Match::Yes;
+    }
+    if (match == Match::No) {
+      // Python code of the arguments may have dropped some.
+      i = std::min(i, all.size());
+      continue;
+    }
+    // Most recently used last, if other threads have left it where it was.
+    if (i + 1 < all.size() && all[i].get() == spec)
+      std::swap(all[i], all.back());
+    return Match::Yes;
+  }
+  return Match::No;
+}
+
 PyObject *callAny(PyObject *object, PyObject *const *args, size_t flags,
                   PyObject *names) {
   auto *self = reinterpret_cast<Launcher *>(object);
   size_t count = static_cast<size_t>(PyVectorcall_NARGS(flags));
-  calledLauncher = object;
-  if (!names) {
-    auto &all = *self->specializations;
-    for (size_t i = all.size(); i-- > 0;) {
-      PyObject *answer = nullptr;
-      Specialization *spec = all[i].get();
-      Match match = tryLaunch(*spec, args, count, answer);
-      if (match == Match::Error)
-        return nullptr;
-      if (match == Match::No) {
-        // Python code of the arguments may have dropped some.
-        i = std::min(i, all.size());
-        continue;
-      }
-      // Most recently used last, if other threads have left it where it was.
-      if (i + 1 < all.size() && all[i].get() == spec)
-        std::swap(all[i], all.back());
-      return answer;
-    }
-  }
+  PyObject *answer = nullptr;
+  if (!names && launchKnown(self, args, nullptr, count, answer) == Match::Yes)
+    return answer;
   return callSlow(self, args, count, names);
 }
 
@@ -630,6 +644,25 @@ void taipy::bindLauncher(py::module_ &module) {
                drop(all, isOld);
                all.push_back(std::move(made));
              });
+  // Launches with gradients that lie beside the tensors, if code for such
+  // arguments has been compiled; returns whether it has.
+  module.def("launch_beside", [](const py::object &launcher,
+                                 const py::tuple &args,
+                                 const py::tuple &gradients) {
+    if (args.size() != gradients.size())
+      throw py::value_error("one gradient, or None, for each argument");
+    // The items of a tuple stay, whatever the arguments do meanwhile.
+    auto items = [](const py::tuple &tuple) {
+      return reinterpret_cast<PyTupleObject *>(tuple.ptr())->ob_item;
+    };
+    PyObject *answer = nullptr;
+    Match match = launchKnown(toLauncher(launcher), items(args),
+                              items(gradients), args.size(), answer);
+    if (match == Match::Yes && !answer)
+      throw py::error_already_set();
+    Py_XDECREF(answer);
+    return match == Match::Yes;
+  });
   // Launches with slots that the caller packed: vectors, matrices, copies.
   module.def("launch_slots",
              [](const std::shared_ptr<Kernel> &kernel, bool grad,

@@ -591,3 +591,51 @@ def test_stores_to_one_element():
         # The gradient belongs to the iteration whose number remained.
         gradient = [2 * v if v * v == y.item() else 0.0 for v in x.tolist()]
         assert x.grad.tolist() == gradient and sum(g != 0 for g in gradient) == 1
+
+
+@ti.kernel
+def weigh(x: ti.types.ndarray(), w: ti.types.ndarray(), a: ti.f64, n: ti.types.ndarray(),
+          y: ti.types.ndarray(), z: ti.types.ndarray()):  # fmt: skip
+    for i, j in ti.ndrange(x.shape[0], x.shape[1]):
+        y[i, j] = a * x[i, j] * w[i, j]
+        z[i, j] = x[i, j] * n[i, j]
+
+
+WEIGH = wrap(weigh, outputs={"y": "x", "z": "x"})
+
+
+@pytest.mark.parametrize("wanted", [(True, True), (True, False), (False, True), (False, False)])
+def test_known_types_go_to_the_launcher_at_once(wanted, monkeypatch):
+    numbers = torch.arange(6).reshape(2, 3)
+
+    def check(arrange=lambda t: t):
+        x, w = (arrange(leaf(6, seed=s).detach().reshape(2, 3)) for s in (1, 2))
+        x.requires_grad_(wanted[0])
+        w.requires_grad_(wanted[1])
+        y, z = WEIGH(x, w, 0.5, numbers)
+        torch.testing.assert_close(y.detach(), 0.5 * (x * w).detach())
+        assert y.requires_grad == any(wanted)
+        if any(wanted):
+            (arrange(torch.full((2, 3), 2.0, dtype=torch.float64)) * y + z.cos()).sum().backward()
+        expected = (w - numbers * (x * numbers).sin()).detach() if wanted[0] else None
+        assert x.grad is None if expected is None else torch.allclose(x.grad, expected)
+        assert torch.equal(w.grad, x.detach()) if wanted[1] else w.grad is None
+
+    def permuted(tensor):
+        return tensor.t().contiguous().t()
+
+    check()
+    check(permuted)  # copied first
+    monkeypatch.setattr(WEIGH, "_launch", None)
+    check()
+
+
+def test_an_input_that_is_written_is_found_after_plain_launches():
+    x = torch.ones(3, dtype=torch.float64)
+    spoil(x, torch.zeros(3, dtype=torch.float64))
+    x.fill_(1.0)
+    operator = wrap(spoil, outputs={"y": "x"})
+    for _ in range(2):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="writes to its input 'x'"):
+            operator(x)
+        assert x.tolist() == [1, 1, 1]

@@ -6,9 +6,11 @@ import functools
 import itertools
 import re
 from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
 from typing import Any
 
 import torch
+from torch.autograd import forward_ad
 
 from ...errors import (
     TaiAutodiffError,
@@ -17,15 +19,27 @@ from ...errors import (
     TaiRuntimeTypeError,
 )
 from ..ad.tape import Tape, clear_all_gradients
-from ..base import state
+from ..base import native, state
 from ..launch.kernels import Kernel
 from ..launch.stacked import StackedKernel
 from .parameters import asks_for_tape, check_outputs, in_order, kinds_of
 from .stacked import Stacks
 
+# Looked up once: each costs as much as a part of a launch.
+_is_grad_enabled = torch.is_grad_enabled
+_zeros_like = torch.zeros_like
+_launch_beside = native.launch_beside
+_is_transformed = torch._C._are_functorch_transforms_active
+_is_compiling = torch.compiler.is_compiling
+_count_dispatchers = torch._C._len_torch_dispatch_stack
+_is_any_autocast = torch._C._is_any_autocast_enabled
+_is_tracing = torch._C._is_tracing
+
 _numbers = itertools.count()
 # Operators by name. Torch keeps them for as long as the process, too.
 _known: dict[str, Operator] = {}
+# Types of tensors that have no behaviour of their own.
+_PLAIN = (torch.Tensor, torch.nn.Parameter)
 # Types of parameters in schemas of torch.
 _SCHEMA = {"array": "Tensor", "float": "float", "int": "SymInt", "bool": "bool"}
 
@@ -51,6 +65,9 @@ class Operator:
         self.outputs = [n for n in kinds if n in outputs]
         self._is_tensor = [kinds[n] == "array" for n in self.inputs]
         self._takes_numbers = not all(self._is_tensor)
+        # A tensor of it goes to the launcher as it is.
+        self._is_kernel = isinstance(function, Kernel)
+        self._no_gradients = (None,) * len(kinds)
         # For each parameter in order: whether it is an input, and its number among those or among
         # the outputs.
         self._places = [
@@ -62,7 +79,10 @@ class Operator:
             self.inputs.index(s) if isinstance(s, str) else None
             for s in (outputs[n] for n in self.outputs)
         ]
-        # The same, where all outputs are like an input.
+        # From a tuple of the inputs and of the outputs to the order of the parameters.
+        places = [n if given else len(self.inputs) + n for given, n in self._places]
+        self._arrange = itemgetter(*places)
+        # The same as `_models`, where all outputs are like an input.
         numbers = [m for m in self._models if m is not None]
         self._likes = numbers if len(numbers) == len(self._models) else None
         self._known: set[tuple] = set()
@@ -70,7 +90,7 @@ class Operator:
         # Torch has less to pass to a class that knows its operator.
         self._eager: Any = type("_EagerCall", (_Eager,), {"operator": self})
         # Whether a gradient needs values of outputs that later stores overwrite.
-        self._needs_tape = not isinstance(function, Kernel)
+        self._needs_tape = not self._is_kernel
         plain = re.sub(r"\W", "_", self.__name__)
         self.name = name or f"{plain}_{next(_numbers)}"
         parameters = ", ".join(f"{_SCHEMA[kinds[n]]} {n}" for n in self.inputs)
@@ -244,11 +264,15 @@ class Operator:
         return call(*[inputs[n] if given else outputs[n] for given, n in self._places])
 
     def _forward(self, *inputs: Any) -> Any:
-        if state.tape is not None:
+        if state.of_thread.tape is not None:
             raise TaiRuntimeError(
                 f"operator '{self.__name__}' of torch is called while a tape records",
                 "call the kernel itself in the tape, or leave the tape first",
             )
+        if self._likes is not None and self._is_kernel:
+            found = self._launch_at_once(inputs, self._likes)
+            if found is not None:
+                return found[0] if len(found) == 1 else found
         outputs = self._allocate(inputs, torch.zeros)
         plain, types = [], []
         for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
@@ -266,6 +290,18 @@ class Operator:
             self._launch_first(plain, outputs)
             self._known.add(kind)
         return outputs[0] if len(outputs) == 1 else tuple(outputs)
+
+    def _launch_at_once(self, inputs: tuple, likes: Sequence[int]) -> tuple | None:
+        """The outputs of a kernel, if the launcher has it for such tensors, and None elsewhere. It
+        does not look at whether torch follows them."""
+        given = inputs
+        if self._takes_numbers:
+            given = tuple([i for i, t in zip(inputs, self._is_tensor, strict=True) if t])
+        if tuple([i.dtype for i in given]) not in self._known:
+            return None
+        outputs = tuple([_zeros_like(inputs[n]) for n in likes])
+        values = self._arrange(inputs + outputs)
+        return outputs if _launch_beside(self._function, values, self._no_gradients) else None
 
     def _launch_first(self, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         """Launches with new types of tensors, and checks that no input is written.
@@ -319,6 +355,10 @@ class Operator:
             bars: the adjoints of its outputs.
             needs: for each input.
         """
+        if not self._needs_tape:
+            found = self._differentiate_at_once(inputs, bars, needs)
+            if found is not None:
+                return [gradient for gradient in found if gradient is not None]
         given, leaves = [], []
         for value, is_tensor, is_needed in zip(inputs, self._is_tensor, needs, strict=True):
             if is_tensor:
@@ -361,6 +401,23 @@ class Operator:
                 return self._differentiate(inputs, bars, needs)
         return [leaf.grad for leaf in leaves]
 
+    def _differentiate_at_once(
+        self, inputs: Sequence[Any], bars: Sequence[Any], needs: Sequence[bool]
+    ) -> tuple[torch.Tensor | None, ...] | None:
+        """One gradient, or None, for each input, where the launcher has the code for the types, and
+        tensors are contiguous; None elsewhere."""
+        # The sweep uses the adjoints up, and takes any memory for the values of outputs.
+        seeds = tuple([bar.clone() for bar in bars])
+        if False in needs:
+            pairs = zip(inputs, needs, strict=True)
+            found = tuple([torch.zeros_like(i) if n else None for i, n in pairs])
+        else:
+            found = tuple(map(_zeros_like, inputs))
+        arrange = self._arrange
+        if _launch_beside(self._function.grad, arrange((*inputs, *seeds)), arrange(found + seeds)):
+            return found
+        return None
+
     # Calls
 
     def __call__(self, *inputs: Any, **named: Any) -> Any:
@@ -378,18 +435,25 @@ class Operator:
         """
         if named or len(inputs) != len(self.inputs):
             inputs = in_order(f"operator '{self.__name__}'", self.inputs, inputs, named)
+        is_plain, is_followed = True, False
         for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
-            if is_tensor is not isinstance(value, torch.Tensor):
+            if type(value) in _PLAIN and is_tensor:
+                is_followed = is_followed or value.requires_grad
+            elif is_tensor is isinstance(value, torch.Tensor):
+                is_plain = is_plain and not is_tensor
+            else:
                 inputs = self._checked(inputs)
+                is_plain = False
                 break
-        if torch.compiler.is_compiling():
+        if _is_compiling():
             return self._op(*_without_autocast(inputs))
-        if torch._C._are_functorch_transforms_active():
+        if _is_transformed():
             return _Functional.apply(self, *_without_autocast(inputs))
-        if _is_plain(inputs):
-            if self._is_constant(inputs):
-                return self._forward(*inputs)
-            return self._eager.apply(*inputs)
+        # Nothing but autograd stands between a call and the memory of plain tensors.
+        if is_plain and not (_count_dispatchers() or _is_any_autocast() or _is_tracing()):
+            if is_followed and _is_grad_enabled() or forward_ad._current_level >= 0:
+                return self._eager.apply(*inputs)
+            return self._forward(*inputs)
         return self._op(*_without_autocast(inputs))
 
     def _checked(self, inputs: tuple) -> tuple:
@@ -426,18 +490,6 @@ class Operator:
             found.append(value)
         return tuple(found)
 
-    @staticmethod
-    def _is_constant(inputs: tuple) -> bool:
-        """Whether torch has no use for a derivative of the call."""
-        if torch.autograd.forward_ad._current_level >= 0:
-            return False
-        if not torch.is_grad_enabled():
-            return True
-        for value in inputs:
-            if isinstance(value, torch.Tensor) and value.requires_grad:
-                return False
-        return True
-
 
 class _OfBatch(Operator):
     """An operator whose kernel runs for all elements of a batch at once."""
@@ -451,6 +503,7 @@ class _OfBatch(Operator):
         """
         self._one, self._has_batch = one, [name in names for name in one.inputs]
         super().__init__(kernel, one._shapes, "_".join([one.name, "for", *names]))
+        self._likes = None  # Outputs have a batch where an input that they are like may have none.
 
     def _allocate(self, inputs: Sequence[Any], make: Callable[..., Any]) -> list[torch.Tensor]:
         pairs = list(zip(inputs, self._has_batch, strict=True))
@@ -479,17 +532,25 @@ class _Eager(torch.autograd.Function):
 
     @classmethod
     def forward(cls, ctx: Any, *inputs: Any) -> Any:
-        output = cls.operator._forward(*inputs)
-        cls.operator._set_up(ctx, inputs, output)
-        return output
+        operator = cls.operator
+        if operator._takes_numbers:
+            operator._set_up(ctx, inputs, None)
+        else:
+            ctx.save_for_backward(*inputs)
+        return operator._forward(*inputs)
 
     @classmethod
     def backward(cls, ctx: Any, *bars: Any) -> Any:
-        operator, needs = cls.operator, ctx.needs_input_grad
-        if torch.is_grad_enabled():  # of a gradient that is to be differentiated
+        operator = cls.operator
+        if _is_grad_enabled():  # of a gradient that is to be differentiated
             return operator._backward(ctx, *bars)
-        gradients = operator._differentiate(operator._given(ctx), bars, needs)
-        return operator._spread(gradients, needs)
+        needs = ctx.needs_input_grad
+        inputs = operator._given(ctx) if operator._takes_numbers else ctx.saved_tensors
+        if not operator._needs_tape:
+            found = operator._differentiate_at_once(inputs, bars, needs)
+            if found is not None:
+                return found[0] if len(found) == 1 else found
+        return operator._spread(operator._differentiate(inputs, bars, needs), needs)
 
 
 class _Functional(torch.autograd.Function):
@@ -572,20 +633,6 @@ def _stacked(found: list) -> Any:
     if isinstance(found[0], torch.Tensor):
         return torch.stack(found), 0
     return tuple(map(torch.stack, zip(*found, strict=True))), (0,) * len(found[0])
-
-
-def _is_plain(inputs: tuple) -> bool:
-    """Whether nothing but autograd stands between the call and the memory of the tensors."""
-    return not (
-        torch._C._len_torch_dispatch_stack()
-        or torch._C._is_any_autocast_enabled()
-        or torch._C._is_tracing()
-        or any(
-            type(i) not in (torch.Tensor, torch.nn.Parameter)
-            for i in inputs
-            if isinstance(i, torch.Tensor)
-        )
-    )
 
 
 def _without_autocast(inputs: tuple) -> tuple:
