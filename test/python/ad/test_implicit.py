@@ -740,3 +740,24 @@ def test_names_of_taichi(dtype, capsys):
     assert "did not converge: it needs more iterations after 2" in capsys.readouterr().out
     with pytest.raises(ti.TaiRuntimeTypeError, match="takes a ti.linalg.LinearOperator"):
         ti.linalg.MatrixFreeCG(chain.apply, b, x)
+
+
+@pytest.mark.parametrize("name", ["implicit", "newton"])
+def test_adjoint_solves_of_other_equations_start_where_they_ended(name):
+    ti.init(arch=ti.cpu, default_fp=ti.f64)
+    chain = Chain(64, ti.f64)
+    start = ti.field(ti.f64, shape=64)
+    found, counts = [], []
+    for given in (None, start, start):
+        chain.x.fill(0)
+        with ti.ad.Tape(chain.loss):
+            if name == "implicit":
+                info = ti.ad.implicit(chain.step, chain.x, tol=1e-11, adjoint_start=given)
+            else:
+                info = ti.linalg.newton(chain.residual, chain.x, tol=1e-11, adjoint_start=given)
+            chain.sum_up()
+        found.append(chain.b.grad.to_numpy())
+        counts.append(info.adjoint.iterations)
+    assert found[0].tobytes() == found[1].tobytes() and counts[0] == counts[1]
+    assert counts[2] < counts[1]
+    np.testing.assert_allclose(found[2], found[0], rtol=1e-8, atol=1e-9)

@@ -530,6 +530,68 @@ def test_arguments_that_make_no_sense():
         assert lin.cg(A, b, x, preconditioner=lin.Jacobi(negative)).status == "breakdown"
 
 
+class Starts:
+    """The same gradients again and again, each adjoint solve from the last solution."""
+
+    def __init__(self, method):
+        self.problem = Problem(tridiagonal(200, 2.05))
+        self.start = ti.field(ti.f64, shape=200)
+        self.method = method
+
+    def run(self, start, **options):
+        self.problem.x.fill(0)
+        return self.problem.differentiate(
+            self.method, tol=1e-10, adjoint_start=start, **options
+        ).adjoint
+
+
+@pytest.mark.parametrize("method", [*ITERATIVE, "jacobi"])
+def test_adjoint_solves_start_where_they_ended(method):
+    options = {"max_iterations": 20000}
+    if method == "jacobi":
+        options["damping"] = 0.9
+    scene = Starts(method)
+    if method == "jacobi":
+        diagonal = ti.field(ti.f64, shape=200)
+        diagonal.fill(2.05)
+        solve = ti.linalg.jacobi
+        scene.problem.solve = lambda method, **given: solve(
+            scene.problem.A, diagonal, scene.problem.b, scene.problem.x, **given
+        )
+    cold = scene.run(None, **options)
+    reference = scene.problem.b.grad.to_numpy()
+    first = scene.run(scene.start, **options)
+    # A field of zeros is the start without one, bit for bit.
+    assert first.iterations == cold.iterations > 10
+    assert scene.problem.b.grad.to_numpy().tobytes() == reference.tobytes()
+    np.testing.assert_array_equal(scene.start.to_numpy(), reference)
+    again = scene.run(scene.start, **options)
+    assert again and again.iterations <= 1
+    np.testing.assert_allclose(scene.problem.b.grad.to_numpy(), reference, rtol=0, atol=1e-7)
+    # The system changes a little.
+    scene.problem.A.values.from_numpy(scene.problem.A.values.to_numpy() * 1.0001)
+    near = scene.run(scene.start, **options)
+    assert near and near.iterations < cold.iterations
+    exact = scene.problem.b.grad.to_numpy()
+    scene.run(None, **options)
+    np.testing.assert_allclose(exact, scene.problem.b.grad.to_numpy(), rtol=0, atol=1e-6)
+
+
+def test_bad_starts_of_adjoint_solves():
+    scene = Starts("cg")
+    scene.start.fill(math.nan)
+    assert scene.run(scene.start)
+    assert np.all(np.isfinite(scene.start.to_numpy()))
+    short = ti.field(ti.f64, shape=5, name="short")
+    for start, message in [
+        (short, "field 'short' has shape"),
+        (scene.problem.x, "field 'x' is given twice"),
+        (3, "takes a field for the solution of the adjoint system"),
+    ]:
+        with pytest.raises(ti.TaiRuntimeTypeError, match=message):
+            scene.run(start)
+
+
 def test_on_a_device(monkeypatch):
     monkeypatch.setenv("TI_ARCH", "cuda")
     monkeypatch.setenv("TAI_CUDA_EMULATION", "1")

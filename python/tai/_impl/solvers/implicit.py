@@ -26,6 +26,7 @@ def implicit(
     tol: float | None = None,
     max_iterations: int = 1000,
     args: tuple[Any, ...] = (),
+    adjoint_start: Any = None,
 ) -> SolveInfo:
     """Repeats a kernel until its field no longer changes, and differentiates the fixed point.
 
@@ -52,6 +53,8 @@ def implicit(
         tol: bound of ‖f(x) - x‖ / ‖f(x)‖; 1e-10 for f64, 1e-5 for f32. Also used for λ.
         max_iterations: maximum of iterations, for each of the two.
         args: more arguments of the kernel.
+        adjoint_start: a field like x for the start and the solution of the adjoint system; see
+            `ti.linalg.cg`.
 
     Returns:
         How it ended. If it did not converge, there is a `TaiConvergenceWarning`.
@@ -82,7 +85,7 @@ def implicit(
                         caller.limit)  # fmt: skip
         return Adjoint(system.solve(stationary(_add_residual)))
 
-    return recorded.run(caller, operator, solve, solve_adjoint, 1.0)
+    return recorded.run(caller, operator, solve, solve_adjoint, 1.0, start=adjoint_start)
 
 
 def _one_minus(operator: Operator, v: Any, result: Any) -> None:
@@ -99,7 +102,7 @@ def _add_residual(system: System) -> None:
 def newton(
     residual: Any, x: Any, *, tol: float | None = None, max_iterations: int = 50,
     symmetric: bool = False, linear_tol: float = 1e-3, linear_iterations: int = 1000,
-    args: tuple[Any, ...] = (),
+    args: tuple[Any, ...] = (), adjoint_start: Any = None,
 ) -> SolveInfo:  # fmt: skip
     """Solves F(x) = 0 by Newton's method; a step that makes the residual greater is halved.
 
@@ -120,6 +123,8 @@ def newton(
         linear_tol: relative residual of the linear system of a step.
         linear_iterations: the most iterations for a step, and for the adjoint system.
         args: more arguments of the kernel.
+        adjoint_start: a field like x for the start and the solution of the adjoint system; see
+            `ti.linalg.cg`.
 
     Returns:
         How it ended. If it did not converge, there is a `TaiConvergenceWarning`.
@@ -185,4 +190,4 @@ def newton(
         pull = functools.partial(recorded.pull, operator)
         return Adjoint(System(pull, g, adjoint, caller.tolerance, linear.limit).solve(method))
 
-    return recorded.run(caller, operator, solve, solve_adjoint, -1.0)
+    return recorded.run(caller, operator, solve, solve_adjoint, -1.0, start=adjoint_start)

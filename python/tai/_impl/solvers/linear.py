@@ -35,7 +35,7 @@ def check_system(solver: str, apply: Any, b: Any, x: Any) -> Any:
 
 def _solve(
     solver: str, method: Method, apply: Any, b: Any, x: Any, tol: Any, limit: Any, args: tuple,
-    preconditioner: Any = None,
+    preconditioner: Any = None, adjoint_start: Any = None,
 ) -> SolveInfo:  # fmt: skip
     kernel = check_system(solver, apply, b, x)
     caller = Caller(solver, tol, limit, x.dtype.name, has_tangents=True)
@@ -66,12 +66,13 @@ def _solve(
         recorded.subtract_from_tangent(b, rest)
         return run(operator.apply, rest, tangent, precondition)
 
-    return recorded.run(caller, operator, solve, solve_adjoint, -1.0, b, solve_tangent)
+    return recorded.run(caller, operator, solve, solve_adjoint, -1.0, b, solve_tangent,
+                        adjoint_start)  # fmt: skip
 
 
 def cg(
     apply: Any, b: Any, x: Any, *, tol: float | None = None, max_iterations: int = 1000,
-    args: tuple[Any, ...] = (), preconditioner: Any = None,
+    args: tuple[Any, ...] = (), preconditioner: Any = None, adjoint_start: Any = None,
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by conjugate gradients, for a symmetric positive definite operator.
 
@@ -106,18 +107,30 @@ def cg(
         preconditioner: `ti.linalg.Jacobi`, `BlockJacobi`, `IncompleteCholesky`, or a kernel or
             function `precondition(r, z)` that computes field z ≈ A⁻¹ r, such as a cycle of
             multigrid: linear in r, symmetric and positive definite.
+        adjoint_start: a field like x, in which the adjoint solve begins, and which then holds its
+            solution. Where programs differ little from one sweep to the next, as in an
+            optimisation, the last solution is a good start. Without, it begins at zero.
 
     Returns:
         How it ended. If it did not converge, there is a `TaiConvergenceWarning`.
     """
     return _solve(
-        "ti.linalg.cg", conjugate_gradients, apply, b, x, tol, max_iterations, args, preconditioner
+        "ti.linalg.cg",
+        conjugate_gradients,
+        apply,
+        b,
+        x,
+        tol,
+        max_iterations,
+        args,
+        preconditioner,
+        adjoint_start,
     )
 
 
 def minres(
     apply: Any, b: Any, x: Any, *, tol: float | None = None, max_iterations: int = 1000,
-    args: tuple[Any, ...] = (), preconditioner: Any = None,
+    args: tuple[Any, ...] = (), preconditioner: Any = None, adjoint_start: Any = None,
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by MINRES, for a symmetric operator, which may be indefinite or singular.
 
@@ -126,13 +139,13 @@ def minres(
     """
     return _solve(
         "ti.linalg.minres", minimal_residuals, apply, b, x, tol, max_iterations, args,
-        preconditioner,
+        preconditioner, adjoint_start,
     )  # fmt: skip
 
 
 def bicgstab(
     apply: Any, b: Any, x: Any, *, tol: float | None = None, max_iterations: int = 1000,
-    args: tuple[Any, ...] = (), preconditioner: Any = None,
+    args: tuple[Any, ...] = (), preconditioner: Any = None, adjoint_start: Any = None,
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by BiCGSTAB, for an operator that need not be symmetric.
 
@@ -141,13 +154,14 @@ def bicgstab(
     """
     return _solve(
         "ti.linalg.bicgstab", bi_conjugate_gradients, apply, b, x, tol, max_iterations, args,
-        preconditioner,
+        preconditioner, adjoint_start,
     )  # fmt: skip
 
 
 def gmres(
     apply: Any, b: Any, x: Any, *, tol: float | None = None, max_iterations: int = 1000,
     restart: int = 30, args: tuple[Any, ...] = (), preconditioner: Any = None,
+    adjoint_start: Any = None,
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by GMRES, for any operator that has an inverse; the residual never grows.
 
@@ -163,13 +177,15 @@ def gmres(
         )
     method = generalized_minimal_residuals(restart)
     return _solve(
-        "ti.linalg.gmres", method, apply, b, x, tol, max_iterations, args, preconditioner
+        "ti.linalg.gmres", method, apply, b, x, tol, max_iterations, args, preconditioner,
+        adjoint_start,
     )  # fmt: skip
 
 
 def jacobi(
     apply: Any, diagonal: Any, b: Any, x: Any, *, tol: float | None = None,
     max_iterations: int = 1000, damping: float = 1.0, args: tuple[Any, ...] = (),
+    adjoint_start: Any = None,
 ) -> SolveInfo:  # fmt: skip
     """Solves A x = b by Jacobi's iteration, x += damping (b - A x) / diagonal.
 
@@ -188,4 +204,5 @@ def jacobi(
     if isinstance(damping, bool) or not isinstance(damping, (int, float)) or not 0 < damping <= 2:
         raise TaiRuntimeTypeError(f"{solver}: damping must be between 0 and 2, but got {damping!r}")
     method = jacobi_sweeps(diagonal, float(damping))
-    return _solve(solver, method, apply, b, x, tol, max_iterations, args)
+    return _solve(solver, method, apply, b, x, tol, max_iterations, args,
+                  adjoint_start=adjoint_start)  # fmt: skip

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from ..ad.mode import suspended
 from ..ad.tape import run_unrecorded
 from ..base import state
-from .operators import Operator, scratch
+from .operators import Operator, check_alike, check_unknown, scratch
 from .report import Caller, SolveInfo
 from .system import Progress
 from .vectors import get_kernels
@@ -38,6 +38,7 @@ def run(
     sign: float,
     right_side: Any = None,
     solve_tangent: Callable[[Any, Any], Progress] | None = None,
+    start: Any = None,
 ) -> SolveInfo:
     """Solves, and records it where a tape is open.
 
@@ -49,7 +50,11 @@ def run(
         sign: of λ where the adjoint of the kernel gets it: -1 for a residual.
         right_side: a field whose gradient gets λ, or None.
         solve_tangent: solve_tangent(t, d) solves A d = t; for forward mode.
+        start: a field of λ, in which the adjoint solve begins and leaves its solution, or None.
     """
+    if start is not None:
+        check_unknown(start, "the solution of the adjoint system", caller.solver)
+        check_alike(start, operator.x, caller.solver)
     info = SolveInfo(solver=caller.solver, x=operator.x)
     tape: Any = state.tape
     if tape is None:
@@ -80,8 +85,13 @@ def run(
     def backward() -> None:
         g, adjoint = scratch(x, "seed"), scratch(x, "adjoint")
         kernels.copy(g, x.grad)
-        adjoint.fill(0)
+        if start is None:
+            adjoint.fill(0)
+        else:
+            kernels.copy(adjoint, start)
         progress, projected = solve_adjoint(g, adjoint)
+        if start is not None:
+            kernels.copy(start, adjoint)
         if progress.reason == "not finite":
             # NaN goes on to where it would have gone.
             adjoint.fill(math.nan)
