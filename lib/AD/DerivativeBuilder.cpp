@@ -18,7 +18,8 @@ using namespace mlir::tai;
 DerivativeBuilder::DerivativeBuilder(FunctionOpInterface function,
                                      bool usesConditions)
     : ImplicitLocOpBuilder(function.getLoc(), function.getContext()),
-      facts(usesConditions), conventions(Conventions::of(function)) {}
+      facts(usesConditions), conventions(Conventions::of(function)),
+      isKernel(isa<KernelOp>(function.getOperation())) {}
 
 DerivativeBuilder::~DerivativeBuilder() = default;
 
@@ -58,6 +59,18 @@ Value DerivativeBuilder::createVector(VectorType type,
       element = zero;
     }
   return vector::FromElementsOp::create(*this, type, elements);
+}
+
+Value DerivativeBuilder::createSum(Value vector) {
+  auto type = cast<VectorType>(vector.getType());
+  if (isKernel)
+    return SumOp::create(*this, type.getElementType(), vector);
+  if (type.getRank() == 0)
+    return vector::ExtractOp::create(*this, vector, ArrayRef<int64_t>());
+  auto flat = VectorType::get(type.getNumElements(), type.getElementType());
+  if (type != flat)
+    vector = vector::ShapeCastOp::create(*this, flat, vector);
+  return vector::ReductionOp::create(*this, vector::CombiningKind::ADD, vector);
 }
 
 Value DerivativeBuilder::createMask(Value condition, Value value) {

@@ -6,6 +6,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/AD/Signature.h"
+#include "tai/AD/Foreign.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Interfaces/Differentiable.h"
 
@@ -60,7 +61,7 @@ LogicalResult mlir::tai::checkHasDerivative(FunctionOpInterface function,
     return success();
   InFlightDiagnostic diag = function.emitError()
                             << "there is nothing to differentiate: '@"
-                            << function.getName() << "' "
+                            << getOriginal(function).getName() << "' "
                             << (gives ? "reads" : "writes")
                             << " no array of floats that a derivative is "
                                "wanted of";

@@ -20,6 +20,7 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "mlir/Interfaces/ViewLikeInterface.h"
 #include "tai/Analysis/Activity.h"
+#include "tai/Analysis/HelpfulPasses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Dialect/TaiRT/IR/TaiRT.h"
 #include "llvm/ADT/SetVector.h"
@@ -443,10 +444,13 @@ LogicalResult Paths::refuse(Operation *op) {
   StringRef mode = ends.isForward ? "tangent" : "gradient";
   StringRef rule = ends.isForward ? "tangent" : "derivative";
   bool isScalable = llvm::any_of(op->getResultTypes(), isScalableVector);
-  emitError(op, "'" + op->getName().getStringRef() + "' has no " + rule +
-                    " rule" + (isScalable ? " for scalable vectors" : "") +
-                    ", but a " + mode + " passes through it")
-          .attachNote()
+  InFlightDiagnostic diag = emitError(
+      op, "'" + op->getName().getStringRef() + "' has no " + rule + " rule" +
+              (isScalable ? " for scalable vectors" : "") + ", but a " + mode +
+              " passes through it");
+  if (!isScalable && attachHelpfulPass(diag, op))
+    return failure();
+  diag.attachNote()
       << (isScalable ? "use vectors of a fixed length, " : "")
       << "compute the value from differentiable ops, or keep it out of what "
          "the "
@@ -458,12 +462,15 @@ LogicalResult Paths::refuse(Operation *op) {
 LogicalResult Paths::checkStores() {
   LogicalResult result = success();
   auto report = [&](Operation *op, Type type) {
-    emitError(op, "a derivative is lost: what has one is stored as ")
-            .append(type, ", which has none")
-            .attachNote()
+    result = failure();
+    InFlightDiagnostic diag =
+        emitError(op, "a derivative is lost: what has one is stored as ")
+        << type << ", which has none";
+    if (attachHelpfulPass(diag, op))
+      return;
+    diag.attachNote()
         << "store it to a field or an array of floats, or make it a constant "
            "by 'tai.stop_gradient' first (in Python, 'ti.stop_grad')";
-    result = failure();
   };
   for (DifferentiableAccessInterface write : writes) {
     Type type = write.getAccessedValue().getType();
@@ -526,14 +533,17 @@ LogicalResult Paths::verify() {
     if (llvm::none_of(op->getResults(),
                       [&](Value value) { return useful.contains(value); }))
       continue;
-    emitError(op, "'" + op->getName().getStringRef() +
-                      "' reads floats from memory that derivatives are not "
-                      "followed through")
-            .attachNote()
+    result = failure();
+    InFlightDiagnostic diag =
+        emitError(op, "'" + op->getName().getStringRef() +
+                          "' reads floats from memory that derivatives are not "
+                          "followed through");
+    if (attachHelpfulPass(diag, op))
+      continue;
+    diag.attachNote()
         << "load it from a field or from an argument that is a memref of "
            "floats, or make it a constant by 'tai.stop_gradient' (in Python, "
            "'ti.stop_grad')";
-    result = failure();
   }
   // The first op without a rule on each path is enough.
   llvm::DenseSet<Value> reached;

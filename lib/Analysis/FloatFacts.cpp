@@ -327,13 +327,38 @@ static bool isNormalization(Operation *op) {
   return norm && norm.getVector() == division.getLhs();
 }
 
+/// True if flags of the op say that its result is finite.
+static bool isPromisedFinite(Operation *op) {
+  auto flagged = dyn_cast<arith::ArithFastMathInterface>(op);
+  if (!flagged)
+    return false;
+  arith::FastMathFlagsAttr flags = flagged.getFastMathFlagsAttr();
+  return flags &&
+         bitEnumContainsAll(flags.getValue(), arith::FastMathFlags::nnan |
+                                                  arith::FastMathFlags::ninf);
+}
+
+/// True if the result of the op can only be finite because its operand `value`
+/// is not zero, and, of a logarithm or root, positive.
+static bool needsNonZero(Operation *at, Value value) {
+  if (!at || !isPromisedFinite(at))
+    return false;
+  if (isa<arith::DivFOp>(at))
+    return at->getOperand(1) == value;
+  return isa<math::RsqrtOp, math::LogOp, math::Log2Op, math::Log10Op>(at);
+}
+
 bool FloatFacts::isPositive(Value value, Operation *at) {
+  if (needsNonZero(at, value) && !isa<arith::DivFOp>(at))
+    return true;
   return getRange(value, at).low >= getClearance(value.getType());
 }
 bool FloatFacts::isNonNegative(Value value, Operation *at) {
   return getRange(value, at).low >= 0;
 }
 bool FloatFacts::isNonZero(Value value, Operation *at) {
+  if (needsNonZero(at, value))
+    return true;
   // Constants of both signs have a range around zero.
   if (matchConstant(
           value, [](const APFloat &x) { return x.isFinite() && !x.isZero(); }))
@@ -356,6 +381,8 @@ bool FloatFacts::isInUnitInterval(Value value, Operation *at) {
 /// True for ops whose value can be infinite or NaN though all operands are
 /// finite.
 static bool makesNonFinite(Operation *op, FloatFacts &facts) {
+  if (isPromisedFinite(op))
+    return false;
   return llvm::TypeSwitch<Operation *, bool>(op)
       .Case<arith::DivFOp, arith::RemFOp>(
           [&](auto op) { return !facts.isNonZero(op.getRhs(), op); })
@@ -415,6 +442,8 @@ bool FloatFacts::computeMayBeNonFinite(Value value) {
     return mayBeNonFinite(loop.getRegionIterArg(number));
   if (op->getNumRegions() != 0)
     return true; // values arriving there are not looked into
+  if (isPromisedFinite(op))
+    return false;
   if (matchPattern(op, m_Constant()))
     return !matchConstant(value, [](const APFloat &x) { return x.isFinite(); });
   // The bounds of a clamp hold for an infinite operand too; NaN passes, but

@@ -11,7 +11,8 @@
 //===----------------------------------------------------------------------===//
 
 #include "tai/Analysis/HelpfulPasses.h"
-#include "mlir/IR/Operation.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
+#include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
 using namespace mlir::tai;
@@ -23,46 +24,70 @@ struct HelpfulPass {
 };
 } // namespace
 
+/// It runs the passes of `kPrepared`.
+static constexpr StringLiteral kPrepare = "tai-prepare-foreign";
+
 // By name: most of these dialects need not be there. Ops come before their
 // dialects.
-static constexpr HelpfulPass kTable[] = {
+static constexpr HelpfulPass kPrepared[] = {
     {"func.call", "inline"},
-    {"func.return", "buffer-results-to-out-params"},
-    {"memref.realloc", "expand-realloc"},
     {"memref.cast", "fold-memref-alias-ops"},
     {"memref.collapse_shape", "fold-memref-alias-ops"},
     {"memref.expand_shape", "fold-memref-alias-ops"},
     {"memref.reinterpret_cast", "fold-memref-alias-ops"},
     {"memref.subview", "fold-memref-alias-ops"},
     {"memref.transpose", "fold-memref-alias-ops"},
-    {"memref.generic_atomic_rmw", "tai-prepare-foreign"},
-    {"memref.atomic_rmw", "tai-prepare-foreign"},
-    {"memref.copy", "tai-prepare-foreign"},
-    {"arith.select", "tai-prepare-foreign"},
-    {"scf.execute_region", "lift-cf-to-scf"},
+    {"memref.assume_alignment", kPrepare},
+    {"memref.atomic_rmw", kPrepare},
+    {"memref.copy", kPrepare},
+    {"memref.generic_atomic_rmw", kPrepare},
+    {"arith.select", kPrepare},
+    {"linalg.softmax", kPrepare},
+    {"scf.execute_region", kPrepare},
+    {"scf.for", kPrepare},
     {"scf.forall", "scf-forall-to-parallel"},
-    {"scf.index_switch", "tai-prepare-foreign"},
-    {"scf.parallel", "tai-prepare-foreign"},
+    {"scf.if", kPrepare},
+    {"scf.index_switch", kPrepare},
+    {"scf.parallel", kPrepare},
+    {"scf.while", kPrepare},
     {"affine", "lower-affine"},
     {"bufferization", "one-shot-bufferize"},
     {"cf", "lift-cf-to-scf"},
-    {"complex", "convert-complex-to-standard"},
+    {"complex", kPrepare},
     {"linalg", "convert-linalg-to-loops"},
+    {"llvm", kPrepare},
+    {"tensor", "one-shot-bufferize"},
+    {"vector", kPrepare},
+};
+static constexpr HelpfulPass kOthers[] = {
+    {"func.return", "buffer-results-to-out-params"},
+    {"memref.realloc", "expand-realloc"},
+    {"vector.mask", "lower-vector-mask"},
+    {"quant", "lower-quant-ops"},
     {"shape", "convert-shape-to-std"},
     {"shard", "shard-partition"},
     {"sparse_tensor", "sparsification-and-bufferization"},
-    {"tensor", "one-shot-bufferize"},
     {"tosa", "tosa-to-linalg"},
-    {"vector", "tai-prepare-foreign"},
 };
 
-StringRef mlir::tai::getHelpfulPass(Operation *op) {
+static StringRef findPass(ArrayRef<HelpfulPass> table, Operation *op) {
   StringRef name = op->getName().getStringRef();
-  StringRef dialect = name.split('.').first;
-  for (const HelpfulPass &entry : kTable)
+  StringRef dialect = op->getName().getDialectNamespace();
+  for (const HelpfulPass &entry : table)
     if (entry.name == name || entry.name == dialect)
       return entry.pass;
   return {};
+}
+
+StringRef mlir::tai::getHelpfulPass(Operation *op) {
+  if (StringRef pass = findPass(kOthers, op); !pass.empty())
+    return pass;
+  auto function = op->getParentOfType<FunctionOpInterface>();
+  if (function && function->hasAttr(kPreparedFor))
+    return {};
+  StringRef pass = findPass(kPrepared, op);
+  bool isInKernel = function && isa<KernelOp>(function.getOperation());
+  return isInKernel && pass == kPrepare ? StringRef() : pass;
 }
 
 bool mlir::tai::attachHelpfulPass(InFlightDiagnostic &diag, Operation *op) {

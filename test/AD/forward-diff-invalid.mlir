@@ -55,7 +55,7 @@ tai.kernel @view() {
     %x = tai.load @x[%i] : f32
     %m = memref.alloc() : memref<4xf32>
     // expected-error @below {{cannot differentiate 'memref.cast' on an array with a derivative}}
-    // expected-note @below {{access its elements by}}
+    // expected-note @below {{run '--fold-memref-alias-ops' before}}
     %v = memref.cast %m : memref<4xf32> to memref<?xf32>
     memref.store %x, %m[%c0] : memref<4xf32>
     %y = memref.load %v[%c0] : memref<?xf32>
@@ -104,7 +104,8 @@ func.func @reduction(%x: memref<4xf32>) attributes {tai.differentiate} {
 
 // -----
 
-// expected-error @below {{cannot differentiate a function of several blocks; structured control flow is expected}}
+// expected-error @+2 {{cannot differentiate a function of several blocks; structured control flow is expected}}
+// expected-note @+1 {{run '--lift-cf-to-scf' before}}
 func.func @blocks(%x: memref<4xf32>) attributes {tai.differentiate} {
   cf.br ^bb1
 ^bb1:

@@ -4,7 +4,7 @@
 func.func @yields(%x: memref<4xf64>, %y: memref<4xf64>) attributes {tai.differentiate} {
   %c0 = arith.constant 0 : index
   // expected-error @+2 {{'scf.execute_region' has no tangent rule, but a tangent passes through it}}
-  // expected-note @+1 {{compute the value from differentiable ops}}
+  // expected-note @+1 {{run '--tai-prepare-foreign' before}}
   %r = scf.execute_region -> f64 {
     %0 = memref.load %x[%c0] : memref<4xf64>
     scf.yield %0 : f64
@@ -24,7 +24,7 @@ func.func @inside(%x: memref<4xf64>, %y: memref<4xf64>, %n: index) attributes {t
   scf.execute_region {
     %m = memref.alloc() : memref<1xf64>
     // expected-error @+2 {{cannot differentiate 'memref.cast' on an array with a derivative}}
-    // expected-note @+1 {{access its elements by}}
+    // expected-note @+1 {{run '--fold-memref-alias-ops' before}}
     %v = memref.cast %m : memref<1xf64> to memref<?xf64>
     memref.store %0, %m[%c0] : memref<1xf64>
     scf.yield
@@ -33,7 +33,7 @@ func.func @inside(%x: memref<4xf64>, %y: memref<4xf64>, %n: index) attributes {t
   %b = scf.if %positive -> f64 {
     %m = memref.alloc() : memref<1xf64>
     // expected-error @+2 {{cannot differentiate 'memref.cast' on an array with a derivative}}
-    // expected-note @+1 {{access its elements by}}
+    // expected-note @+1 {{run '--fold-memref-alias-ops' before}}
     %v = memref.cast %m : memref<1xf64> to memref<?xf64>
     memref.store %0, %m[%c0] : memref<1xf64>
     scf.yield %0 : f64
@@ -43,7 +43,7 @@ func.func @inside(%x: memref<4xf64>, %y: memref<4xf64>, %n: index) attributes {t
   %w:2 = scf.while (%k = %c0, %a = %b) : (index, f64) -> (index, f64) {
     %m = memref.alloc() : memref<1xf64>
     // expected-error @+2 {{cannot differentiate 'memref.cast' on an array with a derivative}}
-    // expected-note @+1 {{access its elements by}}
+    // expected-note @+1 {{run '--fold-memref-alias-ops' before}}
     %v = memref.cast %m : memref<1xf64> to memref<?xf64>
     memref.store %a, %m[%c0] : memref<1xf64>
     %go = arith.cmpi slt, %k, %n : index
@@ -60,7 +60,7 @@ func.func @inside(%x: memref<4xf64>, %y: memref<4xf64>, %n: index) attributes {t
   ^bb0(%k: index, %a: f64):
     %m = memref.alloc() : memref<1xf64>
     // expected-error @+2 {{cannot differentiate 'memref.cast' on an array with a derivative}}
-    // expected-note @+1 {{access its elements by}}
+    // expected-note @+1 {{run '--fold-memref-alias-ops' before}}
     %v = memref.cast %m : memref<1xf64> to memref<?xf64>
     memref.store %a, %m[%c0] : memref<1xf64>
     %next = arith.addi %k, %c1 : index

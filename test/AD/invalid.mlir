@@ -238,7 +238,7 @@ tai.kernel @k() {
 
 func.func @copy(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.differentiate} {
   // expected-error @+2 {{cannot differentiate 'memref.copy' on an array with a derivative}}
-  // expected-note @+1 {{access its elements by 'memref.load', 'memref.store' and 'memref.atomic_rmw addf'}}
+  // expected-note @+1 {{run '--tai-prepare-foreign' before}}
   memref.copy %x, %y : memref<?xf32> to memref<?xf32>
   return
 }
@@ -279,7 +279,8 @@ func.func @in_place(%x: memref<?xf32>, %y: memref<?xf32>) attributes {tai.differ
 
 // -----
 
-// expected-error @+1 {{cannot differentiate a function of several blocks; structured control flow is expected}}
+// expected-error @+2 {{cannot differentiate a function of several blocks; structured control flow is expected}}
+// expected-note @+1 {{run '--lift-cf-to-scf' before}}
 func.func @blocks(%x: memref<4xf32>) attributes {tai.differentiate} {
   cf.br ^next
 ^next:

@@ -53,7 +53,7 @@ func.func @inner_argument(%x: memref<f64>, %y: memref<f64>, %n: index) attribute
   %c0 = arith.constant 0 : index
   %c1 = arith.constant 1 : index
   // expected-error @+2 {{cannot differentiate 'scf.for' on an array with a derivative}}
-  // expected-note @+1 {{access its elements by}}
+  // expected-note @+1 {{run '--tai-prepare-foreign' before}}
   %m = scf.for %i = %c0 to %n step %c1 iter_args(%a = %x) -> memref<f64> {
     %v = memref.load %a[] : memref<f64>
     scf.yield %a : memref<f64>

@@ -12,7 +12,7 @@
 func.func @complex(%x: memref<f64>, %y: memref<f64>) attributes {tai.differentiate} {
   %0 = memref.load %x[] : memref<f64>
   // expected-error @+2 {{'complex.create' has no derivative rule, but a gradient passes through it}}
-  // expected-note @+1 {{compute the value}}
+  // expected-note @+1 {{run '--tai-prepare-foreign' before}}
   %1 = complex.create %0, %0 : complex<f64>
   %2 = complex.mul %1, %1 : complex<f64>
   %3 = complex.im %2 : complex<f64>
@@ -26,7 +26,7 @@ func.func @tensor(%x: memref<f64>, %y: memref<f64>) attributes {tai.differentiat
   %c0 = arith.constant 0 : index
   %0 = memref.load %x[] : memref<f64>
   // expected-error @+2 {{'tensor.from_elements' has no derivative rule, but a gradient passes through it}}
-  // expected-note @+1 {{compute the value}}
+  // expected-note @+1 {{run '--one-shot-bufferize' before}}
   %1 = tensor.from_elements %0, %0 : tensor<2xf64>
   %2 = tensor.extract %1[%c0] : tensor<2xf64>
   memref.store %2, %y[] : memref<f64>
@@ -40,7 +40,7 @@ func.func @generate(%x: memref<f64>, %y: memref<f64>) attributes {tai.differenti
   %c0 = arith.constant 0 : index
   %0 = memref.load %x[] : memref<f64>
   // expected-error @+2 {{'tensor.generate' has no derivative rule, but a gradient passes through it}}
-  // expected-note @+1 {{compute the value}}
+  // expected-note @+1 {{run '--one-shot-bufferize' before}}
   %1 = tensor.generate {
   ^bb0(%i: index):
     tensor.yield %0 : f64

@@ -50,6 +50,9 @@ public:
   Value createExtract(Value vector, int64_t component);
   /// A vector from components (row-major); null is zero.
   Value createVector(VectorType type, ArrayRef<Value> components);
+  /// The sum of all components of a vector. A function of other compilers gets
+  /// no op of tai.
+  Value createSum(Value vector);
   /// select(condition, value, 0)
   Value createMask(Value condition, Value value);
   /// select(derivative == 0, 0, value): a zero adjoint or tangent contributes
@@ -62,6 +65,7 @@ public:
 private:
   FloatFacts facts;
   Conventions conventions;
+  bool isKernel;
 };
 
 } // namespace mlir::tai

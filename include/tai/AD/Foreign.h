@@ -15,11 +15,9 @@
 
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "mlir/Dialect/SCF/IR/SCF.h"
+#include "tai/Analysis/HelpfulPasses.h"
 
 namespace mlir::tai {
-
-/// On a copy of a function, prepared to be differentiated: the function.
-constexpr llvm::StringLiteral kPreparedFor = "tai.prepared_for";
 
 /// The function whose derivative is made of `function`: the one that it is a
 /// copy of, or itself.
@@ -41,6 +39,11 @@ void takeInterface(func::FuncOp original, func::FuncOp derivative);
 /// Replaces accesses of memory by vectors, and some ops of vectors, by ops on
 /// single elements.
 LogicalResult lowerVectors(func::FuncOp function);
+
+/// Replaces complex numbers by their parts.
+LogicalResult splitComplex(func::FuncOp function);
+/// Replaces arithmetic of the LLVM dialect by that of arith and math.
+void liftArithmetic(func::FuncOp function);
 
 /// Leaves loads, stores and atomic updates of arguments and of local arrays
 /// alone: no copies, views, arrays that loops carry or branches choose. Local

@@ -26,6 +26,9 @@ selectFunctions(ModuleOp module, ArrayRef<std::string> names);
 /// no pass makes it.
 LogicalResult checkNested(ModuleOp module);
 
+/// Reports an error if `function` has several blocks.
+LogicalResult checkHasOneBlock(FunctionOpInterface function);
+
 /// Reports an error if `function` is of a kind that is not differentiated, or
 /// has no body.
 LogicalResult checkIsFunction(FunctionOpInterface function);

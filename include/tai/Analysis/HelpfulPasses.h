@@ -12,8 +12,11 @@
 
 namespace mlir::tai {
 
-/// The upstream pass that turns this op into ones that have derivatives, or an
-/// empty string.
+/// On a copy of a function, prepared to be differentiated: the function.
+constexpr llvm::StringLiteral kPreparedFor = "tai.prepared_for";
+
+/// The pass that turns this op into ones that have derivatives, or an empty
+/// string. A pass that has run on the function around it does not count.
 StringRef getHelpfulPass(Operation *op);
 
 /// Adds a note that names this pass. False if there is none.

@@ -49,7 +49,8 @@ bool isView(Operation *op) {
   return isa_and_present<memref::CastOp, memref::SubViewOp,
                          memref::ExpandShapeOp, memref::CollapseShapeOp,
                          memref::TransposeOp, memref::ReinterpretCastOp,
-                         memref::MemorySpaceCastOp>(op);
+                         memref::AssumeAlignmentOp, memref::MemorySpaceCastOp>(
+      op);
 }
 
 /// Sizes and indices, as code in front of an op.
@@ -111,7 +112,8 @@ Value Elements::getSize(Value array, int64_t dim) {
   Operation *op = array.getDefiningOp();
   if (isa_and_present<memref::AllocOp, memref::AllocaOp>(op))
     return op->getOperand(type.getDynamicDimIndex(dim));
-  if (isa_and_present<memref::CastOp, memref::MemorySpaceCastOp>(op) &&
+  if (isa_and_present<memref::CastOp, memref::MemorySpaceCastOp,
+                      memref::AssumeAlignmentOp>(op) &&
       isa<MemRefType>(op->getOperand(0).getType()))
     return getSize(op->getOperand(0), dim);
   if (auto view = dyn_cast_if_present<memref::SubViewOp>(op)) {
@@ -139,7 +141,8 @@ LogicalResult Elements::step(Value &array, SmallVector<Value> &indices) {
   Operation *op = array.getDefiningOp();
   Value source = op->getOperand(0);
   SmallVector<Value> moved;
-  if (isa<memref::CastOp, memref::MemorySpaceCastOp>(op)) {
+  if (isa<memref::CastOp, memref::MemorySpaceCastOp,
+          memref::AssumeAlignmentOp>(op)) {
     if (!isa<MemRefType>(source.getType()))
       return failure();
     moved = indices;

@@ -6,7 +6,6 @@
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Conversion/AffineToStandard/AffineToStandard.h"
-#include "mlir/Conversion/ComplexToStandard/ComplexToStandard.h"
 #include "mlir/Conversion/ControlFlowToSCF/ControlFlowToSCF.h"
 #include "mlir/Dialect/Affine/IR/AffineOps.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
@@ -21,6 +20,7 @@
 #include "mlir/Dialect/Linalg/IR/Linalg.h"
 #include "mlir/Dialect/Linalg/Passes.h"
 #include "mlir/Dialect/Linalg/Transforms/BufferizableOpInterfaceImpl.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Linalg/Transforms/Transforms.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
@@ -90,7 +90,7 @@ static bool isSumOrUnused(memref::AtomicRMWOp atomic) {
 static bool isForeign(Operation *op) {
   StringRef dialect = op->getName().getDialectNamespace();
   if (llvm::is_contained({"affine", "bufferization", "cf", "complex", "linalg",
-                          "tensor", "tosa"},
+                          "llvm", "tensor", "tosa"},
                          dialect))
     return true;
   if (auto atomic = dyn_cast<memref::AtomicRMWOp>(op))
@@ -250,10 +250,6 @@ private:
         kept.insert(call);
       return success();
     }
-    if (callee->hasAttr("tai.adjoint") || callsItself(callee)) {
-      kept.insert(call);
-      return success();
-    }
     func::FuncOp body = callee.clone();
     OwningOpRef<func::FuncOp> owner(body);
     // The pass that lifts looks up symbols around the function.
@@ -277,24 +273,68 @@ private:
     return success();
   }
 
-  bool callsItself(func::FuncOp function) {
-    DenseSet<Operation *> seen;
-    SmallVector<func::FuncOp> pending = {function};
-    bool found = false;
-    while (!pending.empty() && !found)
-      pending.pop_back_val().walk([&](func::CallOp call) {
-        auto callee = symbols.lookup<func::FuncOp>(call.getCallee());
-        found |= callee == function;
-        if (callee && seen.insert(callee).second)
-          pending.push_back(callee);
-      });
-    return found;
-  }
-
   SymbolTable symbols;
   DenseSet<Operation *> kept;
 };
 } // namespace
+
+/// True if a function reaches itself by calls.
+static bool callsItself(func::FuncOp function, SymbolTable &symbols) {
+  DenseSet<Operation *> seen;
+  SmallVector<func::FuncOp> pending = {function};
+  bool found = false;
+  while (!pending.empty() && !found)
+    pending.pop_back_val().walk([&](func::CallOp call) {
+      auto callee = symbols.lookup<func::FuncOp>(call.getCallee());
+      found |= callee == function;
+      if (callee && seen.insert(callee).second)
+        pending.push_back(callee);
+    });
+  return found;
+}
+
+/// Refuses a call of a function that calls itself, or that has a derivative of
+/// its own, which inlining would leave out.
+static LogicalResult checkCalls(func::FuncOp function, SymbolTable &symbols) {
+  llvm::SetVector<Operation *> reached;
+  // The call in the function itself by which another one is reached.
+  DenseMap<Operation *, func::CallOp> reachedBy;
+  reached.insert(function);
+  for (size_t i = 0; i != reached.size(); ++i) {
+    Operation *caller = reached[i];
+    WalkResult result = caller->walk([&](func::CallOp call) {
+      auto callee = symbols.lookup<func::FuncOp>(call.getCallee());
+      if (!callee || callee.isExternal())
+        return WalkResult::advance();
+      func::CallOp first =
+          caller == function.getOperation() ? call : reachedBy.lookup(caller);
+      auto rule = callee->getAttrOfType<FlatSymbolRefAttr>("tai.adjoint");
+      bool isMade = rule && callee->hasAttr("tai.differentiate") &&
+                    rule.getValue() == (callee.getName() + "_grad").str();
+      bool isRecursive = callsItself(callee, symbols);
+      if (!isRecursive && (!rule || isMade)) {
+        if (reached.insert(callee))
+          reachedBy[callee] = first;
+        return WalkResult::advance();
+      }
+      InFlightDiagnostic diag =
+          first.emitError("cannot differentiate this call: '@")
+          << callee.getName()
+          << (isRecursive ? "' calls itself" : "' has a derivative of its own");
+      Diagnostic &note = diag.attachNote(callee.getLoc());
+      if (isRecursive)
+        note << "write it as a loop, 'scf.for' or 'scf.while'";
+      else
+        note << "the derivative of a caller does not use " << rule
+             << "; remove 'tai.adjoint' here, or call both functions where the "
+                "gradient is put together";
+      return WalkResult::interrupt();
+    });
+    if (result.wasInterrupted())
+      return failure();
+  }
+  return success();
+}
 
 //===----------------------------------------------------------------------===//
 // Tensors
@@ -556,22 +596,24 @@ func::FuncOp mlir::tai::wrapDerivative(func::FuncOp original,
 // The pass
 //===----------------------------------------------------------------------===//
 
-static LogicalResult splitComplex(func::FuncOp function) {
-  bool any = false;
-  function.walk([&](Operation *op) {
-    any |= isa_and_present<complex::ComplexDialect>(op->getDialect());
+/// Replaces ops that stand for several, such as a softmax.
+static LogicalResult decomposeOps(func::FuncOp function) {
+  SmallVector<linalg::AggregatedOpInterface> ops;
+  function.walk([&](linalg::AggregatedOpInterface op) {
+    if (op->getNumResults() != 0 &&
+        llvm::all_of(op->getResultTypes(), isTensor))
+      ops.push_back(op);
   });
-  if (!any)
-    return success();
-  MLIRContext *context = function.getContext();
-  RewritePatternSet patterns(context);
-  populateComplexToStandardConversionPatterns(patterns);
-  ConversionTarget target(*context);
-  target.markUnknownOpDynamicallyLegal([](Operation *) { return true; });
-  target.addIllegalDialect<complex::ComplexDialect>();
-  target.addLegalOp<complex::CreateOp, complex::ReOp, complex::ImOp,
-                    complex::ConstantOp>();
-  return applyPartialConversion(function, target, std::move(patterns));
+  for (linalg::AggregatedOpInterface op : ops) {
+    OpBuilder b(op);
+    FailureOr<SmallVector<Value>> made = op.decomposeOperation(b);
+    if (failed(made))
+      return op->emitError("cannot differentiate this form of '")
+             << op->getName() << "'";
+    op->replaceAllUsesWith(*made);
+    op->erase();
+  }
+  return success();
 }
 
 namespace {
@@ -594,6 +636,7 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
         affine::AffineDialect, arith::ArithDialect,
         bufferization::BufferizationDialect, cf::ControlFlowDialect,
         complex::ComplexDialect, func::FuncDialect, linalg::LinalgDialect,
+        LLVM::LLVMDialect,
         math::MathDialect, memref::MemRefDialect, scf::SCFDialect,
         tensor::TensorDialect, ub::UBDialect, vector::VectorDialect>();
     arith::registerBufferizableOpInterfaceExternalModels(registry);
@@ -609,17 +652,22 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
 
   void runOnOperation() override {
     SmallVector<func::FuncOp> functions;
+    SymbolTable symbols(getOperation());
+    bool isGood = true;
     for (auto function : getOperation().getOps<func::FuncOp>()) {
       bool isNamed = llvm::is_contained(kernels, function.getName());
-      if (!function.isExternal() &&
-          (kernels.empty() ? function->hasAttr("tai.differentiate")
-                           : isNamed) &&
-          !(function->hasAttr("tai.adjoint") &&
-            function->hasAttr("tai.tangent")) &&
-          !function->hasAttr(kPreparedFor) && needsPreparation(function))
+      if (function.isExternal() ||
+          !(kernels.empty() ? function->hasAttr("tai.differentiate")
+                            : isNamed) ||
+          (function->hasAttr("tai.adjoint") &&
+           function->hasAttr("tai.tangent")) ||
+          function->hasAttr(kPreparedFor) || !needsPreparation(function))
+        continue;
+      if (succeeded(checkCalls(function, symbols)))
         functions.push_back(function);
+      else
+        isGood = false;
     }
-    bool isGood = true;
     for (func::FuncOp function : functions)
       isGood &= succeeded(prepare(function));
     if (!isGood)
@@ -642,11 +690,29 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
     return failure();
   }
 
+  /// Memory of the LLVM dialect becomes values, and its arithmetic ours.
+  LogicalResult promoteSlots(func::FuncOp copy) {
+    WalkResult found = copy.walk([](Operation *op) {
+      return isa_and_present<LLVM::LLVMDialect>(op->getDialect())
+                 ? WalkResult::interrupt()
+                 : WalkResult::advance();
+    });
+    if (!found.wasInterrupted())
+      return success();
+    OpPassManager promotion(func::FuncOp::getOperationName());
+    promotion.addPass(createSROA());
+    promotion.addPass(createMem2Reg());
+    if (failed(runPipeline(promotion, copy)))
+      return failure();
+    liftArithmetic(copy);
+    return success();
+  }
+
   LogicalResult lower(func::FuncOp copy) {
     if (failed(liftBlocks(copy)) || failed(Inlining(getOperation()).run(copy)))
       return failure();
     copy.walk([](Operation *op) {
-      if (isa<vector::PrintOp, cf::AssertOp>(op))
+      if (isa<vector::PrintOp, cf::AssertOp, memref::PrefetchOp>(op))
         op->erase();
     });
     bool hasTensors = llvm::any_of(copy.getArgumentTypes(), isTensor) ||
@@ -656,9 +722,9 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
     copy.walk([&](Operation *op) {
       hasTensors |= llvm::any_of(op->getResultTypes(), isTensor);
     });
-    if (hasTensors && failed(bufferize(copy)))
+    if (failed(decomposeOps(copy)) || (hasTensors && failed(bufferize(copy))))
       return failure();
-    if (failed(splitComplex(copy)))
+    if (failed(splitComplex(copy)) || failed(promoteSlots(copy)))
       return failure();
     OpPassManager lowering(func::FuncOp::getOperationName());
     addLowering(lowering);

@@ -124,10 +124,8 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
       return function.emitError("forward mode has no tangents of arguments and "
                                 "results by position, as '")
              << gradients.strref() << "' asks for";
-    if (!function.getFunctionBody().hasOneBlock())
-      return function.emitError(
-          "cannot differentiate a function of several blocks; structured "
-          "control flow is expected");
+    if (failed(checkHasOneBlock(function)))
+      return failure();
     if (failed(Conventions::verify(function)) || failed(checkGuards(function)))
       return failure();
     if (isPlain && isWrapped(function))

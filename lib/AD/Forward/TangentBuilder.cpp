@@ -14,18 +14,20 @@
 #include "mlir/Interfaces/SideEffectInterfaces.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/DerivativePaths.h"
+#include "tai/Analysis/HelpfulPasses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
 using namespace mlir::tai;
 
 LogicalResult mlir::tai::refuseTangent(Operation *op, TangentBuilder &builder) {
-  builder.emitError(op, "'" + op->getName().getStringRef() +
-                            "' has no tangent rule, but a tangent passes "
-                            "through it")
-          .attachNote()
-      << "compute the value from differentiable ops, or keep it out of what "
-         "the derivative is taken of";
+  InFlightDiagnostic diag =
+      builder.emitError(op, "'" + op->getName().getStringRef() +
+                                "' has no tangent rule, but a tangent passes "
+                                "through it");
+  if (!attachHelpfulPass(diag, op))
+    diag.attachNote() << "compute the value from differentiable ops, or keep "
+                         "it out of what the derivative is taken of";
   return failure();
 }
 
@@ -170,8 +172,10 @@ LogicalResult TangentBuilder::extendOp(Operation *op) {
   // Output and checks take any values, and discrete results are constant.
   if (isMemoryEffectFree(op) || isa<PrintOp, AssertOp, PreconditionOp>(op))
     return success();
-  emitError(op, "a derivative is lost in '" + op->getName().getStringRef() +
-                    "', which cannot be differentiated");
+  InFlightDiagnostic diag =
+      emitError(op, "a derivative is lost in '" + op->getName().getStringRef() +
+                        "', which cannot be differentiated");
+  attachHelpfulPass(diag, op);
   return failure();
 }
 
@@ -224,11 +228,13 @@ LogicalResult TangentBuilder::checkUsers(Value array) {
     if ((access && access.getAccessedStorage().memref == array) ||
         isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(user))
       continue;
-    emitError(user, "cannot differentiate '" + user->getName().getStringRef() +
-                        "' on an array with a derivative")
-            .attachNote()
-        << "access its elements by 'memref.load', 'memref.store' and "
-           "'memref.atomic_rmw'";
+    InFlightDiagnostic diag =
+        emitError(user, "cannot differentiate '" +
+                            user->getName().getStringRef() +
+                            "' on an array with a derivative");
+    if (!attachHelpfulPass(diag, user))
+      diag.attachNote() << "access its elements by 'memref.load', "
+                           "'memref.store' and 'memref.atomic_rmw'";
     return failure();
   }
   return success();

@@ -9,6 +9,7 @@
 #include "mlir/Dialect/Func/IR/FuncOps.h"
 #include "tai/AD/Foreign.h"
 #include "tai/AD/Signature.h"
+#include "tai/Analysis/HelpfulPasses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -91,6 +92,16 @@ LogicalResult mlir::tai::checkIsFunction(FunctionOpInterface function) {
   }
   return function.emitError("cannot differentiate a '")
          << function->getName() << "'; expects a 'func.func' or a 'tai.kernel'";
+}
+
+LogicalResult mlir::tai::checkHasOneBlock(FunctionOpInterface function) {
+  if (function.getFunctionBody().hasOneBlock())
+    return success();
+  InFlightDiagnostic diag = function.emitError(
+      "cannot differentiate a function of several blocks; structured control "
+      "flow is expected");
+  attachHelpfulPass(diag, function.getFunctionBody().front().getTerminator());
+  return diag;
 }
 
 void mlir::tai::takePrepared(ModuleOp module,

@@ -23,6 +23,7 @@
 #include "mlir/Interfaces/CallInterfaces.h"
 #include "tai/AD/NarrowAdjoints.h"
 #include "tai/Analysis/Accesses.h"
+#include "tai/Analysis/HelpfulPasses.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
 using namespace mlir;
@@ -267,12 +268,13 @@ LogicalResult AdjointBuilder::reverseOp(Operation *op) {
     nonFinite->endRule();
     return result;
   }
-  emitError(op, "'" + op->getName().getStringRef() +
-                    "' has no derivative rule, but a gradient passes through "
-                    "it")
-          .attachNote()
-      << "compute the value from differentiable ops, or keep it out of what "
-         "the gradient is taken of";
+  InFlightDiagnostic diag =
+      emitError(op, "'" + op->getName().getStringRef() +
+                        "' has no derivative rule, but a gradient passes "
+                        "through it");
+  if (!attachHelpfulPass(diag, op))
+    diag.attachNote() << "compute the value from differentiable ops, or keep "
+                         "it out of what the gradient is taken of";
   return failure();
 }
 

@@ -180,6 +180,7 @@ struct ExpandGradients : tai::impl::ExpandGradientsBase<ExpandGradients> {
   void getDependentDialects(DialectRegistry &registry) const override {
     Base::getDependentDialects(registry);
     registerDifferentiableModels(registry);
+    createPrepareForeign()->getDependentDialects(registry);
   }
 
   void runOnOperation() override {
@@ -219,7 +220,10 @@ struct ExpandGradients : tai::impl::ExpandGradientsBase<ExpandGradients> {
       MakeAdjointOptions options;
       for (auto &[key, copy] : copies)
         options.kernels.push_back(copy.getName().str());
+      PrepareForeignOptions prepare;
+      prepare.kernels = options.kernels;
       OpPassManager manager(ModuleOp::getOperationName());
+      manager.addPass(createPrepareForeign(prepare));
       manager.addPass(createMakeAdjoint(options));
       if (failed(runPipeline(manager, module)))
         return signalPassFailure();

@@ -448,10 +448,8 @@ struct MakeAdjoint
     if (failed(Conventions::verify(function)) ||
         failed(checkIsFunction(function)))
       return failure();
-    if (!function.getFunctionBody().hasOneBlock())
-      return function.emitError(
-          "cannot differentiate a function of several blocks; structured "
-          "control flow is expected");
+    if (failed(checkHasOneBlock(function)))
+      return failure();
     FunctionOpInterface original = getOriginal(function);
     if (original->hasAttr("tai.adjoint"))
       return success();

@@ -174,7 +174,7 @@ Value NonFiniteAdjoints::createInfinityTest() {
   for (Value seed : infiniteSeeds) {
     Value size = math::AbsFOp::create(b, seed);
     if (isa<VectorType>(size.getType()))
-      size = SumOp::create(b, getElementTypeOrSelf(size.getType()), size);
+      size = b.createSum(size);
     Value infinity = b.createConstant(size.getType(),
                                       std::numeric_limits<double>::infinity());
     Value test =

@@ -15,6 +15,7 @@
 #include "tai/AD/AdjointPlanner.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/DerivativePaths.h"
+#include "tai/Analysis/HelpfulPasses.h"
 #include "tai/Dialect/Tai/IR/Layout.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 
@@ -67,14 +68,15 @@ void Verifier::checkArrays() {
           (access && access.getAccessedStorage().memref == argument) ||
           !refused.insert(user).second)
         continue;
-      emitError(user, "cannot differentiate '" +
-                          user->getName().getStringRef() +
-                          "' on an array with a derivative")
-              .attachNote()
-          << (isa<CallOpInterface>(user)
-                  ? kInlineFirst
-                  : "access its elements by 'memref.load', 'memref.store' and "
-                    "'memref.atomic_rmw addf'");
+      InFlightDiagnostic diag =
+          emitError(user, "cannot differentiate '" +
+                              user->getName().getStringRef() +
+                              "' on an array with a derivative");
+      if (isa<CallOpInterface>(user))
+        diag.attachNote() << kInlineFirst;
+      else if (!attachHelpfulPass(diag, user))
+        diag.attachNote() << "access its elements by 'memref.load', "
+                             "'memref.store' and 'memref.atomic_rmw addf'";
     }
   }
 }
@@ -140,6 +142,8 @@ void Verifier::checkSink(Operation *op) {
                          "list grows to the highest one";
   if (isa<CallOpInterface>(op))
     diag.attachNote() << kInlineFirst;
+  else
+    attachHelpfulPass(diag, op);
 }
 
 LogicalResult Verifier::run() {

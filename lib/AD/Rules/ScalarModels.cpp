@@ -130,8 +130,7 @@ static LogicalResult applyGuardRule(arith::SelectOp guard, TangentBuilder &b) {
   if (Value tangent = b.getTangent(guarded)) {
     if (!isa<VectorType>(condition.getType()) &&
         isa<VectorType>(tangent.getType()))
-      tangent = SumOp::create(b, getElementTypeOrSelf(tangent.getType()),
-                              math::AbsFOp::create(b, tangent));
+      tangent = b.createSum(math::AbsFOp::create(b, tangent));
     Value isZero = arith::CmpFOp::create(b, arith::CmpFPredicate::OEQ, tangent,
                                          b.createZero(tangent.getType()));
     condition = arith::AndIOp::create(b, condition, isZero);

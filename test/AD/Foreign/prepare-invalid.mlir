@@ -70,3 +70,53 @@ func.func @integers(%x: tensor<4xi32>) -> tensor<4xi32> attributes {tai.differen
 func.func @positions(%x: tensor<4xf64>) -> tensor<4xf64> attributes {tai.differentiate, tai.gradients = array<i64: 0, 1>} {
   return %x : tensor<4xf64>
 }
+
+// -----
+
+// expected-note @+1 {{write it as a loop, 'scf.for' or 'scf.while'}}
+func.func private @power(%a: f64, %n: index) -> f64 {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %one = arith.constant 1.0 : f64
+  %z = arith.cmpi eq, %n, %c0 : index
+  %r = scf.if %z -> f64 {
+    scf.yield %one : f64
+  } else {
+    %m = arith.subi %n, %c1 : index
+    %p = func.call @power(%a, %m) : (f64, index) -> f64
+    %q = arith.mulf %p, %a : f64
+    scf.yield %q : f64
+  }
+  return %r : f64
+}
+func.func private @cube(%a: f64) -> f64 {
+  %c3 = arith.constant 3 : index
+  %0 = func.call @power(%a, %c3) : (f64, index) -> f64
+  return %0 : f64
+}
+func.func @recursive(%x: memref<f64>, %y: memref<f64>) attributes {tai.differentiate} {
+  %a = memref.load %x[] : memref<f64>
+  // expected-error @+1 {{cannot differentiate this call: '@power' calls itself}}
+  %b = func.call @cube(%a) : (f64) -> f64
+  memref.store %b, %y[] : memref<f64>
+  return
+}
+
+// -----
+
+// A derivative of one's own is not left out.
+// expected-note @+1 {{the derivative of a caller does not use @square_rule; remove 'tai.adjoint' here}}
+func.func private @square(%x: memref<f64>, %y: memref<f64>) attributes {tai.adjoint = @square_rule} {
+  %a = memref.load %x[] : memref<f64>
+  %b = arith.mulf %a, %a : f64
+  memref.store %b, %y[] : memref<f64>
+  return
+}
+func.func private @square_rule(%x: memref<f64>, %y: memref<f64>, %dx: memref<f64>, %dy: memref<f64>) {
+  return
+}
+func.func @calls_rule(%x: memref<f64>, %y: memref<f64>) attributes {tai.differentiate} {
+  // expected-error @+1 {{cannot differentiate this call: '@square' has a derivative of its own}}
+  call @square(%x, %y) : (memref<f64>, memref<f64>) -> ()
+  return
+}

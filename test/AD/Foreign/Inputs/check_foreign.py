@@ -243,7 +243,7 @@ class Function:
             signature(text, "f")[2],
         )
         self.is_tensor = "tensor<" in "".join(signature(text, "f")[0])
-        plain = re.sub(r"tai\.[\w]+( = array<[^>]*>)?,? ?", "", text)
+        plain = re.sub(r"tai\.[\w]+( = (array<[^>]*>|@\w+))?,? ?", "", text)
         plain = re.sub(r"attributes \{,? ?\}", "", plain).replace(", }", "}")
         self.name = "plain" if "@plain(" in text else "f"
         self.library = lower(tools, plain, directory, "primal")

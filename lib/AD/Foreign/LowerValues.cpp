@@ -1,0 +1,172 @@
+//===- LowerValues.cpp - Complex numbers, and LLVM's arithmetic -----------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+//
+// Rules are about real numbers: a complex number becomes two, also where a loop
+// carries it. Arithmetic of the LLVM dialect becomes that of arith and math.
+//
+//===----------------------------------------------------------------------===//
+
+#include "mlir/Conversion/ComplexToStandard/ComplexToStandard.h"
+#include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/Complex/IR/Complex.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
+#include "mlir/Dialect/Math/IR/Math.h"
+#include "mlir/Dialect/SCF/Transforms/Patterns.h"
+#include "mlir/IR/ImplicitLocOpBuilder.h"
+#include "mlir/Transforms/DialectConversion.h"
+#include "tai/AD/Foreign.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+//===----------------------------------------------------------------------===//
+// Complex numbers
+//===----------------------------------------------------------------------===//
+
+/// Loops and branches that hand on complex numbers hand on their parts.
+static LogicalResult splitCarried(func::FuncOp function) {
+  MLIRContext *context = function.getContext();
+  TypeConverter converter;
+  converter.addConversion([](Type type) { return type; });
+  converter.addConversion(
+      [](ComplexType type, SmallVectorImpl<Type> &types) -> LogicalResult {
+        types.append(2, type.getElementType());
+        return success();
+      });
+  converter.addSourceMaterialization(
+      [](OpBuilder &b, ComplexType type, ValueRange parts, Location loc) {
+        return complex::CreateOp::create(b, loc, type, parts[0], parts[1])
+            .getResult();
+      });
+  converter.addTargetMaterialization(
+      [](OpBuilder &b, TypeRange, ValueRange values,
+         Location loc) -> SmallVector<Value> {
+        if (values.size() != 1)
+          return {};
+        return {complex::ReOp::create(b, loc, values[0]),
+                complex::ImOp::create(b, loc, values[0])};
+      });
+  RewritePatternSet patterns(context);
+  ConversionTarget target(*context);
+  target.markUnknownOpDynamicallyLegal([](Operation *) { return true; });
+  scf::populateSCFStructuralTypeConversionsAndLegality(converter, patterns,
+                                                       target);
+  return applyPartialConversion(function, target, std::move(patterns));
+}
+
+static void splitSelects(func::FuncOp function) {
+  SmallVector<arith::SelectOp> selects;
+  function.walk([&](arith::SelectOp op) {
+    if (isa<ComplexType>(op.getType()))
+      selects.push_back(op);
+  });
+  for (arith::SelectOp op : selects) {
+    ImplicitLocOpBuilder b(op.getLoc(), op);
+    auto choose = [&](auto part) -> Value {
+      return arith::SelectOp::create(b, op.getCondition(),
+                                     part(op.getTrueValue()),
+                                     part(op.getFalseValue()));
+    };
+    Value re = choose([&](Value z) { return complex::ReOp::create(b, z); });
+    Value im = choose([&](Value z) { return complex::ImOp::create(b, z); });
+    Value made = complex::CreateOp::create(b, op.getType(), re, im);
+    op.replaceAllUsesWith(made);
+    op.erase();
+  }
+}
+
+LogicalResult mlir::tai::splitComplex(func::FuncOp function) {
+  bool any = false;
+  function.walk([&](Operation *op) {
+    any |= isa_and_present<complex::ComplexDialect>(op->getDialect());
+  });
+  if (!any)
+    return success();
+  if (failed(splitCarried(function)))
+    return failure();
+  splitSelects(function);
+  MLIRContext *context = function.getContext();
+  RewritePatternSet patterns(context);
+  populateComplexToStandardConversionPatterns(patterns);
+  ConversionTarget target(*context);
+  target.markUnknownOpDynamicallyLegal([](Operation *) { return true; });
+  target.addIllegalDialect<complex::ComplexDialect>();
+  target.addLegalOp<complex::CreateOp, complex::ReOp, complex::ImOp,
+                    complex::ConstantOp>();
+  return applyPartialConversion(function, target, std::move(patterns));
+}
+
+//===----------------------------------------------------------------------===//
+// LLVM
+//===----------------------------------------------------------------------===//
+
+namespace {
+struct Pair {
+  StringLiteral from, to;
+};
+} // namespace
+
+/// Ops with the same operands and results.
+static constexpr Pair kArithmetic[] = {
+    {"llvm.fadd", "arith.addf"},
+    {"llvm.fsub", "arith.subf"},
+    {"llvm.fmul", "arith.mulf"},
+    {"llvm.fdiv", "arith.divf"},
+    {"llvm.frem", "arith.remf"},
+    {"llvm.fneg", "arith.negf"},
+    {"llvm.fpext", "arith.extf"},
+    {"llvm.fptrunc", "arith.truncf"},
+    {"llvm.select", "arith.select"},
+    {"llvm.sitofp", "arith.sitofp"},
+    {"llvm.uitofp", "arith.uitofp"},
+    {"llvm.intr.copysign", "math.copysign"},
+    {"llvm.intr.cos", "math.cos"},
+    {"llvm.intr.exp", "math.exp"},
+    {"llvm.intr.exp2", "math.exp2"},
+    {"llvm.intr.fabs", "math.absf"},
+    {"llvm.intr.fma", "math.fma"},
+    {"llvm.intr.fmuladd", "math.fma"},
+    {"llvm.intr.log", "math.log"},
+    {"llvm.intr.log10", "math.log10"},
+    {"llvm.intr.log2", "math.log2"},
+    {"llvm.intr.maximum", "arith.maximumf"},
+    {"llvm.intr.maxnum", "arith.maxnumf"},
+    {"llvm.intr.minimum", "arith.minimumf"},
+    {"llvm.intr.minnum", "arith.minnumf"},
+    {"llvm.intr.pow", "math.powf"},
+    {"llvm.intr.sin", "math.sin"},
+    {"llvm.intr.sqrt", "math.sqrt"},
+    {"llvm.intr.tan", "math.tan"},
+    {"llvm.intr.tanh", "math.tanh"},
+};
+
+void mlir::tai::liftArithmetic(func::FuncOp function) {
+  SmallVector<std::pair<Operation *, StringRef>> ops;
+  function.walk([&](Operation *op) {
+    if (!isa_and_present<LLVM::LLVMDialect>(op->getDialect()) ||
+        op->getNumResults() != 1 ||
+        !isa<FloatType>(getElementTypeOrSelf(op->getResult(0).getType())))
+      return;
+    StringRef name = op->getName().getStringRef();
+    for (const Pair &pair : kArithmetic)
+      if (pair.from == name)
+        ops.push_back({op, pair.to});
+    if (auto constant = dyn_cast<LLVM::ConstantOp>(op))
+      if (isa<FloatAttr, DenseFPElementsAttr>(constant.getValue()))
+        ops.push_back({op, arith::ConstantOp::getOperationName()});
+  });
+  for (auto [op, name] : ops) {
+    OpBuilder b(op);
+    OperationState state(op->getLoc(), name, op->getOperands(),
+                         op->getResultTypes());
+    if (auto constant = dyn_cast<LLVM::ConstantOp>(op))
+      state.addAttribute("value", constant.getValue());
+    Operation *made = b.create(state);
+    op->replaceAllUsesWith(made);
+    op->erase();
+  }
+}
