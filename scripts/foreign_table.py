@@ -37,31 +37,38 @@ def describe(outcome: str) -> str:
     return f"refused; {helpful[0]}" if helpful else "refused"
 
 
-def table(outcomes: dict[str, dict[str, str]]) -> list[str]:
-    lines = ["| dialect | construct | reverse | forward | test |", "|---|---|---|---|---|"]
+def make_rows(outcomes: dict[str, dict[str, str]]) -> dict[str, str]:
+    """The row of each function, by its name."""
+    rows = {}
     for name, modes in outcomes.items():
         first = (CASES / f"{name}.mlir").read_text().splitlines()[0]
         dialect, construct = re.match(r"// Row: (.*?) \| (.*)", first).groups()
         cells = [describe(modes[mode]) for mode in ("reverse", "forward")]
-        lines.append("| " + " | ".join([dialect, construct, *cells, f"`{name}`"]) + " |")
-    right = {
-        mode: sum(m[mode] == "right" for m in outcomes.values()) for mode in ("reverse", "forward")
-    }
-    count = len(outcomes)
-    said = (
-        f"{right['reverse']} of {count} functions are differentiated in reverse, "
-        f"{right['forward']} forwards."
-    )
-    return [said, "", *lines]
+        rows[name] = "| " + " | ".join([dialect, construct, *cells, f"`{name}`"]) + " |"
+    return rows
+
+
+def make_table(rows: dict[str, str]) -> str:
+    columns = [row.split(" | ")[2:4] for row in rows.values()]
+    reverse, forward = (sum(cell[i] == "yes" for cell in columns) for i in (0, 1))
+    said = f"{reverse} of {len(rows)} functions are differentiated in reverse, {forward} forwards."
+    head = ["| dialect | construct | reverse | forward | test |", "|---|---|---|---|---|"]
+    return "\n".join([said, "", *head, *(rows[name] for name in sorted(rows))])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--part", default="1/1", help="K/N: run each Nth function only")
     parser.add_argument("--tai-opt", default=str(ROOT / "build/bin/tai-opt"))
     parser.add_argument("--llvm-bin", default="/usr/lib/llvm-22/bin")
     given = parser.parse_args()
-    outcomes = check_foreign.run(["--tai-opt", given.tai_opt, "--llvm-bin", given.llvm_bin])
+    part, parts = map(int, given.part.split("/"))
+    files = sorted(CASES.glob("*.mlir"))
+    outcomes = check_foreign.run(
+        ["--tai-opt", given.tai_opt, "--llvm-bin", given.llvm_bin]
+        + [str(path) for path in files[part - 1 :: parts]]
+    )
     wrong = [
         f"{name} {mode}: {outcome}"
         for name, modes in outcomes.items()
@@ -72,8 +79,12 @@ def main() -> None:
         sys.exit("\n".join(wrong))
     text = PAGE.read_text()
     before, rest = text.split(BEGIN)
-    after = rest.split(END)[1]
-    made = before + BEGIN + "\n\n" + "\n".join(table(outcomes)) + "\n\n" + END + after
+    old, after = rest.split(END)
+    # Rows of functions that did not run are taken from the page.
+    rows = {match[1]: match[0] for match in re.finditer(r"^\| .*\| `([\w-]+)` \|$", old, re.M)}
+    names = {path.stem for path in files}
+    rows = {name: row for name, row in rows.items() if name in names} | make_rows(outcomes)
+    made = before + BEGIN + "\n\n" + make_table(rows) + "\n\n" + END + after
     if given.write:
         PAGE.write_text(made)
     elif made != text:

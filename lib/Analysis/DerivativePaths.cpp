@@ -444,10 +444,10 @@ LogicalResult Paths::refuse(Operation *op) {
   StringRef mode = ends.isForward ? "tangent" : "gradient";
   StringRef rule = ends.isForward ? "tangent" : "derivative";
   bool isScalable = llvm::any_of(op->getResultTypes(), isScalableVector);
-  InFlightDiagnostic diag = emitError(
-      op, "'" + op->getName().getStringRef() + "' has no " + rule + " rule" +
-              (isScalable ? " for scalable vectors" : "") + ", but a " + mode +
-              " passes through it");
+  InFlightDiagnostic diag =
+      emitError(op, "'" + op->getName().getStringRef() + "' has no " + rule +
+                        " rule" + (isScalable ? " for scalable vectors" : "") +
+                        ", but a " + mode + " passes through it");
   if (!isScalable && attachHelpfulPass(diag, op))
     return failure();
   diag.attachNote()
@@ -534,13 +534,10 @@ LogicalResult Paths::verify() {
                       [&](Value value) { return useful.contains(value); }))
       continue;
     result = failure();
-    InFlightDiagnostic diag =
-        emitError(op, "'" + op->getName().getStringRef() +
-                          "' reads floats from memory that derivatives are not "
-                          "followed through");
-    if (attachHelpfulPass(diag, op))
-      continue;
-    diag.attachNote()
+    emitError(op, "'" + op->getName().getStringRef() +
+                      "' reads floats from memory that derivatives are not "
+                      "followed through")
+            .attachNote()
         << "load it from a field or from an argument that is a memref of "
            "floats, or make it a constant by 'tai.stop_gradient' (in Python, "
            "'ti.stop_grad')";

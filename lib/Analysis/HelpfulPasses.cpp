@@ -28,8 +28,11 @@ struct HelpfulPass {
 static constexpr StringLiteral kPrepare = "tai-prepare-foreign";
 
 // By name: most of these dialects need not be there. Ops come before their
-// dialects.
+// dialects, and those that no pass helps have none.
 static constexpr HelpfulPass kPrepared[] = {
+    {"llvm.bitcast", ""},
+    {"tensor.bitcast", ""},
+    {"vector.bitcast", ""},
     {"func.call", "inline"},
     {"memref.cast", "fold-memref-alias-ops"},
     {"memref.collapse_shape", "fold-memref-alias-ops"},

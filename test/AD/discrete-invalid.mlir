@@ -53,7 +53,7 @@ func.func @structure(%x: memref<f64>, %y: memref<f64>) attributes {tai.different
   %0 = memref.load %x[] : memref<f64>
   %1 = llvm.mlir.undef : !llvm.struct<(f64, i32)>
   // expected-error @+2 {{'llvm.insertvalue' has no derivative rule, but a gradient passes through it}}
-  // expected-note @+1 {{compute the value}}
+  // expected-note @+1 {{run '--tai-prepare-foreign' before}}
   %2 = llvm.insertvalue %0, %1[0] : !llvm.struct<(f64, i32)>
   %3 = llvm.extractvalue %2[0] : !llvm.struct<(f64, i32)>
   memref.store %3, %y[] : memref<f64>

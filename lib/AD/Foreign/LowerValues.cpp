@@ -42,14 +42,14 @@ static LogicalResult splitCarried(func::FuncOp function) {
         return complex::CreateOp::create(b, loc, type, parts[0], parts[1])
             .getResult();
       });
-  converter.addTargetMaterialization(
-      [](OpBuilder &b, TypeRange, ValueRange values,
-         Location loc) -> SmallVector<Value> {
-        if (values.size() != 1)
-          return {};
-        return {complex::ReOp::create(b, loc, values[0]),
-                complex::ImOp::create(b, loc, values[0])};
-      });
+  converter.addTargetMaterialization([](OpBuilder &b, TypeRange,
+                                        ValueRange values,
+                                        Location loc) -> SmallVector<Value> {
+    if (values.size() != 1)
+      return {};
+    return {complex::ReOp::create(b, loc, values[0]),
+            complex::ImOp::create(b, loc, values[0])};
+  });
   RewritePatternSet patterns(context);
   ConversionTarget target(*context);
   target.markUnknownOpDynamicallyLegal([](Operation *) { return true; });

@@ -141,8 +141,8 @@ LogicalResult Elements::step(Value &array, SmallVector<Value> &indices) {
   Operation *op = array.getDefiningOp();
   Value source = op->getOperand(0);
   SmallVector<Value> moved;
-  if (isa<memref::CastOp, memref::MemorySpaceCastOp,
-          memref::AssumeAlignmentOp>(op)) {
+  if (isa<memref::CastOp, memref::MemorySpaceCastOp, memref::AssumeAlignmentOp>(
+          op)) {
     if (!isa<MemRefType>(source.getType()))
       return failure();
     moved = indices;

@@ -17,10 +17,10 @@
 #include "mlir/Dialect/ControlFlow/IR/ControlFlow.h"
 #include "mlir/Dialect/ControlFlow/IR/ControlFlowOps.h"
 #include "mlir/Dialect/ControlFlow/Transforms/BufferizableOpInterfaceImpl.h"
+#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Linalg/IR/Linalg.h"
 #include "mlir/Dialect/Linalg/Passes.h"
 #include "mlir/Dialect/Linalg/Transforms/BufferizableOpInterfaceImpl.h"
-#include "mlir/Dialect/LLVMIR/LLVMDialect.h"
 #include "mlir/Dialect/Linalg/Transforms/Transforms.h"
 #include "mlir/Dialect/Math/IR/Math.h"
 #include "mlir/Dialect/MemRef/IR/MemRef.h"
@@ -632,13 +632,13 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
 
   void getDependentDialects(DialectRegistry &registry) const override {
     Base::getDependentDialects(registry);
-    registry.insert<
-        affine::AffineDialect, arith::ArithDialect,
-        bufferization::BufferizationDialect, cf::ControlFlowDialect,
-        complex::ComplexDialect, func::FuncDialect, linalg::LinalgDialect,
-        LLVM::LLVMDialect,
-        math::MathDialect, memref::MemRefDialect, scf::SCFDialect,
-        tensor::TensorDialect, ub::UBDialect, vector::VectorDialect>();
+    registry
+        .insert<affine::AffineDialect, arith::ArithDialect,
+                bufferization::BufferizationDialect, cf::ControlFlowDialect,
+                complex::ComplexDialect, func::FuncDialect,
+                linalg::LinalgDialect, LLVM::LLVMDialect, math::MathDialect,
+                memref::MemRefDialect, scf::SCFDialect, tensor::TensorDialect,
+                ub::UBDialect, vector::VectorDialect>();
     arith::registerBufferizableOpInterfaceExternalModels(registry);
     bufferization::func_ext::registerBufferizableOpInterfaceExternalModels(
         registry);

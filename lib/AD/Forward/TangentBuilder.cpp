@@ -228,10 +228,9 @@ LogicalResult TangentBuilder::checkUsers(Value array) {
     if ((access && access.getAccessedStorage().memref == array) ||
         isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(user))
       continue;
-    InFlightDiagnostic diag =
-        emitError(user, "cannot differentiate '" +
-                            user->getName().getStringRef() +
-                            "' on an array with a derivative");
+    InFlightDiagnostic diag = emitError(
+        user, "cannot differentiate '" + user->getName().getStringRef() +
+                  "' on an array with a derivative");
     if (!attachHelpfulPass(diag, user))
       diag.attachNote() << "access its elements by 'memref.load', "
                            "'memref.store' and 'memref.atomic_rmw'";

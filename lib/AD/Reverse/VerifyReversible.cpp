@@ -68,10 +68,9 @@ void Verifier::checkArrays() {
           (access && access.getAccessedStorage().memref == argument) ||
           !refused.insert(user).second)
         continue;
-      InFlightDiagnostic diag =
-          emitError(user, "cannot differentiate '" +
-                              user->getName().getStringRef() +
-                              "' on an array with a derivative");
+      InFlightDiagnostic diag = emitError(
+          user, "cannot differentiate '" + user->getName().getStringRef() +
+                    "' on an array with a derivative");
       if (isa<CallOpInterface>(user))
         diag.attachNote() << kInlineFirst;
       else if (!attachHelpfulPass(diag, user))
