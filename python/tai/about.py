@@ -15,6 +15,7 @@ import subprocess
 from pathlib import Path
 
 from ._impl.base import native, state
+from ._impl.base.keywords import check_keywords
 from ._impl.base.targets import why_no_cuda
 from ._version import __version__
 
@@ -153,3 +154,6 @@ def _processor() -> str:
         lines = []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.machine()
+
+
+check_keywords(globals())

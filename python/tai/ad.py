@@ -21,6 +21,7 @@ from ._impl.ad.tape import (
 )
 from ._impl.ad.tuning import TunedPrecision, tune_precision
 from ._impl.ad.validation import Violation
+from ._impl.base.keywords import check_keywords
 from ._impl.solvers.implicit import implicit
 from ._impl.tracking.tracked import variable
 from .errors import TaiConvergenceWarning, TaiGradientWarning
@@ -33,3 +34,6 @@ __all__ = [
     "implicit", "jacobian", "jacobian_operator", "jvp", "no_grad", "tune_precision", "variable",
     "vjp",
 ]  # fmt: skip
+
+
+check_keywords(globals())

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from ._impl.base.dtypes import i32
+from ._impl.base.keywords import check_keywords
 from ._impl.fields.make import field
 from ._impl.fields.scalar import ScalarField
 from ._impl.solvers.rows import BLOCK, kernels
@@ -99,3 +100,6 @@ class PrefixSumExecutor:
         if blocks > 1:
             parts.sum_sums(sums, blocks)
             parts.add_sums(input_arr, sums, count)
+
+
+check_keywords(globals())

@@ -19,6 +19,7 @@ import numpy as np
 
 from ._impl.base import pieces
 from ._impl.base.files import replacing
+from ._impl.base.keywords import check_keywords
 from ._impl.base.program import get_program
 from ._impl.fields.arrays import Ndarray
 from ._impl.fields.field import Field
@@ -219,3 +220,6 @@ def load(path: Any, fields: Any = None, /, *, strict: bool = True, **named: Any)
     except (ValueError, zipfile.BadZipFile, EOFError, AttributeError) as error:
         raise TaiRuntimeError(f"'{os.fspath(path)}' is no checkpoint: {error}") from None
     return restore(arrays, fields, strict=strict, **named)
+
+
+check_keywords(globals())

@@ -284,6 +284,13 @@ def spelled(name: str) -> str:
     return SPELLINGS.get(name) or SPELLINGS.get(base, base) + name[len(base) :]
 
 
+def as_written(text: str) -> str:
+    """A text with the names of the program in the place of those of the IR."""
+    if not SPELLINGS:
+        return text
+    return re.sub(r"'(\w+)'", lambda match: f"'{spelled(match[1])}'", text)
+
+
 def from_core(
     status: int, message: str, file: str, line: int, column: int, diagnostics: str
 ) -> TaiError:
@@ -294,8 +301,7 @@ def from_core(
     message = in_python(message)
     # Fields have no such sign in Python.
     message = re.sub(r"'@(\"?)([^'\"]+)\1'", r"'\2'", message)
-    if SPELLINGS:
-        message = re.sub(r"'(\w+)'", lambda match: f"'{spelled(match[1])}'", message)
+    message = as_written(message)
     error = kind(message or "unknown failure")
     if file and line > 0:
         error.locate(file, line, max(column, 1))
@@ -311,7 +317,7 @@ def warn_from_core(
     message: str, file: str, line: int, column: int, diagnostics: str, of_gradient: bool
 ) -> None:
     """Issues a warning of the compiler, at its line; called from the extension module."""
-    lines = [message]
+    lines = [as_written(message)]
     if file and line > 0:
         lines.append(f"  --> {shorten(file)}:{line}:{column}")
         lines += show_line(file, line, max(column, 1))
@@ -325,7 +331,7 @@ def warn_from_core(
 def _notes(diagnostics: str) -> str | None:
     """The notes of a diagnostic, each with the line that it points to."""
     shown = []
-    for line in in_python(diagnostics).splitlines():
+    for line in as_written(in_python(diagnostics)).splitlines():
         place, mark, text = line.partition(": note: ")
         if not mark:
             continue

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ._impl.base.keywords import check_keywords
 from ._impl.drawing.arrays import numbers, pixels_of
 from ._impl.drawing.colors import color_map, rgb_bytes
 from ._impl.drawing.events import Event
@@ -382,3 +383,6 @@ class GUI(FrameLoop):
                         widget.value = min(value, high)
             panels.end()
         panels.finish()
+
+
+check_keywords(globals())

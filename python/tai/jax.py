@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ._impl.base.keywords import check_keywords
 from ._impl.frameworks.jax_operators import Operator
 
 __all__ = ["Operator", "wrap"]
@@ -46,3 +47,6 @@ def wrap(function: Any, outputs: dict[str, Any]) -> Operator:
         TaiAutodiffError: as it is traced, a gradient that is differentiated again.
     """
     return Operator(function, outputs)
+
+
+check_keywords(globals())

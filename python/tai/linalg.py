@@ -3,6 +3,7 @@ assembled matrices, and direct; sparse matrices and solvers of Taichi programs, 
 
 from __future__ import annotations
 
+from ._impl.base.keywords import check_keywords
 from ._impl.solvers.assembled import AssembledMatrix
 from ._impl.solvers.batch import solve_batch
 from ._impl.solvers.direct import solve
@@ -21,3 +22,6 @@ __all__ = [
     "SparseMatrixBuilder", "SparseSolver", "TaiConvergenceWarning", "bicgstab", "cg", "gmres",
     "jacobi", "minres", "newton", "solve", "solve_batch",
 ]  # fmt: skip
+
+
+check_keywords(globals())

@@ -11,6 +11,7 @@ optimizer.step()
 
 from __future__ import annotations
 
+from ._impl.base.keywords import check_keywords
 from ._impl.optim.first_order import SGD, Adam, Optimizer
 from ._impl.optim.gauss_newton import GaussNewton
 from ._impl.optim.lbfgs import LBFGS
@@ -18,3 +19,6 @@ from ._impl.optim.objective import Result
 from ._impl.optim.scipy_bridge import scipy_minimize
 
 __all__ = ["LBFGS", "SGD", "Adam", "GaussNewton", "Optimizer", "Result", "scipy_minimize"]
+
+
+check_keywords(globals())

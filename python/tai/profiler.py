@@ -14,6 +14,7 @@ from typing import Any
 
 from ._impl.base import state
 from ._impl.base.files import write_text
+from ._impl.base.keywords import check_keywords
 from ._impl.base.locks import snapshot
 from ._impl.base.skips import Skips as Skips
 from ._impl.base.skips import clear_skips as clear_skips
@@ -275,3 +276,6 @@ def print_memory_profiler_info() -> None:
     for size, name, kind, shape, is_sparse in sorted(rows, key=lambda row: -row[0]):
         print(f"{size:>16,}  {name}: {kind}, shape {shape}{', if all active' * is_sparse}")
     print(f"{sum(row[0] for row in rows):>16,}  together")
+
+
+check_keywords(globals())

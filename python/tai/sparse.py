@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ._impl.base.keywords import check_keywords
 from ._impl.fields.field import Field
 from ._impl.fields.root import root
 from ._impl.fields.snode import Axes
@@ -40,3 +41,6 @@ def usage(field: Field) -> float:
 
 
 __all__ = ["grid", "usage"]
+
+
+check_keywords(globals())

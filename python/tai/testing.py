@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from ._impl.ad.check import check
+from ._impl.base.keywords import check_keywords
 
 # The name that tests of earlier releases use.
 check_gradient = check
 
 __all__ = ["check_gradient"]
+
+
+check_keywords(globals())

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from ._impl.base.callers import calling_level
 from ._impl.base.files import replacing_name, save_picture
+from ._impl.base.keywords import check_keywords
 from ._impl.base.ply import PLYWriter as PLYWriter
 from ._impl.base.shadows import ShadowReport as ShadowReport
 from ._impl.base.shadows import ShadowRow as ShadowRow
@@ -113,7 +115,7 @@ def imshow(image: Any, title: str = "imshow") -> None:
         warnings.warn(
             "ti.tools.imshow has no window and no folder to write to\n  hint: set the folder in "
             "the environment, TAI_GUI_DIR=frames, or call ti.tools.imwrite(image, file)",
-            stacklevel=2,
+            stacklevel=calling_level(),
         )
     gui.show()
 
@@ -223,3 +225,6 @@ class Progress:
             for item in self.items:
                 yield item
                 bar.update(task, advance=1, note=self._text)
+
+
+check_keywords(globals())

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ._impl.base.keywords import check_keywords
 from ._impl.frameworks.torch_operators import Module, Operator
 
 __all__ = ["Module", "Operator", "module", "wrap"]
@@ -67,3 +68,6 @@ def module(function: Any, outputs: dict[str, Any] | None = None, **owned: Any) -
     """
     operator = function if isinstance(function, Operator) else wrap(function, outputs or {})
     return Module(operator, owned)
+
+
+check_keywords(globals())

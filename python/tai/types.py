@@ -33,6 +33,7 @@ from ._impl.base.dtypes import (
     uint32,
     uint64,
 )
+from ._impl.base.keywords import check_keywords
 from ._impl.fields.structs import ArgPackType, StructType
 from ._impl.fields.triplets import TripletsType as sparse_matrix_builder  # noqa: N813
 from ._impl.values.types import (
@@ -68,3 +69,5 @@ __all__ = [
     "matrix", "ndarray", "primitive_types", "quant", "sparse_matrix_builder", "struct", "template",
     "u1", "u16", "u32", "u64", "u8", "uint1", "uint16", "uint32", "uint64", "uint8", "vector",
 ]  # fmt: skip
+
+check_keywords(globals())

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ._impl.base.files import save_picture
+from ._impl.base.keywords import check_keywords
 from ._impl.drawing import events, library
 from ._impl.drawing.arrays import numbers, pixels_of, vectors
 from ._impl.drawing.camera import Steering, look_at, orthographic, perspective
@@ -631,3 +632,6 @@ class Window(FrameLoop):
         self._keep_pace()
         self._canvas._commands.clear()
         self._is_drawn = -1
+
+
+check_keywords(globals())

@@ -16,6 +16,7 @@ import numpy as np
 
 from ._impl.base.dtypes import f16, f32
 from ._impl.base.files import replacing, replacing_name
+from ._impl.base.keywords import check_keywords
 from ._impl.fields.active import write_elements
 from ._impl.fields.field import Field
 from ._impl.fields.matrix_field import MatrixField
@@ -327,3 +328,6 @@ def _load_vdb(path: Any, fields: dict[str, Field]) -> dict[str, tuple]:
 
 
 _FORMATS = {".npz": (_save_npz, _load_npz), ".vdb": (_save_vdb, _load_vdb)}
+
+
+check_keywords(globals())

@@ -45,6 +45,19 @@ class Data:
         return result
 
 
+@pytest.fixture(params=MODES)
+def mode(request, monkeypatch):
+    """The name of the mode of a context."""
+    init(request.param, monkeypatch)
+    return request.param
+
+
+@pytest.fixture
+def data(mode):
+    """Fields of a context in each of the modes."""
+    return Data()
+
+
 def same(run, expected, tolerance=0.0):
     for _ in range(3):
         np.testing.assert_allclose(run(), expected, rtol=tolerance, atol=tolerance)

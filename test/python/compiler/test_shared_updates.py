@@ -4,19 +4,9 @@ import numpy as np
 import pytest
 import tai as ti
 
-import shared_loops
 from shared_loops import GROUPS, Data, N, refused, same
-
-
-@pytest.fixture(params=shared_loops.MODES)
-def mode(request, monkeypatch):
-    shared_loops.init(request.param, monkeypatch)
-    return request.param
-
-
-@pytest.fixture
-def data(mode):
-    return Data()
+from shared_loops import data as data
+from shared_loops import mode as mode
 
 
 def test_extrema_of_a_variable(data):

@@ -29,3 +29,33 @@ def test_kernels_named_like_library_functions():
     assert y[None] == pytest.approx(math.atan2(0.3, 2.0), abs=1e-15)
     assert x.grad[None] == pytest.approx(2.0 / (4.0 + 0.09), abs=1e-15)
     assert tan() == pytest.approx(math.tan(0.3), abs=1e-15)
+
+
+def test_warnings_have_the_name_of_the_program():
+    """The IR numbers kernels of one name."""
+    x = ti.field(ti.f32, 4, needs_grad=True)
+    y, loss = ti.field(ti.f32, 4), ti.field(ti.f32, (), needs_grad=True)
+
+    def make(k):
+        @ti.kernel
+        def heat():
+            for i in x:
+                y[i] = x[i] * k
+
+        return heat
+
+    kernels = [make(k) for k in range(4)]
+    for kernel in kernels:
+        kernel()
+
+    @ti.kernel
+    def total():
+        for i in y:
+            loss[None] += y[i]
+
+    with pytest.warns(ti.ad.TaiGradientWarning, match="kernel 'heat' stores"):
+        with ti.ad.Tape(loss):
+            kernels[-1]()
+            total()
+    with pytest.raises(ti.TaiError, match="kernel 'heat' takes 0 arguments"):
+        kernels[-1](1)

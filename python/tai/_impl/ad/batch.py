@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import TaiRuntimeError, TaiRuntimeTypeError, TaiSyntaxError
 from ..base import dtypes
 from ..base.dtypes import cast, f32, u32
+from ..base.keywords import check_keywords
 from ..fields.field import Field
 from ..fields.make import field as make
 from ..fields.make import make_field
@@ -295,3 +296,6 @@ def batch(size: int, masked: bool = False) -> Batch:
 
 
 __all__ = ["Batch", "batch"]
+
+
+check_keywords(globals(), ["batch"])

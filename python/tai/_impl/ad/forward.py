@@ -71,7 +71,7 @@ def run_forward(
                 function()
             lost = find_lost(outputs)
         found = [field.dual.to_numpy() for field in outputs]
-    warn_of_lost(lost, 3)
+    warn_of_lost(lost)
     return found
 
 
@@ -221,7 +221,7 @@ class FwdMode(ForwardMode):
     def _leave(self, kind: Any, error: Any, trace: Any) -> None:
         lost = [] if kind is not None else find_lost(self.loss)
         self._end()
-        warn_of_lost(lost, 2)
+        warn_of_lost(lost)
 
     def _end(self) -> None:
         super()._end()

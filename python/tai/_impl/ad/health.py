@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import TaiGradientWarning, shorten
 from ..base import state
+from ..base.callers import calling_level
 from ..base.program import get_program
 from ..base.targets import cuda
 from .compare import READ, Accesses, differentiable_fields, elements
@@ -269,7 +270,7 @@ def _find_bad_value(core: Any, loss: Any, place: Any) -> Finding:
     return Finding("nan", message)
 
 
-def warn_of_losses(core: Any, losses: list[Any], stacklevel: int) -> None:
+def warn_of_losses(core: Any, losses: list[Any]) -> None:
     """Says, once in a program for each loss, where one that is NaN or infinite comes from.
 
     It reads the losses, and where one is not finite all fields of floats that are read. On a GPU
@@ -285,7 +286,7 @@ def warn_of_losses(core: Any, losses: list[Any], stacklevel: int) -> None:
         message = _find_bad_start(core) or _find_bad_value(core, loss, partial(Place, core)).message
         if "itself" not in message:
             message = f"the loss '{loss.name}' is {number_of(loss)}: {message}"
-        warnings.warn(message, TaiGradientWarning, stacklevel=stacklevel + 1)
+        warnings.warn(message, TaiGradientWarning, stacklevel=calling_level())
 
 
 def _find_bad_start(core: Any) -> str | None:

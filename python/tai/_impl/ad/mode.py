@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
+from ...errors import (
+    TaiAutodiffError,
+    TaiGradientWarning,
+    TaiRuntimeError,
+    TaiRuntimeTypeError,
+    as_written,
+)
 from ..base import native, state
+from ..base.callers import calling_frame, calling_level
 from ..base.locks import Lock, snapshot
 from ..base.program import get_program
 from ..fields.field import Field
@@ -92,9 +98,9 @@ def find_lost(outputs: Sequence[Any]) -> list[str]:
     return get_program().context.lost_tangents(_cores_of(outputs)).splitlines()
 
 
-def warn_of_lost(lines: list[str], stacklevel: int) -> None:
+def warn_of_lost(lines: list[str]) -> None:
     for line in lines:
-        warnings.warn(line, TaiGradientWarning, stacklevel=stacklevel + 1)
+        warnings.warn(as_written(line), TaiGradientWarning, stacklevel=calling_level())
 
 
 class ForwardMode(native.WithBlock):
@@ -196,7 +202,5 @@ def derivatives_of_gradients(
 
 def caller_names() -> dict[str, Any]:
     """The variables of the program that called into the package."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("tai."):
-        frame = frame.f_back
-    return frame.f_globals
+    frame = calling_frame()
+    return {} if frame is None else frame.f_globals

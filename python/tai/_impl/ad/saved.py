@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ...errors import TaiRuntimeTypeError
+from ..base.keywords import check_keywords
 from ..base.program import get_program
 from ..fields.field import Field
 from ..fields.root import materialize
@@ -58,3 +59,6 @@ def export(
         before.restore()
         losses[0].core.fill(0.0)
         tape._core.save(os.fspath(path), losses[0].core, [f.core for f in fields])
+
+
+check_keywords(globals(), ["export"])

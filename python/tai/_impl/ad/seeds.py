@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeTypeError
+from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeTypeError, as_written
+from ..base.callers import calling_level
 from ..fields.field import Field
 from ..fields.structs import StructField, leaves_of
 
@@ -139,7 +140,7 @@ def set_seeds(core: Any, losses: list[Any], seeds: list[np.ndarray]) -> None:
             core.set_seed(part.core, np.ascontiguousarray(seed[index]))
 
 
-def warn(core: Any, stacklevel: int) -> None:
+def warn(core: Any) -> None:
     """Shows the warnings of the last sweep of the tape."""
     for line in core.warnings():
-        warnings.warn(line, TaiGradientWarning, stacklevel=stacklevel + 1)
+        warnings.warn(as_written(line), TaiGradientWarning, stacklevel=calling_level())

@@ -24,8 +24,9 @@ from ...errors import (
     shorten,
 )
 from ..base import dtypes, state
+from ..base.callers import calling_frame, calling_level
+from ..base.keywords import check_keywords
 from ..base.program import get_program, sync
-from ..history.origins import calling_frame
 from .compare import as_fields
 from .precision import PrecisionReport, bytes_of, find_not_finite, owner_of
 from .retype import Version, can_change
@@ -641,7 +642,7 @@ class _Search:
             f"'{short[0].name}' is of {short[0].dtype}, which cannot hold an error of "
             f"{self._error:.1e}: `loss` and `gradients` of the result have all digits"
         )
-        warnings.warn(f"ti.solve_to: {text}", TaiGradientWarning, stacklevel=5)
+        warnings.warn(f"ti.solve_to: {text}", TaiGradientWarning, stacklevel=calling_level())
         return [text]
 
     def _split(self, gradient: np.ndarray) -> list[np.ndarray]:
@@ -770,3 +771,6 @@ def _bytes(places: list[Any], choice: _Choice) -> int:
 
 def _refuse(message: str, hint: str) -> NoReturn:
     raise TaiAutodiffError(message, hint)
+
+
+check_keywords(globals(), ["solve_to"])

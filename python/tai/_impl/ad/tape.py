@@ -241,12 +241,12 @@ class Tape(native.WithBlock):
                 self._rounding = self._probes.take()
         self._end()
         if is_swept:
-            warn(self._core, 2)
+            warn(self._core)
             program = get_program()
             program.sweeps += 1
             # To read a loss takes a tenth of the least tape: after the 1st, 2nd, 4th, … of them.
             if program.sweeps & (program.sweeps - 1) == 0:
-                warn_of_losses(self._core, [f for f in self._losses if is_number(f)], 2)
+                warn_of_losses(self._core, [f for f in self._losses if is_number(f)])
             if self._check:
                 self._check.end(self._core, self.loss)
 
@@ -344,7 +344,7 @@ class Tape(native.WithBlock):
         losses = self._outer_seeds() if losses is None else losses
         with tracked.ValueSweep(self._values, losses):
             self._core.backward()
-        warn(self._core, 3)
+        warn(self._core)
 
     def stats(self) -> TapeStats:
         """Memory that the tape uses, and amount of recomputation."""

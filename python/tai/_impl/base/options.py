@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from . import dtypes
+from .callers import calling_level
 from .option_rows import ROWS, Row
 from .targets import Arch, cpu, cuda, python
 
@@ -267,7 +268,10 @@ def warn_of_options(accepted: dict[str, Any]) -> None:
     for name, value in accepted.items():
         nothing, hint = _WITHOUT_EFFECT.get(name, (value, ""))
         if value != nothing:
-            warnings.warn(f"ti.init({name}={value!r}) has no effect\n  hint: {hint}", stacklevel=3)
+            warnings.warn(
+                f"ti.init({name}={value!r}) has no effect\n  hint: {hint}",
+                stacklevel=calling_level(),
+            )
 
 
 def skip_text(value: Any) -> str:

@@ -77,9 +77,9 @@ class Program:
         earlier = sum(kernel.number < self.first_kernel for kernel in snapshot(self.kernels))
         return state.kernels_made - self.first_kernel + earlier
 
-    def unique_symbol(self, wanted: str) -> str:
-        """A symbol that no tree, place or field of this program has."""
-        return self.symbols.take(wanted)
+    def unique_symbol(self, wanted: str, is_hidden: bool = False) -> str:
+        """A symbol that no tree, place or field of this program has; see `Symbols.take`."""
+        return self.symbols.take(wanted, is_hidden)
 
 
 def get_program() -> Program:

@@ -40,8 +40,13 @@ class Symbols:
     def __len__(self) -> int:
         return len(self._taken)
 
-    def take(self, wanted: str) -> str:
-        """A name like `wanted` that nothing else has."""
+    def take(self, wanted: str, is_hidden: bool = False) -> str:
+        """A name like `wanted` that nothing else has.
+
+        Args:
+            wanted: as the program has it.
+            is_hidden: messages have the wanted name instead.
+        """
         base = _plain(wanted)
         with self._lock:
             self._settle(_LOOKS)
@@ -53,7 +58,7 @@ class Symbols:
                     count += 1
                     symbol = f"{base}_{count}"
                 self._next[base] = count + 1
-            if not wanted.isascii():
+            if not wanted.isascii() or (is_hidden and symbol != wanted):
                 errors.SPELLINGS[symbol] = wanted
             return symbol
 

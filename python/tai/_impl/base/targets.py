@@ -8,6 +8,7 @@ from typing import Any
 
 from ...errors import TaiRuntimeError, did_you_mean
 from . import native
+from .callers import calling_level
 
 
 class Arch(str):
@@ -94,7 +95,7 @@ def choose_arch(arch: Any) -> tuple[Arch, bool]:
         warnings.warn(
             f"arch=ti.{arch} is not there: kernels run on an NVIDIA GPU, or on the CPU without one"
             "\n  hint: arch=ti.gpu says so",
-            stacklevel=3,
+            stacklevel=calling_level(),
         )
         arch = gpu
     if arch in (gpu, cuda):

@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import TaiIndexError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import dtypes, fitting, pieces, state
 from ..base.elements import Elements
+from ..base.keywords import check_keywords, checked
 from ..history import gradients, origins
 from ..values.matrix import Matrix, Vector
 from ..values.types import MatrixType
@@ -233,4 +234,7 @@ def _vector_array(n: int, dtype: Any, shape: Any, needs_grad: bool = False) -> A
 for _function, _class in ((_matrix_array, Matrix), (_vector_array, Vector)):
     _function.__name__ = "ndarray"
     _function.__qualname__ = f"{_class.__name__}.ndarray"
-    _class.ndarray = staticmethod(_function)
+    _class.ndarray = staticmethod(checked(_function))
+
+
+check_keywords(globals(), ["ndarray", "Ndarray"])

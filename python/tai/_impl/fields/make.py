@@ -6,6 +6,7 @@ from typing import Any
 
 from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..base import dtypes
+from ..base.keywords import check_keywords, checked
 from ..base.program import get_program
 from ..values.matrix import Matrix, Vector, to_extent
 from ..values.types import MatrixType
@@ -135,4 +136,7 @@ def _vector_field(
 for _function, _class in ((_matrix_field, Matrix), (_vector_field, Vector)):
     _function.__name__ = "field"
     _function.__qualname__ = f"{_class.__name__}.field"
-    _class.field = staticmethod(_function)
+    _class.field = staticmethod(checked(_function))
+
+
+check_keywords(globals(), ["field"])

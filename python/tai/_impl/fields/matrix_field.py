@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import TaiIndexError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import dtypes, fitting, pieces, state
+from ..base.keywords import check_keywords
 from ..history import origins
 from ..values.matrix import ElementOfField
 from . import active
@@ -229,3 +230,6 @@ class MatrixField(Field):
     def fill(self, value: Any) -> None:
         self._placed_node()
         active.fill_matrices(self, value)
+
+
+check_keywords(globals(), ["MatrixField"])

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import dtypes, fitting, pieces, state
+from ..base.keywords import check_keywords
 from ..base.program import get_program
 from ..history import origins
 from . import active, copies
@@ -344,3 +345,6 @@ class ComponentField(ScalarField):
             return None
         if not active.fill_component(self._whole._single, self._index, value):
             self.from_numpy(np.full(self.shape, value, self.dtype.numpy))
+
+
+check_keywords(globals(), ["ScalarField"])

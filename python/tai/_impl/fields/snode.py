@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import TaiError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import fitting, state
+from ..base.keywords import check_keywords
 from ..base.program import Program, get_program
 from ..values.types import refuse_quant
 from . import offsets
@@ -725,3 +726,6 @@ i, j, k, l = (Axes((n,)) for n in range(4))  # noqa: E741
 ij, ik, il, jk, jl, kl = (Axes(pair) for pair in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)))
 ijk, ijl, ikl, jkl = (Axes(t) for t in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)))
 ijkl = Axes((0, 1, 2, 3))
+
+
+check_keywords(globals(), ["SNode", "FieldsBuilder", "SNodeTree"])

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes, fitting, state
+from ..base.keywords import check_keywords
 from ..base.program import get_program
 from ..values.matrix import Matrix
 from ..values.types import MatrixType, NdarrayType, ScalarType
@@ -583,3 +584,6 @@ def dataclass(cls: type) -> StructType:
     made.__name__, made.__qualname__ = cls.__name__, cls.__qualname__
     made.__module__, made.__doc__ = cls.__module__, cls.__doc__
     return made
+
+
+check_keywords(globals(), ["StructField", "StructType"])

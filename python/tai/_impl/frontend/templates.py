@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import enum
 import inspect
-import sys
 import warnings
 import weakref
 from collections import deque
 from types import (
     BuiltinFunctionType,
-    FrameType,
     FunctionType,
     MemberDescriptorType,
     MethodType,
@@ -28,6 +26,7 @@ import numpy as np
 
 from ...errors import TaiCompilationWarning, TaiRuntimeTypeError
 from ..base import native
+from ..base.callers import calling_level
 
 _CONTAINERS = (tuple, list, set, frozenset, deque)
 _FUNCTIONS = (FunctionType, BuiltinFunctionType, MethodType)
@@ -194,14 +193,5 @@ def warn_of_many(name: str, variants: list[Any]) -> None:
         f"kernel '{name}' has been compiled {_MANY} times, as {what} changes between launches\n"
         "  hint: it is part of the code; pass what changes as an argument, or keep it in a field",
         TaiCompilationWarning,
-        stacklevel=_outside(),
+        stacklevel=calling_level(),
     )
-
-
-def _outside() -> int:
-    """The number of calls between its own caller and the code of the program."""
-    level = 1
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None and frame.f_globals.get("__name__", "").split(".")[0] == "tai":
-        level, frame = level + 1, frame.f_back
-    return level

@@ -9,7 +9,6 @@ source of the calling function is analysed, once for each place: is the number c
 
 from __future__ import annotations
 
-import sys
 import threading
 import warnings
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 
 from ...errors import TaiGradientWarning
 from ..base import native, state
+from ..base.callers import calling_frame
 from ..base.program import at_close
 from . import marks
 from .followed import carries_history, has_history, is_followed, is_marked
@@ -197,14 +197,6 @@ def note_computed(result: Any, *operands: Any) -> Any:
         marks.mark(result)
         begin()
     return result
-
-
-def calling_frame() -> Any:
-    """The frame of the program that has called the package; None if there is none."""
-    frame: Any = sys._getframe(2)
-    while frame is not None and frame.f_globals.get("__name__", "").startswith("tai."):
-        frame = frame.f_back
-    return frame
 
 
 def is_new_place(frame: Any, what: Any) -> bool:

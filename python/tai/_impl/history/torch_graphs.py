@@ -11,6 +11,7 @@ from typing import Any
 
 from ...errors import TaiAutodiffError
 from ..base import native
+from ..base.callers import calling_frame
 from . import origins
 
 _RECIPE = "tai.torch.wrap, or torch.autograd.Function: see docs/guides/torch.md"
@@ -66,7 +67,7 @@ def warn_of_a_cut(launcher: Any, kernel: str, parameters: list, values: list, sp
     """
     if not is_grad_enabled():
         return
-    frame = origins.calling_frame()
+    frame = calling_frame()
     if frame is None:
         return
     native.note_graph_site(frame.f_code, frame.f_lineno, launcher)
@@ -92,7 +93,7 @@ def warn_of_a_copy(field: Any, tensor: Any) -> None:
     """Says once for each line that a field takes numbers from a graph of torch."""
     if getattr(tensor, "requires_grad", False) is not True or not is_grad_enabled():
         return
-    frame = origins.calling_frame()
+    frame = calling_frame()
     if frame is not None and origins.is_new_place(frame, warn_of_a_copy):
         origins.warn_at(
             frame,

@@ -234,7 +234,7 @@ class Specializations:
             # The part that a rounding takes away is a difference that becomes zero if it is
             # reordered.
             modes["math"] = "default"
-        symbol = program.unique_symbol(signature.kernel)
+        symbol = program.unique_symbol(signature.kernel, is_hidden=True)
         program.kernel_functions[symbol] = self._function
         names = signature.names
         parameters = list(zip(names, specs, strict=True))

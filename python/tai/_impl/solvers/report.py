@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 import warnings
 from dataclasses import dataclass
-from types import FrameType
 from typing import Any
 
 from ...errors import TaiAutodiffError, TaiConvergenceWarning, TaiRuntimeTypeError, shorten
 from ..base import state
+from ..base.callers import calling_frame
 from ..fields.root import name_fields
 from .operators import Operator
 from .system import Progress
@@ -102,14 +101,6 @@ class SolveInfo:
         self.backward_error, self.norm = progress.backward_error, progress.norm
 
 
-def _get_caller() -> FrameType:
-    """The innermost frame of the program."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("tai."):
-        frame = frame.f_back
-    return frame
-
-
 class Caller:
     """The line of the program that called a solver.
 
@@ -120,7 +111,7 @@ class Caller:
     def __init__(
         self, solver: str, tolerance: Any, limit: Any, dtype_name: str, has_tangents: bool = False
     ):
-        frame = _get_caller()
+        frame = calling_frame()
         self.solver = solver
         self.filename, self.lineno = frame.f_code.co_filename, frame.f_lineno
         self.module = frame.f_globals.get("__name__", "")
@@ -152,7 +143,7 @@ class Caller:
         if not progress.reason:
             return
         # Only kernels name fields otherwise, and none of the program's may have read it yet.
-        frame = _get_caller()
+        frame = calling_frame()
         name_fields(frame.f_locals)
         name_fields(frame.f_globals)
         text = (

@@ -1,0 +1,97 @@
+"""Wrong keywords of public functions: the error names the nearest one, or lists them."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Iterable
+from types import FunctionType
+from typing import Any
+
+from ...errors import did_you_mean
+
+
+def check_keywords(namespace: dict[str, Any], names: Iterable[str] = ()) -> None:
+    """Lets public functions and classes refuse wrong keywords with a suggestion.
+
+    Call it at the end of a module, with `globals()`.
+
+    Args:
+        namespace: of the module, in which checked functions take the place of plain ones. Classes
+            are changed in place: their construction and their public methods.
+        names: of the functions and classes. If left out: those in `__all__`, or if there is none,
+            the public ones that the module defines.
+    """
+    if not names:
+        here = namespace["__name__"]
+        names = namespace.get("__all__") or [
+            name for name, value in namespace.items()
+            if not name.startswith("_") and getattr(value, "__module__", None) == here
+        ]  # fmt: skip
+    for name in list(names):
+        value = namespace[name]
+        if isinstance(value, type):
+            for cls in value.__mro__:
+                if cls.__module__.split(".")[0] == "tai":
+                    _check_class(cls)
+        elif isinstance(value, FunctionType):
+            namespace[name] = checked(value)
+
+
+def refuse_keywords(function: str, wrong: str, known: Iterable[str]) -> TypeError:
+    """The error for a keyword that a function has not."""
+    known = [name for name in known if not name.startswith("_")]
+    text = f"{function}() got an unexpected keyword argument '{wrong}'"
+    near = did_you_mean(wrong, known)
+    for name in known if near is None else ():
+        if wrong.startswith(name) or name.startswith(wrong):
+            near = f"did you mean '{name}'?"
+    if near is None and known:
+        near = f"hint: its keywords: {', '.join(known)}"
+    return TypeError(text if near is None else f"{text}\n  {near}")
+
+
+def _names_of(function: Any) -> list[str] | None:
+    """The names that a call can give; None where it takes any."""
+    code = function.__code__
+    if code.co_flags & inspect.CO_VARKEYWORDS:
+        return None
+    count = code.co_argcount + code.co_kwonlyargcount
+    return list(code.co_varnames[code.co_posonlyargcount : count])
+
+
+def checked(function: Any, is_method: bool = False) -> Any:
+    """The function, with a check of the keywords in front of it."""
+    if hasattr(function, "with_checked_keywords"):
+        return function.with_checked_keywords
+    names = _names_of(inspect.unwrap(function))
+    if names is None or not names[is_method:]:
+        return function
+    known = frozenset(names)
+
+    @functools.wraps(function)
+    def check(*args: Any, **named: Any) -> Any:
+        if named and not known.issuperset(named):
+            wrong = next(name for name in named if name not in known)
+            raise refuse_keywords(function.__qualname__, wrong, names[is_method:])
+        return function(*args, **named)
+
+    # One for all modules that have the function.
+    function.with_checked_keywords = check.with_checked_keywords = check  # type: ignore[attr-defined]
+    return check
+
+
+def _check_class(cls: Any) -> None:
+    if "_has_checked_keywords" in vars(cls):
+        return
+    cls._has_checked_keywords = True
+    for name, value in list(vars(cls).items()):
+        if name.startswith("_") and name != "__init__":
+            continue
+        if isinstance(value, FunctionType):
+            setattr(cls, name, checked(value, is_method=True))
+        elif isinstance(value, (classmethod, staticmethod)):
+            is_method = isinstance(value, classmethod)
+            inner = value.__func__
+            if isinstance(inner, FunctionType):
+                setattr(cls, name, type(value)(checked(inner, is_method)))

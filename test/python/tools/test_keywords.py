@@ -1,0 +1,109 @@
+"""Wrong keywords of public functions and methods: the error names the nearest one."""
+
+import importlib
+import inspect
+import re
+
+import numpy as np
+import pytest
+import tai as ti
+
+MODULES = ["ad", "algorithms", "checkpoint", "gui", "linalg", "optim", "profiler", "sparse",
+           "testing", "tools", "types", "ui", "volumes"]  # fmt: skip
+_BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+# They take any keyword.
+EXEMPT = {"types.struct", "types.argpack", "types.template"}
+
+
+def of_class(prefix, cls):
+    yield f"{prefix}()", cls.__init__, True
+    for name in dir(cls):
+        value = inspect.getattr_static(cls, name)
+        if name.startswith("_") or not isinstance(
+            value, (staticmethod, classmethod, type(of_class))
+        ):
+            continue
+        plain = getattr(value, "__func__", value)
+        if plain.__module__.split(".")[0] == "tai":
+            yield f"{prefix}.{name}", plain, not isinstance(value, staticmethod)
+
+
+def public():
+    """Each public function with its name, and whether its first argument is given."""
+    found = [(f"ti.{name}", getattr(ti, name)) for name in
+             ("field", "ndarray", "batch", "export", "solve_to", "GUI", "Ndarray", "ScalarField",
+              "MatrixField", "SNode", "FieldsBuilder", "StructField")]  # fmt: skip
+    found += [("ti.Vector.field", ti.Vector.field), ("ti.Matrix.ndarray", ti.Matrix.ndarray)]
+    for name in MODULES:
+        module = importlib.import_module(f"tai.{name}")
+        names = getattr(module, "__all__", None) or [
+            n for n, v in vars(module).items()
+            if not n.startswith("_") and getattr(v, "__module__", None) == module.__name__
+        ]  # fmt: skip
+        found += [(f"{name}.{n}", getattr(module, n)) for n in names if f"{name}.{n}" not in EXEMPT]
+    for name, value in found:
+        if isinstance(value, type):
+            if value.__init__ is not object.__init__ and not issubclass(value, Exception):
+                yield from of_class(name, value)
+        elif inspect.isfunction(value):
+            yield name, value, False
+
+
+def keywords_of(function, is_method):
+    parameters = list(inspect.signature(function).parameters.values())[is_method:]
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return []
+    return [p.name for p in parameters if p.kind in _BY_NAME and p.name[0] != "_"]
+
+
+CASES = {
+    name: (function, is_method, keywords)
+    for name, function, is_method in public()
+    if (keywords := keywords_of(function, is_method))
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_misspelt_keyword_gets_the_nearest_one(name):
+    function, is_method, keywords = CASES[name]
+    right = keywords[-1]
+    wrong = right + "zz"
+    with pytest.raises(TypeError, match=re.escape(f"keyword argument '{wrong}'")) as caught:
+        function(*([None] if is_method else []), **{wrong: 1})
+    assert f"did you mean '{right}'?" in str(caught.value)
+
+
+def test_the_case_of_every_module_is_there():
+    assert len(CASES) > 150
+    assert {name.split(".")[0] for name in CASES} >= {*MODULES, "ti"} - {"checkpoint"}
+
+
+def test_a_keyword_that_is_near_none_gets_the_list():
+    x = ti.field(ti.f32, shape=3, needs_grad=True)
+    with pytest.raises(TypeError, match="its keywords: parameters, lr, betas, eps"):
+        ti.optim.Adam([x], momentum=0.9)
+    with pytest.raises(TypeError, match="did you mean 'lr'"):
+        ti.optim.Adam([x], lrate=0.1)
+    gui = ti.GUI("test", res=(8, 8), show_gui=False)
+    with pytest.raises(TypeError, match="did you mean 'radius'"):
+        gui.circle((0.5, 0.5), radus=3)
+
+
+def test_functions_stay_what_they_are():
+    assert str(inspect.signature(ti.field)).startswith("(dtype: 'Any', shape: 'Any' = None")
+    assert ti.field.__doc__ and ti.optim.Adam.step.__qualname__.endswith(".step")
+    x = ti.field(dtype=ti.f32, shape=2, name="x")
+    x.from_numpy(np.ones(2, np.float32))
+    assert x.to_numpy(dtype=np.float64).tolist() == [1, 1]
+
+
+class Mine(ti.optim.SGD):
+    def __init__(self, parameters, speed):
+        super().__init__(parameters, lr=speed)
+
+
+def test_a_class_of_the_program_has_keywords_of_its_own():
+    x = ti.field(ti.f32, shape=3, needs_grad=True)
+    assert Mine([x], speed=0.5).lr == 0.5
+    with pytest.raises(TypeError, match="'sped'"):
+        Mine([x], sped=0.5)
