@@ -25,6 +25,7 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
       function.addPass(createMarkExclusive());
       ScatterToGatherOptions gathers;
       gathers.pairSums = false;
+      gathers.onDevice = true;
       function.addPass(createScatterToGather(gathers));
       function.addPass(createNormalizeIndices());
       addCanonicalization(function);

@@ -248,6 +248,11 @@ def ScatterToGather : Pass<"tai-scatter-to-gather"> {
     becomes a loop over the whole field, whose body tests whether it is in the
     interior.
 
+    A loop that loads an element and stores a constant to it, as the adjoint of
+    a step in time does, stores in a second loop where other iterations have to
+    load the element as well. On a GPU, where that is a second launch, this
+    happens in deterministic kernels only.
+
     The pass leaves alone: additions at an index that is no shift of a loop
     index, loops over less of the field, values that cannot be computed twice or
     that read what the loop writes, and more than `max-ops` operations to
@@ -278,6 +283,8 @@ def ScatterToGather : Pass<"tai-scatter-to-gather"> {
     Option<"pairSums", "pair-sums", "bool", /*default=*/"true",
            "Gather compensated sums of f64 as well; not for a target that "
            "fuses products into several of the additions that use them">,
+    Option<"onDevice", "on-device", "bool", /*default=*/"false",
+           "The loops become launches of a GPU">,
   ];
 }
 

@@ -17,9 +17,15 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Longest loop that is evaluated index by index: beyond it the pass would cost
-/// more than a millisecond, and symbolic forms serve such programs.
+/// Longest loop that is evaluated index by index, where an expression has no
+/// pieces: beyond it the pass would cost more than a millisecond.
 static constexpr int64_t kMaxEvaluations = 1 << 16;
+
+/// No loop over a field goes further.
+static constexpr int64_t kFarthest = int64_t(1) << 48;
+
+/// More pieces than a stencil with its borders has.
+static constexpr unsigned kMaxPieces = 32;
 
 /// Width of the integers of `type`; index counts as 64 bits.
 static unsigned getWidth(Type type) {
@@ -112,6 +118,231 @@ static std::optional<int64_t> evaluateOp(Operation *op,
       .Default([&](Operation *other) { return inferResult(other, operands); });
 }
 
+//===----------------------------------------------------------------------===//
+// Pieces
+//===----------------------------------------------------------------------===//
+
+namespace {
+/// The values slope * i + offset of an operation, from an iteration `at` on to
+/// an `end` that shrinks to where this holds for all operations.
+struct Line {
+  int64_t slope = 0, offset = 0;
+
+  __int128 at(int64_t i) const {
+    return static_cast<__int128>(slope) * i + offset;
+  }
+  bool isConstant() const { return slope == 0; }
+};
+
+/// Evaluates operations over a range of iterations.
+class LineEvaluator {
+public:
+  LineEvaluator(int64_t first, int64_t end) : first(first), end(end) {}
+
+  int64_t getEnd() const { return end; }
+  std::optional<Line> evaluate(Operation *op, ArrayRef<Line> operands);
+
+private:
+  using Wide = __int128;
+
+  std::optional<Line> make(Wide slope, Wide offset, unsigned width);
+  std::optional<Line> combine(const Line &a, int64_t factor, const Line &b,
+                              unsigned width) {
+    return make(Wide(a.slope) + Wide(factor) * b.slope,
+                Wide(a.offset) + Wide(factor) * b.offset, width);
+  }
+  /// Ends the range where the line leaves [low, high], which it is in now.
+  void keepWithin(Wide slope, Wide offset, Wide low, Wide high);
+  /// The sign of a - b, which is the same up to the end.
+  int getOrder(const Line &a, const Line &b);
+  bool isNegative(const Line &line) { return getOrder(line, Line{0, -1}) <= 0; }
+  std::optional<bool> compare(arith::CmpIPredicate predicate, const Line &a,
+                              const Line &b);
+  std::optional<std::pair<Line, Line>> divide(const Line &a, const Line &b,
+                                              bool roundsDown);
+
+  /// Products of these stay within 128 bits.
+  static constexpr Wide kSteep = Wide(1) << 32, kFar = Wide(1) << 62;
+
+  int64_t first, end;
+};
+} // namespace
+
+void LineEvaluator::keepWithin(Wide slope, Wide offset, Wide low, Wide high) {
+  if (slope == 0)
+    return;
+  // Both numerators are differences to the line at `first`, so that they have
+  // the sign of the divisor.
+  Wide here = slope * first + offset;
+  Wide steps = slope > 0 ? (high - here) / slope : (here - low) / -slope;
+  if (steps < Wide(end) - first - 1)
+    end = static_cast<int64_t>(first + steps + 1);
+}
+
+/// The line in arithmetic of `width` bits, up to where it wraps around again.
+std::optional<Line> LineEvaluator::make(Wide slope, Wide offset,
+                                        unsigned width) {
+  Wide low = -(Wide(1) << (width - 1)), high = -low - 1;
+  Wide here = slope * first + offset;
+  if (width < 64) {
+    Wide turn = Wide(1) << width;
+    Wide rest = ((here - low) % turn + turn) % turn + low;
+    offset += rest - here;
+    here = rest;
+  }
+  if (here < low || here > high)
+    return std::nullopt;
+  keepWithin(slope, offset, low, high);
+  if (slope < -kSteep || slope > kSteep || offset < -kFar || offset > kFar)
+    return std::nullopt;
+  return Line{static_cast<int64_t>(slope), static_cast<int64_t>(offset)};
+}
+
+int LineEvaluator::getOrder(const Line &a, const Line &b) {
+  Wide slope = Wide(a.slope) - b.slope, offset = Wide(a.offset) - b.offset;
+  Wide here = slope * first + offset;
+  Wide far = Wide(1) << 100;
+  if (here < 0)
+    keepWithin(slope, offset, -far, -1);
+  else if (here > 0)
+    keepWithin(slope, offset, 1, far);
+  else
+    keepWithin(slope, offset, 0, 0);
+  return here < 0 ? -1 : here > 0 ? 1 : 0;
+}
+
+std::optional<bool> LineEvaluator::compare(arith::CmpIPredicate predicate,
+                                           const Line &a, const Line &b) {
+  using P = arith::CmpIPredicate;
+  int order = getOrder(a, b);
+  switch (predicate) {
+  case P::eq:
+    return order == 0;
+  case P::ne:
+    return order != 0;
+  case P::slt:
+    return order < 0;
+  case P::sle:
+    return order <= 0;
+  case P::sgt:
+    return order > 0;
+  case P::sge:
+    return order >= 0;
+  default:
+    break;
+  }
+  // Without a sign, negative numbers come last.
+  bool isNegativeA = isNegative(a), isNegativeB = isNegative(b);
+  if (isNegativeA != isNegativeB)
+    order = isNegativeA ? 1 : -1;
+  switch (predicate) {
+  case P::ult:
+    return order < 0;
+  case P::ule:
+    return order <= 0;
+  case P::ugt:
+    return order > 0;
+  default:
+    return order >= 0;
+  }
+}
+
+/// The quotient and the remainder by a constant, rounded towards zero or down.
+std::optional<std::pair<Line, Line>>
+LineEvaluator::divide(const Line &a, const Line &b, bool roundsDown) {
+  if (!b.isConstant() || b.offset <= 0)
+    return std::nullopt;
+  Wide divisor = b.offset;
+  bool isBelow = isNegative(a);
+  // Towards zero, negative numbers are rounded up.
+  Wide shift = isBelow && !roundsDown ? divisor - 1 : 0;
+  auto floorDiv = [](Wide x, Wide y) {
+    return x / y - (x % y != 0 && x < 0 ? 1 : 0);
+  };
+  Line quotient;
+  if (a.slope % b.offset == 0) {
+    quotient.slope = a.slope / b.offset;
+    quotient.offset =
+        static_cast<int64_t>(floorDiv(Wide(a.offset) + shift, divisor));
+  } else {
+    Wide number = floorDiv(a.at(first) + shift, divisor);
+    keepWithin(a.slope, a.offset, number * divisor - shift,
+               (number + 1) * divisor - 1 - shift);
+    quotient.offset = static_cast<int64_t>(number);
+  }
+  std::optional<Line> rest = combine(a, -b.offset, quotient, 64);
+  if (!rest)
+    return std::nullopt;
+  return std::pair(quotient, *rest);
+}
+
+std::optional<Line> LineEvaluator::evaluate(Operation *op,
+                                            ArrayRef<Line> operands) {
+  Type type = op->getResult(0).getType();
+  unsigned width = getWidth(type);
+  if (llvm::all_of(operands,
+                   [](const Line &line) { return line.isConstant(); })) {
+    auto numbers = llvm::map_to_vector(
+        operands, [](const Line &line) { return line.offset; });
+    std::optional<int64_t> value = evaluateOp(op, numbers);
+    return value ? std::optional(Line{0, *value}) : std::nullopt;
+  }
+  const Line &a = operands.front(), &b = operands.back();
+  using Result = std::optional<Line>;
+  // Numbers that are not negative are the same with a sign and without.
+  auto divideUnsigned = [&](bool wantsRest) -> Result {
+    if (isNegative(a))
+      return std::nullopt;
+    auto parts = divide(a, b, /*roundsDown=*/true);
+    if (!parts)
+      return std::nullopt;
+    return wantsRest ? parts->second : parts->first;
+  };
+  auto divideSigned = [&](bool wantsRest, bool roundsDown) -> Result {
+    auto parts = divide(a, b, roundsDown);
+    if (!parts)
+      return std::nullopt;
+    return wantsRest ? parts->second : parts->first;
+  };
+  return llvm::TypeSwitch<Operation *, Result>(op)
+      .Case<arith::IndexCastOp, arith::ExtSIOp, arith::TruncIOp>(
+          [&](auto) { return make(a.slope, a.offset, width); })
+      .Case<arith::ExtUIOp, arith::IndexCastUIOp>([&](auto) -> Result {
+        if (isNegative(a))
+          return std::nullopt;
+        return make(a.slope, a.offset, width);
+      })
+      .Case([&](arith::AddIOp) { return combine(a, 1, b, width); })
+      .Case([&](arith::SubIOp) { return combine(a, -1, b, width); })
+      .Case([&](arith::MulIOp) -> Result {
+        if (!a.isConstant() && !b.isConstant())
+          return std::nullopt;
+        const Line &line = a.isConstant() ? b : a;
+        int64_t factor = a.isConstant() ? a.offset : b.offset;
+        if (factor < -kSteep || factor > kSteep)
+          return std::nullopt;
+        return make(Wide(line.slope) * factor, Wide(line.offset) * factor,
+                    width);
+      })
+      .Case([&](arith::SelectOp) -> Result {
+        if (!operands[0].isConstant())
+          return std::nullopt;
+        return operands[0].offset ? operands[1] : operands[2];
+      })
+      .Case([&](arith::MinSIOp) { return getOrder(a, b) <= 0 ? a : b; })
+      .Case([&](arith::MaxSIOp) { return getOrder(a, b) >= 0 ? a : b; })
+      .Case([&](arith::CmpIOp cmp) -> Result {
+        std::optional<bool> holds = compare(cmp.getPredicate(), a, b);
+        return holds ? std::optional(Line{0, *holds ? -1 : 0}) : std::nullopt;
+      })
+      .Case([&](arith::DivSIOp) { return divideSigned(false, false); })
+      .Case([&](arith::RemSIOp) { return divideSigned(true, false); })
+      .Case([&](arith::FloorDivSIOp) { return divideSigned(false, true); })
+      .Case([&](arith::DivUIOp) { return divideUnsigned(false); })
+      .Case([&](arith::RemUIOp) { return divideUnsigned(true); })
+      .Default([](Operation *) { return Result(); });
+}
+
 namespace {
 /// An expression as a list of operations in order of evaluation, so that it
 /// can be evaluated many times.
@@ -139,6 +370,48 @@ public:
       values[step.slot] = *value;
     }
     return values[result];
+  }
+
+  /// The pieces of [lower, upper) on which the expression is linear.
+  std::optional<SmallVector<IndexPiece>> getPieces(int64_t lower,
+                                                   int64_t upper) {
+    SmallVector<IndexPiece> pieces;
+    if (lower < -kFarthest || upper > kFarthest)
+      return std::nullopt;
+    SmallVector<Line> lines(values.size());
+    for (auto [line, value] : llvm::zip(lines, values))
+      line.offset = value;
+    lines[0] = {1, 0};
+    SmallVector<Line, 4> operands;
+    while (lower < upper) {
+      LineEvaluator evaluator(lower, upper);
+      for (const Step &step : steps) {
+        operands.clear();
+        for (unsigned slot : step.operands)
+          operands.push_back(lines[slot]);
+        std::optional<Line> line = evaluator.evaluate(step.op, operands);
+        if (!line)
+          return std::nullopt;
+        lines[step.slot] = *line;
+      }
+      Line line = lines[result];
+      int64_t end = evaluator.getEnd();
+      IndexPiece *last = pieces.empty() ? nullptr : &pieces.back();
+      // One iteration is on many lines.
+      if (last && last->upper - last->lower == 1 &&
+          line.at(last->lower) == last->at(last->lower))
+        last->slope = line.slope, last->offset = line.offset;
+      if (last && last->slope == line.slope && last->offset == line.offset)
+        last->upper = end;
+      else if (last && end - lower == 1 && line.at(lower) == last->at(lower))
+        last->upper = end;
+      else
+        pieces.push_back({lower, end, line.slope, line.offset});
+      if (pieces.size() > kMaxPieces)
+        return std::nullopt;
+      lower = end;
+    }
+    return pieces;
   }
 
 private:
@@ -187,15 +460,32 @@ std::optional<int64_t> tai::evaluateIndex(Value index, Value variable,
   return program ? program.run(at) : std::nullopt;
 }
 
+std::optional<SmallVector<IndexPiece>>
+tai::getIndexPieces(Value index, Value variable, int64_t lower, int64_t upper) {
+  IndexProgram program(index, variable);
+  return program && lower < upper ? program.getPieces(lower, upper)
+                                  : std::nullopt;
+}
+
 std::optional<ConstantStretch> tai::getConstantStretch(Value condition,
                                                        Value variable,
                                                        int64_t lower,
                                                        int64_t upper) {
-  if (upper <= lower || upper - lower > kMaxEvaluations)
+  if (upper <= lower)
     return std::nullopt;
   IndexProgram program(condition, variable);
+  if (!program)
+    return std::nullopt;
   int64_t low = lower + (upper - lower) / 2, high = low + 1;
-  std::optional<int64_t> answer = program ? program.run(low) : std::nullopt;
+  if (auto pieces = program.getPieces(lower, upper)) {
+    // Neighbours differ in their answers.
+    for (const IndexPiece &piece : *pieces)
+      if (piece.lower <= low && low < piece.upper)
+        return ConstantStretch{piece.lower, piece.upper, piece.offset != 0};
+  }
+  if (upper - lower > kMaxEvaluations)
+    return std::nullopt;
+  std::optional<int64_t> answer = program.run(low);
   if (!answer)
     return std::nullopt;
   while (low > lower && program.run(low - 1) == answer)
@@ -205,45 +495,55 @@ std::optional<ConstantStretch> tai::getConstantStretch(Value condition,
   return ConstantStretch{low, high, *answer != 0};
 }
 
-std::optional<IndexShift> tai::getIndexShift(Value index, Value variable,
-                                             int64_t lower, int64_t upper) {
-  int64_t length = upper - lower;
-  if (length <= 0 || length > kMaxEvaluations)
+/// The same pieces of an expression that `LineEvaluator` does not follow, by
+/// evaluating it for each value.
+static std::optional<SmallVector<IndexPiece>>
+evaluateEach(IndexProgram &program, int64_t lower, int64_t upper) {
+  if (upper - lower > kMaxEvaluations)
     return std::nullopt;
-  IndexProgram program(index, variable);
-  if (!program)
-    return std::nullopt;
-
-  IndexShift shift;
+  SmallVector<IndexPiece> pieces;
   for (int64_t i = lower; i != upper; ++i) {
     std::optional<int64_t> value = program.run(i);
     if (!value)
       return std::nullopt;
-    int64_t offset = *value - i;
-    if (i == lower) {
-      shift.offset = offset;
-      continue;
-    }
-    if (offset == shift.offset)
-      continue;
-    // The one allowed break: the index has run over the end of the range.
-    if (offset != shift.offset - length)
+    if (!pieces.empty() && pieces.back().offset == *value - i)
+      pieces.back().upper = i + 1;
+    else
+      pieces.push_back({i, i + 1, 1, *value - i});
+    if (pieces.size() > 2)
       return std::nullopt;
-    if (!shift.wraps && shift.offset < 0)
-      return std::nullopt;
-    if (i + shift.offset < upper)
-      return std::nullopt;
-    shift.wraps = true;
-    // From here on all indices are wrapped: check them against the new offset.
-    for (int64_t rest = i + 1; rest != upper; ++rest) {
-      std::optional<int64_t> next = program.run(rest);
-      if (!next || *next - rest != offset)
-        return std::nullopt;
-    }
-    break;
   }
+  return pieces;
+}
+
+std::optional<IndexShift> tai::getIndexShift(Value index, Value variable,
+                                             int64_t lower, int64_t upper) {
+  int64_t length = upper - lower;
+  if (length <= 0)
+    return std::nullopt;
+  IndexProgram program(index, variable);
+  if (!program)
+    return std::nullopt;
+  auto pieces = program.getPieces(lower, upper);
+  if (!pieces)
+    pieces = evaluateEach(program, lower, upper);
+  if (!pieces || pieces->size() > 2)
+    return std::nullopt;
+  for (IndexPiece &piece : *pieces) {
+    if (piece.upper - piece.lower == 1)
+      piece = {piece.lower, piece.upper, 1,
+               piece.at(piece.lower) - piece.lower};
+    if (piece.slope != 1)
+      return std::nullopt;
+  }
+  IndexShift shift{pieces->front().offset, pieces->size() == 2};
   if (!shift.wraps)
     return shift;
+  // The one allowed break: the index has run over the end of the range.
+  const IndexPiece &rest = pieces->back();
+  if (rest.offset != shift.offset - length || shift.offset < 0 ||
+      rest.lower + shift.offset < upper)
+    return std::nullopt;
   // Everything must have landed in the range, and a shift of most of the
   // length is a small one the other way.
   if (lower + shift.offset >= upper)

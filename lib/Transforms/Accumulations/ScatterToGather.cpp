@@ -15,6 +15,11 @@
 // field becomes one over the whole field, whose body tests whether it is in
 // the interior.
 //
+// The adjoint of a step from one time to the next takes the adjoints of the
+// results: it loads and clears them. Another iteration that loads the same
+// adjoint would find zero, so the clearing moves to a loop of its own, which
+// runs afterwards.
+//
 // In a loop over the active cells of a sparse field, an iteration contributes
 // only if its cell is active. This is valid for adjoints, which do not change
 // activity, if the loop visits all active cells; the reverse of a loop that
@@ -22,18 +27,14 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "LoopMemory.h"
+#include "Scatters.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
-#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/IR/IRMapping.h"
-#include "mlir/IR/Matchers.h"
 #include "mlir/Transforms/RegionUtils.h"
 #include "tai/Analysis/Accesses.h"
-#include "tai/Analysis/Index/IndexShift.h"
 #include "tai/Analysis/IndexBounds.h"
-#include "tai/Analysis/LoopBox.h"
 #include "tai/Analysis/Reductions/ReductionPlan.h"
-#include "tai/Dialect/Tai/IR/Layout.h"
-#include "tai/Dialect/Tai/IR/Tai.h"
 #include "tai/Support/BoundsMode.h"
 #include "tai/Transforms/Passes.h"
 
@@ -44,296 +45,6 @@ namespace mlir::tai {
 
 using namespace mlir;
 using namespace mlir::tai;
-
-namespace {
-/// The elements that the iterations of a loop own, along each of its indices:
-/// those of the loop itself, or more.
-struct Owned {
-  SmallVector<int64_t> lower, upper;
-
-  bool operator!=(const Owned &other) const {
-    return lower != other.lower || upper != other.upper;
-  }
-};
-
-/// One addition that can be gathered.
-struct Scatter {
-  AtomicOp op;
-  /// The `scf.if` ops around it, outermost first.
-  SmallVector<scf::IfOp> conditions;
-  /// For each induction variable, the dimension of the field that it indexes
-  /// and how it does.
-  SmallVector<unsigned> dimension;
-  SmallVector<IndexShift> shift;
-  /// All elements that may be added to.
-  Owned owned;
-};
-
-/// Additions to one slice of a field.
-using Group = SmallVector<Scatter, 0>;
-} // namespace
-
-//===----------------------------------------------------------------------===//
-// Accesses that can be gathered
-//===----------------------------------------------------------------------===//
-
-/// The constant component that an access reaches: -1 for the whole element,
-/// nothing if it is not constant.
-static std::optional<int64_t> getComponent(ValueRange components, Type type) {
-  if (components.empty())
-    return -1;
-  int64_t flat = 0;
-  for (auto [component, size] :
-       llvm::zip(components, cast<VectorType>(type).getShape())) {
-    llvm::APInt value;
-    if (!matchPattern(component, m_ConstantInt(&value)))
-      return std::nullopt;
-    flat = flat * size + value.getSExtValue();
-  }
-  return flat;
-}
-
-/// Describes `op` as a gatherable addition, if it is one.
-static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
-                                         const FieldLayout &layout) {
-  if (op.getKind() != AtomicKind::Add || !op.getOld().use_empty() ||
-      !isa<FloatType>(getElementTypeOrSelf(op.getValue().getType())))
-    return std::nullopt;
-  Scatter scatter{op, {}, {}, {}, {}};
-  for (Operation *parent = op->getParentOp(); parent != box.loop;
-       parent = parent->getParentOp()) {
-    auto condition = dyn_cast<scf::IfOp>(parent);
-    if (!condition)
-      return std::nullopt;
-    scatter.conditions.insert(scatter.conditions.begin(), condition);
-  }
-
-  Region &scope = box.loop.getBody();
-  SmallVector<int> dimensionOf(box.ivs().size(), -1);
-  for (auto [dimension, index] : llvm::enumerate(op.getIndices())) {
-    SmallVector<Value> variables;
-    if (!collectIndexVariables(index, scope, variables))
-      return std::nullopt;
-    if (variables.empty())
-      continue;
-    std::optional<unsigned> k = box.find(variables.front());
-    // Two dimensions of one variable are a diagonal, which has no owner.
-    if (variables.size() > 1 || !k || dimensionOf[*k] >= 0)
-      return std::nullopt;
-    dimensionOf[*k] = dimension;
-  }
-  for (auto [k, iv] : llvm::enumerate(box.ivs())) {
-    int dimension = dimensionOf[k];
-    // Without a dimension the additions of all its values would meet.
-    if (dimension < 0)
-      return std::nullopt;
-    scatter.owned.lower.push_back(layout.offset[dimension]);
-    scatter.owned.upper.push_back(layout.offset[dimension] +
-                                  layout.shape[dimension]);
-    std::optional<IndexShift> shift = getIndexShift(
-        op.getIndices()[dimension], iv, box.lower[k], box.upper[k]);
-    if (!shift)
-      return std::nullopt;
-    scatter.dimension.push_back(dimension);
-    scatter.shift.push_back(*shift);
-  }
-  return scatter;
-}
-
-/// The indices that do not depend on the loop.
-static SmallVector<Value> getSliceIndices(const Scatter &scatter) {
-  SmallVector<Value> indices;
-  for (auto [dimension, index] :
-       llvm::enumerate(const_cast<Scatter &>(scatter).op.getIndices()))
-    if (!llvm::is_contained(scatter.dimension, dimension))
-      indices.push_back(index);
-  return indices;
-}
-
-/// The indices of `all` at the positions that are slice indices of `scatter`.
-static SmallVector<Value> selectSliceIndices(const Scatter &scatter,
-                                             ValueRange all) {
-  SmallVector<Value> indices;
-  for (auto [dimension, index] : llvm::enumerate(all))
-    if (!llvm::is_contained(scatter.dimension, dimension))
-      indices.push_back(index);
-  return indices;
-}
-
-/// True if `access` certainly touches another slice than the group, or another
-/// component.
-static bool isApart(Scatter &scatter, ValueRange indices,
-                    std::optional<int64_t> component) {
-  std::optional<int64_t> own = getComponent(
-      scatter.op.getComponents(),
-      lookupField(scatter.op, scatter.op.getFieldAttr()).getType());
-  if (component && own && *component >= 0 && *own >= 0 && *component != *own)
-    return true;
-  return areProvablyDistinct(getSliceIndices(scatter),
-                             selectSliceIndices(scatter, indices));
-}
-
-/// True if `value` can be computed again in another iteration: it is made of
-/// operations without effects, and of reads from storage that the loop does
-/// not write (`written`).
-static bool canRecompute(Value value, LoopBox &box,
-                         const llvm::SmallDenseSet<const void *> &written,
-                         llvm::SmallDenseSet<Operation *> &seen) {
-  Operation *op = value.getDefiningOp();
-  if (!op || !box.loop->isProperAncestor(op) || !seen.insert(op).second)
-    return true;
-  bool isAllowed = true;
-  op->walk([&](Operation *inner) {
-    bool reads =
-        (isa<LoadOp>(inner) && !written.contains(getStorageKey(inner))) ||
-        inner->hasTrait<OpTrait::HasRecursiveMemoryEffects>();
-    isAllowed &= reads || isMemoryEffectFree(inner);
-  });
-  if (!isAllowed)
-    return false;
-  bool operands = llvm::all_of(op->getOperands(), [&](Value operand) {
-    return canRecompute(operand, box, written, seen);
-  });
-  llvm::SetVector<Value> captured;
-  getUsedValuesDefinedAbove(op->getRegions(), captured);
-  return operands && llvm::all_of(captured, [&](Value operand) {
-           return canRecompute(operand, box, written, seen);
-         });
-}
-
-/// The field that a loop over active cells visits, if it is one.
-static FailureOr<FieldLayout> getSparseLoopField(ParallelForOp loop) {
-  if (!loop.isStructFor())
-    return failure();
-  FailureOr<FieldLayout> layout =
-      getFieldLayout(lookupField(loop, loop.getFieldAttr()));
-  if (failed(layout) || !layout->path.getFirstSparse())
-    return failure();
-  return layout;
-}
-
-/// True if the loop visits all elements of a field that can be added to.
-static bool ownsAllActive(LoopBox &box, const FieldLayout &field) {
-  FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
-  if (failed(visited))
-    return !field.path.getFirstSparse();
-  return haveSameActivity(*visited, field);
-}
-
-/// True if the loop is over the elements that it has to own, or can be made so
-/// for little: nearly all of them are in it already.
-static bool canOwn(LoopBox &box, const Owned &wanted) {
-  if (box.lower == wanted.lower && box.upper == wanted.upper)
-    return true;
-  if (box.loop.isStructFor())
-    return false;
-  // Random numbers belong to positions in the box.
-  if (box.loop.walk([](RandomOp) { return WalkResult::interrupt(); })
-          .wasInterrupted())
-    return false;
-  double inLoop = 1, inField = 1;
-  for (unsigned k = 0; k != box.lower.size(); ++k) {
-    if (box.lower[k] < wanted.lower[k] || box.upper[k] > wanted.upper[k])
-      return false;
-    inLoop *= static_cast<double>(box.upper[k] - box.lower[k]);
-    inField *= static_cast<double>(wanted.upper[k] - wanted.lower[k]);
-  }
-  return inField <= 2 * inLoop;
-}
-
-/// Groups the additions to one field by slice and component. Empty if one of
-/// them cannot be gathered, or another access might meet them. If the loop has
-/// been made to own other elements than its own, those are `owned`.
-static SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
-                                    ArrayRef<AtomicOp> atomics,
-                                    const std::optional<Owned> &owned,
-                                    unsigned maxOps) {
-  FailureOr<FieldLayout> layout = getFieldLayout(field);
-  if (failed(layout) || !ownsAllActive(box, *layout))
-    return {};
-  // Reads of the field itself are checked by isOnlyAccess, unless the loop
-  // stores to it: a read would then depend on the iteration.
-  llvm::SmallDenseSet<const void *> written;
-  const void *own = getStorageKey(atomics.front());
-  box.loop.walk([&](Operation *op) {
-    if (isa<StoreOp>(op) || (isa<AtomicOp>(op) && getStorageKey(op) != own))
-      written.insert(getStorageKey(op));
-  });
-
-  SmallVector<Group> groups;
-  unsigned ops = 0;
-  for (AtomicOp op : atomics) {
-    std::optional<int64_t> component =
-        getComponent(op.getComponents(), field.getType());
-    std::optional<Scatter> scatter = getScatter(op, box, *layout);
-    llvm::SmallDenseSet<Operation *> recomputed;
-    if (!scatter || !component ||
-        !canRecompute(op.getValue(), box, written, recomputed))
-      return {};
-    if (owned ? *owned != scatter->owned : !canOwn(box, scatter->owned))
-      return {};
-    if (!groups.empty() && groups.front().front().owned != scatter->owned)
-      return {};
-    for (scf::IfOp condition : scatter->conditions)
-      if (!canRecompute(condition.getCondition(), box, written, recomputed))
-        return {};
-    ops += recomputed.size();
-    // Joins the group of its slice, and must be apart from all others.
-    Group *home = nullptr;
-    for (Group &group : groups) {
-      Scatter &first = group.front();
-      if (first.dimension == scatter->dimension &&
-          first.op.getComponents().size() == op.getComponents().size() &&
-          getComponent(first.op.getComponents(), field.getType()) ==
-              component &&
-          areProvablyEqual(getSliceIndices(first), getSliceIndices(*scatter))) {
-        home = &group;
-        continue;
-      }
-      if (!isApart(first, op.getIndices(), component))
-        return {};
-    }
-    if (!home)
-      home = &groups.emplace_back();
-    home->push_back(std::move(*scatter));
-  }
-  if (ops > maxOps)
-    return {};
-  return groups;
-}
-
-/// True if nothing else in the loop may touch the elements of the groups.
-static bool isOnlyAccess(FieldOp field, LoopBox &box,
-                         MutableArrayRef<Group> groups) {
-  const void *storage = getStorageKey(groups.front().front().op);
-  WalkResult result = box.loop.getBody().walk([&](Operation *op) {
-    ValueRange indices, components;
-    if (auto load = dyn_cast<LoadOp>(op)) {
-      indices = load.getIndices();
-      components = load.getComponents();
-    } else if (auto store = dyn_cast<StoreOp>(op)) {
-      indices = store.getIndices();
-      components = store.getComponents();
-    } else {
-      return isa<ActivateOp, DeactivateOp, AppendOp>(op)
-                 ? WalkResult::interrupt()
-                 : WalkResult::advance();
-    }
-    if (getStorageKey(op) != storage)
-      return WalkResult::advance();
-    std::optional<int64_t> component =
-        getComponent(components, field.getType());
-    for (Group &group : groups)
-      if (!isApart(group.front(), indices, component))
-        return WalkResult::interrupt();
-    return WalkResult::advance();
-  });
-  return !result.wasInterrupted();
-}
-
-//===----------------------------------------------------------------------===//
-// Rewriting
-//===----------------------------------------------------------------------===//
 
 namespace {
 /// Recomputes values of the loop body in the iteration that `mapping` gives.
@@ -421,8 +132,8 @@ static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
                          unsigned k, SmallVectorImpl<Value> &inside) {
   Location loc = scatter.op.getLoc();
   Value iv = box.ivs()[k];
-  IndexShift shift = scatter.shift[k];
-  int64_t lower = box.lower[k], upper = box.upper[k];
+  IndexShift shift = scatter.source[k].shift;
+  int64_t lower = scatter.source[k].lower, upper = scatter.source[k].upper;
   int64_t least = scatter.owned.lower[k], end = scatter.owned.upper[k];
   auto constant = [&](int64_t value) -> Value {
     return arith::ConstantIndexOp::create(builder, loc, value);
@@ -455,8 +166,9 @@ static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
 static Value emitIsVisited(OpBuilder &builder, LoopBox &box,
                            const IRMapping &mapping, Scatter &scatter) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
-  if (failed(visited) || llvm::all_of(scatter.shift, [](IndexShift shift) {
-        return shift.isIdentity();
+  if (failed(visited) ||
+      llvm::all_of(scatter.source, [](const IndexSource &source) {
+        return source.isIdentity();
       }))
     return {};
   SmallVector<Value> indices;
@@ -489,13 +201,26 @@ static Value createGuarded(OpBuilder &builder, Location loc, Type type,
       .getResult(0);
 }
 
-/// The term of `scatter` for the element that the present iteration owns.
-static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter) {
+/// A term of `scatter` for the element that the present iteration owns.
+/// `choice` has the stray along each index, or none for the shift.
+static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter,
+                       ArrayRef<const IndexSource::Stray *> choice) {
   Location loc = scatter.op.getLoc();
   IRMapping mapping;
   SmallVector<Value> inside;
-  for (auto [k, iv] : llvm::enumerate(box.ivs()))
-    mapping.map(iv, invertShift(builder, scatter, box, k, inside));
+  for (auto [k, iv] : llvm::enumerate(box.ivs())) {
+    if (!choice[k]) {
+      mapping.map(iv, invertShift(builder, scatter, box, k, inside));
+      continue;
+    }
+    auto constant = [&](int64_t value) -> Value {
+      return arith::ConstantIndexOp::create(builder, loc, value);
+    };
+    mapping.map(iv, constant(choice[k]->iteration));
+    inside.push_back(arith::CmpIOp::create(builder, loc,
+                                           arith::CmpIPredicate::eq, iv,
+                                           constant(choice[k]->element)));
+  }
   Type type = scatter.op.getValue().getType();
   auto value = [&](OpBuilder &nested) {
     auto below = [&](OpBuilder &nested) {
@@ -512,6 +237,21 @@ static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter) {
   for (Value other : llvm::drop_begin(inside))
     condition = arith::AndIOp::create(builder, loc, condition, other);
   return createGuarded(builder, loc, type, condition, value);
+}
+
+/// All terms of `scatter` for the element that the present iteration owns.
+static void recomputeTerms(OpBuilder &builder, LoopBox &box, Scatter &scatter,
+                           SmallVectorImpl<Value> &terms) {
+  for (unsigned number = 0; number != scatter.getNumTerms(); ++number) {
+    SmallVector<const IndexSource::Stray *> choice;
+    unsigned rest = number;
+    for (const IndexSource &source : scatter.source) {
+      unsigned digit = rest % (1 + source.strays.size());
+      rest /= 1 + source.strays.size();
+      choice.push_back(digit == 0 ? nullptr : &source.strays[digit - 1]);
+    }
+    terms.push_back(recompute(builder, box, scatter, choice));
+  }
 }
 
 namespace {
@@ -579,7 +319,7 @@ static Gathered gather(LoopBox &box, Group &group, TermSum sum) {
   Gathered gathered{first.op, {}, {}, {}};
   SmallVector<Value> values;
   for (Scatter &scatter : group)
-    values.push_back(recompute(builder, box, scatter));
+    recomputeTerms(builder, box, scatter, values);
   Location loc = first.op.getLoc();
   gathered.sum = sum == TermSum::WithErrors
                      ? emitCompensatedSum(builder, loc, values)
@@ -649,6 +389,49 @@ static void widen(LoopBox &box, const Owned &owned) {
                                 std::prev(box.body().end()));
 }
 
+/// A loop behind `box.loop` that does the stores again, in the same iterations
+/// and under the same conditions.
+static ParallelForOp
+createLaterStores(LoopBox &box,
+                  const llvm::SmallPtrSetImpl<Operation *> &stores) {
+  OpBuilder builder(box.loop.getContext());
+  builder.setInsertionPointAfter(box.loop);
+  auto later = cast<ParallelForOp>(builder.cloneWithoutRegions(*box.loop));
+  Block &body = later.getBody().emplaceBlock();
+  IRMapping ivs;
+  for (BlockArgument iv : box.body().getArguments())
+    ivs.map(iv, body.addArgument(iv.getType(), iv.getLoc()));
+  builder.setInsertionPointToEnd(&body);
+  builder.clone(*box.body().getTerminator());
+
+  // Neighbours under one condition stay under one.
+  Block *from = nullptr;
+  std::optional<Recomputation> at;
+  box.loop.getBody().walk([&](StoreOp store) {
+    if (!stores.contains(store))
+      return;
+    if (store->getBlock() != from) {
+      from = store->getBlock();
+      builder.setInsertionPoint(body.getTerminator());
+      at.emplace(builder, box, ivs);
+      SmallVector<scf::IfOp> conditions = *getConditions(store, box);
+      for (scf::IfOp original : conditions) {
+        bool inThen =
+            original.getThenRegion().isAncestor(store->getParentRegion());
+        auto branch = scf::IfOp::create(builder, store.getLoc(),
+                                        at->get(original.getCondition()),
+                                        /*withElseRegion=*/!inThen);
+        Block *arm = inThen ? branch.thenBlock() : branch.elseBlock();
+        builder.setInsertionPoint(arm->getTerminator());
+      }
+    }
+    for (Value operand : store->getOperands())
+      at->get(operand);
+    builder.clone(*store, at->mapping);
+  });
+  return later;
+}
+
 /// Replaces the additions of each group by one at the end of the body.
 static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind) {
   SmallVector<Gathered> all;
@@ -682,9 +465,12 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
   int64_t reach = 0;
   for (const Group &group : groups)
     for (const Scatter &scatter : group)
-      for (auto [d, shift] : llvm::enumerate(scatter.shift)) {
-        if (shift.wraps)
+      for (auto [d, source] : llvm::enumerate(scatter.source)) {
+        if (source.shift.wraps)
           return -1;
+        int64_t offset = std::abs(source.shift.offset);
+        for (const IndexSource::Stray &stray : source.strays)
+          offset = std::max(offset, std::abs(stray.element - stray.iteration));
         // Elements of a cell along this dimension.
         int64_t extent = 1;
         for (const PathLevel &level : llvm::reverse(visited.path.levels)) {
@@ -695,7 +481,7 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
             if (axis == visited.axisOfIndex[d])
               extent *= count;
         }
-        reach = std::max(reach, (std::abs(shift.offset) + extent - 1) / extent);
+        reach = std::max(reach, (offset + extent - 1) / extent);
       }
   return reach;
 }
@@ -705,6 +491,8 @@ struct GatherOptions {
   unsigned maxOps;
   /// Whether a sum of f64 can keep its rounding errors beside it.
   bool pairSums;
+  /// Whether stores may move to a loop of their own.
+  bool movesStores;
 };
 } // namespace
 
@@ -713,11 +501,26 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
   int64_t reach = 0;
   std::optional<Owned> owned;
+  if (options.movesStores) {
+    SmallVector<AtomicOp> additions;
+    box.loop.walk([&](AtomicOp op) { additions.push_back(op); });
+    llvm::for_each(additions, forwardAddition);
+  }
   // Fields in the order of their first addition.
   llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
   box.loop.walk(
       [&](AtomicOp op) { byStorage[getStorageKey(op)].push_back(op); });
-  bool changed = false;
+  // As the loop is now: later it may have more iterations.
+  llvm::SmallPtrSet<Operation *, 4> stores;
+  ParallelForOp laterStores;
+  if (options.movesStores && llvm::any_of(byStorage, [](auto &entry) {
+        return !llvm::all_of(entry.second,
+                             [](AtomicOp op) { return op.getExclusive(); });
+      }))
+    stores = LoopMemory(box.loop).findMovableStores(box);
+  if (!stores.empty())
+    laterStores = createLaterStores(box, stores);
+  bool changed = false, needsLater = false;
   for (auto &[storage, atomics] : byStorage) {
     // Additions that cannot meet others are plain already.
     if (llvm::all_of(atomics, [](AtomicOp op) { return op.getExclusive(); }))
@@ -728,10 +531,16 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     TermSum kind = planGatheredSum(box.loop, number, options.pairSums);
     if (kind == TermSum::Unavailable)
       continue;
+    LoopMemory memory(box.loop);
+    const void *added = storage;
+    bool needsLaterHere = false;
     SmallVector<Group> groups =
-        getGroups(field, box, atomics, owned, options.maxOps);
+        getGroups(field, box, atomics, owned, options.maxOps, [&](LoadOp load) {
+          return memory.isStable(load, added, stores, needsLaterHere);
+        });
     if (groups.empty() || !isOnlyAccess(field, box, groups))
       continue;
+    needsLater |= needsLaterHere;
     if (succeeded(visited) && reach >= 0) {
       int64_t here = getReach(*visited, groups);
       reach = here < 0 ? here : std::max(reach, here);
@@ -745,6 +554,11 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   }
   if (changed && succeeded(visited))
     box.loop.setReach(reach);
+  if (laterStores && !needsLater)
+    laterStores.erase();
+  else
+    for (Operation *store : stores)
+      store->erase();
   return changed;
 }
 
@@ -777,11 +591,16 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
       if (!box || loop.getInductionVars().empty() || loop.getInOrder() ||
           checksIndices(loop))
         continue;
-      GatherOptions options{maxOps, pairSums};
-      if (failed(getSparseLoopField(loop)))
+      GatherOptions options{maxOps, pairSums, /*movesStores=*/false};
+      if (failed(getSparseLoopField(loop))) {
+        // Threads of a GPU add quickly in any order, and a second loop is a
+        // second launch.
+        options.movesStores = !onDevice || hasFixedBits(loop);
         gatherLoop(*box, options);
-      else if (keepsActivity(loop) && !loop->getParentOfType<ParallelForOp>())
+      } else if (keepsActivity(loop) &&
+                 !loop->getParentOfType<ParallelForOp>()) {
         gatherSparseLoop(loop, *box, options);
+      }
     }
   }
 };

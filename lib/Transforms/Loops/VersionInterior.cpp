@@ -79,7 +79,7 @@ static std::optional<Interior> findInterior(LoopBox &box, int64_t minLength) {
   unsigned last = box.ivs().size() - 1;
   Value iv = box.ivs()[last];
   int64_t length = box.upper[last] - box.lower[last];
-  if (length < minLength || length > (1 << 16))
+  if (length < minLength)
     return std::nullopt;
   Interior interior{box.lower[last], box.upper[last], {}};
   for (Value condition : collectConditions(box, iv))

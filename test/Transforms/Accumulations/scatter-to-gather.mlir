@@ -372,3 +372,48 @@ tai.kernel @compensated() attributes {modes = {sums = "compensated"}} {
   }
   tai.return
 }
+
+// -----
+
+tai.tree @t : !tai.root<dense<[i: 70000], {g: f32, y: f32}>>
+tai.field @g = @t["g"] : f32, rank 1
+tai.field @y = @t["y"] : f32, rank 1
+
+// The last iteration adds to the element of the last but one: to the last
+// element it adds once more than the shift does.
+// CHECK-LABEL: tai.kernel @clamped(
+//   CHECK-DAG:   %[[LAST:.+]] = arith.constant 69999 : index
+//       CHECK:   tai.parallel_for (%[[I:.+]]) in @g
+//       CHECK:     %[[BEFORE:.+]] = arith.addi %[[I]], %{{.+}} : index
+//       CHECK:     scf.if
+//       CHECK:       tai.load @y[%[[BEFORE]]]
+//       CHECK:     arith.cmpi eq, %[[I]], %{{.+}} : index
+//       CHECK:     scf.if
+//       CHECK:       tai.load @y[%{{.+}}]
+//       CHECK:     tai.atomic add %{{.+}}, @g[%[[I]]] exclusive
+tai.kernel @clamped() {
+  %c1 = arith.constant 1 : index
+  %last = arith.constant 69999 : index
+  tai.parallel_for (%i) in @g {
+    %0 = tai.load @y[%i] : f32
+    %1 = arith.addi %i, %c1 : index
+    %2 = arith.minsi %1, %last : index
+    %3 = tai.atomic add %0, @g[%2] : f32
+  }
+  tai.return
+}
+
+// Half of the iterations add to the first element.
+// CHECK-LABEL: tai.kernel @clamped_by_half(
+//       CHECK:   tai.atomic add %{{.+}}, @g[%{{.+}}] : f32
+tai.kernel @clamped_by_half() {
+  %c0 = arith.constant 0 : index
+  %half = arith.constant 35000 : index
+  tai.parallel_for (%i) in @g {
+    %0 = tai.load @y[%i] : f32
+    %1 = arith.subi %i, %half : index
+    %2 = arith.maxsi %1, %c0 : index
+    %3 = tai.atomic add %0, @g[%2] : f32
+  }
+  tai.return
+}

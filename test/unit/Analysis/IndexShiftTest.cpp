@@ -23,15 +23,37 @@ protected:
     context.loadDialect<func::FuncDialect, arith::ArithDialect>();
   }
 
-  std::optional<IndexShift> shiftOf(StringRef body, int64_t lower,
-                                    int64_t upper) {
+  /// Parses a function that returns %r, and gives %r and the argument %i.
+  std::pair<Value, Value> parse(StringRef body) {
     std::string text = "func.func @f(%i: index) -> index {\n" + body.str() +
                        "\nreturn %r : index\n}";
     module = parseSourceString<ModuleOp>(text, &context);
     auto function = *module->getOps<func::FuncOp>().begin();
     Operation *ret = function.getBody().front().getTerminator();
-    return getIndexShift(ret->getOperand(0), function.getArgument(0), lower,
-                         upper);
+    return {ret->getOperand(0), function.getArgument(0)};
+  }
+
+  std::optional<IndexShift> shiftOf(StringRef body, int64_t lower,
+                                    int64_t upper) {
+    auto [index, variable] = parse(body);
+    return getIndexShift(index, variable, lower, upper);
+  }
+
+  /// Checks the pieces of [lower, upper) against the value of each number.
+  void expectPieces(StringRef body, int64_t lower, int64_t upper,
+                    size_t count) {
+    auto [index, variable] = parse(body);
+    auto pieces = getIndexPieces(index, variable, lower, upper);
+    ASSERT_TRUE(pieces) << body.str();
+    EXPECT_EQ(pieces->size(), count) << body.str();
+    int64_t at = lower;
+    for (const IndexPiece &piece : *pieces) {
+      EXPECT_EQ(piece.lower, at);
+      for (; at != piece.upper; ++at)
+        ASSERT_EQ(piece.at(at), evaluateIndex(index, variable, at))
+            << body.str() << " at " << at;
+    }
+    EXPECT_EQ(at, upper);
   }
 
   MLIRContext context;
@@ -105,4 +127,103 @@ TEST_F(IndexShiftTest, NarrowArithmeticWrapsInItsWidth) {
     %r = arith.index_cast %b : i8 to index)";
   EXPECT_TRUE(shiftOf(body, 0, 127));
   EXPECT_FALSE(shiftOf(body, 0, 128));
+}
+
+TEST_F(IndexShiftTest, PiecesOfAllOperations) {
+  struct Case {
+    StringRef op;
+    size_t count;
+  };
+  // The operands are i - 20 and 7, for i from 0 to 39.
+  for (Case test :
+       {Case{"arith.addi", 1}, Case{"arith.subi", 1}, Case{"arith.muli", 1},
+        Case{"arith.minsi", 2}, Case{"arith.maxsi", 2}, Case{"arith.divsi", 5},
+        Case{"arith.remsi", 5}, Case{"arith.floordivsi", 6}})
+    for (StringRef type : {"index", "i32", "i64"}) {
+      bool isIndex = type == "index";
+      std::string body =
+          ("%c20 = arith.constant 20 : " + type +
+           "\n%c7 = arith.constant 7 : " + type + "\n" +
+           (isIndex ? std::string("%a = arith.subi %i, %c20 : index\n")
+                    : ("%j = arith.index_cast %i : index to " + type +
+                       "\n%a = arith.subi %j, %c20 : " + type + "\n")
+                          .str()) +
+           (isIndex ? "%r = " : "%s = ") + test.op + " %a, %c7 : " + type +
+           "\n" +
+           (isIndex
+                ? std::string()
+                : ("%r = arith.index_cast %s : " + type + " to index").str()))
+              .str();
+      expectPieces(body, 0, 40, test.count);
+    }
+}
+
+TEST_F(IndexShiftTest, PiecesOfComparisons) {
+  for (auto [predicate, count] : {std::pair<StringRef, size_t>{"eq", 3},
+                                  {"ne", 3},
+                                  {"slt", 2},
+                                  {"sle", 2},
+                                  {"sgt", 2},
+                                  {"sge", 2},
+                                  {"ult", 3},
+                                  {"ule", 3},
+                                  {"ugt", 3},
+                                  {"uge", 3}}) {
+    std::string body = ("%c20 = arith.constant 20 : i32\n"
+                        "%c7 = arith.constant 7 : i32\n"
+                        "%c5 = arith.constant 5 : index\n"
+                        "%j = arith.index_cast %i : index to i32\n"
+                        "%a = arith.subi %j, %c20 : i32\n"
+                        "%t = arith.cmpi " +
+                        predicate +
+                        ", %a, %c7 : i32\n"
+                        "%r = arith.select %t, %i, %c5 : index")
+                           .str();
+    expectPieces(body, 0, 40, count);
+  }
+}
+
+TEST_F(IndexShiftTest, PiecesOfExactMultiples) {
+  // 6 i - 15 by 3, towards zero: the quotient and the remainder are linear on
+  // either side of zero.
+  StringRef body = R"(
+    %c6 = arith.constant 6 : index
+    %c14 = arith.constant 14 : index
+    %c3 = arith.constant 3 : index
+    %a = arith.muli %i, %c6 : index
+    %b = arith.subi %a, %c14 : index
+    %r = arith.divsi %b, %c3 : index)";
+  expectPieces(body, 0, 20, 2);
+}
+
+TEST_F(IndexShiftTest, PiecesOfArithmeticThatWraps) {
+  StringRef body = R"(
+    %c = arith.constant 100 : i8
+    %a = arith.index_cast %i : index to i8
+    %b = arith.addi %a, %c : i8
+    %r = arith.index_cast %b : i8 to index)";
+  expectPieces(body, 0, 600, 4);
+}
+
+TEST_F(IndexShiftTest, LengthDoesNotMatter) {
+  for (int64_t length : {int64_t(65536), int64_t(65537), int64_t(1) << 40}) {
+    std::string n = std::to_string(length);
+    std::string body = "%c = arith.constant 1 : index\n"
+                       "%n = arith.constant " +
+                       n +
+                       " : index\n"
+                       "%a = arith.addi %i, %c : index\n"
+                       "%r = arith.remsi %a, %n : index";
+    std::optional<IndexShift> shift = shiftOf(body, 0, length);
+    ASSERT_TRUE(shift) << length;
+    EXPECT_EQ(shift->offset, 1);
+    EXPECT_TRUE(shift->wraps);
+  }
+}
+
+TEST_F(IndexShiftTest, ManyPiecesAreNone) {
+  auto [index, variable] = parse(R"(
+    %c = arith.constant 2 : index
+    %r = arith.remsi %i, %c : index)");
+  EXPECT_FALSE(getIndexPieces(index, variable, 0, 1000));
 }

@@ -6,8 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Recognises index expressions that are a loop index plus a constant, possibly
-// wrapped around the end of its range, by evaluating them for each value of the
-// loop index. How a program writes the wrap does not matter.
+// wrapped around the end of its range or cut off there. They are evaluated over
+// ranges of the loop index in which each operation is linear: minima,
+// comparisons, divisions and arithmetic that wraps end a range. How a program
+// writes the wrap does not matter, nor how long the loop is.
 //
 //===----------------------------------------------------------------------===//
 
@@ -38,6 +40,20 @@ bool collectIndexVariables(Value index, Region &scope,
 /// variable = `at`; none if it has other variables, or divides by zero.
 std::optional<int64_t> evaluateIndex(Value index, Value variable, int64_t at);
 
+/// index(i) = slope * i + offset for all i in [lower, upper).
+struct IndexPiece {
+  int64_t lower, upper;
+  int64_t slope, offset;
+
+  int64_t at(int64_t i) const { return slope * i + offset; }
+};
+
+/// The pieces of [lower, upper) on which `index`, an expression in the single
+/// variable `variable`, is linear, from the first to the last; none if it has
+/// too many.
+std::optional<SmallVector<IndexPiece>>
+getIndexPieces(Value index, Value variable, int64_t lower, int64_t upper);
+
 /// A condition that is `answer` for all values of its variable in [lower,
 /// upper).
 struct ConstantStretch {
@@ -47,13 +63,13 @@ struct ConstantStretch {
 
 /// The stretch around the middle of [lower, upper) in which `condition`, an
 /// expression in the single variable `variable`, does not change; none if it
-/// cannot be evaluated there, or the range is too long.
+/// cannot be evaluated there.
 std::optional<ConstantStretch> getConstantStretch(Value condition,
                                                   Value variable, int64_t lower,
                                                   int64_t upper);
 
 /// How `index` shifts `variable` over [lower, upper); none if it is not a
-/// shift, or if the range is empty or too long to evaluate.
+/// shift, or if the range is empty.
 std::optional<IndexShift> getIndexShift(Value index, Value variable,
                                         int64_t lower, int64_t upper);
 

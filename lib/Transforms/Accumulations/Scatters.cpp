@@ -1,0 +1,254 @@
+//===- Scatters.cpp - Additions that can be gathered ----------------------===//
+//
+// Licensed under the Apache License v2.0 with LLVM Exceptions.
+// SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
+//
+//===----------------------------------------------------------------------===//
+
+#include "Scatters.h"
+#include "LoopMemory.h"
+#include "mlir/IR/Matchers.h"
+#include "tai/Analysis/Accesses.h"
+
+using namespace mlir;
+using namespace mlir::tai;
+
+/// Most iterations at the borders whose indices do not follow the shift of the
+/// others.
+constexpr int64_t kMaxStrays = 4;
+
+/// The constant component that an access reaches: -1 for the whole element,
+/// nothing if it is not constant.
+static std::optional<int64_t> getComponent(ValueRange components, Type type) {
+  if (components.empty())
+    return -1;
+  int64_t flat = 0;
+  for (auto [component, size] :
+       llvm::zip(components, cast<VectorType>(type).getShape())) {
+    llvm::APInt value;
+    if (!matchPattern(component, m_ConstantInt(&value)))
+      return std::nullopt;
+    flat = flat * size + value.getSExtValue();
+  }
+  return flat;
+}
+
+static std::optional<IndexSource> getIndexSource(Value index, Value iv,
+                                                 int64_t lower, int64_t upper) {
+  if (auto shift = getIndexShift(index, iv, lower, upper))
+    return IndexSource{*shift, lower, upper, {}};
+  auto pieces = getIndexPieces(index, iv, lower, upper);
+  if (!pieces)
+    return std::nullopt;
+  auto getLength = [](const IndexPiece &piece) {
+    return piece.slope == 1 ? piece.upper - piece.lower : 0;
+  };
+  const IndexPiece *inner = llvm::max_element(
+      *pieces, [&](const IndexPiece &lhs, const IndexPiece &rhs) {
+        return getLength(lhs) < getLength(rhs);
+      });
+  if (getLength(*inner) == 0 ||
+      (upper - lower) - getLength(*inner) > kMaxStrays)
+    return std::nullopt;
+  IndexSource source{
+      {inner->offset, /*wraps=*/false}, inner->lower, inner->upper, {}};
+  for (const IndexPiece &piece : *pieces)
+    if (&piece != inner)
+      for (int64_t i = piece.lower; i != piece.upper; ++i)
+        source.strays.push_back({i, piece.at(i)});
+  return source;
+}
+
+/// Describes `op` as a gatherable addition, if it is one.
+static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
+                                         const FieldLayout &layout) {
+  if (op.getKind() != AtomicKind::Add || !op.getOld().use_empty() ||
+      !isa<FloatType>(getElementTypeOrSelf(op.getValue().getType())))
+    return std::nullopt;
+  std::optional<SmallVector<scf::IfOp>> conditions = getConditions(op, box);
+  if (!conditions)
+    return std::nullopt;
+  Scatter scatter{op, std::move(*conditions), {}, {}, {}};
+
+  Region &scope = box.loop.getBody();
+  SmallVector<int> dimensionOf(box.ivs().size(), -1);
+  for (auto [dimension, index] : llvm::enumerate(op.getIndices())) {
+    SmallVector<Value> variables;
+    if (!collectIndexVariables(index, scope, variables))
+      return std::nullopt;
+    if (variables.empty())
+      continue;
+    std::optional<unsigned> k = box.find(variables.front());
+    // Two dimensions of one variable are a diagonal, which has no owner.
+    if (variables.size() > 1 || !k || dimensionOf[*k] >= 0)
+      return std::nullopt;
+    dimensionOf[*k] = dimension;
+  }
+  for (auto [k, iv] : llvm::enumerate(box.ivs())) {
+    int dimension = dimensionOf[k];
+    // Without a dimension the additions of all its values would meet.
+    if (dimension < 0)
+      return std::nullopt;
+    scatter.owned.lower.push_back(layout.offset[dimension]);
+    scatter.owned.upper.push_back(layout.offset[dimension] +
+                                  layout.shape[dimension]);
+    std::optional<IndexSource> source = getIndexSource(
+        op.getIndices()[dimension], iv, box.lower[k], box.upper[k]);
+    if (!source)
+      return std::nullopt;
+    scatter.dimension.push_back(dimension);
+    scatter.source.push_back(std::move(*source));
+  }
+  return scatter;
+}
+
+/// The indices that do not depend on the loop.
+static SmallVector<Value> getSliceIndices(const Scatter &scatter) {
+  SmallVector<Value> indices;
+  for (auto [dimension, index] :
+       llvm::enumerate(const_cast<Scatter &>(scatter).op.getIndices()))
+    if (!llvm::is_contained(scatter.dimension, dimension))
+      indices.push_back(index);
+  return indices;
+}
+
+/// The indices of `all` at the positions that are slice indices of `scatter`.
+static SmallVector<Value> selectSliceIndices(const Scatter &scatter,
+                                             ValueRange all) {
+  SmallVector<Value> indices;
+  for (auto [dimension, index] : llvm::enumerate(all))
+    if (!llvm::is_contained(scatter.dimension, dimension))
+      indices.push_back(index);
+  return indices;
+}
+
+/// True if `access` certainly touches another slice than the group, or another
+/// component.
+static bool isApart(Scatter &scatter, ValueRange indices,
+                    std::optional<int64_t> component) {
+  std::optional<int64_t> own = getComponent(
+      scatter.op.getComponents(),
+      lookupField(scatter.op, scatter.op.getFieldAttr()).getType());
+  if (component && own && *component >= 0 && *own >= 0 && *component != *own)
+    return true;
+  return areProvablyDistinct(getSliceIndices(scatter),
+                             selectSliceIndices(scatter, indices));
+}
+
+FailureOr<FieldLayout> tai::getSparseLoopField(ParallelForOp loop) {
+  if (!loop.isStructFor())
+    return failure();
+  FailureOr<FieldLayout> layout =
+      getFieldLayout(lookupField(loop, loop.getFieldAttr()));
+  if (failed(layout) || !layout->path.getFirstSparse())
+    return failure();
+  return layout;
+}
+
+/// True if the loop visits all elements of a field that can be added to.
+static bool ownsAllActive(LoopBox &box, const FieldLayout &field) {
+  FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
+  if (failed(visited))
+    return !field.path.getFirstSparse();
+  return haveSameActivity(*visited, field);
+}
+
+/// True if the loop is over the elements that it has to own, or can be made so
+/// for little: nearly all of them are in it already.
+static bool canOwn(LoopBox &box, const Owned &wanted) {
+  if (box.lower == wanted.lower && box.upper == wanted.upper)
+    return true;
+  if (box.loop.isStructFor())
+    return false;
+  // Random numbers belong to positions in the box.
+  if (box.loop.walk([](RandomOp) { return WalkResult::interrupt(); })
+          .wasInterrupted())
+    return false;
+  double inLoop = 1, inField = 1;
+  for (unsigned k = 0; k != box.lower.size(); ++k) {
+    if (box.lower[k] < wanted.lower[k] || box.upper[k] > wanted.upper[k])
+      return false;
+    inLoop *= static_cast<double>(box.upper[k] - box.lower[k]);
+    inField *= static_cast<double>(wanted.upper[k] - wanted.lower[k]);
+  }
+  return inField <= 2 * inLoop;
+}
+
+SmallVector<Group> tai::getGroups(FieldOp field, LoopBox &box,
+                                  ArrayRef<AtomicOp> atomics,
+                                  const std::optional<Owned> &owned,
+                                  unsigned maxOps,
+                                  llvm::function_ref<bool(LoadOp)> isStable) {
+  FailureOr<FieldLayout> layout = getFieldLayout(field);
+  if (failed(layout) || !ownsAllActive(box, *layout))
+    return {};
+
+  SmallVector<Group> groups;
+  unsigned ops = 0;
+  for (AtomicOp op : atomics) {
+    std::optional<int64_t> component =
+        getComponent(op.getComponents(), field.getType());
+    std::optional<Scatter> scatter = getScatter(op, box, *layout);
+    llvm::SmallDenseSet<Operation *> recomputed;
+    if (!scatter || !component ||
+        !canRecompute(op.getValue(), box, isStable, recomputed))
+      return {};
+    if (owned ? *owned != scatter->owned : !canOwn(box, scatter->owned))
+      return {};
+    if (!groups.empty() && groups.front().front().owned != scatter->owned)
+      return {};
+    for (scf::IfOp condition : scatter->conditions)
+      if (!canRecompute(condition.getCondition(), box, isStable, recomputed))
+        return {};
+    ops += recomputed.size() * scatter->getNumTerms();
+    // Joins the group of its slice, and must be apart from all others.
+    Group *home = nullptr;
+    for (Group &group : groups) {
+      Scatter &first = group.front();
+      if (first.dimension == scatter->dimension &&
+          first.op.getComponents().size() == op.getComponents().size() &&
+          getComponent(first.op.getComponents(), field.getType()) ==
+              component &&
+          areProvablyEqual(getSliceIndices(first), getSliceIndices(*scatter))) {
+        home = &group;
+        continue;
+      }
+      if (!isApart(first, op.getIndices(), component))
+        return {};
+    }
+    if (!home)
+      home = &groups.emplace_back();
+    home->push_back(std::move(*scatter));
+  }
+  if (ops > maxOps)
+    return {};
+  return groups;
+}
+
+bool tai::isOnlyAccess(FieldOp field, LoopBox &box,
+                       MutableArrayRef<Group> groups) {
+  const void *storage = getStorageKey(groups.front().front().op);
+  WalkResult result = box.loop.getBody().walk([&](Operation *op) {
+    ValueRange indices, components;
+    if (auto load = dyn_cast<LoadOp>(op)) {
+      indices = load.getIndices();
+      components = load.getComponents();
+    } else if (auto store = dyn_cast<StoreOp>(op)) {
+      indices = store.getIndices();
+      components = store.getComponents();
+    } else {
+      return isa<ActivateOp, DeactivateOp, AppendOp>(op)
+                 ? WalkResult::interrupt()
+                 : WalkResult::advance();
+    }
+    if (getStorageKey(op) != storage)
+      return WalkResult::advance();
+    std::optional<int64_t> component =
+        getComponent(components, field.getType());
+    for (Group &group : groups)
+      if (!isApart(group.front(), indices, component))
+        return WalkResult::interrupt();
+    return WalkResult::advance();
+  });
+  return !result.wasInterrupted();
+}
