@@ -52,8 +52,9 @@ def make_table(rows: dict[str, str]) -> str:
     columns = [row.split(" | ")[2:4] for row in rows.values()]
     reverse, forward = (sum(cell[i] == "yes" for cell in columns) for i in (0, 1))
     said = f"{reverse} of {len(rows)} functions are differentiated in reverse, {forward} forwards."
+    order = sorted(rows, key=lambda name: f"{name}.mlir")
     head = ["| dialect | construct | reverse | forward | test |", "|---|---|---|---|---|"]
-    return "\n".join([said, "", *head, *(rows[name] for name in sorted(rows))])
+    return "\n".join([said, "", *head, *(rows[name] for name in order)])
 
 
 def main() -> None:
