@@ -11,7 +11,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 import tai as ti
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -117,7 +116,9 @@ class Network:
         )
         assert made.returncode == 0, made.stderr
         signature = check_foreign.signature(text, "f")
-        self.inputs, self.results = ([check_foreign.Type(t) for t in part] for part in signature[:2])
+        self.inputs, self.results = (
+            [check_foreign.Type(t) for t in part] for part in signature[:2]
+        )
         tools = SimpleNamespace(
             mlir_opt=LLVM / "mlir-opt",
             translate=LLVM / "mlir-translate",
