@@ -42,7 +42,7 @@ def test_a_signature_binds_by_place_name_and_default():
         ((), {}, "kernel 'scale' needs an argument 'a'"),
         ((1, 2, 3, 4), {}, "takes 3 arguments, but got 4"),
         ((1,), {"m": 2}, "has no parameter 'm'"),
-        ((1,), {"a": 2}, "has no parameter 'a'"),
+        ((1,), {"a": 2}, "gets two values for parameter 'a'"),
     ],
 )
 def test_what_a_signature_refuses(args, kwargs, said):

@@ -107,3 +107,39 @@ def test_a_class_of_the_program_has_keywords_of_its_own():
     assert Mine([x], speed=0.5).lr == 0.5
     with pytest.raises(TypeError, match="'sped'"):
         Mine([x], sped=0.5)
+
+
+@ti.func
+def weighed(a, weight=2.0):
+    return a * weight
+
+
+@ti.kernel
+def by_method() -> ti.f32:
+    return ti.Vector([3.0, 4.0]).norm(epsilon=0.0)
+
+
+@ti.kernel
+def by_function() -> ti.f32:
+    return weighed(1.0, wieght=3.0)
+
+
+@ti.kernel
+def scaled(x: ti.f32, count: ti.i32) -> ti.f32:
+    return x * count
+
+
+@pytest.mark.parametrize(
+    "call, right",
+    [
+        (by_method, "eps"),
+        (by_function, "weight"),
+        # Not that `count` is missing.
+        (lambda: scaled(1.0, coutn=2), "count"),
+    ],
+    ids=["method", "function", "kernel"],
+)
+def test_wrong_keywords_in_kernels_and_of_kernels(call, right):
+    with pytest.raises(ti.TaiError) as caught:
+        call()
+    assert caught.value.hint == f"did you mean '{right}'?"

@@ -38,14 +38,33 @@ def check_keywords(namespace: dict[str, Any], names: Iterable[str] = ()) -> None
             namespace[name] = checked(value)
 
 
-def refuse_keywords(function: str, wrong: str, known: Iterable[str]) -> TypeError:
-    """The error for a keyword that a function has not."""
-    known = [name for name in known if not name.startswith("_")]
-    text = f"{function}() got an unexpected keyword argument '{wrong}'"
+def find_wrong_keyword(function: Any, named: dict[str, Any]) -> tuple[str, str] | None:
+    """The message and the hint for a keyword that is near one of the function or method."""
+    inner = getattr(function, "__func__", function)
+    if not named or not isinstance(inner, FunctionType):
+        return None
+    known = _names_of(inspect.unwrap(inner))
+    for name in named:
+        if known is not None and name not in known:
+            if near := _near(name, known):
+                text = f"{inner.__name__}() got an unexpected keyword argument '{name}'"
+                return text, near
+    return None
+
+
+def _near(wrong: str, known: Iterable[str]) -> str | None:
     near = did_you_mean(wrong, known)
     for name in known if near is None else ():
         if wrong.startswith(name) or name.startswith(wrong):
             near = f"did you mean '{name}'?"
+    return near
+
+
+def refuse_keywords(function: str, wrong: str, known: Iterable[str]) -> TypeError:
+    """The error for a keyword that a function has not."""
+    known = [name for name in known if not name.startswith("_")]
+    text = f"{function}() got an unexpected keyword argument '{wrong}'"
+    near = _near(wrong, known)
     if near is None and known:
         near = f"hint: its keywords: {', '.join(known)}"
     return TypeError(text if near is None else f"{text}\n  {near}")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import TaiSyntaxError, TaiTypeError
+from ..base.keywords import find_wrong_keyword
 from ..base.parsing import parse
 from ..fields.field import Field
 from ..fields.structs import Struct, StructField, leaves_of
@@ -235,6 +236,8 @@ class Calls(Part):
     ) -> Any:
         """Calls a function of Python while the kernel is compiled."""
         if not foreign.is_foreign(function):
+            if wrong := find_wrong_keyword(function, kwargs):
+                raise TaiTypeError(*wrong)
             return function(*args, **kwargs)
         for argument in args:
             if isinstance(argument, Field):

@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Callable
 from typing import Any
 
-from ...errors import TaiSyntaxError, TaiTypeError
+from ...errors import TaiSyntaxError, TaiTypeError, did_you_mean
 from ..base import state, texts
 from ..values.types import MatrixType, NdarrayType, ScalarType, template
 from . import autoreload
@@ -106,7 +106,10 @@ class FunctionInfo:
         for name, value in kwargs.items():
             if name not in self.names or name in bound:
                 problem = "gets two values for" if name in bound else "has no"
-                raise TaiTypeError(f"function '{self.name}' {problem} parameter '{name}'")
+                raise TaiTypeError(
+                    f"function '{self.name}' {problem} parameter '{name}'",
+                    None if name in bound else did_you_mean(name, self.names),
+                )
             bound[name] = value
         for name in self.names:
             if name not in bound:

@@ -8,7 +8,13 @@ from typing import Any, get_args, get_origin
 
 import numpy as np
 
-from ...errors import TaiCompilationError, TaiRuntimeTypeError, TaiSyntaxError, TaiTypeError
+from ...errors import (
+    TaiCompilationError,
+    TaiRuntimeTypeError,
+    TaiSyntaxError,
+    TaiTypeError,
+    did_you_mean,
+)
 from ..base import dtypes, state
 from ..fields.structs import Struct, StructType, items_of
 from ..fields.triplets import TripletsType
@@ -243,6 +249,15 @@ class Signature:
                 f"kernel '{self.kernel}' takes {len(parameters)} arguments, but got {len(args)}",
                 f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
             )
+        names = [parameter.name for parameter in parameters]
+        for name in kwargs:
+            if name not in names[len(args) :]:
+                raise TaiRuntimeTypeError(
+                    f"kernel '{self.kernel}' has no parameter '{name}'" if name not in names
+                    else f"kernel '{self.kernel}' gets two values for parameter '{name}'",
+                    did_you_mean(name, names[len(args) :])
+                    or f"its parameters: {', '.join(names) or 'none'}",
+                )  # fmt: skip
         values = list(args)
         for parameter in parameters[len(args) :]:
             if parameter.name in kwargs:
@@ -254,11 +269,6 @@ class Signature:
                     f"kernel '{self.kernel}' needs an argument '{parameter.name}'",
                     f"its parameters: {', '.join(p.name for p in parameters)}",
                 )
-        if kwargs:
-            raise TaiRuntimeTypeError(
-                f"kernel '{self.kernel}' has no parameter '{next(iter(kwargs))}'",
-                f"its parameters: {', '.join(p.name for p in parameters) or 'none'}",
-            )
         if not self.structs:
             return values
         pairs = zip(parameters, values, strict=True)
