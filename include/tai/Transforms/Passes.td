@@ -614,9 +614,13 @@ def FixSumOrder : Pass<"tai-fix-sum-order", "::mlir::ModuleOp"> {
     read the modes, and not the context's option.
 
     ```mlir
-    tai.kernel @k() { ... }
+    tai.kernel @k() {
+      tai.return
+    }
     // becomes
-    tai.kernel @k() attributes {modes = {sums = "deterministic"}} { ... }
+    tai.kernel @k() attributes {modes = {sums = "deterministic"}} {
+      tai.return
+    }
     ```
   }];
 }
