@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import sys
 from collections.abc import Iterable
 from types import FunctionType
 from typing import Any
@@ -96,6 +97,8 @@ def checked(function: Any, is_method: bool = False) -> Any:
         return function(*args, **named)
 
     # One for all modules that have the function.
+    module = vars(sys.modules[function.__module__])
+    module.update({name: check for name, value in module.items() if value is function})
     function.with_checked_keywords = check.with_checked_keywords = check  # type: ignore[attr-defined]
     return check
 
