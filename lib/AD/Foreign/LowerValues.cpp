@@ -105,13 +105,13 @@ LogicalResult mlir::tai::splitComplex(func::FuncOp function) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-struct Pair {
+struct OpPair {
   StringLiteral from, to;
 };
 } // namespace
 
 /// Ops with the same operands and results.
-static constexpr Pair kArithmetic[] = {
+static constexpr OpPair kArithmetic[] = {
     {"llvm.fadd", "arith.addf"},
     {"llvm.fsub", "arith.subf"},
     {"llvm.fmul", "arith.mulf"},
@@ -152,7 +152,7 @@ void mlir::tai::liftArithmetic(func::FuncOp function) {
         !isa<FloatType>(getElementTypeOrSelf(op->getResult(0).getType())))
       return;
     StringRef name = op->getName().getStringRef();
-    for (const Pair &pair : kArithmetic)
+    for (const OpPair &pair : kArithmetic)
       if (pair.from == name)
         ops.push_back({op, pair.to});
     if (auto constant = dyn_cast<LLVM::ConstantOp>(op))
