@@ -283,6 +283,88 @@ def test_tolerance_of_a_solver():
     assert distances(found, solution @ solution, [gradient]) <= 1e-4
     assert [part.name for part in found.parts] == ["solver", "rounding"]
     assert found.modes["tol"] <= 1e-4
+    assert "ti.linalg.cg, backward error" in found.parts[0].lines[0][0]
+
+
+def chain(tol, kind=ti.f64, n=30):
+    """A row of cells, solved to a tolerance of its own; and its loss and gradient in NumPy."""
+    ti.init(default_fp=kind, offline_cache=False)
+    b, x, loss = scalar(n), scalar(n), scalar()
+
+    @ti.kernel
+    def product(p: ti.template(), q: ti.template()):
+        for i in p:
+            left = p[i - 1] if i > 0 else 0.0
+            right = p[i + 1] if i < n - 1 else 0.0
+            q[i] = 2.1 * p[i] - left - right
+
+    @ti.kernel
+    def measure():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    def run():
+        ti.linalg.cg(product, b, x, tol=tol)
+        measure()
+
+    right = np.linspace(1, 2, n).astype(np.float32).astype(float)
+    b.from_numpy(right)
+    matrix = 2.1 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    solution = np.linalg.solve(matrix, right)
+    gradient = np.linalg.solve(matrix, 2 * solution)
+    return run, loss, b, solution @ solution, gradient
+
+
+@pytest.mark.parametrize("kind", [ti.f32, ti.f64])
+def test_solvers_with_tolerances_of_their_own(kind):
+    run, loss, b, value, gradient = chain(1e-4, kind)
+    found = ti.solve_to(run, loss=loss, wrt=[b], error=1e-2)
+    assert [part.name for part in found.parts] == ["solver", "rounding"]
+    part = found.parts[0]
+    (text, effect), = part.lines  # fmt: skip
+    assert "test_solve_to.py" in text
+    assert "ti.linalg.cg, backward error" in text
+    assert 0 < part.error
+    assert 0 < effect
+    assert distances(found, value, [gradient]) <= found.error <= 1e-2
+
+
+def test_solvers_that_stop_too_early():
+    run, loss, b, _, _ = chain(1e-2)
+    with pytest.raises(TaiAutodiffError, match="the solvers stop too early") as caught:
+        ti.solve_to(run, loss=loss, wrt=[b], error=1e-6)
+    assert "ti.linalg.cg, backward error" in caught.value.message
+    assert "def run(tol=1e-6)" in caught.value.hint
+
+
+@pytest.mark.parametrize("tol", [1e-2, 1e-4, 1e-8])
+def test_the_report_bounds_the_effect_of_solvers(tol):
+    run, loss, _b, value, _ = chain(tol)
+    with ti.ad.Tape(loss, precision=True) as tape:
+        run()
+    (found,) = tape.precision_report().solves
+    # To first order; and where a tolerance is small, roundings of f32 are not in it.
+    assert abs(loss[None] - value) <= 1.1 * found.error + 1e-13 * value
+    assert found.error <= 1e3 * max(tol, 1e-13) * value
+    assert 0 < found.backward_error <= tol
+    assert (found.solver, found.calls) == ("ti.linalg.cg", 1)
+    assert "solvers, which stop at their tolerances" in str(tape.precision_report())
+
+
+def test_a_report_without_solvers_names_none():
+    ti.init(default_fp=ti.f64, offline_cache=False)
+    x, loss = scalar(4), scalar()
+
+    @ti.kernel
+    def run():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    x.fill(1.5)
+    with ti.ad.Tape(loss, precision=True) as tape:
+        run()
+    assert tape.precision_report().solves == []
+    assert "solvers" not in str(tape.precision_report())
 
 
 def test_structs_matrices_and_returned_numbers():

@@ -6,6 +6,7 @@ The estimates are those of `rounding`: sums of adjoint times rounding error, of 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -66,6 +67,32 @@ class LinePrecision:
 
 
 @dataclass
+class SolvePrecision:
+    """The effect on the loss of the point at which a solver stopped.
+
+    Attributes:
+        filename, lineno: of the call.
+        solver: its name.
+        backward_error: the greatest of its calls there; NaN of problems that are not linear.
+        error: how much the loss may change, to first order: a bound, summed over the calls.
+        calls: how many there were.
+    """
+
+    filename: str
+    lineno: int
+    solver: str
+    backward_error: float
+    error: float
+    calls: int
+
+    def __str__(self) -> str:
+        text = f"{shorten(self.filename)}:{self.lineno}  {self.solver}"
+        if not math.isnan(self.backward_error):
+            text += f", backward error {self.backward_error:.1e}"
+        return text + (f", the greatest of {self.calls} calls" if self.calls > 1 else "")
+
+
+@dataclass
 class PrecisionReport:
     """Estimated effect of the rounding errors of a program on its loss.
 
@@ -77,6 +104,8 @@ class PrecisionReport:
         target: the requested relative error.
         others: contributions that belong to no line, by name: sums that fields keep, storage, and
             the loss itself.
+        solves: the effect of solvers, by the line of the call, largest first. They stop at their
+            tolerances in any type, so `expected` does not contain it.
     """
 
     loss: float
@@ -85,6 +114,7 @@ class PrecisionReport:
     lines: list[LinePrecision]
     target: float
     others: list[tuple[str, float]] = field(default_factory=list)
+    solves: list[SolvePrecision] = field(default_factory=list)
 
     @property
     def relative(self) -> float:
@@ -154,6 +184,10 @@ class PrecisionReport:
         losses += [(abs(error), name) for name, error in self.others if error]
         for error, name in sorted(losses, key=lambda entry: -entry[0])[:5]:
             lines.append(f"  {_relative(error, self.loss):>8}  {name}")
+        if self.solves:
+            lines.append("  solvers, which stop at their tolerances in any type:")
+        for found in self.solves[:5]:
+            lines.append(f"  {_relative(found.error, self.loss):>8}  {found}")
         return "\n".join(lines)
 
     __repr__ = __str__
@@ -204,8 +238,10 @@ def own_fields() -> list[Any]:
     ]  # fmt: skip
 
 
-def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
-    """The report of a sweep.
+def make_report(
+    sweep: Sweep, loss: Any, target: float, solves: Sequence[Any] = ()
+) -> PrecisionReport:
+    """The report of a sweep, and of the solves of its tape.
 
     Raises:
         TaiAutodiffError: a field that it reads held NaN or an infinity at its start.
@@ -249,7 +285,23 @@ def make_report(sweep: Sweep, loss: Any, target: float) -> PrecisionReport:
     others.append((f"the loss '{owner_of(loss).name}' itself", steps * _UNIT * value))
     whole = math.fsum(line.error for line in lines)
     expected = math.hypot(whole, *(error for _, error in others))
-    return PrecisionReport(value, expected, fields, lines, target, others)
+    return PrecisionReport(value, expected, fields, lines, target, others, _solves(solves))
+
+
+def _solves(infos: Sequence[Any]) -> list[SolvePrecision]:
+    groups: dict[tuple, list[Any]] = {}
+    for info in infos:
+        groups.setdefault((*info.place, info.solver), []).append(info)
+    found = []
+    for (filename, lineno, solver), group in groups.items():
+        errors = [info.backward_error for info in group]
+        worst = max((e for e in errors if not math.isnan(e)), default=math.nan)
+        # A solve that no gradient has passed has no effect.
+        effects = [0.0 if math.isnan(info.effect) else info.effect for info in group]
+        found.append(
+            SolvePrecision(filename, lineno, solver, worst, math.fsum(effects), len(group))
+        )
+    return sorted(found, key=lambda entry: -entry.error)
 
 
 def _fields(sweep: Sweep) -> list[FieldPrecision]:

@@ -10,6 +10,7 @@ See docs/decisions/0065-solve-to.md.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -87,6 +88,8 @@ class Version(native.WithBlock):
         loaded, stored, accumulated: symbols of the fields that its kernels use.
         places: the places of floats that they use.
         writes: lines about arrays of the caller that they write to.
+        seconds: the least time of an iteration.
+        tolerances: by which those of solvers are multiplied.
     """
 
     def __init__(
@@ -107,6 +110,8 @@ class Version(native.WithBlock):
         self.accumulated: set[str] = set()
         self.places: dict[int, Any] = {}
         self.writes: list[str] = []
+        self.tolerances = 1.0
+        self.seconds = math.inf
         self._is_on = False
 
     def note(self, kernel: Any, name: str) -> None:

@@ -1,12 +1,16 @@
-"""The result of `ti.solve_to`: the choice, its error, and the causes."""
+"""The result of `ti.solve_to`: the choice, its error, its causes; parameters that are chosen."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+
+from ...errors import TaiRuntimeTypeError, shorten
+from .precision import PrecisionReport
 
 
 @dataclass
@@ -85,3 +89,55 @@ class Solution:
             f"reference), chosen by {self.iterations} iterations",
         ]
         return "\n".join([*lines, *map(str, self.parts), *(f"  note: {n}" for n in self.notes)])
+
+
+def options_of(run: Callable[..., Any]) -> dict[str, Any]:
+    """The parameters of a program that can be chosen, with their defaults.
+
+    Raises:
+        TaiRuntimeTypeError: it has another parameter without a default, or these have none.
+    """
+    try:
+        parameters = inspect.signature(run).parameters.values()
+    except (TypeError, ValueError):  # a kernel
+        return {}
+    found: dict[str, Any] = {}
+    for p in parameters:
+        if p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD):
+            continue
+        if p.name in ("steps", "tol"):
+            known = isinstance(p.default, (int, float)) and not isinstance(p.default, bool)
+            if not known or p.default <= 0 or (p.name == "steps" and p.default != int(p.default)):
+                raise TaiRuntimeTypeError(
+                    f"the parameter '{p.name}' of run needs a default, a positive number",
+                    "def run(steps=64): …" if p.name == "steps" else "def run(tol=1e-6): …",
+                )
+            found[p.name] = p.default
+        elif p.default is p.empty:
+            raise TaiRuntimeTypeError(
+                f"run takes an argument '{p.name}', and ti.solve_to knows 'steps' and 'tol' alone",
+                "lambda: run(…)",
+            )
+    return found
+
+
+def place_of(function: Callable[..., Any]) -> str:
+    """The line of a function."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return "run" if code is None else f"{shorten(code.co_filename)}:{code.co_firstlineno}"
+
+
+def lines_of(report: PrecisionReport, unit: float) -> list[tuple[str, float]]:
+    """Lines and sums by their relative effect on the loss."""
+    size = abs(report.loss) / unit
+    found = [
+        (f"{shorten(line.filename)}:{line.lineno}  {line.text}", abs(line.error) / size)
+        for line in report.lines
+    ]
+    found += [(name, abs(part) / size) for name, part in report.others if part]
+    return sorted(found, key=lambda entry: -entry[1])
+
+
+def worst_of(report: PrecisionReport, unit: float) -> str:
+    """The lines that lose most."""
+    return "; ".join(f"{text} ({off:.1e})" for text, off in lines_of(report, unit)[:3])

@@ -21,7 +21,6 @@ from ...errors import (
     TaiGradientWarning,
     TaiRuntimeError,
     TaiRuntimeTypeError,
-    shorten,
 )
 from ..base import dtypes, state
 from ..base.callers import calling_frame, calling_level
@@ -32,7 +31,7 @@ from .precision import PrecisionReport, bytes_of, find_not_finite, owner_of
 from .retype import Version, can_change
 from .seeds import number_of, require_grad
 from .snapshot import Snapshot
-from .solution import Part, Solution
+from .solution import Part, Solution, lines_of, options_of, place_of, worst_of
 from .tape import Tape
 from .tuning import Types, distance, is_named, made_by, parts_among, unknowns_of
 
@@ -40,6 +39,11 @@ from .tuning import Types, distance, is_named, made_by, parts_among, unknowns_of
 MOST_ITERATIONS = 20
 # An estimate of first order is within a factor of two as a rule; so is the next draw of an error.
 _SAFETY = 2.0
+# Modes that take at most so much longer than the fastest are timed again, and iterations that are
+# kept for the checks of the choice.
+_NEAR, _LAST_CHECKS = 1.5, 5
+# By which times of 16-bit fields count more than those of others.
+_DOUBT = 1.15
 # A mode that takes at most so much longer is taken if its fields take fewer bytes.
 _TIE = 1.05
 # Nothing is wider than f64, and the estimate is of the loss: that of the gradient may be greater.
@@ -47,9 +51,13 @@ _MARGIN_OF_F64 = 8.0
 # The roundings of f64 next to those of f32; the same of fast elementary functions.
 _OF_F64, _OF_FAST = 2.0**-29, 4.0
 # The part of the error that each cause may have.
-_SHARE = {"discretisation": 0.5, "solver": 0.2}
+_SHARE = {"discretisation": 0.5, "solver": 0.2, "only solver": 0.6}
+# The greatest tolerance that is tried.
+_LOOSEST = 0.3
 # The most steps, as a multiple of those with which the search begins.
 _MOST_REFINED = 256
+# By which the tolerances of solvers are multiplied, to learn their effect.
+_TIGHTENED = 1e-3
 # Fields of fewer bytes gain nothing from a narrower type.
 _LEAST_BYTES = 4096
 # An estimate of rounding beyond which a number of the error says nothing.
@@ -147,7 +155,7 @@ class _Search:
     def __init__(self, run: Any, loss: Any, wrt: Any, names: Any, error: float):
         self._run, self._loss, self._wrt, self._error = run, loss, wrt, error
         self._names = names
-        self._options = _options_of(run)
+        self._options = options_of(run)
         self._start = Snapshot()
         self._versions: list[Version] = []
         self._places: list[Any] = []
@@ -184,6 +192,8 @@ class _Search:
                 self._run(**{**self._options, **options})
             sync()
             seconds = time.perf_counter() - begin
+            if not precision and change is None and options == {}:
+                version.seconds = min(version.seconds, seconds)
             if precision:
                 report = tape.precision_report(self._error)
             gradients = [
@@ -200,15 +210,21 @@ class _Search:
             self._discover()
             reference, base = self._reference()
             report = self._estimate(reference)
-            self._check_gradient(reference, base, report)
             parts: list[Part] = []
-            for name, phase in (("tol", self._choose_tol), ("steps", self._choose_steps)):
-                if name in self._options:
-                    part, base = phase(reference, base)
-                    parts.append(part)
-            room = self._error - sum(part.error for part in parts)
-            if parts:
+            # Solvers that stop early give gradients that differences do not confirm.
+            if "tol" in self._options:
+                part, base = self._choose_tol(reference, base)
+                parts.append(part)
+            elif report.solves:
+                parts.append(self._measure_solvers(reference, base, report))
+            self._check_gradient(reference, base, report)
+            if "steps" in self._options:
+                part, base = self._choose_steps(reference, base)
+                parts.append(part)
+            if self._options:
                 report = self._estimate(reference)
+                self._name_solves(parts, report)
+            room = self._error - sum(part.error for part in parts)
             chosen = self._choose(reference, base, report, room)
             parts.append(_rounding(chosen, report))
             return self._finish(chosen, base, parts)
@@ -359,25 +375,63 @@ class _Search:
             "compute it in kernels; write float for ti.f32 in signatures; ti.ad.check finds kinks",
         )
 
+    def _measure_solvers(self, reference: Version, base: Any, report: PrecisionReport) -> Part:
+        """The effect of the tolerances that the program has, by a run with smaller ones."""
+        reference.tolerances = _TIGHTENED
+        try:
+            exact = self._measure(reference)[:2]
+        finally:
+            reference.tolerances = 1.0
+        off = max(distance(base, exact))
+        worst = report.solves[0]
+        if off > self._error / 2:
+            _refuse(
+                f"the solvers stop too early for an error of {self._error:.1e}: with smaller "
+                f"tolerances the results differ by {off:.1e}, most of it from {worst}",
+                "let ti.solve_to choose: def run(tol=1e-6), and pass tol on; or give a smaller tol",
+            )
+        size = abs(report.loss)
+        lines = [(str(found), found.error / size) for found in report.solves]
+        return Part("solver", off, lines, "compared with a run of smaller tolerances")
+
+    @staticmethod
+    def _name_solves(parts: list[Part], report: PrecisionReport) -> None:
+        """Adds the lines of the solves to the part of the solver."""
+        for part in parts:
+            if part.name == "solver" and report.solves:
+                size = abs(report.loss)
+                part.lines = [(str(found), found.error / size) for found in report.solves]
+
     def _choose_tol(self, reference: Version, base: Any) -> tuple[Part, Any]:
         """The greatest tolerance whose effect is within its share."""
-        room = _SHARE["solver"] * self._error
+        room = _SHARE["solver" if "steps" in self._options else "only solver"] * self._error
         exact = self._measure(reference, tol=max(1e-13, min(1e-10, 1e-4 * self._error)))[:2]
-        tol, off = min(self._error, 0.1), math.inf
+        tol, last = min(self._error, 0.1), math.inf
+        kept: Any = None
+        off = math.inf
         for _ in range(4):
             found = self._measure(reference, tol=tol)[:2]
             off = max(distance(found, exact))
             if off <= room:
+                kept = tol, off, found
+                # A looser one, unless that has proved to be too loose.
+                if off > 0.1 * self._error or tol >= _LOOSEST or last < math.inf:
+                    break
+                tol = min(_LOOSEST, tol * max(2.0, min(0.5 * room / max(off, 1e-300), 1e3)))
+            elif kept is not None:
                 break
-            tol *= max(min(0.5 * room / off, 0.3), 1e-4)
-        else:
+            else:
+                last = tol
+                tol *= max(min(0.5 * room / off, 0.3), 1e-4)
+        if kept is None:
             _refuse(
                 f"no tolerance of the solvers keeps an error of {room:.1e} "
-                f"({off:.1e} with tol={tol:.1e})",
+                f"({off:.1e} with tol={last:.1e})",
                 "ask for a greater error",
             )
+        tol, off, found = kept
         self._options["tol"] = tol
-        return Part("solver", off, [(f"{_place_of(self._run)}: tol={tol:.2g}", off)],
+        return Part("solver", off, [(f"{place_of(self._run)}: tol={tol:.2g}", off)],
                     "compared with a run of a smaller tolerance"), found  # fmt: skip
 
     def _choose_steps(self, reference: Version, base: Any) -> tuple[Part, Any]:
@@ -431,7 +485,7 @@ class _Search:
                     "begin with more steps: the default of `steps`")  # fmt: skip
         self._options["steps"] = wanted
         how = f"steps={wanted} against {2 * wanted}, of order {order:.1f}"
-        return Part("discretisation", off, [(f"{_place_of(self._run)}: steps={wanted}", off)],
+        return Part("discretisation", off, [(f"{place_of(self._run)}: steps={wanted}", off)],
                     how), here  # fmt: skip
 
     def _at_steps(self, reference: Version, steps: int) -> tuple[float, np.ndarray]:
@@ -453,7 +507,7 @@ class _Search:
         if off > _HOPELESS:
             _refuse(
                 f"rounding changes the loss by {off:.1e} of it even in f64, as in chaos: most of "
-                f"it comes from {_worst(report, _OF_F64)}",
+                f"it comes from {worst_of(report, _OF_F64)}",
                 "differentiate over a shorter time",
             )
         return report
@@ -497,13 +551,16 @@ class _Search:
             best = min(choices, key=lambda choice: choice.estimate)
             _refuse(
                 f"error={self._error:.1e} cannot be kept: {best.name} is expected to be off by "
-                f"{best.estimate:.1e}, most of it from {_worst(report, _OF_F64)}",
+                f"{best.estimate:.1e}, most of it from {worst_of(report, _OF_F64)}",
                 f"error={1.5 * _MARGIN_OF_F64 * best.estimate:.1e} can be had",
             )
         passed: list[_Choice] = []
         for choice in hopeful:
             if passed and choice.base is dtypes.f64:
                 break
+            # They cost more than sums as they are, which have passed.
+            if choice.name == "f32, compensated sums" and any(c.name == "f32" for c in passed):
+                continue
             # The other iterations are for the check of the choice, and for f64.
             if self._iterations > MOST_ITERATIONS - 6 and choice.base is not dtypes.f64:
                 continue
@@ -511,9 +568,11 @@ class _Search:
                 passed.append(choice)
                 if choice.base is dtypes.f64:
                     break
+        self._time_again(passed)
         while passed:
-            fastest = min(choice.seconds for choice in passed)
-            near = [choice for choice in passed if choice.seconds <= _TIE * fastest]
+            # Conversions cost time on a processor: 16 bits have to be faster without a doubt.
+            costs = {c.name: c.seconds * (_DOUBT if c.narrow else 1.0) for c in passed}
+            near = [c for c in passed if costs[c.name] <= _TIE * min(costs.values())]
             best = min(near, key=lambda choice: (choice.bytes, len(choice.name), choice.seconds))
             trouble = self._find_trouble(reference, base, best, room)
             if trouble is None:
@@ -531,10 +590,22 @@ class _Search:
             "ask for a greater error",
         )
 
+    def _time_again(self, passed: list[_Choice]) -> None:
+        """Runs those that may be the fastest once more, in turns: one time is a draw."""
+        while len(passed) > 1 and self._iterations < MOST_ITERATIONS - _LAST_CHECKS:
+            fastest = min(choice.seconds for choice in passed)
+            near = [choice for choice in passed if choice.seconds <= _NEAR * fastest]
+            if len(near) < 2:
+                return
+            for choice in near:
+                if self._iterations < MOST_ITERATIONS - _LAST_CHECKS:
+                    self._measure(choice.version)
+                    choice.seconds = choice.version.seconds
+
     def _try(self, choice: _Choice, reference: Version, base: Any, room: float) -> bool:
         """Runs a choice, and measures its error and time."""
         for _ in range(1 + len(choice.narrow)):
-            same = choice.base is dtypes.f64 and "sums" not in choice.modes
+            same = choice.base is dtypes.f64 and choice.modes == reference.modes
             choice.version = reference if same else self._version(
                 choice.modes, self._types(choice.base, choice.narrow)
             )  # fmt: skip
@@ -559,7 +630,7 @@ class _Search:
                     loss, gradient, seconds, _ = self._measure(choice.version)
                     again = distance((loss, gradient), base)
                     choice.errors = max(choice.errors[0], again[0]), max(choice.errors[1], again[1])
-                choice.seconds, choice.result = seconds, (loss, gradient)
+                choice.seconds, choice.result = choice.version.seconds, (loss, gradient)
                 return max(choice.errors) <= room
             if not choice.narrow:
                 return False
@@ -680,36 +751,6 @@ class _Search:
         version.copy_out()
 
 
-def _options_of(run: Callable[..., Any]) -> dict[str, Any]:
-    """The parameters of a program that can be chosen, with their defaults.
-
-    Raises:
-        TaiRuntimeTypeError: it has another parameter without a default, or these have none.
-    """
-    try:
-        parameters = inspect.signature(run).parameters.values()
-    except (TypeError, ValueError):  # a kernel
-        return {}
-    found: dict[str, Any] = {}
-    for p in parameters:
-        if p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD):
-            continue
-        if p.name in ("steps", "tol"):
-            known = isinstance(p.default, (int, float)) and not isinstance(p.default, bool)
-            if not known or p.default <= 0 or (p.name == "steps" and p.default != int(p.default)):
-                raise TaiRuntimeTypeError(
-                    f"the parameter '{p.name}' of run needs a default, a positive number",
-                    "def run(steps=64): …" if p.name == "steps" else "def run(tol=1e-6): …",
-                )
-            found[p.name] = p.default
-        elif p.default is p.empty:
-            raise TaiRuntimeTypeError(
-                f"run takes an argument '{p.name}', and ti.solve_to knows 'steps' and 'tol' alone",
-                "lambda: run(…)",
-            )
-    return found
-
-
 def _scale_of(array: np.ndarray) -> np.ndarray:
     """The magnitude of each element, at least that of the others on the average."""
     size = np.abs(array.astype(float))
@@ -724,32 +765,12 @@ def _apart(a: Any, b: Any, scale: Any) -> tuple[float, float]:
     return abs(a[0] - b[0]) / abs(scale[0]), float(np.linalg.norm(a[1] - b[1])) / size
 
 
-def _place_of(function: Callable[..., Any]) -> str:
-    code = getattr(inspect.unwrap(function), "__code__", None)
-    return "run" if code is None else f"{shorten(code.co_filename)}:{code.co_firstlineno}"
-
-
-def _lines(report: PrecisionReport, unit: float) -> list[tuple[str, float]]:
-    """Lines and sums by their relative effect on the loss."""
-    size = abs(report.loss) / unit
-    found = [
-        (f"{shorten(line.filename)}:{line.lineno}  {line.text}", abs(line.error) / size)
-        for line in report.lines
-    ]
-    found += [(name, abs(part) / size) for name, part in report.others if part]
-    return sorted(found, key=lambda entry: -entry[1])
-
-
-def _worst(report: PrecisionReport, unit: float) -> str:
-    return "; ".join(f"{text} ({off:.1e})" for text, off in _lines(report, unit)[:3])
-
-
 def _rounding(chosen: _Choice, report: PrecisionReport) -> Part:
     if chosen.base is dtypes.f64:
-        lines = _lines(report, _OF_F64)
+        lines = lines_of(report, _OF_F64)
         return Part("rounding", max(_MARGIN_OF_F64 * chosen.estimate, *chosen.errors), lines,
                     f"{chosen.name}, eight times the estimate of one sweep")  # fmt: skip
-    lines = _lines(report, 1.0)
+    lines = lines_of(report, 1.0)
     size = abs(report.loss)
     lines += [
         (f"the storage of '{f.name}' in {chosen.narrow[f.name]}",

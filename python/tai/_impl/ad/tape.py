@@ -433,7 +433,7 @@ class Tape(native.WithBlock):
                 "the kernels of this tape have not looked at their rounding",
                 "make it with precision=True: ti.ad.Tape(loss, precision=True)",
             )
-        return make_report(self._rounding, self.loss, error)
+        return make_report(self._rounding, self.loss, error, self.solves)
 
     def condition(self) -> Condition:
         """Condition numbers of the loss and its gradient by relative changes of the inputs.

@@ -94,7 +94,7 @@ class _Factors:
         if not np.isfinite(b).all() or not np.isfinite(a.data).all():
             return nothing, Progress(0, math.nan, "not finite")
         if not b.any():
-            return nothing, Progress(0, 0.0, "", 0.0, 0.0)
+            return nothing, Progress(0, 0.0, "", 0.0, 0.0, 0.0)
         if self._made is None:
             self._made = _factorize(solvers, a)
         if self._made is None:
@@ -119,7 +119,8 @@ class _Factors:
         norm, size = _norm(a), np.linalg.norm(x)
         residual = float(np.linalg.norm(rest) / np.linalg.norm(b))
         error = np.linalg.norm(rest) / (norm * size + np.linalg.norm(b))
-        return found, Progress(1, residual, "", float(error), norm)
+        misfit = scale * float(np.linalg.norm(rest))
+        return found, Progress(1, residual, "", float(error), norm, misfit)
 
     def _apply(self, b: np.ndarray, transposed: bool) -> np.ndarray:
         factors, rows, columns = self._made

@@ -67,7 +67,7 @@ def implicit(
 
     def solve(field: Any) -> Progress:
         new, rest = scratch(x, "product"), scratch(x, "residual")
-        change = math.inf
+        misfit = change = math.inf
         for done in range(1, caller.limit + 1):
             operator.apply(field, new)
             k.subtract(rest, new, field, 1.0)
@@ -75,10 +75,10 @@ def implicit(
             change, norm = norm_of(rest), norm_of(new)
             if not math.isfinite(change) or not math.isfinite(norm):
                 return Progress(done, math.inf, "diverges")
-            change = change / norm if norm else change
+            misfit, change = change, change / norm if norm else change
             if change <= caller.tolerance:
-                return Progress(done, change, "")
-        return Progress(caller.limit, change, "iterations")
+                return Progress(done, change, "", misfit=misfit)
+        return Progress(caller.limit, change, "iterations", misfit=misfit)
 
     def solve_adjoint(g: Any, adjoint: Any) -> Adjoint:
         system = System(functools.partial(_one_minus, operator), g, adjoint, caller.tolerance,
@@ -184,7 +184,7 @@ def newton(
             k.copy(point, field)
             norm = new
             measure = norm / first
-        return Progress(done, measure, reason)
+        return Progress(done, measure, reason, misfit=norm)
 
     def solve_adjoint(g: Any, adjoint: Any) -> Adjoint:
         pull = functools.partial(recorded.pull, operator)

@@ -18,7 +18,7 @@ from ..ad.tape import run_unrecorded
 from ..base import state
 from .operators import Operator, check_alike, check_unknown, scratch
 from .report import Caller, SolveInfo
-from .system import Progress
+from .system import Progress, norm_of
 from .vectors import get_kernels
 
 
@@ -55,7 +55,7 @@ def run(
     if start is not None:
         check_unknown(start, "the solution of the adjoint system", caller.solver)
         check_alike(start, operator.x, caller.solver)
-    info = SolveInfo(solver=caller.solver, x=operator.x)
+    info = SolveInfo(solver=caller.solver, x=operator.x, place=(caller.filename, caller.lineno))
     tape: Any = state.tape
     if tape is None:
         with suspended():
@@ -67,6 +67,7 @@ def run(
         return info
     operator.check_differentiable()
     state.of_thread.solves.append(info)
+    has_report = state.of_thread.rounding is not None
     kernels = get_kernels()
     x = operator.x
     solution = scratch(x, "solution")
@@ -98,6 +99,8 @@ def run(
         info.adjoint = SolveInfo(solver=caller.solver, x=operator.x.grad, projected=projected)
         info.adjoint.take(progress)
         caller.warn(operator, progress, "the gradient of field", False)
+        if has_report:
+            info.effect = info.misfit * norm_of(adjoint)
         if right_side is not None and has_gradient(right_side):
             kernels.add(right_side.grad, adjoint, 1.0)
         x.grad.fill(0)

@@ -14,6 +14,8 @@ from ..fields.root import name_fields
 from .operators import Operator
 from .system import Progress
 
+# The least tolerance of a run whose solves are tightened, to learn the effect of theirs.
+LEAST_TOLERANCE = {"f32": 1e-6, "f64": 1e-13}
 _REASONS = {
     "iterations": "it needs more iterations",
     "indefinite": "the operator is not positive definite (p·Ap <= 0), perhaps singular",
@@ -73,6 +75,10 @@ class SolveInfo:
             of A and b for which x is exact. NaN of other problems.
         norm: ‖A‖ in it: the greatest ‖A v‖ / ‖v‖ that the solve has met, which is not greater than
             the 2-norm. So the backward error is never reported too small.
+        misfit: ‖b - A x‖ or ‖F(x)‖; of a fixed point, the last change.
+        effect: a bound of the change of the loss that the misfit makes, to first order: ‖λ‖ times
+            the misfit, λ the solution of the adjoint system. A tape of `precision=True` finds it.
+        place: the line of the call.
         projected: of the gradient of a singular system, the relative norm of the part that no
             solution can follow, and that was taken away; 0 of others.
         adjoint: how the solve for the gradient ended, once a tape has run it.
@@ -86,6 +92,9 @@ class SolveInfo:
     status: str = ""
     backward_error: float = math.nan
     norm: float = math.nan
+    misfit: float = math.nan
+    effect: float = math.nan
+    place: tuple[str, int] = ("", 0)
     projected: float = 0.0
     solver: str = ""
     x: Any = None
@@ -99,6 +108,7 @@ class SolveInfo:
         self.reason = _REASONS.get(progress.reason, progress.reason)
         self.status = _STATUS[progress.reason]
         self.backward_error, self.norm = progress.backward_error, progress.norm
+        self.misfit = progress.misfit
 
 
 class Caller:
@@ -136,11 +146,16 @@ class Caller:
             raise TaiRuntimeTypeError(
                 f"{solver}: max_iterations must be a positive whole number, but got {limit!r}"
             )
+        version = state.of_thread.version
+        scale = 1.0 if version is None else version.tolerances
+        self.is_tightened = scale != 1
         self.tolerance, self.limit = float(tolerance), limit
+        if self.is_tightened:
+            self.tolerance = max(self.tolerance * scale, LEAST_TOLERANCE[dtype_name])
 
     def warn(self, operator: Operator, progress: Progress, what: str, is_recorded: bool) -> None:
         """Says that a solve did not converge."""
-        if not progress.reason:
+        if not progress.reason or self.is_tightened:
             return
         # Only kernels name fields otherwise, and none of the program's may have read it yet.
         frame = calling_frame()

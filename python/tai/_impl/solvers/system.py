@@ -32,7 +32,8 @@ _KEEP_EACH = 0.1
 class Progress(NamedTuple):
     """The end of an iteration: `reason` says why it stopped before the tolerance, or is empty.
 
-    Linear systems have a backward error, too, and the bound from below of the norm of A in it.
+    Linear systems have a backward error, too, the bound from below of the norm of A in it, and
+    ‖b - A x‖.
     """
 
     iterations: int
@@ -40,6 +41,7 @@ class Progress(NamedTuple):
     reason: str
     backward_error: float = math.nan
     norm: float = math.nan
+    misfit: float = math.nan
 
 
 class Method(NamedTuple):
@@ -107,7 +109,7 @@ class System:
         largest = k.largest(self.b)
         if largest == 0 and k.dot(self.b, self.b) == 0:
             self.x.fill(0)
-            return Progress(0, 0.0, "", 0.0, 0.0)
+            return Progress(0, 0.0, "", 0.0, 0.0, 0.0)
         if not math.isfinite(largest):
             return Progress(0, math.nan, "not finite")
         scale = math.ldexp(1.0, math.frexp(largest)[1])
@@ -129,7 +131,8 @@ class System:
                 self.operator_norm = 0.0
         error = self._compute_backward_error(residual)
         k.scale(self.x, self.x, 1 / inverse)
-        return Progress(done, residual, reason, error, self.operator_norm)
+        misfit = residual * self.norm / inverse
+        return Progress(done, residual, reason, error, self.operator_norm, misfit)
 
     def _run(self, method: Method) -> tuple[int, float, str]:
         done, last, reason = 0, math.inf, ""
