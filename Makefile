@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-pairs fmt lint tidy portable wheel docs site clean setup check peers test-peers
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-error-gate bench-pairs fmt lint tidy portable wheel docs site clean setup check peers test-peers
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -77,6 +77,9 @@ bench: build ## time the scenes against other systems: CSV and plot
 
 bench-error: build ## run time against error in all modes: docs/reports/accuracy.md (ARGS=--quick)
 	@$(PYTHON) benchmarks/error/run.py $(ARGS)
+
+bench-error-gate: build ## compare errors and times with another build (ARGS=/path/to/base)
+	@$(PYTHON) benchmarks/error/compare.py $(ARGS)
 
 bench-pairs: build ## time this build and another one in turns (ARGS="/path/to/base")
 	@$(PYTHON) benchmarks/pairs.py $(ARGS)

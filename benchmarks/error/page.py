@@ -1,4 +1,8 @@
-"""Plots of run time against error, and docs/reports/accuracy.md, from the rows of the benchmark."""
+"""Plots of run time against error, and docs/reports/accuracy.md, from the rows of the benchmark.
+
+The page answers four questions in at most 150 lines; all figures of a scene are in
+docs/reports/accuracy/. Each sentence with a figure is made of the rows.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,8 @@ import math
 import statistics
 import sys
 import textwrap
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
@@ -20,10 +25,20 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PAGE = ROOT / "docs" / "reports" / "accuracy.md"
 PICTURES = PAGE.parent / "pictures"
+# A page for each scene, beside the page itself.
+FOLDER = "accuracy"
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-10)
 # A value for errors of zero, which cannot be drawn on a logarithmic axis.
 LEAST = 1e-17
+# Errors count as equal below the first, and where they differ by less than the second: noise.
+FLOOR, ERROR_NOISE = 1e-15, 1.05
+# Errors beyond this are losses of range, and not of digits.
+OVERFLOW = 1e3
+# Losses that the page lists; all are on the pages of scenes.
+MOST_LOSSES = 40
 ORDER = [mode.name for mode in modes.TAI]
+# Where several modes are as fast, the first one is taken.
+SIMPLEST = ["f32", "f64", *(name for name in ORDER if name not in ("f32", "f64"))]
 
 
 def groups_of(found: list[dict]) -> dict[tuple, list[dict]]:
@@ -104,50 +119,124 @@ def table(group: list[dict]) -> list[str]:
     return lines
 
 
+def is_matched(peer: dict, ours: list[dict]) -> bool:
+    """Whether a mode of tai is at least as fast as a row of a peer, and as exact but for noise."""
+    bar = ERROR_NOISE * max(rows.error_of(peer), FLOOR)
+    return any(row["ms"] <= peer["ms"] and rows.error_of(row) <= bar for row in ours)
+
+
+def is_within_spread(row: dict, other: dict) -> bool:
+    """Whether the times of two rows overlap, so that none of them is the faster."""
+    return row["p10"] <= other["p90"] and other["p10"] <= row["p90"]
+
+
 def verdict(group: list[dict]) -> str:
-    """Whether some mode is faster and more exact than all that the peers have."""
+    """How many modes of peers some mode of tai dominates, and the others."""
     ours, peers = split(group)
-    best = [row for row in ours if rows.beats_all(row, peers)]
-    if best:
-        names = ", ".join(row["mode"] for row in best)
-        return f"**{names}**: faster and at least as exact as every mode of every peer."
-    ahead = [row for row in ours if not rows.is_dominated(row, peers)]
-    text = "No mode is at once faster and more exact than every mode of every peer"
-    quick = min(peers, key=lambda row: row["ms"])
-    exact = min(peers, key=rows.error_of)
-    text += f" (the fastest: {quick['system']}, {quick['mode']}, {quick['ms']:.3g} ms; the most "
-    text += f"exact: {exact['system']}, {exact['mode']}, {rows.error_of(exact):.1g})"
-    names = ", ".join(row["mode"] for row in ours if row in ahead)
-    return f"{text}. Dominated by no peer: {names or 'none'}."
+    lost = [row for row in peers if not is_matched(row, ours)]
+    text = f"{len(peers) - len(lost)} of {len(peers)} modes of peers are dominated by one of tai"
+    return f"{text}; not {', '.join(map(loss_of(ours), lost))}." if lost else f"{text}."
+
+
+def loss_of(ours: list[dict]) -> Callable[[dict], str]:
+    """A function that says by how much tai is slower than a row at its error."""
+
+    def text(peer: dict) -> str:
+        bar = ERROR_NOISE * max(rows.error_of(peer), FLOOR)
+        good = [row for row in ours if rows.error_of(row) <= bar]
+        name = f"{peer['system']} {peer['mode']}"
+        if not good:
+            return f"{name} (no mode of tai has an error of {rows.error_of(peer):.1e})"
+        best = min(good, key=lambda row: row["ms"])
+        over = ", within the spread" if is_within_spread(best, peer) else ""
+        return f"{name} ({best['mode']} takes {best['ms'] / peer['ms']:.2f} times as long{over})"
+
+    return text
+
+
+def fastest(group: list[dict], target: float) -> dict | None:
+    """The fastest mode within an error; of those within its spread, the simplest."""
+    ours = [row for row in split(group)[0] if row["mode"] != "f32 unguarded"]
+    good = [row for row in ours if rows.error_of(row) <= target]
+    best = min(good, key=lambda row: row["ms"], default=None)
+    near = [row for row in good if row is best or is_within_spread(row, best)]
+    return min(near, key=lambda row: SIMPLEST.index(row["mode"]), default=None)
 
 
 def choice(group: list[dict]) -> list[str]:
     """The fastest mode for each greatest error."""
-    ours = [row for row in split(group)[0] if row["mode"] != "f32 unguarded"]
     cells = []
     for target in TARGETS:
-        good = [row for row in ours if rows.error_of(row) <= target]
-        best = min(good, key=lambda row: row["ms"], default=None)
+        best = fastest(group, target)
         cells.append("–" if best is None else f"{best['mode']} ({best['ms']:.3g} ms)")
     return cells
+
+
+def choices(groups: dict[tuple, list[dict]]) -> list[str]:
+    """How often each mode is the fastest within an error, at each place."""
+    places: dict[str, list[list[dict]]] = {}
+    for (_, *place), group in groups.items():
+        places.setdefault(_place(place), []).append(group)
+    lines = [f"| where | {' | '.join(f'{t:.0e}' for t in TARGETS)} |"]
+    lines += [f"|---|{'---|' * len(TARGETS)}"]
+    for where, mine in places.items():
+        cells = []
+        for target in TARGETS:
+            found = [fastest(group, target) for group in mine]
+            counts = Counter("none" if row is None else row["mode"] for row in found)
+            cells.append(", ".join(f"{name} {count}" for name, count in counts.most_common(4)))
+        lines.append(f"| {where} ({len(mine)} scenes) | {' | '.join(cells)} |")
+    return lines
+
+
+def losses(groups: dict[tuple, list[dict]]) -> list[str]:
+    """For each place how many modes of peers are dominated, and the losses, the greatest first."""
+    counts: dict[str, list[int]] = {}
+    lost = []
+    for (scene, *place), group in groups.items():
+        ours, peers = split(group)
+        for peer in peers:
+            is_won = is_matched(peer, ours)
+            won, all_ = counts.setdefault(_place(place), [0, 0])
+            counts[_place(place)] = [won + is_won, all_ + 1]
+            if not is_won:
+                bar = ERROR_NOISE * max(rows.error_of(peer), FLOOR)
+                good = [row["ms"] for row in ours if rows.error_of(row) <= bar]
+                size = min(good, default=math.inf) / peer["ms"]
+                lost.append((size, f"- {scene}, {_place(place)}: {loss_of(ours)(peer)}"))
+    lines = [
+        f"- **{where}: {won} of {total}** modes of peers are dominated by some mode of tai: at "
+        "least as fast, and as exact."
+        for where, (won, total) in counts.items()
+    ]
+    lost.sort(key=lambda entry: -entry[0])
+    lines += ["", "The losses:", ""] if lost else []
+    lines += [text for _, text in lost[:MOST_LOSSES]]
+    if len(lost) > MOST_LOSSES:
+        lines.append(f"- and {len(lost) - MOST_LOSSES} more, on the pages of scenes")
+    return lines or ["No peer was measured."]
 
 
 def prices(groups: dict[tuple, list[dict]]) -> list[str]:
     """The cost and the gain of each mode next to f32, over all scenes."""
     lines = ["| mode | time next to f32 | error next to f32 | for what |", "|---|---|---|---|"]
     for name in ORDER:
-        slower, worse = [], []
+        slower, worse, overflows = [], [], 0
         for group in groups.values():
             ours = {row["mode"]: row for row in split(group)[0]}
             if name in ours and "f32" in ours:
                 slower.append(ours[name]["ms"] / ours["f32"]["ms"])
                 pair = [rows.error_of(ours[key]) for key in (name, "f32")]
-                if all(math.isfinite(e) for e in pair):
+                if not pair[0] <= OVERFLOW:
+                    overflows += 1
+                elif pair[1] <= OVERFLOW:
                     worse.append(max(pair[0], LEAST) / max(pair[1], LEAST))
         if slower:
             time, error = (statistics.geometric_mean(x) for x in (slower, worse or [1.0]))
             spread = f"{min(slower):.2g} to {max(slower):.2g}"
-            about = f"{time:.2f} ({spread}) | {error:.2g} ({min(worse):.1g} to {max(worse):.1g})"
+            about = f"{time:.2f} ({spread}) | {error:.2g}"
+            about += f" ({min(worse):.1g} to {max(worse):.1g})" if worse else ""
+            about += f", overflow in {overflows}" if overflows else ""
             lines.append(f"| {name} | {about} | {modes.ABOUT[name]} |")
         else:
             lines.append(f"| {name} | not measured | | {modes.ABOUT[name]} |")
@@ -169,36 +258,44 @@ def trouble(found: list[dict]) -> list[str]:
 
 
 def bars(found: list[dict]) -> list[str]:
-    """The gates' outcomes for CPUs and for each card, and all that breaks one."""
+    """The bars, and how many figures keep each, on CPUs and on each card."""
     places: dict[str, list[dict]] = {}
     for row in found:
         where = place_of(row["machine"], row["arch"])
         places.setdefault(where, []).append(row)
-    lines = ["| bar | where | measured | outcome |", "|---|---|---|---|"]
-    for where, mine in places.items():
-        for gate in gates.judge(mine):
-            broken = "; ".join(gate.broken)
-            outcome = f"fails: {broken}" if broken else gate.outcome
-            lines.append(f"| {gate.name} | {where} | {len(gate.found)} | {outcome} |")
+    judged = {where: gates.judge(mine) for where, mine in places.items()}
+    lines = [f"| bar, kept by (of) | {' | '.join(judged)} |", f"|---|{'---|' * len(judged)}"]
+    for several in zip(*judged.values(), strict=True):
+        cells = [
+            f"{len(gate.found) - len(gate.broken)} ({len(gate.found)})" if gate.found else "–"
+            for gate in several
+        ]
+        lines.append(f"| {several[0].name} | {' | '.join(cells)} |")
     return lines
 
 
 INTRODUCTION = """
     How long an iteration takes (forward and backward) and how far its loss and its gradient are
-    off, for each mode of numbers, on the examples at small sizes and on single kernels. This page
-    is written by `make bench-error`; `make bench-error ARGS=--quick` takes ten minutes. The
-    initial values of fields are numbers of f32 in all modes: the error is that of computing.
-    Scenes are compared with f64 and deterministic sums, which at a tiny size agrees with numbers of
-    50 digits (`benchmarks/error/exact.py`); kernels with sums that are rounded once and with
-    80-bit floats."""
+    off, for each mode of numbers, on the examples at small sizes and on single kernels.
+    `make bench-error` writes this page, the pages of scenes, and each sentence with a figure."""
+
+METHOD = """
+    Each row is a process of its own. The initial values of fields are numbers of f32 in all modes:
+    the error is that of computing, of the loss or the gradient (L2), whichever is greater. Kernels
+    are compared with sums that are rounded once and with 80-bit floats; scenes with tai in f64
+    and deterministic sums, which at a tiny size agrees with numbers of 50 digits within 1e-11
+    (`benchmarks/error/exact.py`), so an error below that says nothing of a scene. Times are medians
+    with the 10th and the 90th percentile; of modes whose times overlap, the simplest counts as the
+    fastest. Errors below 1e-15 are equal, and so are those that differ by less than 5 %. A greater
+    error than 1000 is an overflow, and in no average. `make bench-error-gate` compares two
+    commits."""
 
 HINT = """
     Rows of a size other than full were measured in a hurry, several at a time: their errors hold,
-    their times are a hint, and the marks that rest on them as well."""
+    their times are a hint, and so is all that rests on them."""
 
-BARS = """
-    `benchmarks/error/gates.py` checks these bars on the figures. Times are the least of the runs,
-    and each is compared with the other mode's of the same run."""
+MIXED = """
+    **These rows are of several commits**: next to a row of another commit, a time is a hint."""
 
 CARDS = """
     Rows of one card may be of several machines that have it; the cost of
@@ -217,6 +314,14 @@ def text_of(found: list[dict], pictures: Iterable[Path]) -> str:
     apart = groups_of(found)
     groups = merged(apart)
     lines = ["# Run time against error", "", *_wrapped(INTRODUCTION), ""]
+    lines += ["## Which mode for my error?", ""]
+    lines += _wrapped(
+        "In how many scenes each mode is the fastest of tai within an error (four modes at most). "
+        "[ti.solve_to](../guides/solve-to.md) chooses for a program and an error."
+    )
+    lines += ["", *choices(groups), "", "## The cost of a mode", "", *prices(apart), ""]
+    lines += ["## Where do we lose?", "", *losses(groups), "", "### Bars", "", *bars(found), ""]
+    lines += ["## How was it measured?", "", *_wrapped(METHOD), ""]
     for machine in dict.fromkeys(row["machine"] for row in found):
         mine = [row for row in found if row["machine"] == machine]
         systems = {f"{r['system']} {r['version']}" for r in mine if r["version"]}
@@ -224,44 +329,40 @@ def text_of(found: list[dict], pictures: Iterable[Path]) -> str:
         sizes = ", ".join(sorted({r["size"] for r in mine}))
         text = f"- {machine}; size {sizes}; tai at {gits}; {', '.join(sorted(systems))}"
         lines += textwrap.wrap(text, 110, subsequent_indent="  ")
+    if len({row["git"] for row in found if row["system"] == modes.OURS}) > 1:
+        lines += ["", *_wrapped(MIXED)]
     if any(row["size"] != "full" for row in found):
         lines += ["", *_wrapped(HINT)]
     if any(row["arch"] == "cuda" for row in found):
         lines += ["", *_wrapped(CARDS)]
-    lines += ["", "## Which mode for what", "", *prices(apart), ""]
-    lines += _wrapped("The fastest mode of tai whose error stays below a bound:")
-    lines += ["", f"| scene | {' | '.join(f'{t:.0e}' for t in TARGETS)} |"]
-    lines += [f"|---|{'---|' * len(TARGETS)}"]
-    for (scene, *place), group in groups.items():
-        lines.append(f"| {scene} ({_place(place)}) | {' | '.join(choice(group))} |")
-    lines += ["", "## Against peers", ""]
-    alone = []
-    for (scene, *place), group in groups.items():
-        where = f"{scene} ({_place(place)})"
-        if split(group)[1]:
-            lines += textwrap.wrap(f"- {where}: {verdict(group)}", 110, subsequent_indent="  ")
-        else:
-            alone.append(where)
-    if alone:
-        text = f"- No peer was measured: {', '.join(alone)}."
-        lines += textwrap.wrap(text, 110, subsequent_indent="  ")
-    lines += ["", "## Bars", "", *_wrapped(BARS), "", *bars(found)]
-    fast = speed_and_digits(groups)
-    if fast:
-        lines += ["", "## What fast maths buys, and what it loses", "", *fast]
-    lines += ["", "## Time against error", ""]
-    lines += _wrapped(
-        "Filled marks are modes of tai, and the line joins those that no other mode of tai "
-        "dominates; hollow marks are peers. An error of 0 is drawn at 1e-17."
-    )
-    for path in pictures:
-        lines += ["", f"![{path.stem}](pictures/{path.name})"]
-    lines += ["", "## All figures", "", *_wrapped(LEGEND)]
-    for (scene, *place), group in groups.items():
-        lines += ["", f"### {scene}, {_place(place)}", "", *table(group)]
+    scenes = list(dict.fromkeys(key[0] for key in groups))
+    text = ", ".join(f"[{scene}]({FOLDER}/{scene}.md)" for scene in scenes)
+    lines += ["", *_wrapped(f"Figures of each scene: {text}.")]
+    drawn = ", ".join(f"[{path.stem}](pictures/{path.name})" for path in pictures)
+    if drawn:
+        lines += ["", *_wrapped(f"Pictures of all scenes: {drawn}.")]
     failures = trouble(found)
     if failures:
-        lines += ["", "## What could not be measured", "", *failures]
+        lines += ["", "Not measured:", "", *failures[:8]]
+    assert len(lines) <= 150, f"the page has {len(lines)} lines"
+    return "\n".join(lines) + "\n"
+
+
+def scene_text(scene: str, groups: dict[tuple, list[dict]]) -> str:
+    """The page of a scene: its fastest modes, peers, and all figures."""
+    lines = [f"# Run time against error: {scene}", "", *_wrapped(LEGEND), ""]
+    lines += [f"| where | {' | '.join(f'{t:.0e}' for t in TARGETS)} |"]
+    lines += [f"|---|{'---|' * len(TARGETS)}"]
+    mine = {tuple(place): group for (name, *place), group in groups.items() if name == scene}
+    for place, group in mine.items():
+        lines.append(f"| {_place(place)} | {' | '.join(choice(group))} |")
+    for place, group in mine.items():
+        has_peers = bool(split(group)[1])
+        said = verdict(group) if has_peers else "No peer was measured."
+        lines += ["", f"## {_place(place)}", "", *_wrapped(said), "", *table(group)]
+    fast = speed_and_digits({key: group for key, group in groups.items() if key[0] == scene})
+    if fast:
+        lines += ["", "## Fast maths, and the digits that it loses", "", *fast]
     return "\n".join(lines) + "\n"
 
 
@@ -388,4 +489,9 @@ def write(files: list[Path], kept: bool, work: Path) -> str:
     pictures = draw(found, folder)
     path = PAGE if kept else work / "accuracy.md"
     path.write_text(text_of(found, pictures))
+    groups = merged(groups_of(found))
+    pages = path.parent / FOLDER
+    pages.mkdir(exist_ok=True)
+    for scene in dict.fromkeys(key[0] for key in groups):
+        (pages / f"{scene}.md").write_text(scene_text(scene, groups))
     return f"{path}, {', '.join(p.name for p in pictures) or 'no pictures: no matplotlib'}"

@@ -203,7 +203,7 @@ def shown(row: dict) -> str:
     )
 
 
-def page_of(rows: list[dict], machine: str, size: str) -> str:
+def page_of(rows: list[dict], machine: str, size: str, has_picture: bool) -> str:
     """The page: each sentence with a figure is made of the rows."""
     done = [row for row in rows if "refused" not in row]
     above = [row for row in done if row["true"] > row["asked"]]
@@ -236,18 +236,22 @@ def page_of(rows: list[dict], machine: str, size: str) -> str:
             else "."
         ),
         "",
-        f"![asked and true errors](pictures/{PICTURE.name})",
-        "",
+        *([f"![asked and true errors](pictures/{PICTURE.name})", ""] if has_picture else []),
         HEAD,
         *map(shown, rows),
     ]
     return "\n".join(lines) + "\n"
 
 
-def draw(rows: list[dict], path: Path) -> None:
-    """A panel for each scene: the asked error against the true one, and its time."""
-    import matplotlib
+def draw(rows: list[dict], path: Path) -> bool:
+    """A panel for each scene: the asked error against the true one, and its time.
 
+    Returns whether there is a picture: none without matplotlib.
+    """
+    try:
+        import matplotlib
+    except ImportError:
+        return False
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
@@ -277,12 +281,13 @@ def draw(rows: list[dict], path: Path) -> None:
                     fontsize=9)  # fmt: skip
     figure.savefig(path, dpi=90)
     pyplot.close(figure)
+    return True
 
 
 def main() -> int:
     import cases
+    import harness
     import programs
-    import run
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     names = [*cases.NAMES, *programs.PROGRAMS]
@@ -327,8 +332,8 @@ def main() -> int:
                     print(shown(row), flush=True)
     if args.write:
         TABLE.write_text(json.dumps({"size": args.size, "rows": rows}, indent=1) + "\n")
-        draw(rows, PICTURE)
-        PAGE.write_text(page_of(rows, f"{run.processor()}, {run.cores()} cores", args.size))
+        has_picture = draw(rows, PICTURE)
+        PAGE.write_text(page_of(rows, harness.machine(), args.size, has_picture))
     failed = [row for row in rows if verdict(row).startswith("FAILS")]
     for row in failed:
         print(f"{row['scene']} {row['asked']:.0e}: {verdict(row)}", file=sys.stderr)

@@ -10,10 +10,12 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks" / "error"))
 
+import compare
 import gates
 import modes
 import page
 import rows as table
+import solve_to
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "benchmarks" / "error"
@@ -67,10 +69,16 @@ def test_the_page_says_what_was_measured(run):
     folder, rows, _ = run
     text = (folder / "work" / "accuracy.md").read_text()
     for row in rows:
-        assert f"| tai, {row['mode']} | {float(row['ms']):.3g} |" in text
+        of_scene = (folder / "work" / "accuracy" / "sin.md").read_text()
+        assert f"| tai, {row['mode']} | {float(row['ms']):.3g} |" in of_scene
+    assert "No peer was measured." in of_scene
     assert "| f32 strict | not measured | |" in text
-    assert "No peer was measured: sin (one thread)." in text
-    assert "| finite in, finite out | " in text
+    assert "No peer was measured." in text
+    assert "| finite in, finite out | 2 (2) |" in text
+    assert "[sin](accuracy/sin.md)" in text
+    questions = [line for line in text.splitlines() if line.startswith("## ")]
+    assert len(questions) == 4
+    assert len(text.splitlines()) <= 150
     picture = folder / "work" / "accuracy-cpu-1-tiny.png"
     assert picture.read_bytes().startswith(b"\x89PNG") or "no pictures" in text
 
@@ -116,6 +124,120 @@ def test_rows_of_a_card_from_two_machines(run):
     assert times == {"f32": 1.0, "f64": 1.0, "f64 compensated": 1.0, "f16 storage": 5.0}
     outcome = {gate.name: gate.found for gate in gates.judge(found)}
     assert len(outcome["compensated sums cost at most 30 %"]) == 1
+
+
+def peer_row(row, **more):
+    return dict(row, system="jax", mode="f64") | more
+
+
+def test_a_peer_is_dominated_but_for_noise(run):
+    """At least as fast, and as exact: errors below a floor, and a few per cent, are equal."""
+    (base, *_) = table.read(run[0] / "rows.csv")
+    ours = [base | {"ms": 1.0, "p10": 0.9, "p90": 1.1, "loss_rel": 0.0, "grad_rel": 9e-16}]
+    same = {"ms": 1.0, "p10": 0.9, "p90": 1.1, "loss_rel": 0.0}
+    assert page.is_matched(peer_row(base, **same, grad_rel=0.0), ours)
+    ours[0]["grad_rel"] = 1.04e-7
+    assert page.is_matched(peer_row(base, **same, grad_rel=1e-7), ours)
+    assert not page.is_matched(peer_row(base, **same, grad_rel=0.9e-7), ours)
+    assert not page.is_matched(peer_row(base, **same, grad_rel=1e-7) | {"ms": 0.9}, ours)
+    text = page.loss_of(ours)(peer_row(base, **same, grad_rel=1e-7) | {"ms": 0.5, "p90": 0.6})
+    assert text.endswith("takes 2.00 times as long)")
+
+
+def test_the_fastest_mode_is_faster_than_the_spread(run):
+    (base, *_) = table.read(run[0] / "rows.csv")
+    row = base | {"loss_rel": 0.0, "grad_rel": 1e-8, "p10": 0.9, "p90": 1.1}
+    group = [row | {"mode": "f32 ftz", "ms": 0.98}, row | {"mode": "f32", "ms": 1.0}]
+    assert page.fastest(group, 1e-4)["mode"] == "f32"
+    group[0] |= {"ms": 0.5, "p10": 0.4, "p90": 0.6}
+    assert page.fastest(group, 1e-4)["mode"] == "f32 ftz"
+    assert page.fastest(group, 1e-9) is None
+
+
+def test_losses_of_range_are_in_no_average(run):
+    (base, *_) = table.read(run[0] / "rows.csv")
+    found = [base | {"mode": "f32", "grad_rel": 1e-7, "loss_rel": 0.0},
+             base | {"mode": "f16 storage", "grad_rel": 1e35, "loss_rel": 0.0}]  # fmt: skip
+    lines = page.prices(page.groups_of(found))
+    (line,) = [line for line in lines if line.startswith("| f16 storage")]
+    assert "overflow in 1" in line and "e+35" not in line
+
+
+# Two builds
+
+
+def side(ms, error, count=5, **more):
+    rows = [{"status": "ok", "ms": ms * (1 + 0.001 * k), "loss_rel": 0.0, "grad_rel": error}
+            for k in range(count)]  # fmt: skip
+    return [row | more for row in rows]
+
+
+@pytest.mark.parametrize(
+    "base, new, outcome",
+    [
+        (side(1, 1e-7), side(1.04, 1e-7), "ok"),
+        (side(1, 1e-7), side(1.06, 1e-7), "FAILS"),
+        (side(1, 1e-7), side(0.5, 3e-7), "ok"),
+        (side(1, 1e-7), side(0.5, 3.3e-7), "FAILS"),
+        (side(1, 1e-17), side(1, 9e-16), "ok"),
+        (side(1, 1e-7), side(1, float("nan")), "FAILS"),
+        (side(1, 1e-7), side(1, 1e-7, status="failed", reason="why"), "FAILS"),
+        (side(1, 1e-7, 1), side(2, 1e-7, 1), "not judged"),
+    ],
+)
+def test_two_builds_are_judged(base, new, outcome):
+    assert compare.judge(base, new)[0] == outcome
+
+
+def test_a_slow_build_within_the_spread_is_none():
+    """A median that is greater by chance: the quartiles overlap."""
+    base = [row for ms in (1.0, 1.3, 1.0, 1.3, 1.0) for row in side(ms, 1e-7, 1)]
+    new = [row for ms in (1.2, 1.0, 1.2, 1.2, 1.0) for row in side(ms, 1e-7, 1)]
+    assert compare.judge(base, new)[0] == "ok"
+
+
+def test_a_build_against_itself():
+    done = start("compare.py", ROOT, "--scenes", "sin", "--modes", "f32", "--size", "tiny",
+                 "--rounds", "2")  # fmt: skip
+    assert "sin, f32: error" in done.stdout, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    "options, text",
+    [
+        (["nowhere"], "is no checkout of tai"),
+        ([ROOT, "--scenes", "sinus"], "unknown scene 'sinus'"),
+        ([ROOT, "--modes", "f31"], "unknown mode 'f31'"),
+    ],
+)
+def test_two_builds_of_nothing(options, text):
+    done = start("compare.py", *options)
+    assert done.returncode == 2 and text in done.stderr
+
+
+# An error that is asked for
+
+
+@pytest.mark.parametrize(
+    "change, outcome",
+    [
+        ({}, "in the band"),
+        ({"true": 1.01e-4}, "FAILS: more error than asked"),
+        ({"iterations": 21}, "FAILS: iterations"),
+        ({"ratio": 1.21}, "FAILS: slower than the best"),
+        ({"true": 4e-6}, "no cheaper mode"),
+        ({"true": 4e-6, "modes": {"steps": 4}}, "FAILS: room is left"),
+        ({"refused": "why"}, "refused"),
+    ],
+)
+def test_choices_are_judged(change, outcome):
+    row = {"true": 5e-5, "asked": 1e-4, "iterations": 20, "ratio": 1.2, "modes": {}}
+    assert solve_to.verdict(row | change) == outcome
+
+
+def test_choices_of_nothing():
+    done = start("solve_to.py", "--scenes", "wavy")
+    assert done.returncode == 2 and "unknown scene 'wavy'" in done.stderr
 
 
 # Gates
