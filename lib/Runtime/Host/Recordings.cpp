@@ -63,6 +63,16 @@ void Recordings::end(Recorder &tape) {
   state.endSpecial();
 }
 
+std::shared_ptr<const KnownPlan> Recordings::knownPlan() const {
+  std::lock_guard<std::mutex> lock(tapesMutex);
+  return lastPlan;
+}
+
+void Recordings::setKnownPlan(std::shared_ptr<const KnownPlan> plan) {
+  std::lock_guard<std::mutex> lock(tapesMutex);
+  lastPlan.swap(plan);
+}
+
 void Recordings::add(Recorder &tape) {
   std::lock_guard<std::mutex> lock(tapesMutex);
   tapes.push_back(&tape);

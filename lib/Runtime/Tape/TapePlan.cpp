@@ -45,7 +45,7 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
   if (!kernel.differentiable())
     return Decision::SkipNoDerivative;
   auto skip = [&](Decision decision) {
-    return prunes ? decision : Decision::Unpruned;
+    return inputs.prunes ? decision : Decision::Unpruned;
   };
   const CallerAdjoints &caller = kernel.callerAdjoints();
   if (!live.isWritten(record) && !caller.hasSources())
@@ -91,29 +91,42 @@ void TapePlan::findUnwanted(const TapeRecording &recording,
 
 void TapePlan::make(const TapeServices &services,
                     const TapeRecording &recording, std::vector<Field *> seeded,
-                    const std::vector<FieldPtr> &wanted) {
-  plannedEpoch = services.epoch();
-  plannedLive = std::move(seeded);
-  prunes = services.skips(Skip::DeadLaunches);
-  decisions.assign(recording.size(), Decision::SkipUnreached);
-  needed.clear();
+                    const std::vector<FieldPtr> &asked) {
+  std::vector<FieldPtr> wanted;
+  if (services.skips(Skip::UnwantedGradients))
+    wanted = asked;
+  inputs = {services.epoch(), std::move(seeded), {}, true};
+  inputs.prunes = services.skips(Skip::DeadLaunches);
+  for (const FieldPtr &field : wanted)
+    inputs.wanted.push_back(field.get());
   for (const KernelPtr &kernel : recording.kernels())
     // A tree that has gone is an error when the kernel is launched.
-    (void)TapedKernel::bind(*kernel, plannedEpoch);
-  overwrites = findOverwrites(recording);
-  findUnwanted(recording, services.skips(Skip::UnwantedGradients)
-                              ? wanted
-                              : std::vector<FieldPtr>());
+    (void)TapedKernel::bind(*kernel, inputs.epoch);
+  std::shared_ptr<const KnownPlan> known = services.knownPlan();
+  if (known && known->find(recording, inputs, results))
+    return;
+  results = {};
+  results.overwrites = findOverwrites(recording);
+  findUnwanted(recording, wanted);
+  decideAll(recording);
+  if (std::shared_ptr<const KnownPlan> made =
+          KnownPlan::make(recording, inputs, results))
+    services.setKnownPlan(std::move(made));
+}
 
+/// From the last record to the first, with the adjoints that may be non-zero.
+void TapePlan::decideAll(const TapeRecording &recording) {
+  std::vector<Decision> &decisions = results.decisions;
+  decisions.assign(recording.size(), Decision::SkipUnreached);
   LiveSlabs live(recording);
-  for (const Field *field : plannedLive)
+  for (const Field *field : inputs.live)
     live.add(*field);
   for (size_t i = recording.size(); i-- > 0;) {
     decisions[i] = decide(recording, i, live);
     if (decisions[i] == Decision::Callback)
       live.addAll();
     if (isReplayed(decisions[i]))
-      needed.push_back(static_cast<uint32_t>(i));
+      results.needed.push_back(static_cast<uint32_t>(i));
     if (decisions[i] == Decision::Replay)
       live.pass(recording[i], zeroesAt(i));
     if (decisions[i] == Decision::Overwrite &&
@@ -123,22 +136,22 @@ void TapePlan::make(const TapeServices &services,
 }
 
 void TapePlan::decideAgain(const TapeRecording &recording, size_t index) {
-  decisions[index] = decide(recording, index, DirtyAdjoints());
+  results.decisions[index] = decide(recording, index, DirtyAdjoints());
 }
 
 bool TapePlan::replaysAny() const {
-  return std::any_of(decisions.begin(), decisions.end(), [](Decision decision) {
+  return std::any_of(results.decisions.begin(), results.decisions.end(), [](Decision decision) {
     return decision == Decision::Replay;
   });
 }
 
 int64_t TapePlan::numUnwanted() const {
-  return std::count(decisions.begin(), decisions.end(), Decision::SkipUnwanted);
+  return std::count(results.decisions.begin(), results.decisions.end(), Decision::SkipUnwanted);
 }
 
 int64_t TapePlan::numSkipped() const {
   return std::count_if(
-      decisions.begin(), decisions.end(), [](Decision decision) {
+      results.decisions.begin(), results.decisions.end(), [](Decision decision) {
         return !isReplayed(decision) && decision != Decision::Callback;
       });
 }

@@ -17,24 +17,13 @@
 #define TAI_LIB_RUNTIME_TAPE_TAPEPLAN_H
 
 #include "Overwrites.h"
-#include "TapeRecording.h"
-#include "TapeServices.h"
+#include "KnownPlan.h"
 
 namespace mlir::tai::runtime {
 
 class TapePlan {
 public:
-  enum class Decision : uint8_t {
-    Replay,
-    SkipNoDerivative, // the kernel has no derivative
-    SkipUnreached,    // changes no field with a live adjoint
-    SkipNoEffect,     // reads no field with an adjoint, overwrites none
-    SkipUnwanted,     // leads to no gradient that is wanted
-    Callback,
-    SkipCallback, // nothing to call in reverse
-    Unpruned,     // replayed although it has no effect: pruning is off
-    Overwrite // a write of the host: the adjoint of its elements becomes zero
-  };
+  using Decision = PlanDecision;
   static bool isReplayed(Decision decision) {
     return decision == Decision::Replay || decision == Decision::Overwrite ||
            decision == Decision::Unpruned;
@@ -47,19 +36,19 @@ public:
             std::vector<Field *> live, const std::vector<FieldPtr> &wanted);
   /// Whether there are decisions for these records, valid or not.
   bool isMade(const TapeRecording &recording) const {
-    return decisions.size() == recording.size();
+    return results.decisions.size() == recording.size();
   }
   /// Whether they are valid for this epoch of the storage and these adjoints.
   bool holds(const TapeRecording &recording, uint64_t epoch,
              const std::vector<Field *> &live) const {
-    return isMade(recording) && plannedEpoch == epoch && plannedLive == live;
+    return isMade(recording) && inputs.epoch == epoch && inputs.live == live;
   }
   /// Decides on a record again, from the adjoints that are dirty now.
   void decideAgain(const TapeRecording &recording, size_t index);
 
-  Decision operator[](size_t index) const { return decisions[index]; }
+  Decision operator[](size_t index) const { return results.decisions[index]; }
   /// The replayed records, from last to first.
-  const std::vector<uint32_t> &replayed() const { return needed; }
+  const std::vector<uint32_t> &replayed() const { return results.needed; }
   bool replaysAny() const;
   int64_t numSkipped() const;
   int64_t numUnwanted() const;
@@ -70,9 +59,13 @@ public:
   }
   /// Whether the adjoint of a record must zero the adjoints of overwritten
   /// elements.
-  bool zeroesAt(size_t index) const { return overwrites.isRepeated[index]; }
+  bool zeroesAt(size_t index) const {
+    return results.overwrites.isRepeated[index];
+  }
   /// Elements whose adjoints are zero after the sweep.
-  const Overwrites::Zeros &zerosAfter() const { return overwrites.storedOnce; }
+  const Overwrites::Zeros &zerosAfter() const {
+    return results.overwrites.storedOnce;
+  }
 
 private:
   template <typename Live>
@@ -81,9 +74,8 @@ private:
 
   void findUnwanted(const TapeRecording &recording,
                     const std::vector<FieldPtr> &wanted);
+  void decideAll(const TapeRecording &recording);
 
-  std::vector<Decision> decisions;
-  std::vector<uint32_t> needed;
   /// By record: how the launch matters for wanted gradients.
   enum class Interest : uint8_t {
     Leads, // it reads values that depend on wanted fields
@@ -91,11 +83,9 @@ private:
     None
   };
   std::vector<Interest> interests;
-  Overwrites overwrites;
   /// The state for which the decisions are valid.
-  std::vector<Field *> plannedLive;
-  uint64_t plannedEpoch = 0;
-  bool prunes = true;
+  PlanInputs inputs;
+  PlanResults results;
 };
 
 } // namespace mlir::tai::runtime

@@ -55,23 +55,23 @@ void TapeRecording::addCallback(TapeCallback callback, uint64_t start,
   }
   if (next > firstLaunch)
     lastLaunch = next - 1 - firstLaunch;
-  records.push_back(
+  all.records.push_back(
       {nullptr, start - firstLaunch, callbacks.size(), Kind::Callback});
   callbacks.push_back(std::move(callback));
 }
 
 void TapeRecording::addWrite(std::unique_ptr<Write> write) {
-  records.push_back({nullptr, 0, writes.size(), Kind::Write});
+  all.records.push_back({nullptr, 0, writes.size(), Kind::Write});
   writes.push_back(std::move(write));
 }
 
 std::vector<FieldOverwrite> TapeRecording::overwrites() const {
   std::vector<FieldOverwrite> result;
   std::unordered_map<const Field *, int64_t> lastUse;
-  for (size_t i = 0; i < records.size(); ++i) {
-    if (!records[i].kernel)
+  for (size_t i = 0; i < size(); ++i) {
+    if (!all.records[i].kernel)
       continue;
-    const std::vector<Access> &summary = records[i].kernel->summary();
+    const std::vector<Access> &summary = all.records[i].kernel->summary();
     for (const Access &access : summary) {
       if (access.kind != AccessKind::Write)
         continue;
@@ -84,6 +84,15 @@ std::vector<FieldOverwrite> TapeRecording::overwrites() const {
       lastUse[access.field.get()] = static_cast<int64_t>(i);
   }
   return result;
+}
+
+bool TapeRecording::Launches::operator==(const Launches &other) const {
+  return slots == other.slots && records.size() == other.records.size() &&
+         std::equal(records.begin(), records.end(), other.records.begin(),
+                    [](const Record &one, const Record &two) {
+                      return one.kernel == two.kernel &&
+                             one.payload == two.payload && one.kind == two.kind;
+                    });
 }
 
 std::string TapeRecording::describe(const Record &record) const {

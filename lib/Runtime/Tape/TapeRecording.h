@@ -30,18 +30,30 @@ public:
     uint64_t payload; // first argument slot, or number of callback or write
     Kind kind = Kind::Launch;
   };
+  /// The records with the arguments of all launches.
+  struct Launches {
+    std::vector<Record> records;
+    std::vector<uint64_t> slots;
 
-  size_t size() const { return records.size(); }
-  bool empty() const { return records.empty(); }
-  const Record &operator[](size_t index) const { return records[index]; }
-  std::vector<Record>::const_iterator begin() const { return records.begin(); }
-  std::vector<Record>::const_iterator end() const { return records.end(); }
+    /// Whether these are the same kernels with the same arguments, whatever the
+    /// numbers of the launches; for recordings of launches only.
+    bool operator==(const Launches &other) const;
+  };
+  const Launches &launches() const { return all; }
+
+  size_t size() const { return all.records.size(); }
+  bool empty() const { return all.records.empty(); }
+  const Record &operator[](size_t index) const { return all.records[index]; }
+  std::vector<Record>::const_iterator begin() const {
+    return all.records.begin();
+  }
+  std::vector<Record>::const_iterator end() const { return all.records.end(); }
   /// The number of the next record.
-  uint32_t next() const { return static_cast<uint32_t>(records.size()); }
+  uint32_t next() const { return static_cast<uint32_t>(all.records.size()); }
 
   /// The arguments and the number of a launch.
   const uint64_t *args(const Record &record) const {
-    return slots.data() + record.payload;
+    return all.slots.data() + record.payload;
   }
   uint64_t number(const Record &record) const {
     return firstLaunch + record.launch;
@@ -66,7 +78,7 @@ public:
   /// Whether a record before this one is a launch.
   bool launchesBefore(size_t index) const {
     return std::any_of(
-        records.begin(), records.begin() + static_cast<ptrdiff_t>(index),
+        begin(), begin() + static_cast<ptrdiff_t>(index),
         [](const Record &record) { return record.kind == Kind::Launch; });
   }
 
@@ -81,8 +93,8 @@ public:
       firstLaunch = number;
     }
     lastLaunch = number - firstLaunch;
-    records.push_back({&kernel, lastLaunch, slots.size()});
-    slots.insert(slots.end(), args, args + kernel.tapeSlots());
+    all.records.push_back({&kernel, lastLaunch, all.slots.size()});
+    all.slots.insert(all.slots.end(), args, args + kernel.tapeSlots());
   }
   /// `start`: the number of its first launch (or the number that it would
   /// have). `next`: the number of the next launch.
@@ -107,8 +119,7 @@ public:
   void renumber(uint64_t first) { firstLaunch = first; }
 
 private:
-  std::vector<Record> records;
-  std::vector<uint64_t> slots;
+  Launches all;
   std::vector<TapeCallback> callbacks;
   std::vector<std::unique_ptr<Write>> writes;
   std::vector<KernelPtr> kept;

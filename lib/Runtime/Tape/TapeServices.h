@@ -134,6 +134,13 @@ public:
   template <typename Body> void forEachKernel(const Body &body) const {
     runtime.launcher().kernels().forEach(body);
   }
+  /// The last plan of a sweep; null if it may not be used again.
+  std::shared_ptr<const KnownPlan> knownPlan() const {
+    return runtime.recordings().knownPlan();
+  }
+  void setKnownPlan(std::shared_ptr<const KnownPlan> plan) const {
+    runtime.recordings().setKnownPlan(std::move(plan));
+  }
   /// True once for each sequence that is checked for lost gradients, and for
   /// each cut.
   bool isNewSequence(size_t hash) const {

@@ -309,6 +309,94 @@ TEST(TapePlan, SkipsWhatLeadsToNoWantedField) {
             (std::vector(3, Decision::Replay)));
 }
 
+// x[a] -> x[b], (a, b) by the arguments of each launch.
+TEST(TapePlan, IsUsedAgainForTheSameRecords) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y");
+  auto at = [](int64_t slot) {
+    return std::vector<FixedIndex>{FixedIndex{0, 0, {{slot, 64, 1}}}};
+  };
+  KernelPtr kernel = makeKernel(
+      scene.runtime, "k", neverCalled,
+      {{x, AccessKind::Read, at(0)}, {x, AccessKind::Write, at(1)}}, 2);
+  auto add = [&](TapeRecording &recording, uint64_t from, uint64_t to,
+                 uint64_t number) {
+    uint64_t args[] = {from, to};
+    recording.keep(*kernel);
+    recording.addLaunch(*kernel, args, number);
+  };
+  auto decide = [&](const TapeRecording &recording, std::vector<Field *> live,
+                    const std::vector<FieldPtr> &wanted = {}) {
+    TapePlan plan;
+    plan.make(scene.services, recording, std::move(live), wanted);
+    std::vector<Decision> decisions;
+    for (size_t i = 0; i < recording.size(); ++i)
+      decisions.push_back(plan[i]);
+    EXPECT_EQ(plan.replayed().size(),
+              static_cast<size_t>(std::count(
+                  decisions.begin(), decisions.end(), Decision::Replay)));
+    return decisions;
+  };
+  TapeRecording one, same, other;
+  add(one, 0, 1, 0);
+  add(one, 1, 1, 1);
+  add(same, 0, 1, 7);
+  add(same, 1, 1, 9);
+  add(other, 0, 1, 10);
+  add(other, 1, 2, 11);
+  std::vector<Decision> first = decide(one, {x.get()});
+  EXPECT_EQ(first, std::vector(2, Decision::Replay));
+  std::shared_ptr<const KnownPlan> known = scene.services.knownPlan();
+  ASSERT_TRUE(known);
+  auto isKnown = [&] {
+    bool result = scene.services.knownPlan() == known;
+    known = scene.services.knownPlan();
+    return result;
+  };
+  EXPECT_EQ(decide(same, {x.get()}), first);
+  EXPECT_TRUE(isKnown());
+  // Each of these is another plan.
+  EXPECT_EQ(decide(same, {y.get()}), std::vector(2, Decision::SkipUnreached));
+  EXPECT_FALSE(isKnown());
+  EXPECT_EQ(decide(same, {x.get()}, {y}),
+            std::vector(2, Decision::SkipUnwanted));
+  EXPECT_FALSE(isKnown());
+  EXPECT_EQ(decide(one, {x.get()}), first);
+  EXPECT_FALSE(isKnown());
+  (void)decide(other, {x.get()});
+  EXPECT_FALSE(isKnown());
+  // Storage of another field begins a new epoch.
+  FieldPtr z = scene.field("z");
+  (void)decide(other, {x.get()});
+  EXPECT_FALSE(isKnown());
+  (void)decide(other, {x.get()});
+  EXPECT_TRUE(isKnown());
+  // With host functions and writes, each sweep decides for itself.
+  other.addCallback({nullptr, [] { return Status::success(); }}, 12, 12);
+  (void)decide(other, {x.get()});
+  (void)decide(other, {x.get()});
+  EXPECT_TRUE(isKnown());
+}
+
+TEST(TapePlan, KeepsNoKernelForTheNextOne) {
+  Scene scene;
+  FieldPtr x = scene.field("x"), y = scene.field("y");
+  std::weak_ptr<Kernel> alive;
+  {
+    KernelPtr kernel =
+        makeKernel(scene.runtime, "k", neverCalled,
+                   {{x, AccessKind::Read}, {y, AccessKind::Write}});
+    alive = kernel;
+    TapeRecording recording;
+    recording.keep(*kernel);
+    recording.addLaunch(*kernel, nullptr, 0);
+    TapePlan plan;
+    plan.make(scene.services, recording, {y.get()}, {});
+    EXPECT_TRUE(scene.services.knownPlan());
+  }
+  EXPECT_TRUE(alive.expired());
+}
+
 TEST(Overwrites, TellsFixedIndicesApart) {
   Scene scene;
   FieldPtr x = scene.field("x"), y = scene.field("y");

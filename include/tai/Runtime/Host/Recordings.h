@@ -21,6 +21,8 @@
 
 namespace mlir::tai::runtime {
 
+class KnownPlan;
+
 class Recordings {
 public:
   Recordings(LaunchState &state, const TreeStore &store)
@@ -116,6 +118,10 @@ public:
   /// The same for the activity of cells of a tree.
   Status checkActivity(const Tree &tree) const;
 
+  /// The last plan that a tape of any thread has made, or null.
+  std::shared_ptr<const KnownPlan> knownPlan() const;
+  void setKnownPlan(std::shared_ptr<const KnownPlan> plan);
+
   /// Warnings about lost gradients that have been given, and hashes of the
   /// kernel sequences that have been checked.
   std::unordered_set<size_t> sequencesSeen;
@@ -152,6 +158,7 @@ private:
   /// are asked about values under it.
   std::vector<Recorder *> tapes;
   mutable std::mutex tapesMutex;
+  std::shared_ptr<const KnownPlan> lastPlan; // under the same mutex
   std::atomic<size_t> numTapes{0};
   std::atomic<uint64_t> stamps{0};
   Recorder *sweeper = nullptr;

@@ -18,7 +18,7 @@ using namespace mlir::tai::runtime;
 // Effects of launches on memory
 //===----------------------------------------------------------------------===//
 
-SlabRange TapeMemory::Use::locate(const uint64_t *args) const {
+SlabRange TapeMemory::Use::locateAny(const uint64_t *args) const {
   if (fixed.empty())
     return {};
   int64_t number = 0, located = 1;
@@ -78,6 +78,14 @@ TapeMemory::Use TapeMemory::makeUse(const Access &access) {
     use.ranges.push_back({access.field->firstIndex(dimension),
                           use.track->field->shape()[dimension]});
   }
+  if (use.fixed.size() == 1 && use.fixed[0].bits == 64 &&
+      use.fixed[0].terms.size() == 1) {
+    const FixedIndex &index = use.fixed[0];
+    auto shifted = static_cast<uint64_t>(index.constant) -
+                   static_cast<uint64_t>(use.ranges[0].first);
+    use.single = {index.terms[0], static_cast<int64_t>(shifted),
+                  use.ranges[0].count};
+  }
   return use;
 }
 
@@ -100,6 +108,7 @@ static void mergeSlabs(std::vector<TapeMemory::Use> &uses) {
     TapeMemory::Use merged = *whole;
     merged.fixed.clear();
     merged.ranges.clear();
+    merged.single = {};
     uses.erase(std::remove_if(uses.begin(), uses.end(),
                               [&, track = track](const TapeMemory::Use &use) {
                                 return use.track == track && use.isConstant();
@@ -359,6 +368,9 @@ void TapeMemory::notePeak() {
 }
 
 void TapeMemory::settle() {
+  // Most launches of most programs save nothing.
+  if (growing.empty() && unsettled == pieces.size() && !checkpoints)
+    return;
   keepZeros();
   if (checkpoints && checkpoints->count() > 0)
     checkpoints->settle();

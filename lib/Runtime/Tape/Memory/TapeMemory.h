@@ -50,8 +50,25 @@ public:
     /// launch.
     bool before = false;
 
+    /// The only fixed index, if it is an argument and a constant: it is found
+    /// in each launch without following pointers.
+    struct Single {
+      LaunchTerm term;
+      int64_t constant = 0, extent = -1;
+    } single;
+
     /// The slabs for these arguments, or all if they are not known.
-    SlabRange locate(const uint64_t *args) const;
+    SlabRange locate(const uint64_t *args) const {
+      if (single.extent != track->slabs.count())
+        return locateAny(args);
+      uint64_t position = static_cast<uint64_t>(single.constant) +
+                          static_cast<uint64_t>(single.term.getArgument(args)) *
+                              static_cast<uint64_t>(single.term.factor);
+      return position < static_cast<uint64_t>(single.extent)
+                 ? SlabRange::one(static_cast<int64_t>(position))
+                 : SlabRange();
+    }
+    SlabRange locateAny(const uint64_t *args) const;
     /// Whether they are the same slabs in all launches.
     bool isConstant() const {
       return std::all_of(
