@@ -18,14 +18,7 @@ using namespace mlir::tai::runtime;
 //===----------------------------------------------------------------------===//
 
 void Gradients::update() {
-  bool isSpecial = !owing.empty();
-  if (owesAny.load(std::memory_order_relaxed) == isSpecial)
-    return;
-  owesAny.store(isSpecial, std::memory_order_release);
-  if (isSpecial)
-    state.beginSpecial();
-  else
-    state.endSpecial();
+  owesAny.store(!owing.empty(), std::memory_order_release);
 }
 
 void Gradients::owe(const FieldPtr &adjoint,

@@ -308,6 +308,11 @@ Status Kernel::bind(uint64_t epoch) {
     if (field->adjoint() && access.kind == AccessKind::Write)
       addOnce(stored, field);
   }
+  bool uses = std::any_of(
+      info.summary.begin(), info.summary.end(),
+      [](const Access &access) { return access.field->isAdjoint(); });
+  if (usesAdjoints != uses)
+    usesAdjoints = uses;
   replace(bases, std::move(newBases));
   replace(sparseNodes, std::move(nodes));
   replace(loopLevels, std::move(levels));

@@ -81,11 +81,18 @@ static Gradients::Uses fieldsOf(const Kernel &kernel) {
 }
 
 void Launcher::settleZeros(const Kernel &kernel, const uint64_t *args) {
-  for (const Access &access : kernel.summary())
-    if (std::shared_ptr<const OwedZeros> zeros = access.field->owedZeros())
-      if (mayAlias(*zeros, access, args))
-        access.field->settleZeros();
-  parts.gradients.forgetSettled();
+  bool isSettled = false;
+  for (const Access &access : kernel.summary()) {
+    if (!access.field->owesZeros())
+      continue;
+    std::shared_ptr<const OwedZeros> zeros = access.field->owedZeros();
+    if (!zeros || !mayAlias(*zeros, access, args))
+      continue;
+    access.field->settleZeros();
+    isSettled = true;
+  }
+  if (isSettled)
+    parts.gradients.forgetSettled();
 }
 
 Status Launcher::checkHolds(const Kernel &kernel) const {
@@ -205,7 +212,7 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
     launch.unwanted.resize(static_cast<size_t>(kernel.resultSlots()));
     results = launch.unwanted.data();
   }
-  if (parts.gradients.areOwed())
+  if (kernel.usesAdjoints && parts.gradients.areOwed())
     settleZeros(kernel, args);
   launch.trees = kernel.bases.data();
   launch.loopTimes = &kernel.loopTimes;

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Most launches are of a kernel that was launched before, with the same storage
-// and no tape, profiler or forward mode. Their common data is kept with the
-// kernel, and one number tells whether it is still valid. On a device the
-// driver evicts most of the caches, so the number of cache lines that a launch
-// reads matters.
+// Most launches are of a kernel without gradients that was launched before,
+// with the same storage and no tape, profiler or forward mode. Their common
+// data is kept with the kernel, and one number tells whether it is still valid.
+// On a device the driver evicts most of the caches, so the number of cache
+// lines that a launch reads matters.
 //
 //===----------------------------------------------------------------------===//
 
@@ -122,7 +122,8 @@ void Launcher::prepare(Kernel &kernel) {
     return;
   Kernel::Lock lock(kernel.section);
   uint64_t before = prepared.state.load(std::memory_order_relaxed);
-  if (before == epoch)
+  // Zeros that its fields owe are stored in each launch.
+  if (before == epoch || kernel.usesAdjoints)
     return;
   PreparedLaunch made;
   if (parts.devices.isThere()) {

@@ -54,7 +54,7 @@ struct Hosted : Stored {
   DeviceHost devices{{printer, memory, skips, counters}};
   Recordings recordings{state, store};
   FieldCopies copies{workers, devices};
-  Gradients gradients{store, recordings, copies, state, skips, counters};
+  Gradients gradients{store, recordings, copies, skips, counters};
   HostWrites writes{store, memory, recordings, copies, devices};
 };
 

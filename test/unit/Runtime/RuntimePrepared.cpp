@@ -11,6 +11,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../../../lib/Runtime/Mirror/OwedZeros.h"
 #include "RuntimeTestUtils.h"
 #include "tai/Runtime/Device/Device.h"
 #include "tai/Runtime/Queue/DeviceQueue.h"
@@ -77,6 +78,31 @@ TEST(RuntimePrepared, MarksAdjointsOfLaterFields) {
   EXPECT_OK(add(runtime, *kernel, 1.0));
   EXPECT_TRUE(runtime.clearGradients());
   EXPECT_EQ(get(*g), 0.0);
+}
+
+// A kernel that uses a gradient stores the zeros that are owed there, at each
+// launch; any other one leaves them.
+TEST(RuntimePrepared, StoresTheZerosOfItsGradients) {
+  Runtime runtime;
+  FieldPtr y = makeField(runtime, "y", ScalarKind::F64, {});
+  FieldPtr g = makeField(runtime, "g", ScalarKind::F64, {});
+  FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {}, {}, "g");
+  KernelPtr onY = makeAdding(runtime, y);
+  KernelPtr onG = makeAdding(runtime, g);
+  for (int round = 0; round < 3; ++round) {
+    auto zeros = std::make_shared<OwedZeros>();
+    zeros->boxes.push_back({{}, {}});
+    runtime.oweZeros(g, zeros);
+    ASSERT_TRUE(g->owesZeros());
+    for (int i = 0; i < 4; ++i)
+      EXPECT_OK(add(runtime, *onY, 1.0));
+    EXPECT_TRUE(g->owesZeros());
+    EXPECT_OK(add(runtime, *onG, 2.0));
+    EXPECT_FALSE(g->owesZeros());
+    EXPECT_OK(add(runtime, *onG, 2.0));
+    EXPECT_EQ(get(*g), 4.0);
+  }
+  EXPECT_EQ(get(*y), 15.0);
 }
 
 TEST(RuntimePrepared, IsProfiledWhenAsked) {

@@ -23,10 +23,10 @@ namespace mlir::tai::runtime {
 class Gradients {
 public:
   Gradients(const TreeStore &store, const Recordings &recordings,
-            const FieldCopies &copies, LaunchState &state, const SkipSet &skips,
+            const FieldCopies &copies, const SkipSet &skips,
             SkipCounters &counters)
-      : store(store), recordings(recordings), copies(copies), state(state),
-        skips(skips), counters(counters) {}
+      : store(store), recordings(recordings), copies(copies), skips(skips),
+        counters(counters) {}
 
   /// Sets dirty adjoint fields to zero; in forward mode the tangents of
   /// adjoints too. For a tape, skips fields that another thread has written and
@@ -35,7 +35,8 @@ public:
   /// The same for tangents written by the calling thread.
   void clearTangents();
 
-  /// Defers storing zeros in an adjoint field until it is read.
+  /// Defers storing zeros in an adjoint field until it is read. Launches of
+  /// kernels that use no gradient go on as before.
   void owe(const FieldPtr &adjoint, std::shared_ptr<const OwedZeros> zeros);
   bool areOwed() const {
     return __builtin_expect(owesAny.load(std::memory_order_acquire), false);
@@ -57,7 +58,6 @@ private:
   const TreeStore &store;
   const Recordings &recordings;
   const FieldCopies &copies;
-  LaunchState &state;
   const SkipSet &skips;
   SkipCounters &counters;
   /// Never held while zeros are stored, which may wait for a device.

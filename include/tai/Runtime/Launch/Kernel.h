@@ -348,6 +348,8 @@ private:
   /// The epoch of the storage for which the tables are valid; 0 is never
   /// current.
   std::atomic<uint64_t> boundEpoch{0};
+  /// Whether it accesses an adjoint field, which may owe zeros.
+  bool usesAdjoints = false;
   /// Adjoint fields that a launch may change.
   std::vector<Field *> changedAdjoints;
   /// Fields whose adjoints its adjoint adds to (fields that it reads).

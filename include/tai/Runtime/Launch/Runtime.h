@@ -43,8 +43,7 @@ public:
         trees(account, state, {workerThreads, opts.skips, skipCounts}),
         deviceHost({printer, account, opts.skips, skipCounts}),
         tapes(state, trees), fieldCopies(workerThreads, deviceHost),
-        fieldGradients(trees, tapes, fieldCopies, state, opts.skips,
-                       skipCounts),
+        fieldGradients(trees, tapes, fieldCopies, opts.skips, skipCounts),
         hostWrites(trees, account, tapes, fieldCopies, deviceHost),
         launches(*this, {opts, trees, state, tapes, fieldGradients, fieldCopies,
                          deviceHost, skipCounts}) {
