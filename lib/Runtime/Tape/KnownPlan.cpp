@@ -9,9 +9,9 @@
 
 using namespace mlir::tai::runtime;
 
-std::shared_ptr<const KnownPlan>
-KnownPlan::make(const TapeRecording &recording, const PlanInputs &inputs,
-                const PlanResults &results) {
+std::shared_ptr<const KnownPlan> KnownPlan::make(const TapeRecording &recording,
+                                                 const PlanInputs &inputs,
+                                                 const PlanResults &results) {
   // Some 10 MB.
   constexpr size_t mostRecords = 1 << 18;
   if (!recording.onlyLaunches() || recording.size() > mostRecords)

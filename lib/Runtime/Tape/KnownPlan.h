@@ -65,6 +65,8 @@ public:
   bool find(const TapeRecording &recording, const PlanInputs &inputs,
             PlanResults &results) const;
 
+  const TapeRecording::Launches &getLaunches() const { return launches; }
+
 private:
   TapeRecording::Launches launches;
   std::vector<std::weak_ptr<Kernel>> kernels;

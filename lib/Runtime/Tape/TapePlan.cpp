@@ -140,18 +140,20 @@ void TapePlan::decideAgain(const TapeRecording &recording, size_t index) {
 }
 
 bool TapePlan::replaysAny() const {
-  return std::any_of(results.decisions.begin(), results.decisions.end(), [](Decision decision) {
-    return decision == Decision::Replay;
-  });
+  return std::any_of(
+      results.decisions.begin(), results.decisions.end(),
+      [](Decision decision) { return decision == Decision::Replay; });
 }
 
 int64_t TapePlan::numUnwanted() const {
-  return std::count(results.decisions.begin(), results.decisions.end(), Decision::SkipUnwanted);
+  return std::count(results.decisions.begin(), results.decisions.end(),
+                    Decision::SkipUnwanted);
 }
 
 int64_t TapePlan::numSkipped() const {
-  return std::count_if(
-      results.decisions.begin(), results.decisions.end(), [](Decision decision) {
-        return !isReplayed(decision) && decision != Decision::Callback;
-      });
+  return std::count_if(results.decisions.begin(), results.decisions.end(),
+                       [](Decision decision) {
+                         return !isReplayed(decision) &&
+                                decision != Decision::Callback;
+                       });
 }

@@ -16,8 +16,8 @@
 #ifndef TAI_LIB_RUNTIME_TAPE_TAPEPLAN_H
 #define TAI_LIB_RUNTIME_TAPE_TAPEPLAN_H
 
-#include "Overwrites.h"
 #include "KnownPlan.h"
+#include "Overwrites.h"
 
 namespace mlir::tai::runtime {
 

@@ -49,6 +49,9 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
                            "another thread records a tape, and a GPU has room "
                            "for one at a time: let it finish first");
   std::unique_ptr<Tape> made(new Tape(runtime, stamp, clears));
+  // An iteration of an optimiser records as many launches as the last one.
+  if (std::shared_ptr<const KnownPlan> last = services.knownPlan())
+    made->parts->recording.reserve(last->getLaunches());
   // From here on it holds its fields.
   Status held = made->parts->holds.hold();
   if (!held)
@@ -190,39 +193,9 @@ Status Tape::findUses(Kernel &kernel, const void *&uses) {
   return status;
 }
 
-Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
-                    uint64_t *results, uint64_t number) {
-  return unlessSpoilt(
-      [&] { return record(launch, kernel, args, results, number); });
-}
-
-Status Tape::record(Launch &launch, Kernel &kernel, const uint64_t *args,
-                    uint64_t *results, uint64_t number) {
-  const void *uses = nullptr;
-  Status status = findUses(kernel, uses);
-  if (!status)
-    return status;
-  if (__builtin_expect(!kernel.hasParts() || isSuspended(), true))
-    return launchOne(launch, kernel, uses, args, results, number);
-  for (const KernelPtr &part : kernel.plan().parts) {
-    status = findUses(*part, uses);
-    if (status && part->hasParts())
-      status = Status::failure(StatusCode::Internal,
-                               "the part '" + part->name() +
-                                   "' of a kernel has parts itself");
-    TapedKernel::lastLaunch(*part).store(number, std::memory_order_relaxed);
-    if (status)
-      status = launchOne(launch, *part, uses, args,
-                         part->resultSlots() > 0 ? results : nullptr, number);
-    if (!status)
-      return status;
-  }
-  return Status::success();
-}
-
-Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
-                       const uint64_t *args, uint64_t *results,
-                       uint64_t number) {
+inline Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
+                              const uint64_t *args, uint64_t *results,
+                              uint64_t number) {
   Parts &tape = *parts;
   const auto &uses = *static_cast<const TapeMemory::KernelUses *>(known);
   uint32_t index = tape.recording.next();
@@ -247,6 +220,36 @@ Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
   tape.recording.addLaunch(kernel, args, number);
   tape.services.count(SkipCount::TapeRecorded);
   return status;
+}
+
+inline Status Tape::record(Launch &launch, Kernel &kernel, const uint64_t *args,
+                           uint64_t *results, uint64_t number) {
+  const void *uses = nullptr;
+  Status status = findUses(kernel, uses);
+  if (!status)
+    return status;
+  if (__builtin_expect(!kernel.hasParts() || isSuspended(), true))
+    return launchOne(launch, kernel, uses, args, results, number);
+  for (const KernelPtr &part : kernel.plan().parts) {
+    status = findUses(*part, uses);
+    if (status && part->hasParts())
+      status = Status::failure(StatusCode::Internal,
+                               "the part '" + part->name() +
+                                   "' of a kernel has parts itself");
+    TapedKernel::lastLaunch(*part).store(number, std::memory_order_relaxed);
+    if (status)
+      status = launchOne(launch, *part, uses, args,
+                         part->resultSlots() > 0 ? results : nullptr, number);
+    if (!status)
+      return status;
+  }
+  return Status::success();
+}
+
+Status Tape::launch(Launch &launch, Kernel &kernel, const uint64_t *args,
+                    uint64_t *results, uint64_t number) {
+  return unlessSpoilt(
+      [&] { return record(launch, kernel, args, results, number); });
 }
 
 //===----------------------------------------------------------------------===//

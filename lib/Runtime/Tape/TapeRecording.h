@@ -40,6 +40,11 @@ public:
     bool operator==(const Launches &other) const;
   };
   const Launches &launches() const { return all; }
+  /// Allocates the memory of as many records and arguments.
+  void reserve(const Launches &expected) {
+    all.records.reserve(expected.records.size());
+    all.slots.reserve(expected.slots.size());
+  }
 
   size_t size() const { return all.records.size(); }
   bool empty() const { return all.records.empty(); }
@@ -94,7 +99,8 @@ public:
     }
     lastLaunch = number - firstLaunch;
     all.records.push_back({&kernel, lastLaunch, all.slots.size()});
-    all.slots.insert(all.slots.end(), args, args + kernel.tapeSlots());
+    for (int64_t i = 0; i < kernel.tapeSlots(); ++i)
+      all.slots.push_back(args[i]);
   }
   /// `start`: the number of its first launch (or the number that it would
   /// have). `next`: the number of the next launch.

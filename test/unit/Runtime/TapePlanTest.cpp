@@ -333,8 +333,8 @@ TEST(TapePlan, IsUsedAgainForTheSameRecords) {
     for (size_t i = 0; i < recording.size(); ++i)
       decisions.push_back(plan[i]);
     EXPECT_EQ(plan.replayed().size(),
-              static_cast<size_t>(std::count(
-                  decisions.begin(), decisions.end(), Decision::Replay)));
+              static_cast<size_t>(std::count(decisions.begin(), decisions.end(),
+                                             Decision::Replay)));
     return decisions;
   };
   TapeRecording one, same, other;
