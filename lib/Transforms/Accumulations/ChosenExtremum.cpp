@@ -486,8 +486,16 @@ void ChosenExtremum::sink(OpBuilder &b, Value value,
   }
 }
 
-void ChosenExtremum::rewrite(llvm::SetVector<Operation *> &path,
-                             function_ref<void(OpBuilder &, Value)> emit) {
+void ChosenExtremum::rewrite(
+    llvm::SetVector<Operation *> &path,
+    SmallVectorImpl<DifferentiableAccessInterface> &formerLoads,
+    function_ref<void(OpBuilder &, Value)> emit) {
+  auto erase = [&](Operation *branch) {
+    auto isWithin = [&](Operation *op) { return branch->isAncestor(op); };
+    path.remove_if(isWithin);
+    llvm::erase_if(formerLoads, isWithin);
+    branch->erase();
+  };
   isGivenKnown = DominanceInfo(loop).properlyDominates(given, store);
   for (Operation *op : comparisons) {
     OpBuilder b(op);
@@ -505,8 +513,7 @@ void ChosenExtremum::rewrite(llvm::SetVector<Operation *> &path,
     OpBuilder b(branch);
     result.replaceAllUsesWith(arith::ConstantOp::create(
         b, branch->getLoc(), b.getZeroAttr(result.getType())));
-    path.remove(branch);
-    branch->erase();
+    erase(branch);
   }
   for (SideOfBranch &guard : guards) {
     path.remove(guard.branch);
@@ -518,6 +525,6 @@ void ChosenExtremum::rewrite(llvm::SetVector<Operation *> &path,
     for (Operation &op :
          llvm::make_early_inc_range(block->without_terminator()))
       op.moveBefore(guard.branch);
-    guard.branch.erase();
+    erase(guard.branch);
   }
 }

@@ -68,9 +68,10 @@ public:
   ArrayRef<OpResult> getBranches() const { return branches; }
 
   /// Calls `emit` where the element is to become the minimum of itself and a
-  /// value, and erases the store. Takes from `path` the ops that it erases or
-  /// that stay.
+  /// value, and erases the store. Takes from `path` and `formerLoads` the ops
+  /// that it erases, and from `path` those that stay.
   void rewrite(llvm::SetVector<Operation *> &path,
+               SmallVectorImpl<DifferentiableAccessInterface> &formerLoads,
                function_ref<void(OpBuilder &, Value)> emit);
 
 private:

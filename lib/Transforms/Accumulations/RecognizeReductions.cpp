@@ -16,7 +16,7 @@
 //   old                          nothing
 //   update + e, e + update, ...  the update, and then an atomic with e
 //   select c, update, update     each under its condition
-//   scf.if, whose branches yield updates
+//   scf.if, whose branches yield updates of one update in front of it
 //   select (e < old), e, old     an atomic minimum with e
 //   if (e < old) { store e }     the same
 //   either under conditions      the same, under them (ChosenExtremum.h)

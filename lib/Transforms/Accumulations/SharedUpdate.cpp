@@ -79,6 +79,7 @@ void SharedUpdate::forget() {
   steps.clear();
   path.clear();
   branches.clear();
+  formers.clear();
 }
 
 /// The kind without regard to the sign.
@@ -124,13 +125,22 @@ bool SharedUpdate::accepts(Step &step) {
 }
 
 bool SharedUpdate::addStep(Step step) {
-  if (!accepts(step))
+  // A select may choose the result of a branch, within which the value is.
+  auto isKnown = [&](Value value) {
+    return value.getParentRegion()->isAncestor(step.at->getParentRegion());
+  };
+  if (!isKnown(step.value) ||
+      llvm::any_of(step.conditions,
+                   [&](auto entry) { return !isKnown(entry.first); }) ||
+      !accepts(step))
     return false;
   steps.push_back(std::move(step));
   return true;
 }
 
 bool SharedUpdate::matchValue(Value value, const Context &context) {
+  if (llvm::is_contained(formers, value))
+    return true;
   if (old.isLoaded(value)) {
     loads.push_back(cast<DifferentiableAccessInterface>(value.getDefiningOp()));
     return true;
@@ -282,7 +292,39 @@ bool SharedUpdate::matchSelect(arith::SelectOp select, const Context &context) {
   return matchValue(no, inside);
 }
 
-/// A branch that yields an update on both sides.
+/// The update in front of a branch from which a value in the branch was made:
+/// null for the loaded element, and nothing where there is not one only.
+std::optional<Value> SharedUpdate::findFormer(Value value,
+                                              scf::IfOp branch) const {
+  if (old.isLoaded(value))
+    return Value();
+  Operation *op = value.getDefiningOp();
+  if (!op || !branch->isProperAncestor(op))
+    return value;
+  SmallVector<Value, 2> sides;
+  if (auto inner = dyn_cast<scf::IfOp>(op)) {
+    unsigned number = cast<OpResult>(value).getResultNumber();
+    sides = {inner.thenYield().getOperand(number),
+             inner.elseYield().getOperand(number)};
+  } else if (auto select = dyn_cast<arith::SelectOp>(op)) {
+    sides = {select.getTrueValue(), select.getFalseValue()};
+  } else {
+    sides.assign(op->operand_begin(), op->operand_end());
+  }
+  std::optional<Value> former;
+  for (Value side : sides) {
+    // The other operand, or the other number that an extremum compares.
+    if (!old.reaches(side))
+      continue;
+    std::optional<Value> found = findFormer(side, branch);
+    if (!found || (former && *former != *found))
+      return std::nullopt;
+    former = found;
+  }
+  return former;
+}
+
+/// A branch that yields an update on both sides, of the same update before it.
 bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   auto branch = cast<scf::IfOp>(result.getOwner());
   branches.push_back(result);
@@ -301,12 +343,28 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
                     extremum->kind, extremum->value, extremum->value.getType(),
                     context.conditions});
   }
-  for (Region *region : branch.getRegions())
-    if (!matchValue(region->front().getTerminator()->getOperand(
-                        result.getResultNumber()),
-                    context))
+  Value yielded[] = {branch.thenYield().getOperand(result.getResultNumber()),
+                     branch.elseYield().getOperand(result.getResultNumber())};
+  std::optional<Value> former = findFormer(yielded[0], branch);
+  if (!former || former != findFormer(yielded[1], branch))
+    return false;
+  if (*former) {
+    if (!matchValue(*former, context))
       return false;
-  return true;
+    // Its steps happen once, in front of the branch.
+    formers.push_back(*former);
+  }
+  Context side = context;
+  // The steps that a select chooses leave the branch.
+  if (context.select)
+    side.conditions.emplace_back(branch.getCondition(), true);
+  bool matches = matchValue(yielded[0], side);
+  if (context.select)
+    side.conditions.back().second = false;
+  matches = matches && matchValue(yielded[1], side);
+  if (*former)
+    formers.pop_back();
+  return matches;
 }
 
 /// A choice that asks for the element in another way than a single select.
@@ -332,6 +390,9 @@ bool SharedUpdate::matchChosen() {
 
 /// True if only the store uses the former value.
 bool SharedUpdate::isOnlyUsedHere() {
+  auto isOurResult = [&](Value value) {
+    return llvm::is_contained(llvm::concat<OpResult>(branches, choices), value);
+  };
   auto isOurs = [&](Operation *user) {
     if (user == store || path.contains(user))
       return true;
@@ -351,12 +412,12 @@ bool SharedUpdate::isOnlyUsedHere() {
   // A branch on the path may hand on other things, too.
   auto isYieldedElsewhere = [&](Operation *op) {
     return llvm::any_of(op->getUses(), [&](OpOperand &use) {
+      // So may a branch within it.
+      if (!isa<scf::YieldOp>(use.getOwner()) ||
+          (isa<scf::IfOp>(op) && !isOurResult(use.get())))
+        return false;
       auto branch = dyn_cast<scf::IfOp>(use.getOwner()->getParentOp());
-      return isa<scf::YieldOp>(use.getOwner()) &&
-             !(branch &&
-               llvm::is_contained(
-                   llvm::concat<OpResult>(branches, choices),
-                   OpResult(branch->getResult(use.getOperandNumber()))));
+      return !branch || !isOurResult(branch->getResult(use.getOperandNumber()));
     });
   };
   auto isFine = [&](Operation *op) {
@@ -559,7 +620,7 @@ void SharedUpdate::rewrite() {
     emit(b, loc, step);
   }
   if (chosen)
-    chosen->rewrite(path, [&](OpBuilder &b, Value value) {
+    chosen->rewrite(path, loads, [&](OpBuilder &b, Value value) {
       Step step{store, chosenKind, value, value.getType(), {}, store};
       emit(b, store->getLoc(), step);
     });
@@ -587,14 +648,15 @@ void SharedUpdate::rewrite() {
   for (DifferentiableAccessInterface load : loads)
     if (!llvm::is_contained(dead, load.getOperation()))
       dead.push_back(load);
-  bool changed = true;
-  while (changed) {
-    changed = false;
-    llvm::erase_if(dead, [&](Operation *op) {
-      if (!op->use_empty())
-        return false;
-      op->erase();
-      return changed = true;
-    });
+  while (true) {
+    auto *unused =
+        llvm::find_if(dead, [](Operation *op) { return op->use_empty(); });
+    if (unused == dead.end())
+      break;
+    // With a branch goes all that is in it.
+    Operation *op = *unused;
+    llvm::erase_if(dead,
+                   [&](Operation *other) { return op->isAncestor(other); });
+    op->erase();
   }
 }

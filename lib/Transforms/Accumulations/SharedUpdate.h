@@ -83,6 +83,7 @@ private:
   bool matchCombination(Operation *op, AtomicKind kind, const Context &context);
   bool matchSelect(arith::SelectOp select, const Context &context);
   bool matchBranch(OpResult result, const Context &context);
+  std::optional<Value> findFormer(Value value, scf::IfOp branch) const;
   bool matchChosen();
   std::optional<Extremum> getExtremum(Value condition, Value whenTrue,
                                       Value whenFalse);
@@ -107,6 +108,8 @@ private:
   llvm::SetVector<Operation *> path;
   /// Results of branches on the path.
   SmallVector<OpResult> branches;
+  /// Updates before the branches that are being matched, whose steps are known.
+  SmallVector<Value> formers;
   /// An extremum that replaces the store, beside the steps, and its kind.
   std::optional<ChosenExtremum> chosen;
   AtomicKind chosenKind = AtomicKind::Min;

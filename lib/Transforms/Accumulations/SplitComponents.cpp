@@ -7,6 +7,7 @@
 
 #include "SplitComponents.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
+#include "mlir/Dialect/SCF/IR/SCF.h"
 #include "mlir/Dialect/Vector/IR/VectorOps.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/SharedElements.h"
@@ -46,6 +47,8 @@ public:
 
 private:
   bool find(Value vector, Component &component, StoreOp store) const;
+  LoadOp findOld(Value vector, StoreOp store) const;
+  void splitBranches(Value vector, StoreOp store) const;
   void split(StoreOp store);
   void split(LoadOp load);
   bool isOld(Value vector, StoreOp store) const;
@@ -92,6 +95,89 @@ bool ComponentSplitter::find(Value vector, Component &component,
       isOld(extract.getSource(), store))
     component.value = {};
   return true;
+}
+
+/// The load of the vector that inserts have changed.
+LoadOp ComponentSplitter::findOld(Value vector, StoreOp store) const {
+  while (auto insert = vector.getDefiningOp<vector::InsertOp>())
+    vector = insert.getDest();
+  return isOld(vector, store) ? vector.getDefiningOp<LoadOp>() : LoadOp();
+}
+
+/// If branches yield the vector, makes them yield the components that one of
+/// them changes, which are inserted into the loaded vector behind them.
+void ComponentSplitter::splitBranches(Value vector, StoreOp store) const {
+  while (auto insert = vector.getDefiningOp<vector::InsertOp>())
+    vector = insert.getDest();
+  auto branches = vector.getDefiningOp<scf::IfOp>();
+  if (!branches)
+    return;
+  unsigned number = cast<OpResult>(vector).getResultNumber();
+  scf::YieldOp yields[] = {branches.thenYield(), branches.elseYield()};
+  // Nested branches first.
+  for (scf::YieldOp yield : yields)
+    splitBranches(yield.getOperand(number), store);
+  LoadOp old;
+  for (scf::YieldOp yield : yields)
+    if (LoadOp found = findOld(yield.getOperand(number), store))
+      if (Operation *scope =
+              found->getBlock()->findAncestorOpInBlock(*branches);
+          scope && found->isBeforeInBlock(scope))
+        old = found;
+  if (!old)
+    return;
+  auto type = cast<VectorType>(vector.getType());
+  SmallVector<Component> before;
+  SmallVector<std::pair<Component, Component>> changed;
+  for (int64_t i = 0, e = type.getNumElements(); i != e; ++i) {
+    Component then{getPosition(type, i), {}}, otherwise = then;
+    if (!find(yields[0].getOperand(number), then, store) ||
+        !find(yields[1].getOperand(number), otherwise, store))
+      return;
+    if (!then.value && !otherwise.value)
+      continue;
+    if (then.value == otherwise.value)
+      before.push_back(std::move(then));
+    else
+      changed.emplace_back(std::move(then), std::move(otherwise));
+  }
+  for (size_t side : {0, 1}) {
+    OpBuilder builder(yields[side]);
+    MutableOperandRange operands = yields[side].getResultsMutable();
+    operands.erase(number);
+    for (auto &[then, otherwise] : changed) {
+      const Component &component = side == 0 ? then : otherwise;
+      Value value = component.value;
+      if (!value)
+        value = vector::ExtractOp::create(builder, branches.getLoc(),
+                                          old.getResult(), component.position);
+      operands.append(value);
+    }
+  }
+  OpBuilder builder(branches);
+  SmallVector<Type> types(branches.getResultTypes());
+  types.erase(types.begin() + number);
+  types.append(changed.size(), type.getElementType());
+  auto made = scf::IfOp::create(builder, branches.getLoc(), types,
+                                branches.getCondition());
+  made.getThenRegion().takeBody(branches.getThenRegion());
+  made.getElseRegion().takeBody(branches.getElseRegion());
+  made->setDiscardableAttrs(branches->getDiscardableAttrDictionary());
+  Value result = old.getResult();
+  for (const Component &component : before)
+    result =
+        vector::InsertOp::create(builder, branches.getLoc(), component.value,
+                                 result, component.position);
+  ValueRange scalars = made.getResults().take_back(changed.size());
+  for (auto [components, scalar] : llvm::zip(changed, scalars))
+    result = vector::InsertOp::create(builder, branches.getLoc(), scalar,
+                                      result, components.first.position);
+  vector.replaceAllUsesWith(result);
+  for (auto [index, former] : llvm::enumerate(branches.getResults()))
+    if (index != number)
+      former.replaceAllUsesWith(
+          made.getResult(index < number ? index : index - 1));
+  branches.erase();
 }
 
 static SmallVector<Value> makeIndices(OpBuilder &builder, Location loc,
@@ -189,6 +275,8 @@ void ComponentSplitter::run() {
       }
     if (!reads)
       continue;
+    if (isa<VectorType>(store.getValue().getType()))
+      splitBranches(store.getValue(), store);
     if (extracts.empty()) {
       loop.walk([&](vector::ExtractOp extract) {
         if (isScalarAt(extract))

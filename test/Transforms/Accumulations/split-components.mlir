@@ -106,3 +106,69 @@ tai.kernel @own() {
   }
   tai.return
 }
+
+// A branch changes one component, and a later one another: each is an update
+// where it happens.
+// CHECK-LABEL: tai.kernel @branches
+//   CHECK-NOT: tai.load @v
+//       CHECK: scf.if
+//       CHECK:   tai.atomic add %{{.*}}, @v[%{{.*}}] component[%c1] : f32
+//       CHECK: scf.if
+//       CHECK:   tai.atomic add %{{.*}}, @v[%{{.*}}] component[%c1] : f32
+//       CHECK: } else {
+//       CHECK:   tai.atomic add %{{.*}}, @v[%{{.*}}] component[%c2] : f32
+//   CHECK-NOT: tai.store
+//       CHECK: tai.return
+tai.kernel @branches(%p: i1, %q: i1) {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @v[%1] : vector<3xf32>
+    %3 = tai.load @x[%i] : f32
+    %4 = scf.if %p -> (vector<3xf32>) {
+      %5 = vector.extract %2[1] : f32 from vector<3xf32>
+      %6 = arith.addf %5, %3 : f32
+      %7 = vector.insert %6, %2[1] : f32 into vector<3xf32>
+      scf.yield %7 : vector<3xf32>
+    } else {
+      scf.yield %2 : vector<3xf32>
+    }
+    %8 = scf.if %q -> (vector<3xf32>) {
+      %9 = vector.extract %4[1] : f32 from vector<3xf32>
+      %10 = arith.addf %9, %3 : f32
+      %11 = vector.insert %10, %4[1] : f32 into vector<3xf32>
+      scf.yield %11 : vector<3xf32>
+    } else {
+      %9 = vector.extract %4[2] : f32 from vector<3xf32>
+      %10 = arith.addf %9, %3 : f32
+      %11 = vector.insert %10, %4[2] : f32 into vector<3xf32>
+      scf.yield %11 : vector<3xf32>
+    }
+    tai.store %8, @v[%1] : vector<3xf32>
+  }
+  tai.return
+}
+
+// The other side is another vector.
+// CHECK-LABEL: tai.kernel @other_vector
+//       CHECK: tai.load @v[%{{.*}}] : vector<3xf32>
+//   CHECK-NOT: tai.atomic
+//       CHECK: tai.store %{{.*}}, @v[%{{.*}}] : vector<3xf32>
+tai.kernel @other_vector(%p: i1, %w: vector<3xf32>) {
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @v[%1] : vector<3xf32>
+    %3 = tai.load @x[%i] : f32
+    %4 = scf.if %p -> (vector<3xf32>) {
+      %5 = vector.extract %2[1] : f32 from vector<3xf32>
+      %6 = arith.addf %5, %3 : f32
+      %7 = vector.insert %6, %2[1] : f32 into vector<3xf32>
+      scf.yield %7 : vector<3xf32>
+    } else {
+      scf.yield %w : vector<3xf32>
+    }
+    tai.store %4, @v[%1] : vector<3xf32>
+  }
+  tai.return
+}
