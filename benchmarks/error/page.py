@@ -389,7 +389,8 @@ def _place(place: Iterable[str]) -> str:
 
 
 def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(" ".join(text.split()), 110)
+    # A link that is broken at a hyphen leads nowhere.
+    return textwrap.wrap(" ".join(text.split()), 110, break_on_hyphens=False)
 
 
 # Pictures
