@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Which values of a parallel loop may be computed again in another iteration,
-// and which stores may be done after all iterations.
+// Finds the values of a parallel loop that another iteration may compute again,
+// and the stores that may happen after all iterations.
 //
 //===----------------------------------------------------------------------===//
 

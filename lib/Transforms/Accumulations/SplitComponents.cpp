@@ -97,18 +97,23 @@ bool ComponentSplitter::find(Value vector, Component &component,
   return true;
 }
 
-/// The load of the vector that inserts have changed.
-LoadOp ComponentSplitter::findOld(Value vector, StoreOp store) const {
+/// The vector into which other components were inserted.
+static Value skipInserts(Value vector) {
   while (auto insert = vector.getDefiningOp<vector::InsertOp>())
     vector = insert.getDest();
+  return vector;
+}
+
+/// The load of the vector that inserts have changed.
+LoadOp ComponentSplitter::findOld(Value vector, StoreOp store) const {
+  vector = skipInserts(vector);
   return isOld(vector, store) ? vector.getDefiningOp<LoadOp>() : LoadOp();
 }
 
 /// If branches yield the vector, makes them yield the components that one of
 /// them changes, which are inserted into the loaded vector behind them.
 void ComponentSplitter::splitBranches(Value vector, StoreOp store) const {
-  while (auto insert = vector.getDefiningOp<vector::InsertOp>())
-    vector = insert.getDest();
+  vector = skipInserts(vector);
   auto branches = vector.getDefiningOp<scf::IfOp>();
   if (!branches)
     return;

@@ -121,7 +121,7 @@ def chosen(scene):
 
 
 def taken_back(scene):
-    """A choice between the element and what a branch made of it."""
+    """A choice between the element and the number that a branch yields."""
     s, c, p, q = scene.s, scene.c, scene.a, scene.b
 
     @ti.kernel

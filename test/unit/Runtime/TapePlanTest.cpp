@@ -172,7 +172,8 @@ TEST(StoredOutputs, LosesWhatIsStoredAgain) {
   EXPECT_FALSE(outputs.any());
 }
 
-// The records that lose what they have stored, against all changes so far.
+// The records whose stored outputs are overwritten, against a list of all
+// stores.
 TEST(StoredOutputs, AgreesWithEnumeration) {
   std::mt19937_64 random(20251128);
   auto pick = [&](int64_t low, int64_t high) {

@@ -72,7 +72,7 @@ class StructType:
         raise AttributeError(f"the struct type has no attribute '{name}'")
 
     def __mro_entries__(self, bases: tuple) -> tuple[type]:
-        """A class that derives from the type derives from what stands for it; see `dataclass`."""
+        """A class that derives from this type has its stand-in as a base; see `dataclass`."""
         return (self._stand_in,)
 
     @functools.cached_property
