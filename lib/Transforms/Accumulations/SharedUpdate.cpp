@@ -79,6 +79,8 @@ void SharedUpdate::forget() {
   steps.clear();
   path.clear();
   branches.clear();
+  carried.clear();
+  totals.clear();
   formers.clear();
 }
 
@@ -155,6 +157,8 @@ bool SharedUpdate::matchValue(Value value, const Context &context) {
     return matchSelect(select, context);
   if (isa<scf::IfOp>(op))
     return matchBranch(cast<OpResult>(value), context);
+  if (isa<scf::ForOp>(op))
+    return matchLoop(cast<OpResult>(value), context);
   if (isa<arith::ExtFOp, arith::TruncFOp, arith::ExtSIOp, arith::ExtUIOp,
           arith::TruncIOp>(op)) {
     if (isa<arith::ExtSIOp, arith::ExtUIOp>(op)) {
@@ -292,14 +296,15 @@ bool SharedUpdate::matchSelect(arith::SelectOp select, const Context &context) {
   return matchValue(no, inside);
 }
 
-/// The update in front of a branch from which a value in the branch was made:
-/// null for the loaded element, and nothing where there is not one only.
+/// The update in front of a branch, or of a trip of a loop, from which a value
+/// within was made: null for the loaded element, and nothing where there is not
+/// one only.
 std::optional<Value> SharedUpdate::findFormer(Value value,
-                                              scf::IfOp branch) const {
+                                              Operation *scope) const {
   if (old.isLoaded(value))
     return Value();
   Operation *op = value.getDefiningOp();
-  if (!op || !branch->isProperAncestor(op))
+  if (!op || !scope->isProperAncestor(op))
     return value;
   SmallVector<Value, 2> sides;
   if (auto inner = dyn_cast<scf::IfOp>(op)) {
@@ -308,6 +313,8 @@ std::optional<Value> SharedUpdate::findFormer(Value value,
              inner.elseYield().getOperand(number)};
   } else if (auto select = dyn_cast<arith::SelectOp>(op)) {
     sides = {select.getTrueValue(), select.getFalseValue()};
+  } else if (auto serial = dyn_cast<scf::ForOp>(op)) {
+    sides = {serial.getInitArgs()[cast<OpResult>(value).getResultNumber()]};
   } else {
     sides.assign(op->operand_begin(), op->operand_end());
   }
@@ -316,7 +323,7 @@ std::optional<Value> SharedUpdate::findFormer(Value value,
     // The other operand, or the other number that an extremum compares.
     if (!old.reaches(side))
       continue;
-    std::optional<Value> found = findFormer(side, branch);
+    std::optional<Value> found = findFormer(side, scope);
     if (!found || (former && *former != *found))
       return std::nullopt;
     former = found;
@@ -367,6 +374,46 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   return matches;
 }
 
+/// A serial loop that carries an update: it combines the values of all trips,
+/// and its total is one step.
+bool SharedUpdate::matchLoop(OpResult result, const Context &context) {
+  auto serial = cast<scf::ForOp>(result.getOwner());
+  unsigned number = result.getResultNumber();
+  carried.push_back(result);
+  if (!matchValue(serial.getInitArgs()[number], context))
+    return false;
+  // A trip that begins with another value forgets those of the trips before.
+  Value former = serial.getRegionIterArg(number);
+  Value yielded = serial.getYieldedValues()[number];
+  if (findFormer(yielded, serial) != std::optional(former))
+    return false;
+  size_t numSteps = steps.size(), numTotals = totals.size(),
+         numBranches = branches.size();
+  formers.push_back(former);
+  bool matches = matchValue(yielded, {});
+  formers.pop_back();
+  if (!matches)
+    return false;
+  // They and the branches around them stay in the loop.
+  SmallVector<Step> inside(std::make_move_iterator(steps.begin() + numSteps),
+                           std::make_move_iterator(steps.end()));
+  steps.truncate(numSteps);
+  totals.truncate(numTotals);
+  choices.append(branches.begin() + numBranches, branches.end());
+  branches.truncate(numBranches);
+  AtomicKind kind = *family;
+  if (!inside.empty() && isExtremum(kind)) {
+    kind = inside.front().kind;
+    if (llvm::any_of(inside,
+                     [&](const Step &step) { return step.kind != kind; }))
+      return false;
+  }
+  totals.emplace_back(result, kind);
+  Operation *at = context.select ? context.select : serial->getNextNode();
+  return inside.empty() ||
+         addStep({at, kind, result, result.getType(), context.conditions});
+}
+
 /// A choice that asks for the element in another way than a single select.
 bool SharedUpdate::matchChosen() {
   chosen.emplace(store, loop, same, old, safeReads);
@@ -391,39 +438,35 @@ bool SharedUpdate::matchChosen() {
 /// True if only the store uses the former value.
 bool SharedUpdate::isOnlyUsedHere() {
   auto isOurResult = [&](Value value) {
-    return llvm::is_contained(llvm::concat<OpResult>(branches, choices), value);
+    return llvm::is_contained(
+        llvm::concat<OpResult>(branches, choices, carried), value);
   };
-  auto isOurs = [&](Operation *user) {
-    if (user == store || path.contains(user))
-      return true;
-    if (isa<scf::YieldOp>(user) && path.contains(user->getParentOp()))
-      return true;
-    return false;
+  // Branches and loops on the path may hand on other things, too.
+  auto isOurUse = [&](OpOperand &use) {
+    Operation *user = use.getOwner(), *parent = user->getParentOp();
+    if (isa<scf::YieldOp>(user))
+      return path.contains(parent) &&
+             isOurResult(parent->getResult(use.getOperandNumber()));
+    if (auto serial = dyn_cast<scf::ForOp>(user)) {
+      OpResult result = serial.getTiedLoopResult(&use);
+      return result && isOurResult(result);
+    }
+    return user == store || path.contains(user);
   };
-  auto isOnlyOurs = [&](Operation *op) {
-    if (auto branch = dyn_cast<scf::IfOp>(op))
-      return llvm::all_of(llvm::concat<OpResult>(branches, choices),
-                          [&](OpResult result) {
-                            return result.getOwner() != branch ||
-                                   llvm::all_of(result.getUsers(), isOurs);
-                          });
-    return llvm::all_of(op->getUsers(), isOurs);
-  };
-  // A branch on the path may hand on other things, too.
-  auto isYieldedElsewhere = [&](Operation *op) {
-    return llvm::any_of(op->getUses(), [&](OpOperand &use) {
-      // So may a branch within it.
-      if (!isa<scf::YieldOp>(use.getOwner()) ||
-          (isa<scf::IfOp>(op) && !isOurResult(use.get())))
-        return false;
-      auto branch = dyn_cast<scf::IfOp>(use.getOwner()->getParentOp());
-      return !branch || !isOurResult(branch->getResult(use.getOperandNumber()));
-    });
+  auto isOnlyOurs = [&](Value value) {
+    return llvm::all_of(value.getUses(), isOurUse);
   };
   auto isFine = [&](Operation *op) {
-    return isOnlyOurs(op) && !isYieldedElsewhere(op);
+    return llvm::all_of(op->getResults(), [&](OpResult result) {
+      return (isa<scf::IfOp, scf::ForOp>(op) && !isOurResult(result)) ||
+             isOnlyOurs(result);
+    });
   };
-  return llvm::all_of(path, isFine) && llvm::all_of(loads, isFine);
+  return llvm::all_of(path, isFine) && llvm::all_of(loads, isFine) &&
+         llvm::all_of(carried, [&](OpResult result) {
+           auto serial = cast<scf::ForOp>(result.getOwner());
+           return isOnlyOurs(serial.getRegionIterArg(result.getResultNumber()));
+         });
 }
 
 /// True if nothing writes to the element between the loads and the store, and
@@ -643,6 +686,17 @@ void SharedUpdate::rewrite() {
     OpBuilder b(branch);
     branch.getConditionMutable().assign(
         arith::ConstantIntOp::create(b, branch.getLoc(), 0, 1));
+  }
+  // The values that loops carry are totals now, and begin with nothing.
+  for (auto [result, kind] : totals) {
+    auto serial = cast<scf::ForOp>(result.getOwner());
+    OpBuilder b(serial);
+    TypedAttr nothing = getIdentity(kind, getScalar(result));
+    if (auto shaped = dyn_cast<ShapedType>(result.getType()))
+      nothing = DenseElementsAttr::get(shaped, nothing);
+    serial.getInitArgsMutable()[result.getResultNumber()].assign(
+        arith::ConstantOp::create(b, serial.getLoc(), nothing));
+    path.remove(serial);
   }
   SmallVector<Operation *> dead(path.begin(), path.end());
   for (DifferentiableAccessInterface load : loads)

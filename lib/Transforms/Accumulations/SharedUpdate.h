@@ -83,7 +83,8 @@ private:
   bool matchCombination(Operation *op, AtomicKind kind, const Context &context);
   bool matchSelect(arith::SelectOp select, const Context &context);
   bool matchBranch(OpResult result, const Context &context);
-  std::optional<Value> findFormer(Value value, scf::IfOp branch) const;
+  bool matchLoop(OpResult result, const Context &context);
+  std::optional<Value> findFormer(Value value, Operation *scope) const;
   bool matchChosen();
   std::optional<Extremum> getExtremum(Value condition, Value whenTrue,
                                       Value whenFalse);
@@ -108,12 +109,17 @@ private:
   llvm::SetVector<Operation *> path;
   /// Results of branches on the path.
   SmallVector<OpResult> branches;
-  /// Updates before the branches that are being matched, whose steps are known.
+  /// Results of serial loops on the path.
+  SmallVector<OpResult> carried;
+  /// Those of the outermost loops, and the kind of their totals.
+  SmallVector<std::pair<OpResult, AtomicKind>> totals;
+  /// Updates before the branches and loops that are being matched, whose steps
+  /// are known.
   SmallVector<Value> formers;
   /// An extremum that replaces the store, beside the steps, and its kind.
   std::optional<ChosenExtremum> chosen;
   AtomicKind chosenKind = AtomicKind::Min;
-  /// Results of branches on the path that it keeps or takes away.
+  /// Results of branches on the path that stay, or that it takes away.
   SmallVector<OpResult> choices;
 };
 

@@ -46,14 +46,19 @@ public:
   void run();
 
 private:
-  bool find(Value vector, Component &component, StoreOp store) const;
-  LoadOp findOld(Value vector, StoreOp store) const;
-  void splitBranches(Value vector, StoreOp store) const;
+  bool find(Value vector, Component &component,
+            llvm::function_ref<bool(Value)> isBase) const;
+  Value findBase(Value vector, StoreOp store) const;
+  void splitCarried(Value vector, StoreOp store);
+  void splitBranches(OpResult vector, StoreOp store);
+  void splitLoop(OpResult vector, StoreOp store);
   void split(StoreOp store);
   void split(LoadOp load);
   bool isOld(Value vector, StoreOp store) const;
 
   ParallelForOp loop;
+  /// The vectors with which trips of the serial loops begin that are split.
+  llvm::SmallDenseSet<Value> begins;
   SameIteration same;
   llvm::DenseMap<const void *, unsigned> writes;
 };
@@ -68,17 +73,18 @@ bool ComponentSplitter::isOld(Value vector, StoreOp store) const {
 }
 
 /// Finds the value of a component in a vector that inserts and lists of
-/// elements have made. False if another op has made it.
+/// elements have made, null if it is that of the base. False if another op has
+/// made it.
 bool ComponentSplitter::find(Value vector, Component &component,
-                             StoreOp store) const {
-  if (isOld(vector, store))
+                             llvm::function_ref<bool(Value)> isBase) const {
+  if (isBase(vector))
     return true;
   if (auto insert = vector.getDefiningOp<vector::InsertOp>()) {
     if (insert.hasDynamicPosition() ||
         isa<VectorType>(insert.getValueToStore().getType()))
       return false;
     if (insert.getStaticPosition() != ArrayRef(component.position))
-      return find(insert.getDest(), component, store);
+      return find(insert.getDest(), component, isBase);
     component.value = insert.getValueToStore();
   } else if (auto elements = vector.getDefiningOp<vector::FromElementsOp>()) {
     auto type = cast<VectorType>(vector.getType());
@@ -92,7 +98,7 @@ bool ComponentSplitter::find(Value vector, Component &component,
   auto extract = component.value.getDefiningOp<vector::ExtractOp>();
   if (extract && isScalarAt(extract) &&
       extract.getStaticPosition() == ArrayRef(component.position) &&
-      isOld(extract.getSource(), store))
+      isBase(extract.getSource()))
     component.value = {};
   return true;
 }
@@ -104,40 +110,60 @@ static Value skipInserts(Value vector) {
   return vector;
 }
 
-/// The load of the vector that inserts have changed.
-LoadOp ComponentSplitter::findOld(Value vector, StoreOp store) const {
+/// The vector that inserts have changed: the loaded one, or that with which a
+/// trip begins.
+Value ComponentSplitter::findBase(Value vector, StoreOp store) const {
   vector = skipInserts(vector);
-  return isOld(vector, store) ? vector.getDefiningOp<LoadOp>() : LoadOp();
+  return isOld(vector, store) || begins.contains(vector) ? vector : Value();
 }
 
-/// If branches yield the vector, makes them yield the components that one of
-/// them changes, which are inserted into the loaded vector behind them.
-void ComponentSplitter::splitBranches(Value vector, StoreOp store) const {
-  vector = skipInserts(vector);
-  auto branches = vector.getDefiningOp<scf::IfOp>();
-  if (!branches)
+/// If branches or serial loops yield the vector, makes them yield the
+/// components that they change.
+void ComponentSplitter::splitCarried(Value vector, StoreOp store) {
+  auto result = dyn_cast<OpResult>(skipInserts(vector));
+  if (!result)
     return;
-  unsigned number = cast<OpResult>(vector).getResultNumber();
+  if (isa<scf::IfOp>(result.getOwner()))
+    splitBranches(result, store);
+  else if (isa<scf::ForOp>(result.getOwner()))
+    splitLoop(result, store);
+}
+
+/// Makes branches yield the components that one of them changes, which are
+/// inserted into the former vector behind them.
+void ComponentSplitter::splitBranches(OpResult vector, StoreOp store) {
+  auto branches = cast<scf::IfOp>(vector.getOwner());
+  unsigned number = vector.getResultNumber();
   scf::YieldOp yields[] = {branches.thenYield(), branches.elseYield()};
-  // Nested branches first.
+  // Nested ones first.
   for (scf::YieldOp yield : yields)
-    splitBranches(yield.getOperand(number), store);
-  LoadOp old;
-  for (scf::YieldOp yield : yields)
-    if (LoadOp found = findOld(yield.getOperand(number), store))
-      if (Operation *scope =
-              found->getBlock()->findAncestorOpInBlock(*branches);
-          scope && found->isBeforeInBlock(scope))
-        old = found;
+    splitCarried(yield.getOperand(number), store);
+  Value old;
+  for (scf::YieldOp yield : yields) {
+    Value found = findBase(yield.getOperand(number), store);
+    if (!found)
+      continue;
+    // A trip may begin with another vector than the loaded one.
+    if (old && old != found && (begins.contains(old) || begins.contains(found)))
+      return;
+    Operation *load = found.getDefiningOp();
+    Operation *scope =
+        load ? load->getBlock()->findAncestorOpInBlock(*branches) : nullptr;
+    if (!load || (scope && load->isBeforeInBlock(scope)))
+      old = found;
+  }
   if (!old)
     return;
+  auto isBase = [&](Value value) {
+    return begins.contains(old) ? value == old : isOld(value, store);
+  };
   auto type = cast<VectorType>(vector.getType());
   SmallVector<Component> before;
   SmallVector<std::pair<Component, Component>> changed;
   for (int64_t i = 0, e = type.getNumElements(); i != e; ++i) {
     Component then{getPosition(type, i), {}}, otherwise = then;
-    if (!find(yields[0].getOperand(number), then, store) ||
-        !find(yields[1].getOperand(number), otherwise, store))
+    if (!find(yields[0].getOperand(number), then, isBase) ||
+        !find(yields[1].getOperand(number), otherwise, isBase))
       return;
     if (!then.value && !otherwise.value)
       continue;
@@ -154,8 +180,8 @@ void ComponentSplitter::splitBranches(Value vector, StoreOp store) const {
       const Component &component = side == 0 ? then : otherwise;
       Value value = component.value;
       if (!value)
-        value = vector::ExtractOp::create(builder, branches.getLoc(),
-                                          old.getResult(), component.position);
+        value = vector::ExtractOp::create(builder, branches.getLoc(), old,
+                                          component.position);
       operands.append(value);
     }
   }
@@ -168,7 +194,7 @@ void ComponentSplitter::splitBranches(Value vector, StoreOp store) const {
   made.getThenRegion().takeBody(branches.getThenRegion());
   made.getElseRegion().takeBody(branches.getElseRegion());
   made->setDiscardableAttrs(branches->getDiscardableAttrDictionary());
-  Value result = old.getResult();
+  Value result = old;
   for (const Component &component : before)
     result =
         vector::InsertOp::create(builder, branches.getLoc(), component.value,
@@ -183,6 +209,62 @@ void ComponentSplitter::splitBranches(Value vector, StoreOp store) const {
       former.replaceAllUsesWith(
           made.getResult(index < number ? index : index - 1));
   branches.erase();
+}
+
+/// Makes a serial loop carry the components that a trip changes, which are
+/// inserted into the former vector in it and behind it.
+void ComponentSplitter::splitLoop(OpResult vector, StoreOp store) {
+  auto serial = cast<scf::ForOp>(vector.getOwner());
+  unsigned number = vector.getResultNumber();
+  splitCarried(serial.getInitArgs()[number], store);
+  Value former = serial.getInitArgs()[number];
+  if (!findBase(former, store))
+    return;
+  Value begin = serial.getRegionIterArg(number);
+  begins.insert(begin);
+  splitCarried(serial.getYieldedValues()[number], store);
+  begins.erase(begin);
+  Value yielded = serial.getYieldedValues()[number];
+  auto type = cast<VectorType>(vector.getType());
+  SmallVector<Component> changed;
+  for (int64_t i = 0, e = type.getNumElements(); i != e; ++i) {
+    Component component{getPosition(type, i), {}};
+    if (!find(yielded, component, [&](Value value) { return value == begin; }))
+      return;
+    if (component.value)
+      changed.push_back(std::move(component));
+  }
+  Location loc = serial.getLoc();
+  IRRewriter rewriter(serial);
+  SmallVector<Value> inits;
+  for (const Component &component : changed)
+    inits.push_back(
+        vector::ExtractOp::create(rewriter, loc, former, component.position));
+  auto insertAll = [&](ValueRange values) {
+    Value result = former;
+    for (auto [component, value] : llvm::zip(changed, values))
+      result = vector::InsertOp::create(rewriter, loc, value, result,
+                                        component.position);
+    return result;
+  };
+  auto yieldAll = [&](OpBuilder &, Location, ArrayRef<BlockArgument>) {
+    return llvm::map_to_vector(
+        changed, [](const Component &component) { return component.value; });
+  };
+  auto made = cast<scf::ForOp>(*serial.replaceWithAdditionalYields(
+      rewriter, inits, /*replaceInitOperandUsesInLoop=*/false, yieldAll));
+  rewriter.setInsertionPointToStart(made.getBody());
+  BlockArgument carried = made.getRegionIterArg(number);
+  carried.replaceAllUsesWith(
+      insertAll(made.getRegionIterArgs().take_back(changed.size())));
+  rewriter.setInsertionPointAfter(made);
+  made.getResult(number).replaceAllUsesWith(
+      insertAll(made.getResults().take_back(changed.size())));
+  // The vector itself is carried in vain; a zero reads no element.
+  made.getBody()->getTerminator()->setOperand(number, carried);
+  rewriter.setInsertionPoint(made);
+  made.getInitArgsMutable()[number].assign(arith::ConstantOp::create(
+      rewriter, loc, type, rewriter.getZeroAttr(type)));
 }
 
 static SmallVector<Value> makeIndices(OpBuilder &builder, Location loc,
@@ -213,7 +295,8 @@ void ComponentSplitter::split(StoreOp store) {
   SmallVector<Component> components;
   for (int64_t i = 0, e = type.getNumElements(); i != e; ++i) {
     Component component{getPosition(type, i), {}};
-    if (!find(store.getValue(), component, store))
+    if (!find(store.getValue(), component,
+              [&](Value value) { return isOld(value, store); }))
       return;
     if (component.value)
       components.push_back(std::move(component));
@@ -266,7 +349,6 @@ void ComponentSplitter::run() {
   if (loads.empty())
     return;
   SmallVector<LoadOp> old;
-  SmallVector<vector::ExtractOp> extracts;
   for (StoreOp store : stores) {
     auto access = cast<DifferentiableAccessInterface>(store.getOperation());
     if (getSharing(access, loop) == Sharing::Own)
@@ -281,14 +363,13 @@ void ComponentSplitter::run() {
     if (!reads)
       continue;
     if (isa<VectorType>(store.getValue().getType()))
-      splitBranches(store.getValue(), store);
-    if (extracts.empty()) {
-      loop.walk([&](vector::ExtractOp extract) {
-        if (isScalarAt(extract))
-          extracts.push_back(extract);
-      });
-      llvm::for_each(extracts, lookThroughInserts);
-    }
+      splitCarried(store.getValue(), store);
+    SmallVector<vector::ExtractOp> extracts;
+    loop.walk([&](vector::ExtractOp extract) {
+      if (isScalarAt(extract))
+        extracts.push_back(extract);
+    });
+    llvm::for_each(extracts, lookThroughInserts);
     if (isa<VectorType>(store.getValue().getType()))
       split(store);
   }

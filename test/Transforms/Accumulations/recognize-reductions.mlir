@@ -613,3 +613,93 @@ tai.kernel @written_between() {
   }
   tai.return
 }
+
+// A serial loop changes the loaded element: its total, from zero, is added.
+// CHECK-LABEL: tai.kernel @loop
+// CHECK-NOT: tai.load @h
+// CHECK: %[[TOTAL:.*]] = scf.for {{.*}} iter_args(%[[PART:.*]] = %[[ZERO:.*]]) -> (f32) {
+// CHECK: arith.subf %[[PART]]
+// CHECK: tai.atomic add %[[TOTAL]], @h[%{{.*}}] : f32
+// CHECK-NOT: tai.store
+// CHECK: tai.return
+tai.kernel @loop(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @b[%i] : i32
+    %j = arith.index_cast %1 : i32 to index
+    %2 = tai.load @h[%j] : f32
+    %3 = scf.for %k = %c0 to %n step %c1 iter_args(%e = %2) -> f32 {
+      %4 = arith.subf %e, %0 : f32
+      scf.yield %4 : f32
+    }
+    tai.store %3, @h[%j] : f32
+  }
+  tai.return
+}
+
+// Each trip begins with the loaded element again.
+// CHECK-LABEL: tai.kernel @last_trip
+// CHECK-NOT: tai.atomic
+// CHECK: tai.return
+tai.kernel @last_trip(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @b[%i] : i32
+    %j = arith.index_cast %1 : i32 to index
+    %2 = tai.load @h[%j] : f32
+    %3 = scf.for %k = %c0 to %n step %c1 iter_args(%e = %2) -> f32 {
+      %4 = arith.addf %2, %0 : f32
+      scf.yield %4 : f32
+    }
+    tai.store %3, @h[%j] : f32
+  }
+  tai.return
+}
+
+// The number of trips comes from the element.
+// CHECK-LABEL: tai.kernel @trips
+// CHECK-NOT: tai.atomic
+// CHECK: tai.return
+tai.kernel @trips() {
+  %cst = arith.constant 2.0 : f32
+  %c0 = arith.constant 0 : i32
+  %c1 = arith.constant 1 : i32
+  tai.parallel_for (%i) in @x {
+    %1 = tai.load @b[%i] : i32
+    %j = arith.index_cast %1 : i32 to index
+    %2 = tai.load @h[%j] : f32
+    %n = arith.fptosi %2 : f32 to i32
+    %3 = scf.for %k = %c0 to %n step %c1 iter_args(%e = %2) -> f32 : i32 {
+      %4 = arith.addf %e, %cst : f32
+      scf.yield %4 : f32
+    }
+    tai.store %3, @h[%j] : f32
+  }
+  tai.return
+}
+
+// One trip stores the part elsewhere.
+// CHECK-LABEL: tai.kernel @part
+// CHECK-NOT: tai.atomic
+// CHECK: tai.return
+tai.kernel @part(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @b[%i] : i32
+    %j = arith.index_cast %1 : i32 to index
+    %2 = tai.load @h[%j] : f32
+    %3 = scf.for %k = %c0 to %n step %c1 iter_args(%e = %2) -> f32 {
+      tai.store %e, @x[%i] : f32
+      %4 = arith.addf %e, %0 : f32
+      scf.yield %4 : f32
+    }
+    tai.store %3, @h[%j] : f32
+  }
+  tai.return
+}

@@ -172,3 +172,59 @@ tai.kernel @other_vector(%p: i1, %w: vector<3xf32>) {
   }
   tai.return
 }
+
+// A serial loop carries the component that a branch in it changes.
+// CHECK-LABEL: tai.kernel @in_loop
+//   CHECK-NOT: tai.load @v
+//       CHECK: %[[TOTAL:.*]] = scf.for {{.*}} -> (f32) {
+//       CHECK: tai.atomic add %[[TOTAL]], @v[%{{.*}}] component[%c1] : f32
+//   CHECK-NOT: tai.atomic
+//   CHECK-NOT: tai.store
+//       CHECK: tai.return
+tai.kernel @in_loop(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @v[%1] : vector<3xf32>
+    %3 = tai.load @x[%i] : f32
+    %4 = scf.for %k = %c0 to %n step %c1 iter_args(%e = %2) -> vector<3xf32> {
+      %even = arith.cmpi ult, %k, %1 : index
+      %5 = scf.if %even -> vector<3xf32> {
+        %6 = vector.extract %e[1] : f32 from vector<3xf32>
+        %7 = arith.addf %6, %3 : f32
+        %8 = vector.insert %7, %e[1] : f32 into vector<3xf32>
+        scf.yield %8 : vector<3xf32>
+      } else {
+        scf.yield %e : vector<3xf32>
+      }
+      scf.yield %5 : vector<3xf32>
+    }
+    tai.store %4, @v[%1] : vector<3xf32>
+  }
+  tai.return
+}
+
+// A trip takes the component of the loaded vector: the last one counts.
+// CHECK-LABEL: tai.kernel @last_trip
+//   CHECK-NOT: tai.atomic
+//       CHECK: tai.return
+tai.kernel @last_trip(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @b[%i] : i32
+    %1 = arith.index_cast %0 : i32 to index
+    %2 = tai.load @v[%1] : vector<3xf32>
+    %3 = tai.load @x[%i] : f32
+    %4 = scf.for %k = %c0 to %n step %c1 iter_args(%e = %2) -> vector<3xf32> {
+      %6 = vector.extract %2[1] : f32 from vector<3xf32>
+      %7 = arith.addf %6, %3 : f32
+      %8 = vector.insert %7, %2[1] : f32 into vector<3xf32>
+      scf.yield %8 : vector<3xf32>
+    }
+    tai.store %4, @v[%1] : vector<3xf32>
+  }
+  tai.return
+}
