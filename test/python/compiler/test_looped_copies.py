@@ -1,4 +1,4 @@
-"""A copy of a shared element that serial loops change before it is stored: their total is an update."""
+"""A copy of a shared element that serial loops change before it is stored: a total is an update."""
 
 import numpy as np
 import pytest
