@@ -59,6 +59,14 @@ class Program(ABC):
     def gradient(self) -> np.ndarray:
         """Flat gradient of the last run, in the order that problems.py defines."""
 
+    def inputs(self) -> np.ndarray:
+        """The flat values of the unknowns, in the order of the gradient."""
+        raise NotImplementedError
+
+    def assign(self, flat: np.ndarray) -> None:
+        """Writes the values of the unknowns."""
+        raise NotImplementedError
+
     def replay(self) -> float | None:
         """Seconds of one forward and backward as a single native call, if there is such."""
         return None

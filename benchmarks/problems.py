@@ -52,7 +52,7 @@ class WaveProblem:
     units = 1
 
     def reference(self) -> tuple[float, np.ndarray]:
-        setup = wave.Wave(self.n, self.slots)
+        setup = wave.Wave(self.n, self.slots, real=self.height.dtype.type)
         loss, gradient = wave.gradient(self.height, self.target, setup)
         return loss, gradient.ravel()
 

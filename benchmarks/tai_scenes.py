@@ -83,6 +83,22 @@ class TapeProgram(Program):
     def gradient(self) -> np.ndarray:
         return np.concatenate([pick(u.grad.to_numpy()).ravel() for u, pick in self._unknowns])
 
+    def inputs(self) -> np.ndarray:
+        return np.concatenate([pick(u.to_numpy()).ravel() for u, pick in self._unknowns])
+
+    def assign(self, flat: np.ndarray) -> None:
+        assign_fields(self._unknowns, flat)
+
+
+def assign_fields(unknowns, flat: np.ndarray) -> None:
+    """Writes flat values to pairs of a field and its unknown part."""
+    for field, pick in unknowns:
+        array = field.to_numpy()
+        part = pick(array)
+        part[...] = flat[: part.size].reshape(part.shape)
+        flat = flat[part.size :]
+        field.from_numpy(array)
+
 
 def whole(array: np.ndarray) -> np.ndarray:
     """The gradient of an unknown that has no time slots."""

@@ -7,6 +7,7 @@ the interpreter that runs this script, copies the tests beside it, and runs the 
 
     tests     the Python tests with --arch=cuda, whole programs in IR among them, in parallel
     bench     benchmarks/gpu/run.py: tai, hand-written CUDA, and other systems
+    errors    benchmarks/error/run.py: run time against error, on the GPU and on one thread
     fuzz      random kernels on the GPU, of up to two million elements; see test/fuzz/run.py
     ensemble  examples/ensemble.py on 1, 2 and 4 GPUs, as many as there are
     bars      the bars of test/reliability that can run on a GPU, from seeds of their own
@@ -45,7 +46,7 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "gpu"))
 # Files that tests read besides the package.
 TREE = ["test", "benchmarks", "examples", "docs", "scripts", "README.md", "pyproject.toml"]
 # How the time is shared among the steps.
-SHARES = {"tests": 4, "bench": 5, "fuzz": 1, "ensemble": 2, "bars": 3, "sanitize": 4}
+SHARES = {"tests": 4, "bench": 5, "errors": 5, "fuzz": 1, "ensemble": 2, "bars": 3, "sanitize": 4}
 # Tests that run under compute-sanitizer: each kind of access once, it is slow.
 SANITIZED = (
     "test_fields or test_gradients or test_atomic_gradients or test_loop_gradients or "
@@ -329,6 +330,33 @@ def run_bench(stage: Stage, seconds: float) -> Step:
     return step
 
 
+def run_errors(stage: Stage, seconds: float) -> Step:
+    """Run time against error; benchmarks/error/page.py makes the page from the rows, anywhere."""
+    step, options = Step("errors"), stage.options
+    arch = "cpu" if options.arch == "cpu" else "cuda,cpu"
+    command = [sys.executable, "benchmarks/error/run.py", "--arch", arch, "--threads", "1"]
+    command += ["--minutes", f"{(seconds - 25) / 60:.2f}", "--out", options.out, "--no-page"]
+    command += ["--work", options.work / "errors", "--systems", "tai,jax,torch"]
+    command += ["--machine", options.name, *(["--quick"] if options.quick else [])]
+    environment = stage.environment | {"TI_ARCH": ""}
+    if options.arch == "emulated":
+        environment["TAI_CUDA_EMULATION"] = "1"
+    status, output = stage.machine.run(command, seconds, stage.root, environment)
+    lines = output.splitlines()
+    step.details = [line for line in lines if re.match(r"(keeps|FAILS|not judged) ", line)]
+    kept = sum(line.startswith("keeps") for line in step.details)
+    counted = [line for line in lines if " rows in " in line]
+    step.summary = f"{kept} of {len(step.details)} bars kept; {counted[-1] if counted else 'cut'}"
+    if status is None:
+        step.summary += f"; stopped after {seconds:.0f} s"
+    step.failed = status != 0
+    # The log has the reasons of rows that failed.
+    log = options.work / "errors" / "log.txt"
+    if log.exists():
+        shutil.copy2(log, options.out / "errors.log")
+    return step
+
+
 def run_fuzz(stage: Stage, seconds: float) -> Step:
     step, options = Step("fuzz"), stage.options
     log = options.out / "fuzz.jsonl"
@@ -501,6 +529,7 @@ def report_tool(options: argparse.Namespace, tool: str, parts: list[Sanitized]) 
 STEPS = {
     "tests": run_tests,
     "bench": run_bench,
+    "errors": run_errors,
     "fuzz": run_fuzz,
     "ensemble": run_ensemble,
     "bars": run_bars,

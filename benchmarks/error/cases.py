@@ -178,6 +178,14 @@ class ExampleProgram(harness.Program):
     def gradient(self) -> np.ndarray:
         return np.concatenate([u.grad.to_numpy().ravel() for u in self.unknowns])
 
+    def inputs(self) -> np.ndarray:
+        return np.concatenate([u.to_numpy().ravel() for u in self.unknowns])
+
+    def assign(self, flat: np.ndarray) -> None:
+        import tai_scenes
+
+        tai_scenes.assign_fields([(u, tai_scenes.whole) for u in self.unknowns], flat)
+
     def descend(self, steps: int) -> None:
         for number in range(steps):
             self.iteration(number)
@@ -205,6 +213,22 @@ def rounded(problem):
         return rounded(value) if dataclasses.is_dataclass(value) else value
 
     fields = {f.name: part(getattr(problem, f.name)) for f in dataclasses.fields(problem)}
+    return dataclasses.replace(problem, **fields)
+
+
+def wide(problem):
+    """A problem with the same numbers as 80-bit floats, in which its adjoint is computed then."""
+
+    def part(name, value):
+        if name == "real":
+            return np.longdouble
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+            return value.astype(np.longdouble)
+        if isinstance(value, dict):
+            return {key: part("", item) for key, item in value.items()}
+        return wide(value) if dataclasses.is_dataclass(value) else value
+
+    fields = {f.name: part(f.name, getattr(problem, f.name)) for f in dataclasses.fields(problem)}
     return dataclasses.replace(problem, **fields)
 
 
@@ -276,13 +300,3 @@ PEER_MAKERS = {
     "smoke": "make_smoke", "wave": "make_wave", "diffmpm": "make_mpm",
     "mass_spring": "make_mass_spring",
 }  # fmt: skip
-
-
-def exact(name: str, size: str) -> dict | None:
-    """The exact result of a micro-kernel; None for scenes, which tai in f64 answers."""
-    return micro.data_of(name, size).exact() if name in micro.NAMES else None
-
-
-def sets(name: str, size: str) -> list[np.ndarray]:
-    """Other numbers for the same kernel, over which an error is the median."""
-    return getattr(micro.data_of(name, size), "sets", []) if name in micro.NAMES else []

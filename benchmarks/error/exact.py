@@ -23,7 +23,6 @@ import mpmath
 import numpy as np
 
 import decimal_tai
-import modes
 
 HERE = Path(__file__).resolve().parent
 BAR = 1e-11
@@ -34,10 +33,9 @@ STEP = mpmath.mpf(10) ** -18
 def in_f64(scene: str) -> tuple[float, np.ndarray]:
     """Loss and gradient by tai, in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        kept = Path(folder) / "kept.npz"
-        command = [sys.executable, str(HERE / "measure.py"), "--scene", scene, "--system", "tai"]
-        command += ["--mode", modes.REFERENCE, "--size", "tiny", "--keep", str(kept)]
-        command += ["--cache", folder]
+        kept = Path(folder) / "0.npz"
+        command = [sys.executable, str(HERE / "references.py"), "--scene", scene, "--size", "tiny"]
+        command += ["--how", "tai", "--count", "1", "--out", folder, "--cache", folder]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if not kept.is_file():
             raise RuntimeError(f"{scene}: {done.stdout}{done.stderr}")

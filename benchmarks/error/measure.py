@@ -1,6 +1,12 @@
 """Measures one scene in one mode of one system, in a process of its own; see run.py.
 
-Prints a line of JSON: times, errors against the reference, distinct results, memory.
+Answers requests, lines of JSON on standard input, by lines of JSON on standard output:
+
+- at the start, when the program has run once: version and clock
+- `errors`: against the reference at its inputs, an ulp apart; how many results there are
+- `warm`: runs until times are steady
+- `time`: the median time of runs during a slice of time
+- `end`: the loss after steps of descent, and the most memory
 """
 
 from __future__ import annotations
@@ -9,7 +15,6 @@ import argparse
 import hashlib
 import importlib.metadata
 import json
-import math
 import os
 import resource
 import statistics
@@ -24,13 +29,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import modes
+import references
 
 HERE = Path(__file__).resolve().parent
-WARM_UPS = 3
 # On a GPU the first iterations try how launches are best made into graphs and programs. Runs are
 # timed once three in a row took about the least time so far, or after so many seconds.
-STEADY, MOST_SECONDS = 1.3, 20.0
-DISTINCT_RUNS = 20
+STEADY = 1.3
+# Inputs whose errors are measured, even where there is little time.
+LEAST_INPUTS = 4
 
 
 def start(system: str, mode: modes.Mode, arch: str, threads: int, cache: Path):
@@ -96,15 +102,6 @@ def version_of(system: str) -> str:
     return "in tree"
 
 
-def relative(found: np.ndarray, expected: np.ndarray) -> float:
-    """Relative distance by L2; infinite where something is not finite."""
-    found, expected = np.asarray(found, np.longdouble), np.asarray(expected, np.longdouble)
-    if found.shape != expected.shape or not np.all(np.isfinite(found)):
-        return float("inf")
-    size = np.sqrt((expected**2).sum())
-    return float(np.sqrt(((found - expected) ** 2).sum()) / (size or 1))
-
-
 def cosine(found: np.ndarray, expected: np.ndarray) -> float:
     found, expected = found.astype(np.float64), np.asarray(expected, np.float64)
     norms = np.linalg.norm(found) * np.linalg.norm(expected)
@@ -119,13 +116,11 @@ def worst_ulp(found: np.ndarray, expected: np.ndarray, bits: int) -> float:
     return float(np.max(np.abs(np.asarray(found, np.longdouble) - expected) / ulp))
 
 
-def warm_up(program, arch: str) -> None:
-    taken = [sum(program.run()) for _ in range(WARM_UPS)]
-    begin = time.monotonic()
-    while arch == "cuda" and time.monotonic() - begin < MOST_SECONDS:
-        if len(taken) > 6 and max(taken[-3:]) < STEADY * min(taken):
-            break
-        taken.append(sum(program.run()))
+def fields_of(program) -> tuple:
+    """The field of the loss, and pairs of an unknown field and its part, of a program of tai."""
+    if hasattr(program, "module"):
+        return program.module.loss, [(u, lambda array: array) for u in program.unknowns]
+    return program._loss, program._unknowns
 
 
 def launches_of(program) -> int | None:
@@ -133,104 +128,119 @@ def launches_of(program) -> int | None:
     return getattr(tape, "num_records", None)
 
 
-def final_loss(program, steps: int) -> float | None:
-    """The loss after steps of descent, where the scene has some."""
-    if hasattr(program, "descend"):
-        program.descend(steps)
-        program.run()
-        return program.loss()
-    return None
+class Measurement:
+    """A program, and the answers to requests about it."""
+
+    def __init__(self, given: argparse.Namespace, mode: modes.Mode):
+        import cases
+
+        self.given, self.mode, self.cases = given, mode, cases
+        self.program = cases.make(given.scene, given.system, given.size)
+        if self.program is None:
+            raise ImportError("no program for this scene")
+        self.program.run()
+
+    def errors(self, reference: str, seconds: float, distinct: int) -> dict:
+        """Medians and ranges of errors over inputs, as many as there is time for."""
+        known = references.Reference(Path(reference))
+        micro = self.cases.micro
+        data = None
+        if self.given.scene in micro.NAMES:
+            data = micro.data_of(self.given.scene, self.given.size)
+        found: dict = {}
+        pairs = []
+        begin = time.monotonic()
+        # The first input comes last: afterwards the program is as it was.
+        for number in [*known.numbers[1:], 0]:
+            late = time.monotonic() - begin > seconds
+            if late and number and len(pairs) >= LEAST_INPUTS - 1:
+                continue
+            self.program.assign(references.perturbed(known.base, number))
+            self.program.run()
+            expected = known.load(number)
+            if data is not None:
+                expected["gradient"] = data.expand(expected["gradient"])
+            loss = self.program.loss()
+            gradient = np.asarray(self.program.gradient(), np.float64)
+            pairs.append(
+                (references.relative(np.atleast_1d(loss), np.atleast_1d(expected["loss"])),
+                 references.relative(gradient, expected["gradient"]))
+            )  # fmt: skip
+        found["loss"] = loss
+        found["grad_cos"] = cosine(gradient, expected["gradient"])
+        found["nan_count"] = int(np.sum(~np.isfinite(gradient)) + (not np.isfinite(loss)))
+        if "values" in expected and hasattr(self.program, "values"):
+            values = np.asarray(self.program.values(), np.float64)
+            found["max_ulp"] = worst_ulp(values, expected["values"], self.mode.bits)
+            found["nan_count"] += int(np.sum(~np.isfinite(values)))
+        both = [max(pair) for pair in pairs]
+        found["inputs"] = len(both)
+        found["error"], found["error_low"], found["error_high"] = (
+            statistics.median(both), min(both), max(both)
+        )  # fmt: skip
+        found["loss_rel"], found["grad_rel"] = (
+            statistics.median(column) for column in zip(*pairs, strict=True)
+        )
+        found["distinct"], found["runs"] = self.distinct(distinct, seconds / 2)
+        found["launches"] = launches_of(self.program)
+        return found
+
+    def distinct(self, runs: int, budget: float) -> tuple[int, int]:
+        """How many results there are in many runs, and how many runs there was time for."""
+        seen, count = set(), 0
+        begin = time.monotonic()
+        while count < runs and (count < 3 or time.monotonic() - begin < budget):
+            self.program.run()
+            parts = [
+                np.asarray(self.program.gradient()).tobytes(),
+                np.float64(self.program.loss()).tobytes(),
+            ]
+            if hasattr(self.program, "values"):
+                parts.append(np.asarray(self.program.values()).tobytes())
+            seen.add(hashlib.sha256(b"".join(parts)).hexdigest())
+            count += 1
+        return len(seen), count
+
+    def warm(self, seconds: float) -> dict:
+        """Runs until three in a row took about the least time, or the time is up."""
+        taken: list[float] = []
+        begin = time.monotonic()
+        while time.monotonic() - begin < seconds:
+            taken.append(sum(self.program.run()))
+            if len(taken) >= 3 and self.given.arch == "cpu":
+                break
+            if len(taken) > 6 and max(taken[-3:]) < STEADY * min(taken):
+                break
+        return {"runs": len(taken)}
+
+    def time(self, seconds: float) -> dict:
+        """The median time of runs during a slice of time: of one, if that is longer."""
+        taken: list[float] = []
+        begin = time.monotonic()
+        while not taken or time.monotonic() - begin < seconds:
+            taken.append(1e3 * sum(self.program.run()))
+        return {"ms": statistics.median(taken), "least": min(taken), "n": len(taken)}
+
+    def end(self, steps: int) -> dict:
+        """The loss after steps of descent, where the scene has some, and the most memory."""
+        found: dict = {}
+        if steps and hasattr(self.program, "descend"):
+            self.program.descend(steps)
+            self.program.run()
+            found["final_loss"], found["final_steps"] = self.program.loss(), steps
+        found["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        return found
 
 
-def errors(program, mode: modes.Mode, expected) -> dict:
-    loss, gradient = program.loss(), np.asarray(program.gradient(), np.float64)
-    found = {
-        "loss": loss,
-        "loss_rel": relative(np.array(loss), expected["loss"]),
-        "grad_rel": relative(gradient, expected["gradient"]),
-        "grad_cos": cosine(gradient, expected["gradient"]),
-        "nan_count": int(np.sum(~np.isfinite(gradient)) + (not np.isfinite(loss))),
-    }
-    if "values" in expected and hasattr(program, "values"):
-        values = np.asarray(program.values(), np.float64)
-        found["max_ulp"] = worst_ulp(values, expected["values"], mode.bits)
-        found["nan_count"] += int(np.sum(~np.isfinite(values)))
-    return found
-
-
-def times(program, runs: int, budget: float) -> dict:
-    taken = []
-    begin = time.monotonic()
-    while len(taken) < runs and (len(taken) < 5 or time.monotonic() - begin < budget):
-        taken.append(1e3 * sum(program.run()))
-    p10, p90 = np.percentile(taken, [10, 90])
-    return {
-        "ms": statistics.median(taken), "p10": float(p10), "p90": float(p90), "least": min(taken),
-        "n": len(taken),
-    }  # fmt: skip
-
-
-def median_error(program, sets: list[np.ndarray]) -> float:
-    """That of the loss, over many sets of numbers."""
-    found = []
-    for numbers in sets:
-        program.fill(numbers)
-        program.run()
-        found.append(relative(np.array(program.loss()), np.array(math.fsum(numbers))))
-    return statistics.median(found)
-
-
-def digest(program) -> str:
-    parts = [np.asarray(program.gradient()).tobytes(), np.float64(program.loss()).tobytes()]
-    if hasattr(program, "values"):
-        parts.append(np.asarray(program.values()).tobytes())
-    return hashlib.sha256(b"".join(parts)).hexdigest()
-
-
-def distinct(program, runs: int, budget: float) -> tuple[int, int]:
-    """How many results there are in many runs, and how many runs there was time for."""
-    seen, count = set(), 0
-    begin = time.monotonic()
-    while count < runs and (count < 5 or time.monotonic() - begin < budget):
-        program.run()
-        seen.add(digest(program))
-        count += 1
-    return len(seen), count
-
-
-def measure(given: argparse.Namespace) -> dict:
-    mode = modes.find(given.system, given.mode)
-    import harness
-
-    # The time of one thread is the processor's, which other programs do not lengthen much.
-    is_one = given.threads == 1 and given.arch == "cpu"
-    harness.clock = time.process_time if is_one else time.perf_counter
-    found = {"version": version_of(given.system), "clock": "processor" if is_one else "wall"}
-    start(given.system, mode, given.arch, given.threads, given.cache)
-    import cases
-
-    program = cases.make(given.scene, given.system, given.size)
-    if program is None:
-        return found | {"status": "missing", "reason": "no program for this scene"}
-    warm_up(program, given.arch)
-    if given.keep:
-        np.savez(given.keep, loss=program.loss(), gradient=program.gradient())
-        return found | {"status": "ok"}
-    expected = cases.exact(given.scene, given.size)
-    if expected is None:
-        with np.load(given.reference) as file:
-            expected = dict(file)
-    found |= errors(program, mode, expected)
-    found |= times(program, given.runs, given.budget)
-    found["distinct"], found["runs"] = distinct(program, given.distinct, given.budget)
-    found["launches"] = launches_of(program)
-    sets = cases.sets(given.scene, given.size)
-    if sets:
-        found["loss_rel"] = median_error(program, sets)
-    if given.steps:
-        found["final_loss"], found["final_steps"] = final_loss(program, given.steps), given.steps
-    found["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return found | {"status": "ok"}
+def failure_of(error: Exception) -> dict:
+    """The row of a failed measurement."""
+    if isinstance(error, ImportError):
+        return {"status": "missing", "reason": str(error)}
+    traceback.print_exc()
+    lines = str(error).strip().splitlines() or [""]
+    status = "missing" if modes.lacks(error) else "failed"
+    reason = "this build has no such mode" if status == "missing" else lines[0]
+    return {"status": status, "reason": f"{type(error).__name__}: {reason}"[:200]}
 
 
 def main() -> int:
@@ -239,28 +249,31 @@ def main() -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--arch", default="cpu")
     parser.add_argument("--threads", type=int, default=1, help="0: all")
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--distinct", type=int, default=DISTINCT_RUNS)
-    parser.add_argument("--budget", type=float, default=10.0, help="seconds of timed runs")
-    parser.add_argument("--steps", type=int, default=0, help="of descent")
     parser.add_argument("--cache", type=Path, default=Path("/tmp"))
-    parser.add_argument("--reference", type=Path, help="a file that --keep wrote")
-    parser.add_argument("--keep", type=Path, help="no times: writes loss and gradient there")
     given = parser.parse_args()
-    # Libraries print; only the result may reach standard output.
+    # Libraries print; only answers may reach standard output.
     stream = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
+
+    def say(answer: dict) -> None:
+        print(json.dumps(answer), file=stream, flush=True)
+
+    mode = modes.find(given.system, given.mode)
     try:
-        found = measure(given)
-    except ImportError as error:
-        found = {"status": "missing", "reason": str(error)}
+        import harness
+
+        # The time of one thread is the processor's, which other programs do not lengthen much.
+        is_one = given.threads == 1 and given.arch == "cpu"
+        harness.clock = time.process_time if is_one else time.perf_counter
+        start(given.system, mode, given.arch, given.threads, given.cache)
+        measurement = Measurement(given, mode)
+        clock = "processor" if is_one else "wall"
+        say({"status": "ok", "version": version_of(given.system), "clock": clock})
+        for line in sys.stdin:
+            request = json.loads(line)
+            say(getattr(measurement, request.pop("do"))(**request))
     except Exception as error:
-        traceback.print_exc()
-        lines = str(error).strip().splitlines() or [""]
-        status = "missing" if modes.lacks(error) else "failed"
-        reason = "this build has no such mode" if status == "missing" else lines[0]
-        found = {"status": status, "reason": f"{type(error).__name__}: {reason}"[:200]}
-    print(json.dumps(found), file=stream, flush=True)
+        say(failure_of(error))
     return 0
 
 

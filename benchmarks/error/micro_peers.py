@@ -47,11 +47,6 @@ def _jax(name, data):
     program = peer_jax.JaxProgram(loss, np.asarray(inputs[key]))
     if values is not None:
         program.values = lambda: np.asarray(values(program.argument))
-
-    def fill(numbers):
-        program.argument = jnp.asarray(numbers, dtype=peer_jax.REAL)
-
-    program.fill = fill
     return program
 
 
@@ -93,12 +88,6 @@ def _torch(name, data):
     program = peer_torch.TorchProgram(loss, [leaf])
     if values is not None:
         program.values = lambda: values(leaf).detach().cpu().numpy()
-
-    def fill(numbers):
-        with torch.no_grad():
-            leaf.copy_(peer_torch.tensor(numbers))
-
-    program.fill = fill
     return program
 
 
@@ -199,5 +188,4 @@ def _warp(name, data):
     program = WarpProgram(wp, loss, [(unknown, lambda a: a)], forward, clear)
     if isinstance(data, micro.Map):
         program.values = out.numpy
-    program.fill = lambda numbers: unknown.assign(numbers.astype(np.float32))
     return program

@@ -1,12 +1,18 @@
 """Plots of run time against error, and docs/reports/accuracy.md, from the rows of the benchmark.
 
-The page answers four questions in at most 150 lines; all figures of a scene are in
-docs/reports/accuracy/. Each sentence with a figure is made of the rows.
+    .venv/bin/python benchmarks/error/page.py --rows error-h200.csv [--out FOLDER]
+
+The page answers four questions in at most 150 lines; the figures and a plot of each scene are in
+docs/reports/accuracy/. Each sentence with a figure is made of the rows. It is refused for rows of
+several commits, of a tree with changes, or of several sessions at one place.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
+import re
+import shutil
 import statistics
 import sys
 import textwrap
@@ -23,54 +29,45 @@ import rows
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
 PAGE = ROOT / "docs" / "reports" / "accuracy.md"
-PICTURES = PAGE.parent / "pictures"
-# A page for each scene, beside the page itself.
+# A page and a plot for each scene, beside the page itself.
 FOLDER = "accuracy"
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-10)
 # A value for errors of zero, which cannot be drawn on a logarithmic axis.
 LEAST = 1e-17
-# Errors count as equal below the first, and where they differ by less than the second: noise.
-FLOOR, ERROR_NOISE = 1e-15, 1.05
 # Errors beyond this are losses of range, and not of digits.
 OVERFLOW = 1e3
 # Losses that the page lists; all are on the pages of scenes.
-MOST_LOSSES = 40
+MOST_LOSSES = 30
+# Marks in a plot.
+MOST_MARKS = 5
 ORDER = [mode.name for mode in modes.TAI]
 # Where several modes are as fast, the first one is taken.
 SIMPLEST = ["f32", "f64", *(name for name in ORDER if name not in ("f32", "f64"))]
+# The unit roundoff of numbers that are stored in fewer bits than they are computed in.
+STORED = {"f16 storage": 2.0**-11, "bf16 storage": 2.0**-8}
 
 
 def groups_of(found: list[dict]) -> dict[tuple, list[dict]]:
-    """Measured rows by scene, size, arch and threads, on one machine."""
+    """Measured rows by scene and by the place where they ran."""
     groups: dict[tuple, list[dict]] = {}
     for row in rows.measured(found):
-        place = (row["machine"], row["size"], row["arch"], row["threads"])
-        groups.setdefault((row["scene"], *place), []).append(row)
+        groups.setdefault((row["scene"], place_of(row)), []).append(row)
     return groups
 
 
-def merged(groups: dict[tuple, list[dict]]) -> dict[tuple, list[dict]]:
-    """The same with one group for each card, whatever machine it is in.
-
-    If two machines have the same rows, those of the machine with more of the scene are kept.
-    """
-    cards: dict[tuple, list[dict]] = {}
-    for key in sorted(groups, key=lambda key: -len(groups[key])):
-        scene, machine, size, arch, threads = key
-        where = (scene, place_of(machine, arch), size, arch, threads)
-        group = cards.setdefault(where, [])
-        known = {(row["system"], row["mode"]) for row in group}
-        group += [row for row in groups[key] if (row["system"], row["mode"]) not in known]
-    scenes = list(dict.fromkeys(key[0] for key in groups))
-    return dict(
-        sorted(cards.items(), key=lambda item: (item[0][3:], item[0][1], scenes.index(item[0][0])))
-    )
-
-
-def place_of(machine: str, arch: str) -> str:
-    """The machine, or the card of one: its name stands last, "processor, cores, card"."""
-    return machine.rsplit(", ", 1)[-1] if arch == "cuda" else machine
+def place_of(row: dict) -> str:
+    """The card, or the processor and its threads, in words."""
+    if row["arch"] == "cuda":
+        # Its name stands last: "processor, cores, card".
+        return row["machine"].rsplit(", ", 1)[-1]
+    family = re.search(r"EPYC|Xeon|Ryzen|Core|Neoverse", row["machine"])
+    cores = re.search(r"(\d+) cores", row["machine"])
+    name = family[0] if family else "CPU"
+    if row["threads"] == "1":
+        return f"{name}, one thread"
+    return f"{name}, {cores[1] if cores else 'all'} threads"
 
 
 def split(group: list[dict]) -> tuple[list[dict], list[dict]]:
@@ -78,15 +75,10 @@ def split(group: list[dict]) -> tuple[list[dict], list[dict]]:
     return ours, [row for row in group if row["system"] != modes.OURS]
 
 
-def marks(row: dict, peers: list[dict]) -> str:
-    """How a row of tai stands against those of its peers."""
-    if row["system"] != modes.OURS or not peers:
-        return ""
-    if rows.beats_all(row, peers):
-        return "★"
-    bits = modes.find(modes.OURS, row["mode"]).bits
-    same = [r for r in peers if modes.find(r["system"], r["mode"]).bits == bits]
-    return "+" if rows.beats_all(row, same) else ""
+def unit_of(row: dict) -> float:
+    """The unit roundoff of a row's mode."""
+    bits = modes.find(row["system"], row["mode"]).bits
+    return STORED.get(row["mode"], {32: 2.0**-24, 64: 2.0**-53}[bits])
 
 
 # Words
@@ -102,14 +94,17 @@ def table(group: list[dict]) -> list[str]:
     ours.sort(key=lambda row: ORDER.index(row["mode"]))
     peers.sort(key=lambda row: (row["system"], row["mode"]))
     has_ulp = any(row["max_ulp"] is not None for row in group)
-    head = ["", "system, mode", "ms", "p10 – p90", "loss", "gradient", "cosine"]
-    head += ["worst ulp"] if has_ulp else []
+    head = ["system, mode", "ms", "quartiles", "error", "range", "error / κu", "loss", "gradient"]
+    head += ["cosine", *(["worst ulp"] if has_ulp else [])]
     head += ["results", "launches", "after descent", "MiB"]
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for row in [*ours, *peers]:
-        cells = [marks(row, peers), f"{row['system']}, {row['mode']}", number(row["ms"], ".3g")]
-        cells += [f"{row['p10']:.3g} – {row['p90']:.3g}", number(row["loss_rel"])]
-        cells += [number(row["grad_rel"])]
+        cells = [f"{row['system']}, {row['mode']}", number(row["ms"], ".3g")]
+        cells += [f"{row['q1']:.3g} – {row['q3']:.3g}", amount(row["error"])]
+        cells += [f"{amount(row['error_low'])} – {amount(row['error_high'])}"]
+        known = row["condition"] and row["error"] <= OVERFLOW
+        cells += [number(row["error"] / row["condition"] / unit_of(row)) if known else "–"]
+        cells += [amount(row["loss_rel"]), amount(row["grad_rel"])]
         short = row["grad_cos"] is not None and row["grad_cos"] < 1 - 1e-9
         cells += [f"1 - {1 - row['grad_cos']:.1g}" if short else number(row["grad_cos"], ".0f")]
         cells += [number(row["max_ulp"], ".3g")] if has_ulp else []
@@ -119,22 +114,40 @@ def table(group: list[dict]) -> list[str]:
     return lines
 
 
-def is_matched(peer: dict, ours: list[dict]) -> bool:
-    """Whether a mode of tai is at least as fast as a row of a peer, and as exact but for noise."""
-    bar = ERROR_NOISE * max(rows.error_of(peer), FLOOR)
-    return any(row["ms"] <= peer["ms"] and rows.error_of(row) <= bar for row in ours)
+def amount(error: float | None) -> str:
+    """An error; one of range has a word."""
+    return "overflow" if error is not None and not error <= OVERFLOW else number(error)
 
 
-def is_within_spread(row: dict, other: dict) -> bool:
-    """Whether the times of two rows overlap, so that none of them is the faster."""
-    return row["p10"] <= other["p90"] and other["p10"] <= row["p90"]
+def best_against(peer: dict, ours: list[dict]) -> dict | None:
+    """The fastest mode of tai that is as exact as a row of a peer, but for the spread."""
+    good = [row for row in ours if rows.is_as_exact(row, peer)]
+    return min(good, key=lambda row: row["ms"], default=None)
+
+
+def standing(peer: dict, ours: list[dict]) -> str:
+    """How tai stands at the error of a peer: "faster", "level" (within the spread) or "lost"."""
+    best = best_against(peer, ours)
+    if best is None or rows.is_faster(peer, best):
+        return "lost"
+    return "faster" if rows.is_faster(best, peer) else "level"
+
+
+def counted(standings: Iterable[str]) -> str:
+    """How many modes of peers some mode of tai dominates, in words."""
+    counts = Counter(standings)
+    total = sum(counts.values())
+    return (
+        f"{total - counts['lost']} of {total} modes of peers are dominated by some mode of tai, "
+        f"{counts['faster']} by more than the spread of times"
+    )
 
 
 def verdict(group: list[dict]) -> str:
     """How many modes of peers some mode of tai dominates, and the others."""
     ours, peers = split(group)
-    lost = [row for row in peers if not is_matched(row, ours)]
-    text = f"{len(peers) - len(lost)} of {len(peers)} modes of peers are dominated by one of tai"
+    text = counted(standing(peer, ours) for peer in peers)
+    lost = [row for row in peers if standing(row, ours) == "lost"]
     return f"{text}; not {', '.join(map(loss_of(ours), lost))}." if lost else f"{text}."
 
 
@@ -142,24 +155,23 @@ def loss_of(ours: list[dict]) -> Callable[[dict], str]:
     """A function that says by how much tai is slower than a row at its error."""
 
     def text(peer: dict) -> str:
-        bar = ERROR_NOISE * max(rows.error_of(peer), FLOOR)
-        good = [row for row in ours if rows.error_of(row) <= bar]
+        best = best_against(peer, ours)
         name = f"{peer['system']} {peer['mode']}"
-        if not good:
-            return f"{name} (no mode of tai has an error of {rows.error_of(peer):.1e})"
-        best = min(good, key=lambda row: row["ms"])
-        over = ", within the spread" if is_within_spread(best, peer) else ""
-        return f"{name} ({best['mode']} takes {best['ms'] / peer['ms']:.2f} times as long{over})"
+        if best is None:
+            return f"{name} (no mode of tai has an error of {peer['error']:.1e})"
+        low, high = best["q1"] / peer["q3"], best["q3"] / peer["q1"]
+        ratio = f"{best['ms'] / peer['ms']:.2f} ({low:.2f} to {high:.2f})"
+        return f"{name} ({best['mode']} takes {ratio} times as long)"
 
     return text
 
 
 def fastest(group: list[dict], target: float) -> dict | None:
-    """The fastest mode within an error; of those within its spread, the simplest."""
+    """The fastest mode within an error at all inputs; of those within its spread, the simplest."""
     ours = [row for row in split(group)[0] if row["mode"] != "f32 unguarded"]
-    good = [row for row in ours if rows.error_of(row) <= target]
+    good = [row for row in ours if row["error_high"] <= target]
     best = min(good, key=lambda row: row["ms"], default=None)
-    near = [row for row in good if row is best or is_within_spread(row, best)]
+    near = [row for row in good if not rows.is_faster(best, row)]
     return min(near, key=lambda row: SIMPLEST.index(row["mode"]), default=None)
 
 
@@ -172,17 +184,22 @@ def choice(group: list[dict]) -> list[str]:
     return cells
 
 
+def by_place(groups: dict[tuple, list[dict]]) -> dict[str, list[tuple[str, list[dict]]]]:
+    """Scenes and their rows at each place."""
+    places: dict[str, list[tuple[str, list[dict]]]] = {}
+    for (scene, place), group in groups.items():
+        places.setdefault(place, []).append((scene, group))
+    return places
+
+
 def choices(groups: dict[tuple, list[dict]]) -> list[str]:
     """How often each mode is the fastest within an error, at each place."""
-    places: dict[str, list[list[dict]]] = {}
-    for (_, *place), group in groups.items():
-        places.setdefault(_place(place), []).append(group)
     lines = [f"| where | {' | '.join(f'{t:.0e}' for t in TARGETS)} |"]
     lines += [f"|---|{'---|' * len(TARGETS)}"]
-    for where, mine in places.items():
+    for where, mine in by_place(groups).items():
         cells = []
         for target in TARGETS:
-            found = [fastest(group, target) for group in mine]
+            found = [fastest(group, target) for _, group in mine]
             counts = Counter("none" if row is None else row["mode"] for row in found)
             cells.append(", ".join(f"{name} {count}" for name, count in counts.most_common(4)))
         lines.append(f"| {where} ({len(mine)} scenes) | {' | '.join(cells)} |")
@@ -191,26 +208,21 @@ def choices(groups: dict[tuple, list[dict]]) -> list[str]:
 
 def losses(groups: dict[tuple, list[dict]]) -> list[str]:
     """For each place how many modes of peers are dominated, and the losses, the greatest first."""
-    counts: dict[str, list[int]] = {}
-    lost = []
-    for (scene, *place), group in groups.items():
-        ours, peers = split(group)
-        for peer in peers:
-            is_won = is_matched(peer, ours)
-            won, all_ = counts.setdefault(_place(place), [0, 0])
-            counts[_place(place)] = [won + is_won, all_ + 1]
-            if not is_won:
-                bar = ERROR_NOISE * max(rows.error_of(peer), FLOOR)
-                good = [row["ms"] for row in ours if rows.error_of(row) <= bar]
-                size = min(good, default=math.inf) / peer["ms"]
-                lost.append((size, f"- {scene}, {_place(place)}: {loss_of(ours)(peer)}"))
-    lines = [
-        f"- **{where}: {won} of {total}** modes of peers are dominated by some mode of tai: at "
-        "least as fast, and as exact."
-        for where, (won, total) in counts.items()
-    ]
+    lines, lost = [], []
+    for where, mine in by_place(groups).items():
+        standings = []
+        for scene, group in mine:
+            ours, peers = split(group)
+            standings += [standing(peer, ours) for peer in peers]
+            for peer in peers:
+                if standing(peer, ours) == "lost":
+                    best = best_against(peer, ours)
+                    size = best["ms"] / peer["ms"] if best else math.inf
+                    lost.append((size, f"- {scene}, {where}: {loss_of(ours)(peer)}"))
+        if standings:
+            lines.append(f"- **{where}**: {counted(standings)}.")
     lost.sort(key=lambda entry: -entry[0])
-    lines += ["", "The losses:", ""] if lost else []
+    lines += ["", "The losses, with the ratios that the quartiles allow:", ""] if lost else []
     lines += [text for _, text in lost[:MOST_LOSSES]]
     if len(lost) > MOST_LOSSES:
         lines.append(f"- and {len(lost) - MOST_LOSSES} more, on the pages of scenes")
@@ -218,28 +230,38 @@ def losses(groups: dict[tuple, list[dict]]) -> list[str]:
 
 
 def prices(groups: dict[tuple, list[dict]]) -> list[str]:
-    """The cost and the gain of each mode next to f32, over all scenes."""
-    lines = ["| mode | time next to f32 | error next to f32 | for what |", "|---|---|---|---|"]
+    """The cost and the gain of each mode next to f32, over all scenes and places."""
+    lines = [
+        "| mode | time next to f32 | slower, faster | error next to f32 | smaller | for what |",
+        "|---|---|---|---|---|---|",
+    ]
     for name in ORDER:
         slower, worse, overflows = [], [], 0
+        counts: Counter = Counter()
         for group in groups.values():
             ours = {row["mode"]: row for row in split(group)[0]}
-            if name in ours and "f32" in ours:
-                slower.append(ours[name]["ms"] / ours["f32"]["ms"])
-                pair = [rows.error_of(ours[key]) for key in (name, "f32")]
-                if not pair[0] <= OVERFLOW:
-                    overflows += 1
-                elif pair[1] <= OVERFLOW:
-                    worse.append(max(pair[0], LEAST) / max(pair[1], LEAST))
-        if slower:
-            time, error = (statistics.geometric_mean(x) for x in (slower, worse or [1.0]))
-            spread = f"{min(slower):.2g} to {max(slower):.2g}"
-            about = f"{time:.2f} ({spread}) | {error:.2g}"
-            about += f" ({min(worse):.1g} to {max(worse):.1g})" if worse else ""
-            about += f", overflow in {overflows}" if overflows else ""
-            lines.append(f"| {name} | {about} | {modes.ABOUT[name]} |")
-        else:
-            lines.append(f"| {name} | not measured | | {modes.ABOUT[name]} |")
+            if name not in ours or "f32" not in ours:
+                continue
+            mine, plain = ours[name], ours["f32"]
+            slower.append(mine["ms"] / plain["ms"])
+            counts["slower"] += rows.is_faster(plain, mine)
+            counts["faster"] += rows.is_faster(mine, plain)
+            if not mine["error"] <= OVERFLOW:
+                overflows += 1
+            elif plain["error"] <= OVERFLOW:
+                worse.append(max(mine["error"], LEAST) / max(plain["error"], LEAST))
+                counts["exact"] += rows.is_more_exact(mine, plain)
+        if not slower:
+            lines.append(f"| {name} | not measured | | | | {modes.ABOUT[name]} |")
+            continue
+        total = len(slower)
+        about = f"{statistics.geometric_mean(slower):.2f} ({min(slower):.2g} to {max(slower):.2g})"
+        about += f" | {counts['slower']}, {counts['faster']} of {total} | "
+        if worse:
+            error = statistics.geometric_mean(worse)
+            about += f"{error:.2g} ({min(worse):.1g} to {max(worse):.1g})"
+        about += f", overflow in {overflows}" if overflows else ""
+        lines.append(f"| {name} | {about} | {counts['exact']} | {modes.ABOUT[name]} |")
     return lines
 
 
@@ -258,11 +280,10 @@ def trouble(found: list[dict]) -> list[str]:
 
 
 def bars(found: list[dict]) -> list[str]:
-    """The bars, and how many figures keep each, on CPUs and on each card."""
+    """The bars, and how many figures keep each, at each place."""
     places: dict[str, list[dict]] = {}
     for row in found:
-        where = place_of(row["machine"], row["arch"])
-        places.setdefault(where, []).append(row)
+        places.setdefault(place_of(row), []).append(row)
     judged = {where: gates.judge(mine) for where, mine in places.items()}
     lines = [f"| bar, kept by (of) | {' | '.join(judged)} |", f"|---|{'---|' * len(judged)}"]
     for several in zip(*judged.values(), strict=True):
@@ -274,73 +295,93 @@ def bars(found: list[dict]) -> list[str]:
     return lines
 
 
+def references_in_words(found: list[dict]) -> str:
+    """The errors of the references, the greatest of them by name."""
+    errors = {r["scene"]: r["reference_error"] for r in rows.measured(found)}
+    known = {scene: error for scene, error in errors.items() if error is not None}
+    if not known:
+        return "The references have no error estimate."
+    worst = max(known, key=lambda scene: known[scene])
+    small = sum(error <= rows.FLOOR for error in known.values())
+    return (
+        f"Errors of the references: at most 1e-15 in {small} of {len(known)} scenes, the "
+        f"greatest {known[worst]:.1e} ({worst})."
+    )
+
+
+def spreads_in_words(found: list[dict]) -> str:
+    """How many inputs and rounds the rows have."""
+    mine = rows.measured(found)
+    inputs = Counter(int(row["inputs"]) for row in mine)
+    rounds = Counter(int(row["rounds"]) for row in mine)
+    few = sum(count for number, count in inputs.items() if number < max(inputs))
+    less = sum(count for number, count in rounds.items() if number < max(rounds))
+    text = f"{max(inputs)} inputs"
+    text += f" ({few} of {len(mine)} rows: {min(inputs)} or more)" if few else ""
+    text += f" and {max(rounds)} rounds"
+    return text + (f" ({less} of {len(mine)} rows: {min(rounds)} or more)" if less else "")
+
+
 INTRODUCTION = """
     How long an iteration takes (forward and backward) and how far its loss and its gradient are
     off, for each mode of numbers, on the examples at small sizes and on single kernels.
     `make bench-error` writes this page, the pages of scenes, and each sentence with a figure."""
 
 METHOD = """
-    Each row is a process of its own. The initial values of fields are numbers of f32 in all modes:
-    the error is that of computing, of the loss or the gradient (L2), whichever is greater. Kernels
-    are compared with sums that are rounded once and with 80-bit floats; scenes with tai in f64
-    and deterministic sums, which at a tiny size agrees with numbers of 50 digits within 1e-11
-    (`benchmarks/error/exact.py`), so an error below that says nothing of a scene. Times are medians
-    with the 10th and the 90th percentile; of modes whose times overlap, the simplest counts as the
-    fastest. Errors below 1e-15 are equal, and so are those that differ by less than 5 %. A greater
-    error than 1000 is an overflow, and in no average. `make bench-error-gate` compares two
+    One command, one commit, one session on each machine. The error is that of the loss or of the
+    gradient (L2), whichever is greater: the median over the inputs of a scene and inputs whose
+    numbers are each an ulp of f32 off, which all modes hold exactly. All modes of a scene are timed
+    in turns; a time is the median over rounds, with quartiles. **A mode is faster only if the
+    quartiles do not overlap, and more exact only if the ranges of errors do not.** Errors below
+    1e-15 are equal. A greater error than 1000 is an overflow, and in no average. Kernels are
+    compared with 80-bit floats in NumPy and sums that are rounded once; scenes with shadows of 80
+    bits, four of which are compared with adjoints written by hand in NumPy in 80 bits, and all, at
+    a tiny size, with 50 digits (`benchmarks/error/exact.py`). `make bench-error-gate` compares two
     commits."""
 
 HINT = """
-    Rows of a size other than full were measured in a hurry, several at a time: their errors hold,
-    their times are a hint, and so is all that rests on them."""
-
-MIXED = """
-    **These rows are of several commits**: next to a row of another commit, a time is a hint."""
-
-CARDS = """
-    Rows of one card may be of several machines that have it; the cost of
-    a mode next to another is compared on one machine alone."""
+    Rows of a size other than full were measured in a hurry: their times are a hint, and so is all
+    that rests on them."""
 
 LEGEND = """
-    *Loss* and *gradient* are relative errors (L2), *cosine* is between the gradient and the true
-    one, *results* how many different ones there were in how many runs, *after descent* the loss
-    after some steps, *MiB* the most memory of the process, *ms* the median over the runs: the
-    processor's time of one thread, or the clock's with all. ★ marks a row of tai that is
-    faster and at least as exact as every mode of every peer that was measured; + one that is so
-    among rows of the same width. The script that ran them sets the marks."""
+    *Error* is the median of the relative errors (L2) of the loss or of the gradient, whichever is
+    greater, *range* the least and the greatest over inputs, *κu* the condition of the scene
+    (the greatest change of loss or gradient when its inputs move by an ulp, in parts of theirs)
+    times the unit roundoff of the mode: a mode cannot be much better than 1, and is bad for itself,
+    not for the scene, far above it. *Loss* and *gradient* are medians, *cosine* is between the
+    gradient and the true one, *results* how many different ones there were in how many runs,
+    *after descent* the loss after some steps, *MiB* the most memory of the process, *ms* the median
+    over rounds: the processor's time of one thread, or the clock's with all."""
 
 
-def text_of(found: list[dict], pictures: Iterable[Path]) -> str:
-    apart = groups_of(found)
-    groups = merged(apart)
+def text_of(found: list[dict]) -> str:
+    groups = groups_of(found)
     lines = ["# Run time against error", "", *_wrapped(INTRODUCTION), ""]
     lines += ["## Which mode for my error?", ""]
     lines += _wrapped(
-        "In how many scenes each mode is the fastest of tai within an error (four modes at most). "
-        "[ti.solve_to](../guides/solve-to.md) chooses for a program and an error."
+        "In how many scenes each mode is the fastest of tai within an error (four modes at most; "
+        "of modes within the spread, the simplest). [ti.solve_to](../guides/solve-to.md) chooses "
+        "for a program and an error."
     )
-    lines += ["", *choices(groups), "", "## The cost of a mode", "", *prices(apart), ""]
-    lines += ["## Where do we lose?", "", *losses(groups), "", "### Bars", "", *bars(found), ""]
-    lines += ["## How was it measured?", "", *_wrapped(METHOD), ""]
+    lines += ["", *choices(groups), "", "## The cost of a mode", ""]
+    lines += _wrapped(
+        "Geometric means with ranges; in how many cases a mode is slower and faster than f32, and "
+        "its error smaller, by more than the spread."
+    )
+    lines += ["", *prices(groups), "", "## Where do we lose?", "", *losses(groups), ""]
+    lines += ["### Bars", "", *bars(found), "", "## How was it measured?", "", *_wrapped(METHOD)]
+    lines += ["", *_wrapped(f"{spreads_in_words(found)}. {references_in_words(found)}"), ""]
     for machine in dict.fromkeys(row["machine"] for row in found):
         mine = [row for row in found if row["machine"] == machine]
         systems = {f"{r['system']} {r['version']}" for r in mine if r["version"]}
-        gits = ", ".join(sorted({r["git"] for r in mine}))
         sizes = ", ".join(sorted({r["size"] for r in mine}))
-        text = f"- {machine}; size {sizes}; tai at {gits}; {', '.join(sorted(systems))}"
+        text = f"- {machine}; size {sizes}; tai at {mine[0]['git']}; {', '.join(sorted(systems))}"
         lines += textwrap.wrap(text, 110, subsequent_indent="  ")
-    if len({row["git"] for row in found if row["system"] == modes.OURS}) > 1:
-        lines += ["", *_wrapped(MIXED)]
     if any(row["size"] != "full" for row in found):
         lines += ["", *_wrapped(HINT)]
-    if any(row["arch"] == "cuda" for row in found):
-        lines += ["", *_wrapped(CARDS)]
-    scenes = list(dict.fromkeys(key[0] for key in groups))
+    scenes = list(dict.fromkeys(scene for scene, _ in groups))
     text = ", ".join(f"[{scene}]({FOLDER}/{scene}.md)" for scene in scenes)
-    lines += ["", *_wrapped(f"Figures of each scene: {text}.")]
-    drawn = ", ".join(f"[{path.stem}](pictures/{path.name})" for path in pictures)
-    if drawn:
-        lines += ["", *_wrapped(f"Pictures of all scenes: {drawn}.")]
+    lines += ["", *_wrapped(f"Figures and a plot of each scene: {text}.")]
     failures = trouble(found)
     if failures:
         lines += ["", "Not measured:", "", *failures[:8]]
@@ -348,44 +389,41 @@ def text_of(found: list[dict], pictures: Iterable[Path]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def scene_text(scene: str, groups: dict[tuple, list[dict]]) -> str:
+def scene_text(scene: str, groups: dict[tuple, list[dict]], has_picture: bool) -> str:
     """The page of a scene: its fastest modes, peers, and all figures."""
     lines = [f"# Run time against error: {scene}", "", *_wrapped(LEGEND), ""]
+    mine = {place: group for (name, place), group in groups.items() if name == scene}
+    known = next(iter(mine.values()))[0]
+    own = number(known["reference_error"], ".1e")
+    lines += [f"Condition {number(known['condition'])}; error of the reference {own}.", ""]
+    lines += [f"![{scene}]({scene}.png)", ""] if has_picture else []
     lines += [f"| where | {' | '.join(f'{t:.0e}' for t in TARGETS)} |"]
     lines += [f"|---|{'---|' * len(TARGETS)}"]
-    mine = {tuple(place): group for (name, *place), group in groups.items() if name == scene}
     for place, group in mine.items():
-        lines.append(f"| {_place(place)} | {' | '.join(choice(group))} |")
+        lines.append(f"| {place} | {' | '.join(choice(group))} |")
     for place, group in mine.items():
         has_peers = bool(split(group)[1])
         said = verdict(group) if has_peers else "No peer was measured."
-        lines += ["", f"## {_place(place)}", "", *_wrapped(said), "", *table(group)]
-    fast = speed_and_digits({key: group for key, group in groups.items() if key[0] == scene})
+        lines += ["", f"## {place}", "", *_wrapped(said), "", *table(group)]
+    fast = speed_and_digits(mine)
     if fast:
         lines += ["", "## Fast maths, and the digits that it loses", "", *fast]
     return "\n".join(lines) + "\n"
 
 
-def speed_and_digits(groups: dict[tuple, list[dict]]) -> list[str]:
+def speed_and_digits(mine: dict[str, list[dict]]) -> list[str]:
     lines = []
-    for (scene, *place), group in groups.items():
+    for place, group in mine.items():
         ours = {row["mode"]: row for row in split(group)[0]}
         if not {"f32", "f32 fast"} <= set(ours):
             continue
         plain, fast = ours["f32"], ours["f32 fast"]
-        lost = f"{rows.error_of(plain):.1e} | {rows.error_of(fast):.1e}"
+        lost = f"{plain['error']:.1e} | {fast['error']:.1e}"
         ulp = f"{number(plain['max_ulp'], '.3g')} | {number(fast['max_ulp'], '.3g')}"
         faster = plain["ms"] / fast["ms"]
-        lines.append(f"| {scene} ({_place(place)}) | {faster:.2f} | {lost} | {ulp} |")
-    head = "| scene | times faster | error of f32 | of f32 fast | ulp of f32 | of f32 fast |"
+        lines.append(f"| {place} | {faster:.2f} | {lost} | {ulp} |")
+    head = "| where | times faster | error of f32 | of f32 fast | ulp of f32 | of f32 fast |"
     return [head, "|---|---|---|---|---|---|", *lines] if lines else []
-
-
-def _place(place: Iterable[str]) -> str:
-    machine, _, arch, threads = place
-    if arch == "cuda":
-        return machine
-    return "one thread" if threads == "1" else "all threads"
 
 
 def _wrapped(text: str) -> list[str]:
@@ -396,81 +434,78 @@ def _wrapped(text: str) -> list[str]:
 # Pictures
 
 
-def draw(found: list[dict], folder: Path) -> list[Path]:
-    """A panel for each scene, at each place a picture; none without matplotlib."""
+def marked(group: list[dict]) -> list[dict]:
+    """The rows that a plot shows: f32 and f64 of tai, the most exact mode, and the best peers."""
+    ours, peers = split(group)
+    own = {row["mode"]: row for row in ours if row["error"] <= OVERFLOW}
+    chosen = [own[name] for name in ("f32", "f64") if name in own]
+    rest = [row for row in own.values() if row not in chosen]
+    chosen += sorted(rest, key=lambda row: (max(row["error"], rows.FLOOR), row["ms"]))[:1]
+    for bits in (32, 64):
+        same = [r for r in peers if modes.find(r["system"], r["mode"]).bits == bits]
+        chosen += sorted(same, key=lambda row: row["ms"])[:1]
+    return chosen[:MOST_MARKS]
+
+
+def draw(groups: dict[tuple, list[dict]], folder: Path) -> set[str]:
+    """A plot for each scene, with a panel for each place; returns the scenes that have one."""
     try:
         import matplotlib
     except ImportError:
-        return []
+        return set()
     matplotlib.use("Agg")
-    places: dict[tuple, dict[str, list[dict]]] = {}
-    for (scene, *place), group in merged(groups_of(found)).items():
-        places.setdefault(tuple(place), {})[scene] = group
-    written = []
-    for (machine, size, arch, threads), scenes in places.items():
-        where = machine.lower() if arch == "cuda" else f"cpu-{threads}"
-        path = folder / f"accuracy-{where}{'' if size == 'full' else '-' + size}.png"
-        _draw_place(scenes, path, f"{machine}; size {size}; threads {threads}")
-        written.append(path)
-    return written
-
-
-def _draw_place(scenes: dict[str, list[dict]], path: Path, title: str) -> None:
-    import matplotlib
     from matplotlib import pyplot
 
     from studio.pictures import save_figure
 
     colours = _palette()
     paper, ink, soft = colours["PAPER"], colours["INK"], colours["SOFT"]
-    series = [colours[name] for name in ("BLUE", "RED", "GOLD", "GREEN", "PLUM", "TEAL")]
     look = {
         "axes.edgecolor": soft, "axes.facecolor": paper, "axes.labelcolor": ink,
         "axes.spines.right": False, "axes.spines.top": False, "axes.titlecolor": ink,
-        "figure.facecolor": paper, "font.size": 8, "legend.frameon": False, "text.color": ink,
+        "figure.facecolor": paper, "font.size": 10, "legend.frameon": False, "text.color": ink,
         "xtick.color": ink, "ytick.color": ink,
     }  # fmt: skip
-    columns = 4
-    height = math.ceil((len(scenes) + 1) / columns)
-    shapes = "osD^vP*XhdHp<>8"
-    peers = [name for name in modes.MODES if name != modes.OURS]
-    with matplotlib.rc_context(look):
-        figure, axes = pyplot.subplots(
-            height, columns, figsize=(3.1 * columns, 2.7 * height), squeeze=False,
-            layout="constrained",
+    written = set()
+    for scene in dict.fromkeys(scene for scene, _ in groups):
+        mine = {place: group for (name, place), group in groups.items() if name == scene}
+        with matplotlib.rc_context(look):
+            figure, axes = pyplot.subplots(
+                1, len(mine), figsize=(4.6 * len(mine), 4), squeeze=False, layout="constrained"
+            )
+            for axis, (place, group) in zip(axes.flat, mine.items(), strict=True):
+                _draw_place(axis, marked(group), colours)
+                axis.set(title=f"{scene}, {place}", xlabel="ms", ylabel="relative error")
+            save_figure(figure, folder / f"{scene}.png", dpi=80)
+            pyplot.close(figure)
+        written.add(scene)
+    return written
+
+
+def _draw_place(axis, shown: list[dict], colours: dict[str, str]) -> None:
+    """Marks with quartiles of time and ranges of error, on logarithmic axes with labelled ticks."""
+    from matplotlib import ticker
+
+    series = [colours[name] for name in ("BLUE", "RED", "GOLD", "GREEN", "PLUM")]
+    for k, row in enumerate(shown):
+        error, low, high = (max(row[key], LEAST) for key in ("error", "error_low", "error_high"))
+        is_ours = row["system"] == modes.OURS
+        axis.errorbar(
+            row["ms"], error, xerr=[[row["ms"] - row["q1"]], [row["q3"] - row["ms"]]],
+            yerr=[[error - low], [high - error]], marker="osD^v"[k], markersize=8, linestyle="none",
+            color=series[k], markerfacecolor=series[k] if is_ours else "none",
+            label=f"{row['system']}, {row['mode']}", capsize=2,
         )  # fmt: skip
-        handles: dict[str, object] = {}
-        for axis, (scene, group) in zip(axes.flat, scenes.items(), strict=False):
-            ours, others = split(group)
-            line = rows.front(ours)
-            axis.plot([r["ms"] for r in line], [_shown(r) for r in line], color=soft, zorder=1)
-            for row in ours:
-                k = ORDER.index(row["mode"])
-                handles[row["mode"]] = axis.plot(
-                    row["ms"], _shown(row), shapes[k % len(shapes)], markersize=5,
-                    color=series[k % len(series)], linestyle="none",
-                )[0]  # fmt: skip
-            for row in others:
-                k = peers.index(row["system"])
-                handles[f"{row['system']}"] = axis.plot(
-                    row["ms"], _shown(row), shapes[k], markersize=6, markerfacecolor="none",
-                    markeredgecolor=series[k % len(series)], linestyle="none",
-                )[0]  # fmt: skip
-            axis.set(title=scene, xscale="log", yscale="log", xlabel="ms", ylabel="relative error")
-            axis.minorticks_off()
-        for axis in axes.flat[len(scenes) :]:
-            axis.set_axis_off()
-        last = axes.flat[len(scenes)]
-        last.legend(handles.values(), handles.keys(), loc="center", ncols=2, fontsize=7)
-        figure.suptitle(title, fontsize=9)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_figure(figure, path, dpi=100)
-        pyplot.close(figure)
-
-
-def _shown(row: dict) -> float:
-    error = rows.error_of(row)
-    return min(max(error, LEAST), 1e3)
+    axis.set(xscale="log", yscale="log")
+    # At least one decade of each, so that both axes have labelled ticks.
+    for low, high, bound in ((*axis.get_xlim(), axis.set_xlim), (*axis.get_ylim(), axis.set_ylim)):
+        bound(10 ** math.floor(math.log10(low)), 10 ** math.ceil(math.log10(high)))
+    axis.xaxis.set_major_locator(ticker.LogLocator(10, (1, 2, 5) if len(shown) else (1,)))
+    axis.xaxis.set_major_formatter(ticker.ScalarFormatter())
+    axis.yaxis.set_major_formatter(ticker.LogFormatterSciNotation())
+    axis.xaxis.set_minor_formatter(ticker.NullFormatter())
+    axis.grid(True, which="major", color=colours["SOFT"], alpha=0.3)
+    axis.legend(fontsize=8)
 
 
 def _palette() -> dict[str, str]:
@@ -481,18 +516,53 @@ def _palette() -> dict[str, str]:
     return {name: pictures.css(getattr(pictures, name)) for name in names}
 
 
-def write(files: list[Path], kept: bool, work: Path) -> str:
-    """Writes the page and its pictures; where results are not kept, into the folder of the run."""
+def make(files: list[Path], out: Path | None = None) -> str:
+    """Writes the page with the pages and plots of scenes; returns a line about that.
+
+    Args:
+        files: rows; those in another folder are copied to the results.
+        out: a folder for the page, in the place of docs/reports.
+    """
     found = [row for path in files for row in rows.read(path)]
     if not rows.measured(found):
-        return "nothing was measured, so there is no page"
-    folder = PICTURES if kept else work
-    pictures = draw(found, folder)
-    path = PAGE if kept else work / "accuracy.md"
-    path.write_text(text_of(found, pictures))
-    groups = merged(groups_of(found))
+        return "no page: nothing was measured"
+    reason = rows.why_not_one_session(found)
+    if reason:
+        return f"no page: {reason}"
+    groups = groups_of(found)
+    path = out / PAGE.name if out else PAGE
     pages = path.parent / FOLDER
-    pages.mkdir(exist_ok=True)
-    for scene in dict.fromkeys(key[0] for key in groups):
-        (pages / f"{scene}.md").write_text(scene_text(scene, groups))
-    return f"{path}, {', '.join(p.name for p in pictures) or 'no pictures: no matplotlib'}"
+    if out is None:
+        # Figures that no page shows are of other commits.
+        kept = [RESULTS / file.name for file in files]
+        for file, target in zip(files, kept, strict=True):
+            if file.resolve() != target:
+                shutil.copyfile(file, target)
+        for old in RESULTS.glob("error-*.csv"):
+            if old not in kept:
+                old.unlink()
+        for old in [*pages.glob("*.md"), *pages.glob("*.png")]:
+            old.unlink()
+    pages.mkdir(parents=True, exist_ok=True)
+    drawn = draw(groups, pages)
+    path.write_text(text_of(found))
+    for scene in dict.fromkeys(scene for scene, _ in groups):
+        (pages / f"{scene}.md").write_text(scene_text(scene, groups, scene in drawn))
+    return f"{path}, {len(drawn)} plots{'' if drawn else ': no matplotlib'}"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rows", nargs="+", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--out", type=Path, help="a folder, in the place of docs/reports")
+    given = parser.parse_args(arguments)
+    try:
+        said = make(given.rows, given.out)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    print(said)
+    return int(said.startswith("no page"))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,4 +1,4 @@
-"""The rows of the benchmark of errors: columns, file format, and Pareto dominance."""
+"""The rows of the benchmark of errors: columns, file format, and dominance beyond the spread."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from pathlib import Path
 
 KEY = ["scene", "size", "system", "mode", "arch", "threads"]
 COLUMNS = [
-    *KEY, "version", "clock", "ms", "p10", "p90", "least", "n", "peak_mb", "loss", "loss_rel",
-    "grad_rel", "grad_cos", "max_ulp", "distinct", "runs", "nan_count", "launches", "final_loss",
-    "final_steps", "status", "reason", "machine", "git",
+    *KEY, "version", "clock", "ms", "q1", "q3", "least", "rounds", "peak_mb", "loss", "error",
+    "error_low", "error_high", "loss_rel", "grad_rel", "grad_cos", "max_ulp", "inputs", "condition",
+    "reference_error", "distinct", "runs", "nan_count", "launches", "final_loss", "final_steps",
+    "status", "reason", "machine", "git", "session",
 ]  # fmt: skip
-NUMBERS = {
-    "ms", "p10", "p90", "least", "peak_mb", "loss", "loss_rel", "grad_rel", "grad_cos", "max_ulp",
-    "distinct", "runs", "nan_count", "launches", "final_loss", "final_steps", "n",
-}  # fmt: skip
+TEXTS = {*KEY, "version", "clock", "status", "reason", "machine", "git", "session"}
+NUMBERS = set(COLUMNS) - TEXTS
+# Errors below this one are equal.
+FLOOR = 1e-15
 
 
 def key_of(row: dict) -> tuple[str, ...]:
@@ -68,24 +69,38 @@ def write(path: Path, rows: list[dict]) -> None:
     os.replace(part, path)
 
 
-def error_of(row: dict) -> float | None:
-    """The error that a row is drawn by: of the gradient, or of the loss where that is greater."""
-    found = [row[name] for name in ("grad_rel", "loss_rel") if row.get(name) is not None]
-    return max(found) if found else None
+def error_of(row: dict) -> float:
+    """The median error of the gradient or of the loss, whichever is greater."""
+    return row["error"]
 
 
 def measured(rows: list[dict]) -> list[dict]:
     return [row for row in rows if row["status"] == "ok"]
 
 
+def is_as_exact(row: dict, other: dict) -> bool:
+    """Whether the error of a row is none, or not beyond the spread of the other's errors."""
+    return row["error"] <= max(other["error_high"], FLOOR)
+
+
+def is_faster(row: dict, other: dict) -> bool:
+    """Whether a row is faster by more than the spread: their quartiles do not overlap."""
+    return row["q3"] < other["q1"]
+
+
+def is_more_exact(row: dict, other: dict) -> bool:
+    """Whether the error of a row is smaller by more than the spread over inputs."""
+    return max(row["error_high"], FLOOR) < other["error_low"]
+
+
 def is_dominated(row: dict, others: list[dict]) -> bool:
-    """Whether another row is at least as fast and as exact, and better in one of the two."""
-    mine = row["ms"], error_of(row)
-    for other in others:
-        its = other["ms"], error_of(other)
-        if its != mine and its[0] <= mine[0] and its[1] <= mine[1]:
-            return True
-    return False
+    """Whether another row is as fast and as exact, and better in one by more than the spread."""
+    return any(
+        (is_faster(other, row) and is_as_exact(other, row))
+        or (is_more_exact(other, row) and not is_faster(row, other))
+        for other in others
+        if other is not row
+    )
 
 
 def front(rows: list[dict]) -> list[dict]:
@@ -94,8 +109,18 @@ def front(rows: list[dict]) -> list[dict]:
     return sorted(found, key=lambda row: row["ms"])
 
 
-def beats_all(row: dict, others: list[dict]) -> bool:
-    """Whether a row is faster than each of the others and at least as exact."""
-    return bool(others) and all(
-        row["ms"] < other["ms"] and error_of(row) <= error_of(other) for other in others
-    )
+def why_not_one_session(rows: list[dict]) -> str | None:
+    """The reason why rows make no page together; None if they do."""
+    if any("dirty" in row["git"] for row in rows):
+        return "rows are of a tree with changes that are not committed"
+    commits = sorted({row["git"] for row in rows})
+    if len(commits) != 1 or not commits[0]:
+        return f"rows are of {len(commits)} commits: {', '.join(commits) or 'none'}"
+    sessions: dict[tuple, set[str]] = {}
+    for row in rows:
+        place = row["machine"], row["arch"], row["threads"]
+        sessions.setdefault(place, set()).add(row["session"])
+    for (machine, arch, threads), found in sessions.items():
+        if len(found) != 1:
+            return f"rows of {machine}, {arch}, threads {threads} are of {len(found)} sessions"
+    return None

@@ -1,30 +1,32 @@
 """Run time against error: each scene and kernel in each mode of tai and of its peers.
 
-    make bench-error                       # full sizes: an hour or two on a quiet machine
-    make bench-error ARGS=--quick          # small ones: ten minutes
-    make bench-error ARGS=--resume         # continue an interrupted run
+    make bench-error                                # full sizes: an hour or two on a quiet machine
+    make bench-error ARGS="--quick --minutes 10"    # small ones, within a time
+    make bench-error ARGS="--arch cuda,cpu --threads 1 --minutes 8 --out DIR"
     make bench-error ARGS="--scenes smoke,exp --systems tai,jax"
-    make bench-error ARGS=--page           # only the page and its plots, from existing results
 
-Each measurement is a process of its own. Its row is written at once; a failed row contains the
-reason and does not affect others. Writes benchmarks/results/error-<machine>.csv and
-docs/reports/accuracy.md, then judges the gates: the exit status is 1 if one of them fails.
+One session on one machine. All modes of a scene are alive together, each in a process of its own:
+first errors, over 16 inputs that are an ulp apart; then ten rounds in which they are timed in
+turns. With --minutes, rounds and inputs become fewer where time is short, and a row says how many
+there were. Writes benchmarks/results/error-<machine>.csv and the page, docs/reports/accuracy.md,
+which is refused for a tree with changes or rows of several commits. Then judges the gates: the exit
+status is 1 if one of them fails.
 """
 
 from __future__ import annotations
 
 import argparse
-import functools
-import json
+import datetime
 import os
 import platform
 import re
-import signal
+import secrets
+import statistics
 import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -34,14 +36,23 @@ import cases
 import gates
 import modes
 import page
+import references
 import rows
 from setup_peers import peers_python
+from workers import Worker, environment_of, interpreter
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-# Widths of the columns that name the measurement.
-WIDTHS = (16, 5, 10, 18, 4, 3)
+# Scenes in the order in which their references are there.
+ORDER = [
+    "wave", "billiards", "rigid_body", "electric", "mass_spring", "smoke", "exp", "sin", "pow",
+    "sum", "sum_ill", "scatter", "volume_renderer", "diffmpm", "polar", "stencil", "one_cell",
+    "diffmpm3d", "liquid",
+]  # fmt: skip
+# Their references are computed by several processes.
+SLOW = {"diffmpm3d", "liquid"}
+LEAST_ROUNDS = 3
 # Steps of descent after which a loss is compared.
 STEPS = {"tiny": 2, "quick": 5, "full": 10}
 
@@ -77,126 +88,263 @@ def revision() -> str:
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
-class Runner:
-    """Runs measurements, and keeps their rows."""
+class References:
+    """Computes references, each once for a commit."""
+
+    def __init__(self, given: argparse.Namespace, commit: str, log: Path):
+        self.given, self.log = given, log
+        self.folder = given.work / f"references-{commit}"
+        self.pool = ThreadPoolExecutor(max(1, given.jobs // 4))
+        self.lock = threading.Lock()
+        self.futures: dict[str, list[Future]] = {}
+        self.processes: list[subprocess.Popen] = []
+
+    def start(self, scene: str) -> list[Future]:
+        """Begins, unless somebody has."""
+        with self.lock:
+            if scene not in self.futures:
+                self.futures[scene] = [
+                    self.pool.submit(self._make, scene, first, count)
+                    for first, count in self._parts(scene)
+                ]
+            return self.futures[scene]
+
+    def _parts(self, scene: str) -> list[tuple[int, int]]:
+        total = self.given.inputs + 1
+        size = 4 if scene in SLOW and self.given.jobs > 3 else total
+        return [(first, min(size, total - first)) for first in range(0, total, size)]
+
+    def of(self, scene: str, deadline: float) -> references.Reference | None:
+        """The reference of a scene; None if there is none, or not in time."""
+        _, late = wait(self.start(scene), max(deadline - time.monotonic(), 1.0))
+        if late:
+            return None
+        path = self._path(scene)
+        return references.Reference(path) if (path / "about.json").is_file() else None
+
+    def _path(self, scene: str) -> Path:
+        return self.folder / f"{scene}-{self.given.size}"
+
+    def _make(self, scene: str, first: int, count: int) -> None:
+        path = self._path(scene)
+        names = [f"{number}.npz" for number in range(first, first + count)]
+        names += ["about.json"] if first == 0 else []
+        if "dirty" not in self.folder.name and all((path / name).is_file() for name in names):
+            return
+        cache = self.given.work / "cache" / "references"
+        cache.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, str(HERE / "references.py"), "--scene", scene, "--out", path]
+        command += ["--size", self.given.size, "--cache", cache, "--first", first]
+        command = ["nice", "-n", "5", *command, "--count", count]
+        with self.log.open("a") as log:
+            log.write(f"$ {' '.join(map(str, command))}\n")
+            log.flush()
+            process = subprocess.Popen(
+                list(map(str, command)), stdout=log, stderr=log, env=environment_of(ROOT)
+            )
+        self.processes.append(process)
+        process.wait()
+
+    def close(self) -> None:
+        self.pool.shutdown(wait=False, cancel_futures=True)
+        for process in self.processes:
+            process.kill()
+
+
+class Group:
+    """All modes of a scene at a place, each in a process."""
+
+    def __init__(self, session: Session, scene: str, arch: str, threads: str, jobs: int):
+        self.session, self.given, self.jobs = session, session.given, jobs
+        self.scene, self.arch, self.threads = scene, arch, threads
+        self.workers: dict[tuple[str, str], Worker] = {}
+        self.rows: dict[tuple[str, str], dict] = {}
+
+    def names(self) -> list[tuple[str, str]]:
+        return [
+            (system, mode.name)
+            for system in self.given.systems
+            for mode in modes.MODES[system]
+            if not self.given.modes or mode.name in self.given.modes
+        ]
+
+    def prepare(self) -> Group:
+        """Starts all processes, each of which compiles and runs its program once."""
+        self._all(self._start)
+        return self
+
+    def _all(self, do) -> None:
+        with ThreadPoolExecutor(self.jobs) as pool:
+            list(pool.map(do, self.names()))
+
+    def _start(self, name: tuple[str, str]) -> None:
+        system, mode = name
+        cache = self.given.work / "cache" / system / re.sub(r"\W+", "_", mode)
+        cache.mkdir(parents=True, exist_ok=True)
+        arguments = ["--scene", self.scene, "--system", system, "--mode", mode]
+        arguments += ["--size", self.given.size, "--arch", self.arch, "--cache", str(cache)]
+        arguments += ["--threads", "0" if self.threads == "all" else "1"]
+        python = interpreter(system, modes.OURS, peers_python(self.given.peers))
+        with self.session.log.open("a") as log:
+            worker = self.workers[name] = Worker(arguments, python, ROOT, log)
+        self.rows[name] = worker.answer(self.given.timeout) or {}
+
+    def measure(self, deadline: float) -> None:
+        """Errors, then times in turns; the rows go to the session."""
+        reference = self.session.references.of(self.scene, deadline)
+        begin = time.monotonic()
+        share = max(deadline - begin, 1.0)
+        if reference is None:
+            for worker in self.workers.values():
+                worker.failure = worker.failure or {
+                    "status": "failed", "reason": "there is no reference, or not in time"
+                }  # fmt: skip
+        else:
+            known = {"condition": reference.condition(),
+                     "reference_error": reference.about()["error"]}  # fmt: skip
+            self._all(lambda name: self._errors(name, reference, 0.25 * share))
+            for row in self.rows.values():
+                row.update(known)
+            self._rounds(deadline)
+        for name in self.names():
+            self._end(name)
+
+    def _errors(self, name: tuple[str, str], reference: references.Reference, share: float) -> None:
+        worker = self.workers[name]
+        count = 100 if modes.find(*name).is_deterministic else 20
+        folder = str(reference.folder)
+        seconds = min(share, 0.1 * self.given.timeout)
+        # Slow programs take longer than that: some inputs are always measured.
+        said = worker.ask(
+            "errors", self.given.timeout, reference=folder, seconds=seconds, distinct=count
+        )
+        self.rows[name].update(said or {})
+        worker.ask("warm", self.given.timeout, seconds=min(2.0, seconds))
+
+    def _rounds(self, deadline: float) -> None:
+        taken: dict[tuple[str, str], list[dict]] = {name: [] for name in self.names()}
+        for number in range(self.given.rounds):
+            if time.monotonic() > deadline and number >= LEAST_ROUNDS:
+                break
+            # Every other round in the opposite order: none is always behind the same one.
+            for name in self.names()[:: 1 if number % 2 == 0 else -1]:
+                said = self.workers[name].ask(
+                    "time", self.given.timeout, seconds=1e-3 * self.given.slice
+                )
+                if said:
+                    taken[name].append(said)
+        for name, found in taken.items():
+            if found:
+                times = [said["ms"] for said in found]
+                q1, _, q3 = quartiles(times)
+                self.rows[name].update(
+                    {"ms": statistics.median(times), "q1": q1, "q3": q3, "rounds": len(times),
+                     "least": min(said["least"] for said in found)}
+                )  # fmt: skip
+
+    def _end(self, name: tuple[str, str]) -> None:
+        worker, (system, mode) = self.workers[name], name
+        # Descents of tai compare its modes; and the sizes of steps are those of its scenes.
+        steps = STEPS[self.given.size] if system in cases.TAICHI else 0
+        if self.scene in cases.EXAMPLES and self.rows[name].get("ms", 0) > 300:
+            steps = 0
+        said = worker.ask("end", self.given.timeout, steps=steps)
+        self.rows[name].update(said or {})
+        worker.close()
+        row = self.rows[name] | (worker.failure or {"status": "ok"})
+        self.session.add((self.scene, self.given.size, system, mode, self.arch, self.threads), row)
+
+    def skip(self, reason: str) -> None:
+        """Rows that say why there are no figures."""
+        for system, mode in self.names():
+            if worker := self.workers.get((system, mode)):
+                worker.close()
+            key = self.scene, self.given.size, system, mode, self.arch, self.threads
+            self.session.add(key, {"status": "missing", "reason": reason})
+
+
+def quartiles(times: list[float]) -> tuple[float, float, float]:
+    """The first quartile, the median and the third one."""
+    if len(times) < 2:
+        return times[0], times[0], times[0]
+    low, middle, high = statistics.quantiles(times, n=4, method="inclusive")
+    return low, middle, high
+
+
+class Session:
+    """Measures, and keeps the rows."""
 
     def __init__(self, given: argparse.Namespace):
         self.given = given
-        self.out: Path = given.out
-        self.rows: dict[tuple, dict] = {}
+        self.rows: list[dict] = []
         self.lock = threading.Lock()
-        if given.resume and self.out.is_file():
-            self.rows = {rows.key_of(row): row for row in rows.read(self.out)}
-        self.common = {"machine": given.machine, "git": revision()}
+        commit = revision()
+        begin = datetime.datetime.now(datetime.UTC)
+        self.name = f"{begin:%Y-%m-%d %H:%M} {secrets.token_hex(3)}"
+        self.common = {"git": commit, "session": self.name}
         given.work.mkdir(parents=True, exist_ok=True)
         self.log = given.work / "log.txt"
+        self.references = References(given, commit, self.log)
+        self.end = time.monotonic() + (60 * given.minutes if given.minutes else 1e9)
 
-    def command(self, scene: str, system: str, mode: str, arch: str, threads: str) -> list[str]:
-        python = Path(sys.executable) if system == modes.OURS else peers_python(self.given.peers)
-        cache = self.given.work / "cache" / system / re.sub(r"\W+", "_", mode)
-        cache.mkdir(parents=True, exist_ok=True)
-        found = [str(python), str(HERE / "measure.py"), "--scene", scene, "--system", system]
-        found += ["--mode", mode, "--size", self.given.size, "--arch", arch]
-        return [*found, "--threads", "0" if threads == "all" else "1", "--cache", str(cache)]
-
-    def process(self, command: list[str]) -> dict:
-        """The output of a measurement; a failure has its reason."""
-        environment = dict(os.environ, PYTHONPATH=str(ROOT / "python"))
-        with self.log.open("a") as log:
-            log.write(f"$ {' '.join(command)}\n")
-            log.flush()
-            try:
-                done = subprocess.run(
-                    command, stdout=subprocess.PIPE, stderr=log, text=True, cwd=ROOT,
-                    timeout=self.given.timeout, env=environment, check=False,
-                )  # fmt: skip
-            except subprocess.TimeoutExpired:
-                return {"status": "failed", "reason": f"longer than {self.given.timeout} s"}
-            except OSError as error:
-                return {"status": "missing", "reason": f"no environment of peers: {error.strerror}"}
-        if done.returncode == -signal.SIGINT:
-            raise KeyboardInterrupt  # Ctrl-C reaches both: that is no failure of the scene
-        lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
-        if not lines:
-            log = os.path.relpath(self.log, ROOT)  # results are for other machines too
-            return {"status": "failed", "reason": f"exit status {done.returncode}, see {log}"}
-        return json.loads(lines[-1])
-
-    def reference(self, scene: str) -> Path | None:
-        """Loss and gradient in f64, made once for each size; None if that failed."""
-        if scene in cases.micro.NAMES:
-            return self.given.work / "none.npz"
-        path = self.given.work / f"reference-{scene}-{self.given.size}.npz"
-        if path.is_file() and self.given.resume:
-            return path
-        path.unlink(missing_ok=True)
-        command = self.command(scene, modes.OURS, modes.REFERENCE, "cpu", "1")
-        said = self.process([*command, "--keep", str(path)])
-        if said["status"] != "ok":
-            print(f"{scene}: no reference: {said['reason']}", file=sys.stderr)
-        return path if path.is_file() else None
-
-    def measure(self, key: tuple[str, ...], reference: Path | None) -> None:
-        scene, _, system, name, arch, threads = key
-        print(" ".join(f"{word:{n}}" for word, n in zip(key, WIDTHS, strict=True)), flush=True)
-        if reference is None:
-            said = {"status": "failed", "reason": "there is no reference"}
-        else:
-            command = self.command(scene, system, name, arch, threads)
-            command += ["--reference", str(reference), "--runs", str(self.given.runs)]
-            command += ["--budget", str(self.given.budget)]
-            # Descents of tai compare its modes; and the sizes of steps are those of its scenes.
-            if scene in cases.EXAMPLES and system in cases.TAICHI:
-                command += ["--steps", str(STEPS[self.given.size])]
-            count = 20 if system == modes.OURS or self.given.size == "full" else 5
-            if modes.find(system, name).is_deterministic:
-                count = 100
-            command += ["--distinct", str(count)]
-            said = self.process(command)
-        row = dict(zip(rows.KEY, key, strict=True)) | self.common | said
+    def add(self, key: tuple[str, ...], row: dict) -> None:
+        machine = self.given.machines[key[4]]
+        made = dict(zip(rows.KEY, key, strict=True)) | self.common | {"machine": machine} | row
         with self.lock:
-            old = self.rows.get(key)
-            if old and old["status"] == "ok" and row["status"] == "ok":
-                row = better(old, row)
-            self.rows[key] = row
-            rows.write(self.out, list(self.rows.values()))
+            self.rows.append(made)
+            rows.write(self.given.out, self.rows)
 
     def all(self) -> None:
+        """One place after the other; with many cores, a GPU beside one thread of the CPU."""
         given = self.given
-        kept = {key for key, row in self.rows.items() if row["status"] in ("ok", "missing")}
-        for turn in range(given.rounds):
+        places = [
+            (arch, threads)
+            for arch in given.arch
+            for threads in (given.threads if arch == "cpu" else ["all"])
+        ]
+        is_large = given.jobs >= 8
+        if is_large:
             for scene in given.scenes:
-                wanted = [
-                    (scene, given.size, system, mode.name, arch, threads)
-                    for arch in given.arch
-                    for threads in (given.threads if arch == "cpu" else ["all"])
-                    for system in given.systems
-                    for mode in modes.MODES[system]
-                    if not given.modes or mode.name in given.modes
-                ]
-                wanted = [key for key in wanted if key not in kept]
-                if not wanted:
+                self.references.start(scene)
+        together = [place for place in places if place in (("cuda", "all"), ("cpu", "1"))]
+        turns = [together] if is_large and len(together) == 2 else [[p] for p in together]
+        turns += [[place] for place in places if place not in together]
+        try:
+            for number, turn in enumerate(turns):
+                share = (self.end - time.monotonic()) / (len(turns) - number)
+                end = time.monotonic() + share
+                with ThreadPoolExecutor(len(turn)) as pool:
+                    # Where two are measured beside each other, cores are left for the timed ones.
+                    jobs = given.jobs if len(turn) == 1 else max(1, 3 * given.jobs // 8)
+                    list(pool.map(lambda place: self.lane(*place, jobs, end), turn))
+        finally:
+            self.references.close()
+
+    def lane(self, arch: str, threads: str, jobs: int, end: float) -> None:
+        """All scenes at a place. While one is measured, the next one is compiled."""
+        groups = [Group(self, scene, arch, threads, jobs) for scene in self.given.scenes]
+        with ThreadPoolExecutor(1) as ahead:
+            is_large = self.given.jobs >= 8
+            coming = ahead.submit(groups[0].prepare) if is_large else None
+            for number, group in enumerate(groups):
+                left = end - time.monotonic()
+                if left < 5:
+                    if coming:
+                        coming.result()
+                        coming = None
+                    group.skip("no time was left")
                     continue
-                if turn:
-                    wanted = [key for key in wanted if self.rows[key]["status"] == "ok"]
-                reference = self.reference(scene)
-                measure = functools.partial(self.measure, reference=reference)
-                with ThreadPoolExecutor(given.jobs) as pool:
-                    try:
-                        list(pool.map(measure, wanted))
-                    except BaseException:
-                        pool.shutdown(cancel_futures=True)
-                        raise
-
-
-def better(old: dict, new: dict) -> dict:
-    """Merges two rounds: the times of the quicker, and the worse of all else."""
-    times = min(old, new, key=lambda row: float(row["ms"]))
-    row = new | {name: times[name] for name in ("ms", "p10", "p90", "n")}
-    row["least"] = min(float(old["least"]), float(new["least"]))
-    for name in ("distinct", "nan_count", "peak_mb"):
-        row[name] = max(float(old[name]), float(new[name]))
-    return row
+                if coming:
+                    coming.result()
+                    is_last = number + 1 == len(groups)
+                    coming = None if is_last else ahead.submit(groups[number + 1].prepare)
+                else:
+                    group.prepare()
+                share = (end - time.monotonic()) / (len(groups) - number)
+                begin = time.monotonic()
+                group.measure(begin + share)
+                took = time.monotonic() - begin
+                print(f"{arch:4} {threads:3} {group.scene:16} {took:6.1f} s", flush=True)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -206,28 +354,28 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add = parser.add_argument
     add("--quick", action="store_true", help="small sizes, one thread")
     add("--size", choices=cases.SIZES, help="of the scenes (full; with --quick: quick)")
-    add("--scenes", default=",".join(cases.NAMES), help="comma-separated")
+    add("--scenes", default=",".join(ORDER), help="comma-separated")
     add("--systems", default=",".join(modes.MODES), help="comma-separated")
     add("--modes", default="", help="separated by semicolons; all, if left out")
-    add("--arch", default="cpu", help="cpu, cuda or both: cpu,cuda")
+    add("--arch", default="cpu", help="cpu, cuda or both: cuda,cpu")
     add("--threads", default="", help="1, all or both; both if left out, with --quick 1")
-    add("--runs", type=int, default=20, help="timed runs of a measurement (20)")
-    add("--rounds", type=int, default=0, help="times all are measured (3; with --quick 1)")
-    add("--budget", type=float, default=0, help="seconds of timed runs (10; with --quick 0.5)")
-    add("--timeout", type=int, default=600, help="seconds of a measurement (600)")
-    add("--jobs", type=int, default=0, help="measurements at a time (1; with --quick the cores)")
-    add("--resume", action="store_true", help="keep the rows that are there already")
-    add("--page", action="store_true", help="measure nothing: write the page, judge the gates")
+    add("--minutes", type=float, default=0, help="for all together; no bound, if left out")
+    add("--inputs", type=int, default=references.INPUTS, help="an ulp apart (16)")
+    add("--rounds", type=int, default=10, help="in which all modes of a scene take turns (10)")
+    add("--slice", type=float, default=0, help="ms of runs in a round (100; with --quick 20)")
+    add("--timeout", type=int, default=600, help="seconds until a process must answer (600)")
+    add("--jobs", type=int, default=cores(), help="processes at work at a time (the cores)")
     add("--machine", default="", help="its name in the file of results")
-    add("--out", type=Path, help="the file of results")
+    add("--out", type=Path, help="the file of results, or a folder for it")
+    add("--no-page", action="store_true", help="only the results")
     add("--work", type=Path, default=ROOT / "build" / "bench-error", help="caches and logs")
     add("--peers", type=Path, default=ROOT / "build" / "peers-venv", help="environment of peers")
     given = parser.parse_args(arguments)
     given.size = given.size or ("quick" if given.quick else "full")
     is_full = given.size == "full"
-    given.rounds = given.rounds or (3 if is_full else 1)
-    given.jobs = given.jobs or (1 if is_full else cores())
-    given.budget = given.budget or (10.0 if is_full else 0.5)
+    given.slice = given.slice or (100 if is_full and not given.minutes else 20)
+    if given.minutes:
+        given.timeout = min(given.timeout, max(10, int(15 * given.minutes)))
     given.scenes = _listed(parser, given.scenes, cases.NAMES, "scene")
     given.systems = _listed(parser, given.systems, list(modes.MODES), "system")
     given.arch = _listed(parser, given.arch, ["cpu", "cuda"], "arch")
@@ -238,12 +386,14 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name in given.modes:
         if name not in known:
             parser.error(f"unknown mode '{name}', known are {'; '.join(sorted(known))}")
-    given.name = given.machine or machine_name(given.arch[-1])
-    given.machine = f"{processor()}, {cores()} cores"
-    if given.arch != ["cpu"]:
-        given.machine += f", {given.name.upper()}"
+    given.name = given.machine or machine_name(given.arch[0])
+    plain = f"{processor()}, {cores()} cores"
+    given.machines = {"cpu": plain, "cuda": f"{plain}, {given.name.upper()}"}
     suffix = "" if is_full else f"-{given.size}"
-    given.out = given.out or RESULTS / f"error-{given.name}{suffix}.csv"
+    given.out = given.out or RESULTS
+    if given.out.suffix != ".csv":
+        given.out = given.out / f"error-{given.name}{suffix}.csv"
+    given.out, given.work = given.out.resolve(), given.work.resolve()
     return given
 
 
@@ -258,20 +408,15 @@ def _listed(parser: argparse.ArgumentParser, text: str, known: list[str], what: 
 def main(arguments: list[str] | None = None) -> int:
     given = parse(arguments)
     begin = time.monotonic()
-    if not given.page:
-        runner = Runner(given)
-        try:
-            runner.all()
-        except KeyboardInterrupt:
-            count = len(runner.rows)
-            print(f"\nstopped; {count} rows are in {given.out}; --resume goes on", file=sys.stderr)
-            return 130
-        print(f"{given.out}: {len(runner.rows)} rows in {time.monotonic() - begin:.0f} s")
-    kept = RESULTS in given.out.parents
-    text = page.write(
-        sorted(RESULTS.glob("error-*.csv")) if kept else [given.out], kept, given.work
-    )
-    print(text)
+    session = Session(given)
+    try:
+        session.all()
+    except KeyboardInterrupt:
+        print(f"\nstopped; {len(session.rows)} rows are in {given.out}", file=sys.stderr)
+        return 130
+    print(f"{given.out}: {len(session.rows)} rows in {time.monotonic() - begin:.0f} s")
+    if not given.no_page:
+        print(page.make([given.out]))
     return gates.main([str(given.out)])
 
 

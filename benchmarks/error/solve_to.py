@@ -7,9 +7,9 @@
 The 19 scenes of the benchmark of errors, and programs that have steps or a tolerance to choose
 (`programs.py`). The true error is that against 80-bit floats (kernels), adjoints in NumPy (scenes
 of `test/python/reference`), closed forms or 60 digits (programs); other scenes are compared with
-f64 and deterministic sums, which `exact.py` compares with 50 digits. Each choice is made in a
-process of its own. Then all modes run in turns, with the chosen steps or tolerance, and the fastest
-whose true error is within the one that was asked for is the best.
+shadows of 80 bits (`references.py`). Each choice is made in a process of its own. Then all modes
+run in turns, with the chosen steps or tolerance, and the fastest whose true error is within the one
+that was asked for is the best.
 
 Exits with 1 if a true error is above the one that was asked for, if a choice took more than 20
 iterations or is slower than 1.2 times the best, or if a true error is below 0.05 times the one that
@@ -62,9 +62,11 @@ def prepare(name: str, size: str, reference: str):
         picks = [lambda array: array] * len(case.wrt)
         return case.run, case.loss, case.wrt, picks, case.exact
     program = cases.make(name, "tai", size)
-    exact = cases.exact(name, size)
-    if exact is not None:
-        exact = float(exact["loss"]), np.asarray(exact["gradient"], float)
+    if name in cases.micro.NAMES:
+        data = cases.micro.data_of(name, size)
+        found = data.exact()
+        gradient = data.expand(np.asarray(found["gradient"], float))
+        exact = float(found["loss"]), gradient
     elif name in cases.SHARED:
         exact = cases.problem_of(name, size).reference()
     else:
@@ -322,7 +324,7 @@ def main() -> int:
             wanted = [error for error in errors if (scene, error) not in known]
             if not wanted or time.monotonic() - begin > args.budget:
                 continue
-            reference = Path(work) / f"{scene}.npz"
+            reference = Path(work) / scene / "0.npz"
             if scene in cases.EXAMPLES:
                 keep(scene, args.size, reference, work, args.timeout)
             for error in wanted:
@@ -341,11 +343,9 @@ def main() -> int:
 
 
 def keep(scene: str, size: str, path: Path, cache: str, timeout: float) -> None:
-    """Writes loss and gradient in f64, with deterministic sums."""
-    import modes
-
-    command = [sys.executable, str(HERE / "measure.py"), "--scene", scene, "--system", "tai"]
-    command += ["--mode", modes.REFERENCE, "--size", size, "--keep", str(path), "--cache", cache]
+    """Writes loss and gradient from shadows of 80 bits."""
+    command = [sys.executable, str(HERE / "references.py"), "--scene", scene, "--size", size]
+    command += ["--count", "1", "--out", str(path.parent), "--cache", cache]
     subprocess.run(command, capture_output=True, check=False, timeout=timeout)
 
 

@@ -58,6 +58,23 @@ class JaxProgram(harness.Program):
 
         jax.block_until_ready(self.last)
 
+    def inputs(self) -> np.ndarray:
+        import jax
+
+        return np.concatenate([np.asarray(a).ravel() for a in jax.tree.leaves(self.argument)])
+
+    def assign(self, flat: np.ndarray) -> None:
+        import jax
+
+        leaves, tree = jax.tree.flatten(self.argument)
+        ends = np.cumsum([leaf.size for leaf in leaves])
+        parts = np.split(flat, ends[:-1])
+        new = [
+            jax.device_put(part.reshape(leaf.shape).astype(leaf.dtype))
+            for part, leaf in zip(parts, leaves, strict=True)
+        ]
+        self.argument = jax.tree.unflatten(tree, new)
+
     def loss(self) -> float:
         return float(self.last[0])
 

@@ -75,6 +75,17 @@ class TorchProgram(harness.Program):
         if self.leaves[0].device.type == "cuda":
             torch.cuda.synchronize()
 
+    def inputs(self) -> np.ndarray:
+        return np.concatenate([leaf.detach().cpu().numpy().ravel() for leaf in self.leaves])
+
+    def assign(self, flat: np.ndarray) -> None:
+        import torch
+
+        with torch.no_grad():
+            for leaf in self.leaves:
+                leaf.copy_(tensor(flat[: leaf.numel()].reshape(leaf.shape)))
+                flat = flat[leaf.numel() :]
+
     def loss(self) -> float:
         return float(self.last.detach())
 

@@ -47,6 +47,17 @@ class WarpProgram(harness.Program):
         self.tape = tape
         return middle - start, end - middle
 
+    def inputs(self) -> np.ndarray:
+        return np.concatenate([pick(array.numpy()).ravel() for array, pick in self.unknowns])
+
+    def assign(self, flat: np.ndarray) -> None:
+        for array, pick in self.unknowns:
+            numbers = array.numpy().copy()
+            part = pick(numbers)
+            part[...] = flat[: part.size].reshape(part.shape)
+            flat = flat[part.size :]
+            array.assign(numbers)
+
     def replay(self) -> float | None:
         start = harness.clock()
         if not self.queue():

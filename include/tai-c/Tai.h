@@ -728,6 +728,13 @@ typedef struct TaiShadowRow {
 TAI_EXPORT TaiStatus taiShadowRows(TaiContext context,
                                    const TaiShadowRow **rows, int64_t *count);
 TAI_EXPORT TaiStatus taiShadowClear(TaiContext context);
+/// Sets each of `count` errors to the distance by which the shadow of a float
+/// lies above it. The floats have 32 or 64 bits and lie one behind the other in
+/// memory that kernels write. The distance is 0 if a kernel did not store the
+/// float last.
+TAI_EXPORT TaiStatus taiShadowErrors(TaiContext context, const void *floats,
+                                     int32_t bits, int64_t count,
+                                     double *errors);
 
 /// One counter of one skip: how often work was left out because the scene does
 /// not need it, or was done. Rows of one skip are consecutive.

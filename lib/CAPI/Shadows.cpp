@@ -37,3 +37,25 @@ TaiStatus taiShadowClear(TaiContext context) {
     return TAI_OK;
   });
 }
+
+template <typename T>
+static void errorsOf(const void *floats, int64_t count, double *errors) {
+  const T *at = static_cast<const T *>(floats);
+  for (int64_t i = 0; i < count; ++i) {
+    long double exact = runtime::shadow::read(at + i, at[i]);
+    errors[i] = static_cast<double>(exact - at[i]);
+  }
+}
+
+TaiStatus taiShadowErrors(TaiContext context, const void *floats, int32_t bits,
+                          int64_t count, double *errors) {
+  return call(*context, [&]() -> TaiStatus {
+    if (isOff(context))
+      return context->usage("kernels have no shadows: set the option 'shadow'");
+    if (bits != 32 && bits != 64)
+      return context->usage("floats in memory have shadows if they have 32 or "
+                            "64 bits");
+    (bits == 32 ? errorsOf<float> : errorsOf<double>)(floats, count, errors);
+    return TAI_OK;
+  });
+}

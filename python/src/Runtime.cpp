@@ -775,6 +775,13 @@ void taipy::bindRuntime(py::module_ &module) {
            })
       .def("clear_shadows",
            [](Context &c) { c.check(taiShadowClear(c.handle)); })
+      .def("shadow_errors",
+           [](Context &c, const py::buffer &floats, const py::buffer &errors) {
+             py::buffer_info from = floats.request();
+             py::buffer_info to = errors.request(/*writable=*/true);
+             c.check(taiShadowErrors(c.handle, from.ptr, int(8 * from.itemsize),
+                                     from.size, static_cast<double *>(to.ptr)));
+           })
       .def("skips",
            [](Context &c) {
              const TaiSkipRow *rows = nullptr;

@@ -1,4 +1,6 @@
-"""Differentiable MLS-MPM in 2-D, f64: one step and its adjoint, the block, the crawler.
+"""Differentiable MLS-MPM in 2-D: one step and its adjoint, the block, the crawler.
+
+All in f64, or in the type of the arrays, of which `Material.real` makes a number.
 
 State of a step: positions x (p, 2), velocities v (p, 2), affine velocities c (p, 2, 2)
 and deformation gradients f (p, 2, 2). The grid lives inside one step; the reverse sweep
@@ -10,6 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
+from .smoke import add_at
 
 State = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -29,10 +33,11 @@ class Material:
     mass: float = 1.0
     volume: float = 1.0
     sticky: bool = False
+    real: type = float
 
     @property
     def dx(self) -> float:
-        return 1.0 / self.n
+        return self.real(1.0 / self.n)
 
 
 CRAWLER = Material(n=128, dt=1e-3, mu=10.0, lam=10.0, gravity=3.8, sticky=True)
@@ -41,7 +46,7 @@ CRAWLER = Material(n=128, dt=1e-3, mu=10.0, lam=10.0, gravity=3.8, sticky=True)
 def rest_state(x: np.ndarray, v: np.ndarray) -> State:
     """Undeformed particles at x (p, 2) with velocities v (p, 2)."""
     count = len(x)
-    return x, v, np.zeros((count, 2, 2)), np.tile(np.eye(2), (count, 1, 1))
+    return x, v, np.zeros((count, 2, 2), x.dtype), np.tile(np.eye(2, dtype=x.dtype), (count, 1, 1))
 
 
 def _mul(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -90,7 +95,7 @@ def _polar(f: np.ndarray):
 
 def _scatter(node: np.ndarray, value: np.ndarray, n: int) -> np.ndarray:
     """Sum of value (9, p) at node (9, p) into a flat grid."""
-    return np.bincount(node.ravel(), value.ravel(), n * n)
+    return add_at(node.ravel(), value.ravel(), n * n)
 
 
 def _stress(f: np.ndarray, active: np.ndarray | None, material: Material):
@@ -244,7 +249,7 @@ def _stress_adjoint(f, g_sigma, gf, active, material):
 def _block_loss(x: np.ndarray, target: np.ndarray, each: bool) -> tuple[float, np.ndarray]:
     """Loss of the last positions, and its gradient with respect to them (p, 2)."""
     distance = (x if each else x.mean(axis=0, keepdims=True)) - target
-    loss = 0.5 * float(np.mean(np.sum(distance**2, axis=1)))
+    loss = 0.5 * np.mean(np.sum(distance**2, axis=1))
     return loss, np.broadcast_to(distance / len(x), x.shape).copy()
 
 
@@ -287,7 +292,7 @@ def block_gradient(
         if t % segment == 0:
             kept.append(state)
     loss, gx = _block_loss(state[0], target, each)
-    zero = np.zeros((len(x), 2, 2))
+    zero = np.zeros((len(x), 2, 2), x.dtype)
     g: State = (gx, np.zeros_like(gx), zero, zero)
     last = slots - 1
     while kept:

@@ -144,10 +144,12 @@ class Walk:
     damping: float = 15.0
     goal: tuple[float, float] = (0.9, 0.2)
     toi: bool = True
+    real: type = float
 
 
 def _controller_input(t: int, x: np.ndarray, v: np.ndarray, walk: Walk) -> np.ndarray:
-    waves = np.sin(10.0 * t * walk.dt + 2.0 * np.pi / 10.0 * np.arange(10))
+    phases = 2.0 * np.pi / 10.0 * np.arange(10)
+    waves = np.sin(walk.real(10.0) * t * walk.dt + phases)
     centre = x.mean(axis=0)
     body = np.concatenate([0.05 * (x - centre), 0.05 * v], axis=1).ravel()
     return np.concatenate([waves, body, np.array(walk.goal) - centre])
@@ -166,11 +168,11 @@ def _impulse(body: Robot, x: np.ndarray, a: np.ndarray, dt: float):
 def robot_forward(body: Robot, weights: dict[str, np.ndarray], walk: Walk = Walk()):
     """Loss and the stored slots: a dict of x, v, free velocity, hidden, output."""
     points = len(body.points)
-    x = np.zeros((walk.slots, points, 2))
+    x = np.zeros((walk.slots, points, 2), walk.real)
     v = np.zeros_like(x)
     free = np.zeros_like(x)
-    hidden = np.zeros((walk.slots, len(weights["b1"])))
-    output = np.zeros((walk.slots, len(weights["b2"])))
+    hidden = np.zeros((walk.slots, len(weights["b1"])), walk.real)
+    output = np.zeros((walk.slots, len(weights["b2"])), walk.real)
     x[0] = body.points
     damp = np.exp(-walk.damping * walk.dt)
     for t in range(1, walk.slots):
@@ -179,7 +181,7 @@ def robot_forward(body: Robot, weights: dict[str, np.ndarray], walk: Walk = Walk
         output[t - 1] = np.tanh(weights["w2"] @ hidden[t - 1] + weights["b2"])
         impulse = _impulse(body, x[t - 1], output[t - 1], walk.dt)[0]
         new = damp * v[t - 1]
-        new[:, 1] += walk.dt * walk.gravity
+        new[:, 1] += walk.real(walk.dt) * walk.gravity
         np.add.at(new, body.springs[:, 0], -impulse)
         np.add.at(new, body.springs[:, 1], impulse)
         free[t] = new
@@ -208,9 +210,9 @@ def robot_gradient(body: Robot, weights: dict[str, np.ndarray], walk: Walk = Wal
     points = len(body.points)
     damp = np.exp(-walk.damping * walk.dt)
     first, second = body.springs.T
-    gx = np.zeros((points, 2))
+    gx = np.zeros((points, 2), walk.real)
     gx[0, 0] = -1.0
-    gv = np.zeros((points, 2))
+    gv = np.zeros((points, 2), walk.real)
     for t in range(walk.slots - 1, 0, -1):
         x, v, free = stored["x"][t - 1], stored["v"][t - 1], stored["free"][t]
         hit = _hits(x, free, walk)

@@ -1,4 +1,6 @@
-"""Smoke on a periodic grid in f64: forward, adjoint, descent on the initial velocity.
+"""Smoke on a periodic grid: forward, adjoint, descent on the initial velocity.
+
+All in f64, or in the type of the arrays.
 
 The projection of step t subtracts the gradient of the last but one Jacobi sweep of step
 t - 1: the published program's index, which its losses depend on.
@@ -36,6 +38,15 @@ def _sample(w: np.ndarray):
     return ax, ay, (ax + 1) % n, (ay + 1) % n, fx, fy
 
 
+def add_at(index: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """The sum of the values at each index, in their type."""
+    if value.dtype == np.float64:
+        return np.bincount(index, value, count)
+    total = np.zeros(count, value.dtype)
+    np.add.at(total, index, value)
+    return total
+
+
 def advect(f: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Semi-Lagrangian step of f, (n, n) or (n, n, 2), in the velocity w (n, n, 2)."""
     ax, ay, bx, by, fx, fy = _sample(w)
@@ -64,9 +75,9 @@ def advect_adjoint(f: np.ndarray, w: np.ndarray, g: np.ndarray) -> tuple[np.ndar
         f00, f01, f10, f11 = q[ax, ay], q[ax, by], q[bx, ay], q[bx, by]
         gw[..., 0] -= a * ((1.0 - fy) * (f10 - f00) + fy * (f11 - f01))
         gw[..., 1] -= a * ((1.0 - fx) * (f01 - f00) + fx * (f11 - f10))
-        total = np.zeros(n * n)
+        total = np.zeros(n * n, g.dtype)
         for at, weight in corners:
-            total += np.bincount(at.ravel(), (weight * a).ravel(), n * n)
+            total += add_at(at.ravel(), (weight * a).ravel(), n * n)
         gf.append(total.reshape(n, n))
     return (np.stack(gf, axis=-1) if f.ndim == 3 else gf[0]), gw
 
@@ -98,7 +109,7 @@ def forward(v0: np.ndarray, density0: np.ndarray, target: np.ndarray, smoke: Smo
         starred.append(star)
         v.append(new)
         density.append(advect(density[-1], new))
-    loss = float(np.mean((target - density[-1]) ** 2))
+    loss = np.mean((target - density[-1]) ** 2)
     return loss, v, starred, density
 
 

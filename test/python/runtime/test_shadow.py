@@ -424,3 +424,56 @@ def test_reports_of_vectors_are_those_of_single_iterations(n, threads):
     for one, other in zip(*(sorted(r, key=lambda row: row[1]) for r in rows.values()), strict=True):
         assert (one[0], *one[2:]) == (other[0], *other[2:])
     np.testing.assert_array_equal(y.to_numpy(), z.to_numpy())
+
+
+@pytest.mark.parametrize("type_, wide", [(ti.f32, np.float64), (ti.f64, np.longdouble)])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_values_have_the_digits_of_shadows(type_, wide, threads):
+    """Loss and gradient of a sum, against NumPy in the wider type; so have vectors, and SoA."""
+    init(default_fp=type_, cpu_max_num_threads=threads, deterministic=True)
+    x = ti.field(type_, 65, needs_grad=True)
+    v = ti.Vector.field(2, type_, shape=3)
+    w = ti.Vector.field(2, type_, shape=3, layout=ti.Layout.SOA)
+    loss = ti.field(type_, (), needs_grad=True)
+    x.from_numpy(np.linspace(0.1, 1, 65).astype(np.float32))
+
+    @ti.kernel
+    def run():
+        for i in x:
+            loss[None] += ti.sin(x[i]) * ti.exp(x[i])
+
+    @ti.kernel
+    def fill():
+        for i in v:
+            v[i] = ti.Vector([1.0, 2.0]) / (i + 3)
+            w[i] = v[i]
+
+    with ti.ad.Tape(loss):
+        run()
+    fill()
+    at = x.to_numpy().astype(wide)
+    expected = {
+        loss: (np.sin(at) * np.exp(at)).sum(),
+        x.grad: np.exp(at) * (np.sin(at) + np.cos(at)),
+        v: np.array([1, 2], wide) / np.arange(3, 6).astype(wide)[:, None],
+    }
+    expected[w] = expected[v]
+    for f, exact in expected.items():
+        found = ti.tools.shadow_values(f)
+        assert found.dtype == wide and found.shape == exact.shape
+        off = np.linalg.norm(np.atleast_1d(found - exact)) / np.linalg.norm(np.atleast_1d(exact))
+        own = np.linalg.norm(np.atleast_1d(f.to_numpy() - exact))
+        assert off <= 40 * np.finfo(wide).eps and own > 100 * off
+    # A number that the host writes is exact.
+    x.grad[5] = 0.25
+    assert ti.tools.shadow_values(x.grad)[5] == 0.25
+
+
+def test_values_without_shadows_are_refused():
+    init()
+    n = ti.field(ti.i32, 3)
+    with pytest.raises(TaiError, match="fields of f32 and f64 have shadows in memory, but got"):
+        ti.tools.shadow_values(n)
+    ti.init(arch=ti.cpu)
+    with pytest.raises(TaiRuntimeError, match="kernels have no shadows"):
+        ti.tools.shadow_values(ti.field(ti.f32, 3))

@@ -1,11 +1,13 @@
 """The benchmark of run time against error: one kernel in two modes, and its gates."""
 
 import csv
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks" / "error"))
@@ -14,6 +16,7 @@ import compare
 import gates
 import modes
 import page
+import references
 import rows as table
 import solve_to
 
@@ -35,7 +38,8 @@ def measured(folder, *options):
     out = folder / "rows.csv"
     done = start(
         "run.py", "--size", "tiny", "--scenes", "sin", "--systems", "tai", "--modes", "f64;f32",
-        "--budget", "0.1", "--runs", "5", "--out", out, "--work", folder / "work", *options,
+        "--rounds", "3", "--inputs", "4", "--slice", "1", "--out", out, "--work", folder / "work",
+        "--no-page", *options,
     )  # fmt: skip
     assert out.is_file(), done.stdout + done.stderr
     with out.open(newline="") as stream:
@@ -48,6 +52,13 @@ def run(tmp_path_factory):
     return folder, *measured(folder)
 
 
+@pytest.fixture
+def base(run):
+    """A measured row, of a clean commit."""
+    row = table.read(run[0] / "rows.csv")[0]
+    return row | {"git": "0123abcd", "machine": "AMD EPYC, 2 cores"}
+
+
 def test_columns_and_order(run):
     _, rows, _ = run
     by_mode = {row["mode"]: row for row in rows}
@@ -55,121 +66,182 @@ def test_columns_and_order(run):
     f32, f64 = by_mode["f32"], by_mode["f64"]
     for row in rows:
         assert row["status"] == "ok", row["reason"]
-        assert float(row["p10"]) <= float(row["ms"]) <= float(row["p90"])
+        assert float(row["q1"]) <= float(row["ms"]) <= float(row["q3"])
+        assert float(row["error_low"]) <= float(row["error"]) <= float(row["error_high"])
         assert float(row["least"]) > 0 and float(row["peak_mb"]) > 1
         assert row["distinct"] == "1" and row["runs"] == "20" and row["nan_count"] == "0"
-        assert row["launches"] == "2"
+        assert row["launches"] == "2" and row["inputs"] == "5" and row["rounds"] == "3"
+        assert 0 < float(row["reference_error"]) < 2e-16 and float(row["condition"]) > 0
+    assert len({row["session"] for row in rows}) == 1
     # Numbers of f32 against 80 bits: half an ulp and a bit of each type.
     assert 2e-9 < float(f32["grad_rel"]) < 2e-7 and float(f64["grad_rel"]) < 1e-15
-    assert float(f64["loss_rel"]) < float(f32["loss_rel"])
+    assert float(f64["error_high"]) < float(f32["error_low"])
     assert 0.3 < float(f32["max_ulp"]) < 4 and float(f64["max_ulp"]) < 4
 
 
-def test_the_page_says_what_was_measured(run):
-    folder, rows, _ = run
-    text = (folder / "work" / "accuracy.md").read_text()
+def written(folder, rows):
+    """The text that makes a page of rows, and its folder."""
+    path = folder / "made.csv"
+    table.write(path, rows)
+    return page.make([path], folder / "page"), folder / "page"
+
+
+def test_the_page_says_what_was_measured(run, tmp_path):
+    rows = [row | {"git": "0123abcd"} for row in table.read(run[0] / "rows.csv")]
+    said, folder = written(tmp_path, rows)
+    assert said.startswith(str(folder / "accuracy.md")), said
+    text = (folder / "accuracy.md").read_text()
+    of_scene = (folder / "accuracy" / "sin.md").read_text()
     for row in rows:
-        of_scene = (folder / "work" / "accuracy" / "sin.md").read_text()
-        assert f"| tai, {row['mode']} | {float(row['ms']):.3g} |" in of_scene
-    assert "No peer was measured." in of_scene
+        assert f"| tai, {row['mode']} | {row['ms']:.3g} | {row['q1']:.3g} – " in of_scene
+    assert "No peer was measured." in of_scene and "error of the reference" in of_scene
     assert "| f32 strict | not measured | |" in text
     assert "No peer was measured." in text
     assert "| finite in, finite out | 2 (2) |" in text
     assert "[sin](accuracy/sin.md)" in text
+    assert "5 inputs and 3 rounds. Errors of the references: at most 1e-15 in 1 of 1" in text
     questions = [line for line in text.splitlines() if line.startswith("## ")]
     assert len(questions) == 4
     assert len(text.splitlines()) <= 150
-    picture = folder / "work" / "accuracy-cpu-1-tiny.png"
-    assert picture.read_bytes().startswith(b"\x89PNG") or "no pictures" in text
+    picture = folder / "accuracy" / "sin.png"
+    assert "no matplotlib" in said or picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_run_goes_on_where_it_stopped(run, tmp_path):
-    """Rows that are there are kept, a row that failed is measured again, a cut one is dropped."""
-    _, rows, _ = run
-    out = tmp_path / "rows.csv"
-    marked = [dict(rows[0], ms="123", p10="123", p90="123"), dict(rows[1], status="failed")]
-    with out.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(marked)
-        stream.write("sin,tiny,tai,f32 str")
-    again, _ = measured(tmp_path, "--resume")
-    assert {(row["mode"], row["status"]) for row in again} == {("f64", "ok"), ("f32", "ok")}
-    assert [row["ms"] for row in again if row["mode"] == rows[0]["mode"]] == ["123"]
-    assert [row["ms"] for row in again if row["mode"] == rows[1]["mode"]] != ["123"]
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        ({"git": "0123abcd-dirty"}, "a tree with changes"),
+        ({"git": "9999aaaa"}, "rows are of 2 commits: 0123abcd, 9999aaaa"),
+        ({"session": "another"}, "one thread"),
+    ],
+)
+def test_a_page_of_mixed_rows_is_refused(base, tmp_path, change, reason):
+    said, folder = written(tmp_path, [base, base | {"mode": "f32"} | change])
+    expected = "are of 2 sessions" if "session" in change else reason
+    assert said.startswith("no page: ") and expected in said
+    assert not folder.exists()
+
+
+def test_two_machines_and_places_make_a_page(base, tmp_path):
+    other = {"arch": "cuda", "threads": "all", "machine": "Xeon, 16 cores, H200", "session": "b"}
+    said, folder = written(tmp_path, [base, base | other])
+    assert not said.startswith("no page")
+    assert "## H200" in (folder / "accuracy" / "sin.md").read_text()
 
 
 def test_a_mode_that_is_missing_loses_no_other(tmp_path):
     """A system that the build or the machine lacks stands in the table with its reason."""
-    rows, done = measured(tmp_path, "--systems", "tai,jax", "--peers", tmp_path / "nowhere")
+    peers = tmp_path / "peers"
+    (peers / "bin").mkdir(parents=True)
+    (peers / "bin" / "python").write_text("#!/bin/sh\nexit 3\n")
+    (peers / "bin" / "python").chmod(0o755)
+    rows, done = measured(tmp_path, "--systems", "tai,jax", "--modes", "f32", "--peers", peers)
     found = {(row["system"], row["mode"]): row for row in rows}
-    assert found["jax", "f32"]["status"] == "missing"
-    assert "no environment of peers" in found["jax", "f32"]["reason"]
+    assert found["jax", "f32"]["status"] == "failed"
+    assert "exit status 3" in found["jax", "f32"]["reason"]
     assert found["tai", "f32"]["status"] == "ok"
 
 
-def test_rows_of_a_card_from_two_machines(run):
-    """One table for a card; what modes cost is compared on one machine alone."""
-    (base, *_) = table.read(run[0] / "rows.csv")
-    base |= {"arch": "cuda", "threads": "all"}
-    found = []
-    several = ["f32", "f64", "f64 compensated"]
-    for cores, ms, names in ((16, 1.0, several), (32, 5.0, ["f32", "f16 storage"])):
-        for name in names:
-            machine = f"A processor, {cores} cores, H200"
-            found.append(dict(base, mode=name, ms=ms, least=ms, machine=machine))
-    ((where, group),) = page.merged(page.groups_of(found)).items()
-    assert where[1] == "H200"
-    times = {row["mode"]: row["ms"] for row in group}
-    assert times == {"f32": 1.0, "f64": 1.0, "f64 compensated": 1.0, "f16 storage": 5.0}
-    outcome = {gate.name: gate.found for gate in gates.judge(found)}
-    assert len(outcome["compensated sums cost at most 30 %"]) == 1
+def test_a_run_without_time_says_so(tmp_path):
+    rows, _ = measured(tmp_path, "--minutes", "0.01")
+    assert {(row["status"], row["reason"]) for row in rows} == {("missing", "no time was left")}
 
 
 def peer_row(row, **more):
     return dict(row, system="jax", mode="f64") | more
 
 
-def test_a_peer_is_dominated_but_for_noise(run):
-    """At least as fast, and as exact: errors below a floor, and a few per cent, are equal."""
-    (base, *_) = table.read(run[0] / "rows.csv")
-    ours = [base | {"ms": 1.0, "p10": 0.9, "p90": 1.1, "loss_rel": 0.0, "grad_rel": 9e-16}]
-    same = {"ms": 1.0, "p10": 0.9, "p90": 1.1, "loss_rel": 0.0}
-    assert page.is_matched(peer_row(base, **same, grad_rel=0.0), ours)
-    ours[0]["grad_rel"] = 1.04e-7
-    assert page.is_matched(peer_row(base, **same, grad_rel=1e-7), ours)
-    assert not page.is_matched(peer_row(base, **same, grad_rel=0.9e-7), ours)
-    assert not page.is_matched(peer_row(base, **same, grad_rel=1e-7) | {"ms": 0.9}, ours)
-    text = page.loss_of(ours)(peer_row(base, **same, grad_rel=1e-7) | {"ms": 0.5, "p90": 0.6})
-    assert text.endswith("takes 2.00 times as long)")
+def timed(ms, spread=0.1):
+    return {"ms": ms, "q1": ms - spread, "q3": ms + spread}
 
 
-def test_the_fastest_mode_is_faster_than_the_spread(run):
-    (base, *_) = table.read(run[0] / "rows.csv")
-    row = base | {"loss_rel": 0.0, "grad_rel": 1e-8, "p10": 0.9, "p90": 1.1}
-    group = [row | {"mode": "f32 ftz", "ms": 0.98}, row | {"mode": "f32", "ms": 1.0}]
+def wrong(error, low=None, high=None):
+    found = {"error": error, "error_low": error if low is None else low}
+    return found | {"error_high": error if high is None else high}
+
+
+def test_a_peer_is_dominated_but_for_the_spread(base):
+    """As fast, and as exact: errors below a floor are equal, and so is what spreads overlap in."""
+    ours = [base | timed(1.0) | wrong(9e-16)]
+    assert page.standing(peer_row(base) | timed(1.0) | wrong(0.0), ours) == "level"
+    assert page.standing(peer_row(base) | timed(1.15) | wrong(0.0), ours) == "level"
+    assert page.standing(peer_row(base) | timed(1.25) | wrong(0.0), ours) == "faster"
+    assert page.standing(peer_row(base) | timed(0.75) | wrong(0.0), ours) == "lost"
+    ours = [base | timed(1.0) | wrong(1e-7)]
+    assert page.standing(peer_row(base) | timed(2.0) | wrong(0.9e-7), ours) == "lost"
+    near = wrong(0.9e-7, 0.5e-7, 1.1e-7)
+    assert page.standing(peer_row(base) | timed(2.0) | near, ours) == "faster"
+    text = page.loss_of(ours)(peer_row(base) | timed(0.5) | wrong(1e-7))
+    assert text == "jax f64 (f64 takes 2.00 (1.50 to 2.75) times as long)"
+    assert page.counted(["faster", "level", "lost"]).startswith("2 of 3 modes of peers")
+
+
+def test_fronts_are_beyond_the_spread(base):
+    fast, exact = base | timed(1.0) | wrong(1e-3), base | timed(2.0) | wrong(1e-9)
+    both = base | timed(2.05) | wrong(1e-3)
+    assert table.front([fast, exact, both]) == [fast, exact]
+    # Neither of two is better by more than the spread.
+    near = base | timed(1.05) | wrong(1e-3)
+    assert table.front([fast, near]) == [fast, near]
+
+
+def test_the_fastest_mode_is_faster_than_the_spread(base):
+    row = base | wrong(1e-8)
+    group = [row | {"mode": "f32 ftz"} | timed(0.98), row | {"mode": "f32"} | timed(1.0)]
     assert page.fastest(group, 1e-4)["mode"] == "f32"
-    group[0] |= {"ms": 0.5, "p10": 0.4, "p90": 0.6}
+    group[0] |= timed(0.5)
     assert page.fastest(group, 1e-4)["mode"] == "f32 ftz"
     assert page.fastest(group, 1e-9) is None
+    # An error of one input is one too many.
+    group[0] |= wrong(1e-8, 1e-8, 2e-4)
+    assert page.fastest(group, 1e-4)["mode"] == "f32"
 
 
-def test_losses_of_range_are_in_no_average(run):
-    (base, *_) = table.read(run[0] / "rows.csv")
-    found = [base | {"mode": "f32", "grad_rel": 1e-7, "loss_rel": 0.0},
-             base | {"mode": "f16 storage", "grad_rel": 1e35, "loss_rel": 0.0}]  # fmt: skip
-    lines = page.prices(page.groups_of(found))
-    (line,) = [line for line in lines if line.startswith("| f16 storage")]
-    assert "overflow in 1" in line and "e+35" not in line
+def test_losses_of_range_are_in_no_average(base):
+    found = [base | {"mode": "f32"} | wrong(1e-7), base | {"mode": "f16 storage"} | wrong(1e35),
+             base | {"mode": "bf16 storage"} | wrong(float("inf"))]  # fmt: skip
+    groups = page.groups_of(found)
+    lines = page.prices(groups)
+    for mode in ("f16 storage", "bf16 storage"):
+        (line,) = [line for line in lines if line.startswith(f"| {mode}")]
+        assert "overflow in 1" in line and "e+35" not in line and "inf" not in line
+    text = "\n".join(page.table(*groups.values()))
+    assert text.count("| overflow | overflow – overflow |") == 2
+    assert all(row["mode"] == "f32" for row in page.marked(found))
+
+
+# References
+
+
+def test_inputs_are_an_ulp_off():
+    numbers = np.array([1.0, -3.5, 0.0, 1e-30], np.float32)
+    same = references.perturbed(numbers.astype(float), 0)
+    moved = references.perturbed(numbers.astype(float), 3)
+    np.testing.assert_array_equal(same, numbers)
+    np.testing.assert_array_equal(moved, moved.astype(np.float32))
+    np.testing.assert_array_equal(np.abs(moved - numbers) / np.spacing(np.abs(numbers)),
+                                  [1, 1, 0, 1])  # fmt: skip
+    assert not np.array_equal(moved, references.perturbed(numbers.astype(float), 4))
+
+
+@pytest.mark.parametrize("scene", ["wave", "mass_spring", "smoke", "diffmpm"])
+def test_shadows_agree_with_an_adjoint_by_hand(scene, tmp_path):
+    """Two references of 80 bits that share no code."""
+    done = start("references.py", "--scene", scene, "--size", "tiny", "--count", "2",
+                 "--out", tmp_path, "--cache", tmp_path)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    about = json.loads(done.stdout)
+    assert about["error"] < 1.2e-16 and "from NumPy in 80 bits" in about["how"]
+    known = references.Reference(tmp_path)
+    assert known.numbers == [0, 1] and known.condition() > 0
+    assert references.relative(known.load(1)["gradient"], known.load(0)["gradient"]) > 1e-9
 
 
 # Two builds
 
 
 def side(ms, error, count=5, **more):
-    rows = [{"status": "ok", "ms": ms * (1 + 0.001 * k), "loss_rel": 0.0, "grad_rel": error}
-            for k in range(count)]  # fmt: skip
-    return [row | more for row in rows]
+    return {"times": [ms * (1 + 0.001 * k) for k in range(count)], "error": error} | more
 
 
 @pytest.mark.parametrize(
@@ -180,8 +252,8 @@ def side(ms, error, count=5, **more):
         (side(1, 1e-7), side(0.5, 3e-7), "ok"),
         (side(1, 1e-7), side(0.5, 3.3e-7), "FAILS"),
         (side(1, 1e-17), side(1, 9e-16), "ok"),
-        (side(1, 1e-7), side(1, float("nan")), "FAILS"),
-        (side(1, 1e-7), side(1, 1e-7, status="failed", reason="why"), "FAILS"),
+        (side(1, 1e-7), side(1, float("inf")), "FAILS"),
+        (side(1, 1e-7), side(1, None, failure={"reason": "why"}), "FAILS"),
         (side(1, 1e-7, 1), side(2, 1e-7, 1), "not judged"),
     ],
 )
@@ -191,8 +263,8 @@ def test_two_builds_are_judged(base, new, outcome):
 
 def test_a_slow_build_within_the_spread_is_none():
     """A median that is greater by chance: the quartiles overlap."""
-    base = [row for ms in (1.0, 1.3, 1.0, 1.3, 1.0) for row in side(ms, 1e-7, 1)]
-    new = [row for ms in (1.2, 1.0, 1.2, 1.2, 1.0) for row in side(ms, 1e-7, 1)]
+    base = {"times": [1.0, 1.3, 1.0, 1.3, 1.0], "error": 1e-7}
+    new = {"times": [1.2, 1.0, 1.2, 1.2, 1.0], "error": 1e-7}
     assert compare.judge(base, new)[0] == "ok"
 
 
@@ -252,7 +324,8 @@ def good_rows(rows):
             wide = mode.bits == 64
             row = dict(base, scene=scene, mode=mode.name, max_ulp="0.5")
             row |= {"loss_rel": 1e-15 if wide else 1e-8, "grad_rel": 1e-16 if wide else 1e-8}
-            row |= {"ms": 2 if wide else 1, "least": 2 if wide else 1}
+            row |= wrong(1e-15 if wide else 1e-8) | timed(2 if wide else 1)
+            row["least"] = row["ms"]
             found.append(row)
     return found
 
@@ -308,7 +381,7 @@ def test_a_mode_on_no_front_is_named(run, tmp_path, capsys):
     rows = good_rows(run[1])
     for row in rows:
         if row["mode"] == "f32 ftz":
-            row["ms"] = 1.5
+            row |= timed(1.5)
     assert judged(tmp_path, rows) == 1
     assert "f32 ftz is on none" in capsys.readouterr().out
 

@@ -104,7 +104,8 @@ def _place(text: str) -> tuple[str | None, int, int]:
     return parts[0], int(parts[1]), int(parts[2])
 
 
-def _context() -> Any:
+def context() -> Any:
+    """That of the program, which has shadows."""
     if not state.options.shadow:
         raise TaiRuntimeError(
             "kernels have no shadows", "ask for them in front of the program: ti.init(shadow=True)"
@@ -118,7 +119,7 @@ def shadow_report() -> ShadowReport:
     See docs/guides/shadow.md.
     """
     report = ShadowReport()
-    for operation, kernel, place, _, *counts, error, error_in, bits in _context().shadow_rows():
+    for operation, kernel, place, _, *counts, error, error_in, bits in context().shadow_rows():
         lost, cancellations, flips, non_finite = counts
         digits = bits * math.log10(2)
         report.append(
@@ -130,4 +131,4 @@ def shadow_report() -> ShadowReport:
 
 def clear_shadow_report() -> None:
     """Resets the report."""
-    _context().clear_shadows()
+    context().clear_shadows()
