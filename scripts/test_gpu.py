@@ -44,7 +44,16 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks" / "gpu"))
 
 # Files that tests read besides the package.
-TREE = ["test", "benchmarks", "examples", "docs", "scripts", "README.md", "pyproject.toml"]
+TREE = [
+    "test",
+    "benchmarks",
+    "docs",
+    "editors",
+    "examples",
+    "scripts",
+    "README.md",
+    "pyproject.toml",
+]
 # How the time is shared among the steps.
 SHARES = {"tests": 4, "bench": 5, "errors": 5, "fuzz": 1, "ensemble": 2, "bars": 3, "sanitize": 4}
 # Tests that run under compute-sanitizer: each kind of access once, it is slow.

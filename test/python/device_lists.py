@@ -36,6 +36,7 @@ ONE_RUN_DOES = {
     },
     "test_bench_error": {ALL: CHOOSES},
     "test_compile_progress": {ALL: "of the time that one compilation takes"},
+    "test_conditional_copies": {"test_on_one_thread_it_is_in_order": CPU},
     "test_cuda_floors": {ALL: "programs in CUDA C++"},
     "test_device_lists": {ALL: CHOOSES},
     "test_sanitizer": {ALL: CHOOSES},
@@ -43,6 +44,7 @@ ONE_RUN_DOES = {
     "test_one_order": {ALL: CHOOSES},
     "test_serial_work": {"test_a_cpu_has_no_such_threads": CHOOSES},
     "test_emulated_blocks": {ALL: CHOOSES},
+    "test_explain": {"test_loops_of_threads_and_of_one_thread": CPU},
     "test_forward_mode": {"test_every_scalar_rule_is_tested": NAMES},
     "test_gpu_benchmark": {ALL: CHOOSES},
     "test_huge_bodies": {
@@ -57,6 +59,7 @@ ONE_RUN_DOES = {
     },
     "test_interrupts": {ALL: "of kernels on the CPU; those of a device: test_device_interrupts"},
     "test_lazy_names": {ALL: NAMES},
+    "test_looped_copies": {"test_loops_that_are_no_sum": CPU},
     "test_matrices": {
         "test_in_python": "matrices of Python, which no kernel computes",
         "test_python_matrices": "matrices of Python, which no kernel computes",

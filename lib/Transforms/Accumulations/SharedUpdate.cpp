@@ -342,10 +342,13 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
     std::optional<Extremum> extremum =
         getExtremum(branch.getCondition(), branch.thenYield().getOperand(0),
                     branch.elseYield().getOperand(0));
-    if (!extremum || !old.isLoaded(extremum->old))
+    if (!extremum)
       return false;
-    loads.push_back(
-        cast<DifferentiableAccessInterface>(extremum->old.getDefiningOp()));
+    if (old.isLoaded(extremum->old))
+      loads.push_back(
+          cast<DifferentiableAccessInterface>(extremum->old.getDefiningOp()));
+    else if (!llvm::is_contained(formers, extremum->old))
+      return false;
     return addStep({context.select ? context.select : branch.getOperation(),
                     extremum->kind, extremum->value, extremum->value.getType(),
                     context.conditions});

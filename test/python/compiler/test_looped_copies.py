@@ -193,7 +193,7 @@ def test_values_and_gradients(form, options, size):
 def test_other_kinds(options, dtype):
     """Minima, maxima, products and bits; without a trip, the element stays as it was."""
     ti.init(offline_cache=False, **OPTIONS[options])
-    size = 10_001
+    size = 65_537
     random = np.random.default_rng(3)
     groups = random.integers(0, GROUPS, size).astype(np.int32)
     counts = random.integers(0, 4, size).astype(np.int32)
