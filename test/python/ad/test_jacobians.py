@@ -143,7 +143,45 @@ def test_the_mode_is_the_one_with_fewer_products():
     calls.clear()
     band = np.eye(40, dtype=bool)
     ti.ad.jacobian(run, x, x, pattern=band)
-    assert len(calls) == 1  # one colour for all
+    assert len(calls) == 2  # one colour for all, and the check of the pattern
+
+
+@pytest.mark.parametrize("dtype", [ti.f32, ti.f64])
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("n", [2, 7, 65])
+def test_a_pattern_that_lacks_an_entry_is_refused(dtype, mode, n):
+    ti.init(default_fp=dtype)
+    x = ti.field(dtype, n, needs_grad=True, needs_dual=True)
+    y = ti.field(dtype, n, needs_grad=True, needs_dual=True)
+
+    @ti.kernel
+    def run():
+        for i in x:
+            y[i] = ti.sin(x[i])
+            if i == n - 1:
+                y[i] += 0.05 * x[0]
+
+    x.from_numpy(np.linspace(0.2, 1, n))
+    whole = np.eye(n)
+    whole[n - 1, 0] = 1
+    found = ti.ad.jacobian(run, x, y, pattern=whole, mode=mode)
+    assert found.toarray()[n - 1, 0] == pytest.approx(0.05)
+    row = f"output {n - 1}" if mode == "forward" else "input 0"
+    with pytest.raises(TaiAutodiffError, match=f"the pattern lacks an entry of {row}: "):
+        ti.ad.jacobian(run, x, y, pattern=np.eye(n), mode=mode)
+
+
+def test_a_pattern_of_a_hessian_that_lacks_an_entry_is_refused():
+    x, loss = both(4), both()
+
+    @ti.kernel
+    def run():
+        for i in x:
+            loss[None] += x[i] ** 3 + x[i] * x[0]
+
+    x.fill(0.5)
+    with pytest.raises(TaiAutodiffError, match="the pattern lacks an entry of input 0"):
+        ti.ad.hessian(run, loss, x, pattern=np.eye(4))
 
 
 def test_hessian():

@@ -52,6 +52,7 @@ class _Numbers:
         self.shapes = [_shape(field) for field in fields]
         self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
         self.size = int(self.ends[-1])
+        self.bits = min(field.dtype.bits for field in fields)
 
     def split(self, vector: np.ndarray) -> list[np.ndarray]:
         parts = np.split(vector, self.ends[:-1])
@@ -72,6 +73,7 @@ class _Products:
         self.function = function
         self.columns = _Numbers(_as_fields(inputs, "the inputs"))
         self.rows = _Numbers(_as_fields(outputs, "the outputs"))
+        self.bits = min(self.rows.bits, self.columns.bits)
         materialize(get_program(), caller_names())
         self._start: Snapshot | None = None
         self._tape: Tape | None = None
@@ -188,9 +190,15 @@ def _colour(pattern: Any) -> np.ndarray:
 
 
 def _compress(
-    pattern: Any, colours: np.ndarray, product: Callable[[np.ndarray], np.ndarray]
-) -> Any:
-    """The matrix with a pattern, by one product for each colour of its columns."""
+    pattern: Any, colours: np.ndarray, product: Callable[[np.ndarray], np.ndarray], what: str,
+    bits: int,
+) -> Any:  # fmt: skip
+    """The matrix with a pattern, by one product for each colour of its columns, and one to check.
+
+    Args:
+        what: a row is a number of this: "output".
+        bits: of the narrowest field of a product.
+    """
     sparse, _ = get_scipy()
     rows, columns = pattern.tocoo().coords
     values = np.zeros(len(rows))
@@ -199,7 +207,32 @@ def _compress(
         column = product((colours == colour).astype(np.float64))
         entries = of_entry == colour
         values[entries] = column[rows[entries]]
-    return sparse.csr_array((values, (rows, columns)), shape=pattern.shape)
+    found = sparse.csr_array((values, (rows, columns)), shape=pattern.shape)
+    _check_pattern(found, product, what, bits)
+    return found
+
+
+def _check_pattern(
+    matrix: Any, product: Callable[[np.ndarray], np.ndarray], what: str, bits: int
+) -> None:
+    """Compares a random product: an entry outside of the pattern was added to another one.
+
+    Raises:
+        TaiAutodiffError: they differ by more than rounding.
+    """
+    direction = np.random.default_rng(7).uniform(0.5, 1.5, matrix.shape[1])
+    expected, found = product(direction), matrix @ direction
+    size = np.maximum(abs(matrix) @ direction, np.abs(expected))
+    # Rounding may cost many digits within a program, and parts of it may be in f32.
+    tolerance = {16: 0.1, 32: 1e-3}.get(bits, 1e-5)
+    off = np.abs(expected - found) > tolerance * size
+    if off.any():
+        row = int(np.argmax(off))
+        raise TaiAutodiffError(
+            f"the pattern lacks an entry of {what} {row}: a product with all inputs is "
+            f"{expected[row]:.6g}, and that of the matrix with this pattern {found[row]:.6g}",
+            "let the pattern have each entry that may be nonzero, or leave it out",
+        )
 
 
 def _choose(products: _Products, mode: str | None, forward: int, reverse: int) -> bool:
@@ -250,21 +283,21 @@ def jacobian(
     ```python
     J = ti.ad.jacobian(simulate, x, y)  # J[i, j] is the derivative of y[i] by x[j]
     band = scipy.sparse.diags_array([1, 1, 1], offsets=[-1, 0, 1], shape=(n, n))
-    J = ti.ad.jacobian(simulate, x, y, pattern=band)  # three products, for any n
+    J = ti.ad.jacobian(simulate, x, y, pattern=band)  # four products, for any n
     ```
 
     Without a pattern there is one run in forward mode for each number of the inputs, or one
     reverse sweep for each number of the outputs. With one, columns (or rows) that share no row
-    (or column) have one colour, and there is one product for each colour. Each run begins with
-    the fields as they are at the call, and they are put back at the end.
+    (or column) have one colour, and there is one product for each colour and one more. Each run
+    begins with the fields as they are at the call, and they are put back at the end.
 
     Args:
         function: launches the kernels that compute the outputs; it may work in place.
         inputs: a field, or a list of fields.
         outputs: a field, or a list of fields.
         pattern: where entries may be nonzero: a SciPy sparse matrix, or an array of bools, of
-            shape (numbers of the outputs, numbers of the inputs). Entries that are nonzero
-            outside of it are added to others: `ti.ad.check` does not find that.
+            shape (numbers of the outputs, numbers of the inputs). One product more checks that
+            it lacks no entry.
         mode: "forward" needs duals, "reverse" gradients, of all inputs and outputs. Without it,
             the one with fewer products is taken among those that the fields allow.
 
@@ -274,7 +307,8 @@ def jacobian(
         columns count the numbers of all outputs and inputs in order.
 
     Raises:
-        TaiAutodiffError: fields without duals and gradients, or something has no derivative.
+        TaiAutodiffError: fields without duals and gradients, something has no derivative, or an
+            entry is nonzero outside of the pattern.
         TaiRuntimeTypeError: something that is no field, or a pattern of another shape.
     """
     products = _Products(function, inputs, outputs)
@@ -286,8 +320,9 @@ def jacobian(
         counts = int(across.max(initial=-1)) + 1, int(down.max(initial=-1)) + 1
         with products:
             if _choose(products, mode, *counts):
-                return _compress(where, across, products.forward)
-            return _compress(where.T.tocsc(), down, products.reverse).T.tocsr()
+                return _compress(where, across, products.forward, "output", products.bits)
+            back = _compress(where.T.tocsc(), down, products.reverse, "input", products.bits)
+            return back.T.tocsr()
     matrix = np.empty((rows.size, columns.size))
     with products:
         if _choose(products, mode, columns.size, rows.size):
@@ -331,7 +366,7 @@ def hessian(function: Function, loss: Any, inputs: Any, pattern: Any = None) -> 
         function: launches the kernels that compute the loss.
         loss: a field without dimensions that has a gradient and a dual.
         inputs: a field, or a list of fields, with gradients and duals.
-        pattern: as for `jacobian`, square: one product for each colour.
+        pattern: as for `jacobian`, square: one product for each colour, and one.
 
     Returns:
         As `jacobian`: an array of shape `inputs' shape + inputs' shape`, nested lists for a
@@ -346,7 +381,8 @@ def hessian(function: Function, loss: Any, inputs: Any, pattern: Any = None) -> 
     if pattern is not None:
         where = _as_pattern(pattern, numbers.size, numbers.size)
         with products:
-            return _compress(where, _colour(where), products.product)
+            bits = numbers.bits
+            return _compress(where, _colour(where), products.product, "input", bits)
     matrix = np.empty((numbers.size, numbers.size))
     with products:
         for j, unit in enumerate(np.eye(numbers.size)):
