@@ -94,6 +94,20 @@ def test_neighbours(tmp_path):
     assert float(after) > max(0.4, 5 * float(before))
 
 
+def test_sleeping(tmp_path):
+    options = ["--columns", 40, "--iterations", 3]
+    output = run("sleeping", tmp_path, *options, "--check")
+    assert numbers(output, "check")[1][0] < 1e-5
+    ((most, total),) = numbers(output, "awake")
+    assert total == 201 and 6 <= most < 40
+    first, last = losses(output)
+    assert last < first
+    # Balls at rest would creep a little.
+    everything = run("sleeping", tmp_path, *options, "--awake")
+    assert numbers(everything, "awake") == [[201, 201]]
+    assert losses(everything)[0] == pytest.approx(first, rel=0.05)
+
+
 def test_active_blocks(tmp_path):
     sparse = run("active_blocks", tmp_path, "--n", 256, "--steps", 800)
     dense = run("active_blocks", tmp_path, "--n", 256, "--steps", 800, "--dense")
