@@ -57,6 +57,19 @@ def test_the_index_lists_all_pages():
     assert not [str(path) for path in pages if path.resolve() not in listed]
 
 
+def test_pages_say_things_once():
+    """No paragraph or entry of a list stands twice on a page, however its lines are broken."""
+    twice, found = [], 0
+    for page in [path for path in sources() if path.suffix == ".md"]:
+        text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+        blocks = [" ".join(block.split()) for block in re.split(r"\n\s*\n|\n(?=\s*- )", text)]
+        blocks = [block for block in blocks if len(block) > 60 and block[0] not in "|#"]
+        found += len(blocks)
+        twice += [f"{page.relative_to(ROOT)}: {b}" for b in set(blocks) if blocks.count(b) > 1]
+    assert found > 500
+    assert not twice, "\n".join(twice)
+
+
 def test_pages_that_sources_name():
     """Sources, messages and scripts that name a page of docs name one that exists."""
     wrong, found = [], 0
