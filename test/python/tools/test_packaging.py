@@ -16,6 +16,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 
 import check_wheel  # noqa: E402
 import make_wheels as wheel  # noqa: E402
+import test_wheel  # noqa: E402
 
 BIN = Path(os.environ.get("TAI_BUILD_DIR", ROOT / "build")) / "bin"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -105,6 +106,21 @@ def test_what_is_wrong_with_a_wheel(tmp_path: Path, lacks, adds, message):
     if adds:
         names[adds] = b""
     assert any(message in line for line in check_wheel.complaints(make(tmp_path, names)))
+
+
+def test_packages_that_tests_of_a_wheel_use():
+    names = test_wheel.packages(test_wheel.REQUIREMENTS.read_text())
+    assert {"numpy", "scipy", "pytest", "pytest-xdist", "nbclient"} <= set(names)
+    assert not {"pybind11", "scikit-build-core", "mypy", "ruff"} & set(names)
+
+
+def test_the_wheel_of_this_python_is_tested():
+    names = [f"dist/tai-1.0-cp{n}-cp{n}-{wheel.PLATFORM}.whl" for n in ("311", "313")]
+    assert test_wheel.choose(names, (3, 13)) == names[1]
+    with pytest.raises(SystemExit, match=r"no wheel for CPython 3.12: there are cp311, cp313$"):
+        test_wheel.choose(names, (3, 12))
+    with pytest.raises(SystemExit, match="there are none"):
+        test_wheel.choose([], (3, 12))
 
 
 def test_headers_of_debian_are_separated(tmp_path: Path):
