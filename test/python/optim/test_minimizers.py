@@ -307,17 +307,74 @@ def test_refusals():
     for call, error, message in cases:
         with pytest.raises(error, match=message):
             call()
+    for minimize in (ti.optim.LBFGS(x).minimize, lambda f: ti.optim.scipy_minimize(f, x)):
+        with pytest.raises(kind, match="got kernel 'compute'") as caught:
+            minimize(compute)
+        assert "with ti.ad.Tape(loss) as tape: compute()" in caught.value.hint
+        with pytest.raises(kind, match="one number, but got None") as caught:
+            minimize(lambda: None)
+        assert "run a tape in the function" in caught.value.hint
     with pytest.raises(ti.TaiAutodiffError, match="while a tape records"), ti.ad.Tape(loss):
         ti.optim.LBFGS(x).minimize(compute)
+
+
+@pytest.mark.parametrize("user", ["LBFGS", "scipy_minimize"])
+def test_functions_without_a_gradient(user):
+    """Zeros, or the gradient of an earlier tape, must not be taken for that of the function."""
+    ti.init()
+    x = ti.field(ti.f64, shape=3, needs_grad=True)
+    loss = ti.field(ti.f64, shape=(), needs_grad=True)
+    minimize = {
+        "LBFGS": lambda f: ti.optim.LBFGS(x).minimize(f),
+        "scipy_minimize": lambda f: ti.optim.scipy_minimize(f, x),
+    }[user]
+
+    @ti.kernel
+    def compute():
+        for i in x:
+            loss[None] += (x[i] - i - 1) ** 2
+
+    def measure():
+        loss[None] = 0
+        compute()
+        return loss[None]
+
+    for earlier in (False, True):
+        if earlier:
+            with ti.ad.Tape(loss):
+                compute()
+        with pytest.raises(ti.TaiAutodiffError, match="ran no tape, so its loss has no gradient"):
+            minimize(measure)
+        assert not x.to_numpy().any()
+
+    def by_hand():
+        value = measure()
+        x.grad.fill(0)
+        loss.grad[None] = 1
+        compute.grad()
+        return value
+
+    minimize(by_hand)
+    np.testing.assert_allclose(x.to_numpy(), [1, 2, 3], rtol=1e-6)
+    # At a minimum the gradient is zero, and the tape says so.
+    with ti.ad.Tape(loss) as tape:
+        compute()
+
+    def again():
+        tape.replay()
+        return loss[None]
+
+    minimize(again)
+    np.testing.assert_allclose(x.to_numpy(), [1, 2, 3], rtol=1e-6)
 
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "optimizers.md"
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(5))
 def test_programs_of_the_page(number, tmp_path):
-    assert len(PROGRAMS) == 4
+    assert len(PROGRAMS) == 5
     if "torch" in PROGRAMS[number]:
         pytest.importorskip("torch", reason="the program needs torch")
     file = tmp_path / "program.py"

@@ -50,9 +50,12 @@ class _Missing:
     def __del__(self) -> None:
         if self.is_missing:
             names = ", ".join(f"'{field.name}'" for field in self._losses)
+            remedy = "needs a seed, as in tape.grad(seed=np.ones(loss.shape))"
+            if all(field.batch is not None for field in self._losses):
+                remedy = "in each world takes the tape of its batch: with batch.tape(loss)"
             warnings.warn(
                 f"the gradient of {names} was never computed: a loss of more than one number "
-                "needs a seed, as in tape.grad(seed=np.ones(loss.shape))",
+                f"{remedy}",
                 TaiGradientWarning,
                 stacklevel=2,
             )
@@ -105,6 +108,9 @@ class Tape(native.WithBlock):
             gradients of all other fields that the tape uses are zero, except those of losses;
             arrays and returned values always have theirs.
     """
+
+    # The count of all tapes, by which an optimiser sees whether a function has run one.
+    sweeps = 0
 
     def __init__(
         self, loss: Any = None, clear_gradients: bool = True, validation: bool = False,
@@ -341,6 +347,7 @@ class Tape(native.WithBlock):
     def _sweep(self, clear: bool, losses: tuple | None = None) -> None:
         if clear:
             self._clear()
+        Tape.sweeps += 1
         losses = self._outer_seeds() if losses is None else losses
         with tracked.ValueSweep(self._values, losses):
             self._core.backward()
@@ -391,6 +398,7 @@ class Tape(native.WithBlock):
             forward = False
         if not backward:
             return
+        Tape.sweeps += 1
         with tracked.ValueSweep(self._values, losses, forward):
             self._core.replay(forward, True)
         if forward:

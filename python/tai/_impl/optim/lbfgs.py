@@ -88,7 +88,11 @@ class LBFGS:
         check_outside(f"{self._user}.minimize()")
         gtol = check_number(self._user, "gtol", gtol, 0.0)
         ftol = check_number(self._user, "ftol", ftol, 0.0)
-        objective, k, v = Objective(function, self._user), get_kernels(), get_vectors()
+        objective, k, v = (
+            Objective(function, self._user, self._parameters),
+            get_kernels(),
+            get_vectors(),
+        )
         noise = 1e-14 if self._flat.dtype is dtypes.f64 else 1e-6
         self._flat.gather(self._x, "value")
         loss = objective.evaluate()

@@ -7,6 +7,9 @@ from typing import Any, NamedTuple
 
 from ...errors import TaiAutodiffError, TaiRuntimeTypeError
 from ..ad.tape import Tape
+from ..launch.bound_kernel import BoundKernel
+from ..launch.kernels import Kernel
+from .parameters import Parameter
 
 
 class Result(NamedTuple):
@@ -38,9 +41,11 @@ class Objective:
     Args:
         function: a tape with a loss, or a function that runs one and returns the loss.
         user: for messages.
+        parameters: whose gradient it computes.
     """
 
-    def __init__(self, function: Any, user: str):
+    def __init__(self, function: Any, user: str, parameters: list[Parameter]):
+        self._parameters = parameters
         self._tape: Tape | None = None
         self._call: Callable[[], Any] | None = None
         self._user, self.evaluations = user, 0
@@ -51,6 +56,12 @@ class Objective:
                 raise TaiRuntimeTypeError(
                     f"{user} takes a tape with one loss", "with ti.ad.Tape(loss) as tape: …"
                 )
+        elif isinstance(function, Kernel | BoundKernel):
+            raise TaiRuntimeTypeError(
+                f"{user} takes a tape or a function that runs one, but got kernel "
+                f"'{function.__name__}'",
+                f"with ti.ad.Tape(loss) as tape: {function.__name__}() ; and give it the tape",
+            )
         elif callable(function):
             self._call = function
         else:
@@ -65,13 +76,28 @@ class Objective:
 
         Raises:
             TaiRuntimeTypeError: the loss is not one number.
+            TaiAutodiffError: the function has computed no gradient.
         """
         self.evaluations += 1
         if self._tape is not None:
             self._tape.replay()
             return self._number(self._loss)
         assert self._call is not None
-        return self._number(self._call())
+        if self.evaluations > 1:
+            return self._number(self._call())
+        # Gradients of an earlier tape would be taken for those of the function.
+        for parameter in self._parameters:
+            parameter.value.grad.fill(0)
+        sweeps = Tape.sweeps
+        loss = self._number(self._call())
+        if Tape.sweeps == sweeps and not any(
+            parameter.value.grad.to_numpy().any() for parameter in self._parameters
+        ):
+            raise TaiAutodiffError(
+                f"{self._user}: the function ran no tape, so its loss has no gradient",
+                "launch the kernels in a tape: with ti.ad.Tape(loss): simulate()",
+            )
+        return loss
 
     def _number(self, loss: Any) -> float:
         if hasattr(loss, "to_numpy"):
@@ -83,7 +109,7 @@ class Objective:
         except (TypeError, ValueError):
             raise TaiRuntimeTypeError(
                 f"{self._user}: the loss must be one number, but got {loss!r}",
-                "return it from the function: return loss[None]",
+                "run a tape in the function, and return its loss: return loss[None]",
             ) from None
 
 

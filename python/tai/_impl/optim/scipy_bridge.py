@@ -57,7 +57,7 @@ def scipy_minimize(function: Any, parameters: Any, method: str = "L-BFGS-B", **o
     found = check_parameters(parameters, user)
     for p in found:
         p.require_dense(user)
-    objective = Objective(function, user)
+    objective = Objective(function, user, found)
 
     def shape_of(p: Any) -> tuple[int, ...]:
         return tuple(p.value.shape) + tuple(p.value.element_shape)
