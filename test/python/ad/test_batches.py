@@ -1,5 +1,6 @@
 """One program for many worlds: `ti.batch`."""
 
+import gc
 import re
 import subprocess
 import sys
@@ -326,3 +327,53 @@ def test_programs_of_the_page(number, tmp_path):
     file = tmp_path / "program.py"
     file.write_text(PROGRAMS[number])
     subprocess.run([sys.executable, str(file)], check=True)
+
+
+def test_hints_where_kernels_and_tapes_of_the_batch_are_forgotten():
+    ti.init()
+    worlds = ti.batch(4)
+    x = worlds.field(ti.f32, 3, needs_grad=True)
+    loss = worlds.field(ti.f32, needs_grad=True)
+
+    @ti.kernel
+    def plain():
+        for i in x:
+            x[i] = 1
+
+    @worlds.kernel
+    def with_worlds():
+        for w, i in x:
+            x[w, i] = 1
+
+    @worlds.kernel
+    def with_worlds_in_ranges():
+        for w, i, j in ti.ndrange(2, 3):
+            x[i] = w + j
+
+    @ti.kernel
+    def wrong_otherwise():
+        for i, j, k in x:
+            x[i, j] = k
+
+    for kernel, hint in (
+        (plain, "is that of the worlds of its batch, which kernels marked @batch.kernel leave"),
+        (with_worlds, "leave the index of the world away"),
+        (with_worlds_in_ranges, "leave the index of the world away"),
+        (wrong_otherwise, "give one variable for each dimension"),
+    ):
+        with pytest.raises(ti.TaiTypeError, match="but runs over") as caught:
+            kernel()
+        assert hint in caught.value.hint
+
+    @worlds.kernel
+    def measure():
+        for i in x:
+            loss[None] += x[i] ** 2
+
+    def record():
+        with ti.ad.Tape(loss):
+            measure()
+
+    with pytest.warns(ti.ad.TaiGradientWarning, match=r"with batch\.tape\(loss\)"):
+        record()
+        gc.collect()

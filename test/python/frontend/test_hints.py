@@ -84,6 +84,41 @@ def test_calls_with_wrong_arguments():
     assert caught.value.hint
 
 
+@pytest.mark.parametrize(
+    ("result", "annotation"),
+    [
+        ("n", "ti.i32"), ("3", "ti.i32"), ("2.5", "ti.f32"), ("x[0]", "ti.f64"), ("n > 1", "ti.u1"),
+        ("v[0]", "ti.types.vector(3, ti.f32)"), ("m[0]", "ti.types.matrix(2, 2, ti.f32)"),
+        ("(n, v[0])", "tuple[ti.i32, ti.types.vector(3, ti.f32)]"),
+    ],
+)  # fmt: skip
+def test_the_hint_for_a_missing_return_type_can_be_pasted(result, annotation, tmp_path):
+    text = HEAD.replace("ti.f32, 8", "ti.f64, 8").replace("def f():", "def f(n: ti.i32){}:")
+    path = tmp_path / "returns.py"
+
+    def run(arrow):
+        path.write_text(text.format(arrow, f"return {result}"))
+        space = {"__name__": "returns"}
+        exec(compile(path.read_text(), str(path), "exec"), space)
+        return space["f"](2)
+
+    with pytest.raises(ti.TaiSyntaxError, match="needs a return type") as caught:
+        run("")
+    assert caught.value.hint == f"def f(…) -> {annotation}"
+    assert run(f" -> {annotation}") is not None
+
+
+@pytest.mark.parametrize("statement", ["x[None] = 4.0", "x[None] += 1.0", "a = x[0]"])
+def test_a_number_in_the_place_of_a_field(statement, tmp_path):
+    path = tmp_path / "replaced.py"
+    path.write_text(HEAD.replace("@ti.func", "x = 3.0\n\n@ti.func", 1).format(statement))
+    space = {"__name__": "replaced"}
+    with pytest.raises(ti.TaiError, match="float") as caught:
+        exec(compile(path.read_text(), str(path), "exec"), space)
+        space["f"]()
+    assert "x[None] = 3.0" in caught.value.hint
+
+
 hidden = None
 
 

@@ -43,6 +43,8 @@ _HINTS = [
     (r"indices must be integers or slices, not a struct",
      "use a member of the struct that is a whole number"),
     (r"cannot be interpreted as an integer", "convert it: int(…)"),
+    (r"'(?:int|float|bool)' object (?:is not subscriptable|does not support item)",
+     "the name is a number of Python, which 'x = 3.0' makes of a field: write x[None] = 3.0"),
     (r"^ti\.(?:length|append|activate|deactivate|is_active) takes|^ti\.(\w+) takes \(level",
      "the level is that of a sparse field: x.parent()"),
     (r"^expects a struct", "make one by its type, or store each member: s[i].mass = 1.0"),

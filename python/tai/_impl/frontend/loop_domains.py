@@ -20,6 +20,7 @@ from .context import Context, Part
 from .expressions import Expressions
 from .refs import ArrayArgument, Variable, use_field
 from .sparse import Level
+from .worlds import batch_of
 
 
 class Bounds:
@@ -183,11 +184,17 @@ class LoopDomains(Part):
             raise TaiTypeError("ti.ndrange takes at least one range")
         return Bounds(lower, upper)
 
-    def targets(self, node: ast.For, rank: int, grouped: bool) -> list[str]:
-        """The names that the indices go to; one name for all where they are grouped."""
-        return self.guarded(lambda target: self._names_in(target, rank, grouped), node.target)
+    def targets(self, node: ast.For, rank: int, grouped: bool, field: Any = None) -> list[str]:
+        """The names that the indices go to; one name for all where they are grouped.
 
-    def _names_in(self, target: ast.expr, rank: int, grouped: bool) -> list[str]:
+        Args:
+            field: that the loop runs over, for a hint.
+        """
+        return self.guarded(
+            lambda target: self._names_in(target, rank, grouped, field), node.target
+        )
+
+    def _names_in(self, target: ast.expr, rank: int, grouped: bool, field: Any) -> list[str]:
         if grouped:
             if not isinstance(target, ast.Name):
                 raise TaiSyntaxError("a loop over ti.grouped(…) has one variable, a vector")
@@ -198,12 +205,22 @@ class LoopDomains(Part):
             raise TaiSyntaxError("the variables of a loop are names")
         if len(items) != rank:
             variables = "1 variable" if len(items) == 1 else f"{len(items)} variables"
+            hint = (
+                "use ti.grouped(…) to have all indices in one vector"
+                if len(items) == 1
+                else "give one variable for each dimension"
+            )
+            if self.emitter.worlds is not None and len(items) == rank + 1:
+                hint = "leave the index of the world away: a kernel of a batch is for one world"
+            elif self.emitter.worlds is None and batch_of(field) and len(items) == rank - 1:
+                hint = (
+                    f"the first dimension of '{field.name}' is that of the worlds of its batch, "
+                    "which kernels marked @batch.kernel leave away"
+                )
             raise TaiTypeError(
                 f"the loop has {variables}, but runs over {rank} "
                 f"dimension{'s' if rank != 1 else ''}",
-                "use ti.grouped(…) to have all indices in one vector"
-                if len(items) == 1
-                else "give one variable for each dimension",
+                hint,
             )
         return names
 

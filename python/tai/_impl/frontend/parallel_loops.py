@@ -54,7 +54,7 @@ class ParallelLoops(Part):
         if worlds is not None:
             bounds, rank = self._with_worlds(bounds, field, level, rank)
         own = rank if level is None else level.rank
-        names = self.domains.targets(node, own - (worlds is not None), grouped)
+        names = self.domains.targets(node, own - (worlds is not None), grouped, field)
         lower: list[Any] = []
         upper: list[Any] = []
         # Over an array of no dimension there is one iteration, which has no index.

@@ -126,7 +126,7 @@ class Parameters(Part):
         if value is not None and self.context.kernel.result is None:
             raise TaiSyntaxError(
                 "a kernel that returns a value needs a return type",
-                f"def {self.frame.name}(…) -> ti.f32",
+                f"def {self.frame.name}(…) -> {_annotation(value)}",
             )
 
     def return_from_kernel(self, value: Any, node: ast.Return) -> None:
@@ -139,3 +139,17 @@ class Parameters(Part):
         self.at(node)
         self.store_cells(value)
         self.builder.return_([value.handle])
+
+
+def _annotation(value: Any) -> str:
+    """The return type to write for a value of a kernel, or of Python."""
+    if isinstance(value, tuple | list):
+        return f"tuple[{', '.join(map(_annotation, value))}]"
+    if isinstance(value, bool | int):
+        return "ti.i32"
+    number = getattr(value, "dt", None)
+    if not isinstance(number, dtypes.DataType):
+        return "ti.f32"
+    shape = ", ".join(map(str, value.shape))
+    kind = {0: "", 1: "vector", 2: "matrix"}[len(value.shape)]
+    return f"ti.types.{kind}({shape}, ti.{number})" if kind else f"ti.{number}"
