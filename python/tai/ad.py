@@ -36,4 +36,4 @@ __all__ = [
 ]  # fmt: skip
 
 
-check_keywords(globals())
+check_keywords(globals(), attributes=False)

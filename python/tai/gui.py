@@ -129,6 +129,9 @@ class GUI(FrameLoop):
             self._open(name, self.res, fullscreen)
         self.clear()
 
+    def __repr__(self) -> str:
+        return f"<ti.GUI '{self.name}' of {self.res[0]}×{self.res[1]} pixels, frame {self.frame}>"
+
     # The canvas
 
     def clear(self, color: int | None = None) -> None:

@@ -6,6 +6,7 @@ import math as _math
 from typing import Any
 
 from ._impl.base import dtypes
+from ._impl.base.keywords import check_keywords, suggest_names
 from ._impl.values import ops
 from ._impl.values.complex_numbers import cconj, cdiv, cexp, cinv, clog, cmul, cpow, csqrt
 from ._impl.values.matrix import Matrix
@@ -195,3 +196,7 @@ __all__ = [
     "sin", "sinh", "smoothstep", "sqrt", "step", "tan", "tanh", "translate", "trunc", "uvec2",
     "uvec3", "uvec4", "vdir", "vec2", "vec3", "vec4",
 ]  # fmt: skip
+
+_here = [name for name in __all__ if getattr(globals()[name], "__module__", None) == __name__]
+check_keywords(globals(), _here)
+suggest_names(globals())

@@ -3,12 +3,14 @@
 import importlib
 import inspect
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import tai as ti
 
-MODULES = ["ad", "algorithms", "checkpoint", "gui", "linalg", "optim", "profiler", "sparse",
+MODULES = ["ad", "algorithms", "checkpoint", "gui", "linalg", "math", "optim", "profiler", "sparse",
            "testing", "tools", "types", "ui", "volumes"]  # fmt: skip
 _BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 # They take any keyword.
@@ -36,7 +38,7 @@ def public():
     found += [("ti.Vector.field", ti.Vector.field), ("ti.Matrix.ndarray", ti.Matrix.ndarray)]
     for name in MODULES:
         module = importlib.import_module(f"tai.{name}")
-        names = getattr(module, "__all__", None) or [
+        names = name != "math" and getattr(module, "__all__", None) or [
             n for n, v in vars(module).items()
             if not n.startswith("_") and getattr(v, "__module__", None) == module.__name__
         ]  # fmt: skip
@@ -143,3 +145,74 @@ def test_wrong_keywords_in_kernels_and_of_kernels(call, right):
     with pytest.raises(ti.TaiError) as caught:
         call()
     assert caught.value.hint == f"did you mean '{right}'?"
+
+
+_Ball = ti.types.struct(position=ti.math.vec3, mass=ti.f32)
+WRONG_NAMES = {
+    "a vector": (lambda: ti.Vector([1.0, 2.0]), "normalised", "normalized"),
+    "an element": (lambda: ti.Vector.field(3, ti.f32, shape=1)[0], "norn", "norm"),
+    "a matrix": (lambda: ti.Matrix([[1.0, 2.0], [3.0, 4.0]]), "transpos", "transpose"),
+    "a struct": (lambda: _Ball(mass=1.0), "mas", "mass"),
+    "a struct type": (lambda: _Ball, "feld", "field"),
+    "a field of structs": (lambda: _Ball.field(shape=1), "postion", "position"),
+    "its method": (lambda: _Ball.field(shape=1), "to_nump", "to_numpy"),
+    "its element": (lambda: _Ball.field(shape=1)[0], "mas", "mass"),
+    "a picture": (lambda: ti.GUI("test", res=8, show_gui=False), "circel", "circle"),
+    "an optimiser": (
+        lambda: ti.optim.Adam([ti.field(ti.f32, shape=1, needs_grad=True)]), "stpe", "step"),
+    **{f"ti.{name}": (lambda name=name: importlib.import_module(f"tai.{name}"), wrong, right)
+       for name, wrong, right in [("ad", "Tap", "Tape"), ("math", "clampp", "clamp"),
+                                  ("linalg", "cgg", "cg"), ("lang", "matri", "matrix"),
+                                  ("types", "vectr", "vector"), ("optim", "Adamm", "Adam")]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG_NAMES)
+def test_a_misspelt_attribute_gets_the_nearest_one(name):
+    make, wrong, right = WRONG_NAMES[name]
+    with pytest.raises(AttributeError) as caught:
+        getattr(make(), wrong)
+    assert str(caught.value).endswith(f"\n  did you mean '{right}'?")
+    assert not hasattr(make(), "_of_another_library")
+
+
+@pytest.mark.parametrize(
+    "make, wrong, right",
+    [
+        ("x", "gradd", "grad"),
+        ("x.grad", "fil", "fill"),
+        ("ti.ndarray(ti.f32, 3)", "shap", "shape"),
+        ("ti.ad.Tape(x)", "stat", "stats"),
+        ("ti.root", "dens", "dense"),
+        ("run", "explan", "explain"),
+        ("ti.Vector", "fiel", "field"),
+        ("ti.GUI('a', show_gui=False)", "circel", "circle"),
+    ],
+)
+def test_one_suggestion_is_printed(make, wrong, right, tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import tai as ti\nti.init()\nx = ti.field(ti.f32, shape=3, needs_grad=True)\n"
+        f"@ti.kernel\ndef run():\n    pass\n{make}.{wrong}\n"
+    )
+    found = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=120)
+    error = found.stderr.lower()
+    assert error.count("did you mean") == error.count(f"did you mean: '{right}'") + error.count(
+        f"did you mean '{right}'"
+    ) == 1, found.stderr  # fmt: skip
+    assert f"{make}.{wrong}".lower() in error
+
+
+def test_a_property_that_fails_keeps_its_error():
+    class Broken(ti.optim.SGD):
+        @property
+        def rate(self):
+            raise AttributeError("there is none yet")
+
+    with pytest.raises(AttributeError, match="^there is none yet$"):
+        Broken([ti.field(ti.f32, shape=1, needs_grad=True)]).rate  # noqa: B018
+
+
+def test_keywords_that_are_given_are_not_suggested():
+    with pytest.raises(TypeError, match="did you mean 'edge0'"):
+        ti.math.smoothstep(edge=0.0, edge1=1.0, x=0.5)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import tai as ti
 from tai._impl.drawing.frames import FrameLoop
+from tai._impl.fields import notebook
 from tai._impl.fields.root import name_fields
 
 
@@ -71,6 +72,91 @@ def test_tapes():
         assert repr(tape) == "<ti.ad.Tape: records, 1 so far>"
     pattern = r"<ti.ad.Tape: 1 records, 0 skipped .*, \d+ bytes of old values>"
     assert re.fullmatch(pattern, repr(tape))
+
+
+class _Scene:
+    def __repr__(self):
+        return "scene <1>"
+
+    @ti.kernel
+    def run(self, x: ti.template(), scale: ti.f32):
+        for i in x:
+            x[i] *= scale
+
+
+def test_kernels():
+    x = ti.field(ti.f32, shape=4)
+
+    @ti.kernel
+    def small(a: ti.f32) -> ti.i32:
+        return 1 if a < 2.0 else 0
+
+    before = small._repr_html_()
+    assert "small" in before and "not compiled yet" in before and ">IR<" not in before
+    assert "a &lt; 2.0" in before and "<summary>source</summary>" in before
+    small(1.0)
+    assert "one kind of arguments" in small._repr_html_()
+    assert "<summary>IR</summary><pre>" in small._repr_html_()
+    assert "@small" in small._repr_html_()
+    assert re.fullmatch(r"<gradient of <ti.kernel '.*small'>>", repr(small.grad))
+    method = _Scene().run
+    method(x, 2.0)
+    assert repr(method) == "<<ti.kernel '_Scene.run'> of scene <1>>"
+    assert "for i in x" in method._repr_html_() and "<summary>IR" in method._repr_html_()
+    ti.reset()
+    assert "not compiled yet" in small._repr_html_()
+
+
+def test_a_kernel_without_a_source_and_a_long_one(monkeypatch):
+    @ti.kernel
+    def one() -> ti.i32:
+        return 1
+
+    one()
+    monkeypatch.setattr(notebook, "_LETTERS", 10)
+    assert "letters more</pre>" in one._repr_html_()
+
+    def gone(function):
+        raise OSError("could not get source code")
+
+    monkeypatch.setattr(notebook.inspect, "getsource", gone)
+    assert ">source<" not in one._repr_html_() and "<summary>IR" in one._repr_html_()
+
+
+def test_tables_of_tapes():
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    loss = ti.field(ti.f32, shape=(), needs_grad=True)
+
+    @ti.kernel
+    def square():
+        for i in x:
+            x[i] = x[i] * x[i] + 1.0
+
+    @ti.kernel
+    def add():
+        for i in x:
+            loss[None] += x[i]
+
+    tape = ti.ad.Tape(loss)
+    assert "nothing recorded yet" in tape._repr_html_()
+    with tape:
+        square()
+        add()
+        assert "2 so far" in tape._repr_html_()
+    table = tape._repr_html_()
+    assert "<td>records</td><td>2</td>" in table
+    assert re.search(r"<td>peak bytes</td><td>[1-9][\d,]*</td>", table)
+
+
+def test_optimisers_and_windows():
+    x = ti.field(ti.f32, shape=4, needs_grad=True)
+    assert repr(ti.optim.Adam([x], lr=0.1)) == "<ti.optim.Adam of x, lr 0.1>"
+    assert repr(ti.optim.SGD([ti.ndarray(ti.f32, 3, needs_grad=True)], lr=1e-3)).endswith(
+        "lr 0.001>"
+    )
+    pytest.importorskip("PIL")
+    gui = ti.GUI("demo", res=(8, 4), show_gui=False)
+    assert repr(gui) == "<ti.GUI 'demo' of 8×4 pixels, frame 0>"
 
 
 def test_names_that_notebooks_give():

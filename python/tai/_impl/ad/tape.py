@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import html
 import sys
 import warnings
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import numpy as np
 from ...errors import TaiAutodiffError, TaiGradientWarning, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import native, state
 from ..base.program import get_program
+from ..fields import notebook
 from ..fields.arrays import Ndarray
 from ..history import gradients, origins
 from ..tracking import tracked
@@ -470,6 +472,14 @@ class Tape(native.WithBlock):
             f"<ti.ad.Tape: {self._core.records} records, {self._core.skipped} skipped in reverse, "
             f"{self.memory:,} bytes of old values>"
         )
+
+    def _repr_html_(self) -> str:
+        """The tape in a notebook: its records and its memory."""
+        if self._core is None or self._is_recording:
+            return f"<code>{html.escape(repr(self))}</code>"
+        rows = {"records": self._core.records, "skipped in reverse": self._core.skipped}
+        rows |= {name.replace("_", " "): n for name, n in self.stats()._asdict().items() if n >= 0}
+        return notebook.table_html("ti.ad.Tape", rows)
 
     @property
     def num_records(self) -> int:

@@ -1,4 +1,4 @@
-"""Wrong keywords of public functions: the error names the nearest one, or lists them."""
+"""Wrong keywords and attributes of public names: the error names the nearest one."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from typing import Any
 from ...errors import did_you_mean
 
 
-def check_keywords(namespace: dict[str, Any], names: Iterable[str] = ()) -> None:
+def check_keywords(
+    namespace: dict[str, Any], names: Iterable[str] = (), attributes: bool = True
+) -> None:
     """Lets public functions and classes refuse wrong keywords with a suggestion.
 
+    The same for attributes that the classes have not, and for names that a public module has not.
     Call it at the end of a module, with `globals()`.
 
     Args:
@@ -22,9 +25,13 @@ def check_keywords(namespace: dict[str, Any], names: Iterable[str] = ()) -> None
             are changed in place: their construction and their public methods.
         names: of the functions and classes. If left out: those in `__all__`, or if there is none,
             the public ones that the module defines.
+        attributes: false for classes whose attributes launches read: a class with `__getattr__` is
+            read more slowly (a launch with two arrays: 0.40 µs in place of 0.32). Python suggests
+            names for them where it prints the error; IPython does not.
     """
     if not names:
         here = namespace["__name__"]
+        suggest_names(namespace)
         names = namespace.get("__all__") or [
             name for name, value in namespace.items()
             if not name.startswith("_") and getattr(value, "__module__", None) == here
@@ -34,9 +41,38 @@ def check_keywords(namespace: dict[str, Any], names: Iterable[str] = ()) -> None
         if isinstance(value, type):
             for cls in value.__mro__:
                 if cls.__module__.split(".")[0] == "tai":
-                    _check_class(cls)
+                    _check_class(cls, attributes)
         elif isinstance(value, FunctionType):
             namespace[name] = checked(value)
+
+
+def missing_attribute(text: str, name: str, known: Iterable[str]) -> AttributeError:
+    """The error for an attribute that an object has not, with the nearest of the known names."""
+    near = None
+    if not name.startswith("_"):  # Other libraries ask for names with underscores.
+        near = did_you_mean(name, [one for one in known if not one.startswith("_")])
+    # With a name, Python adds no suggestion of its own.
+    return AttributeError(text if near is None else f"{text}\n  {near}", name=name)
+
+
+def suggest_names(namespace: dict[str, Any]) -> None:
+    """Lets the error for a name that a module has not suggest the nearest one."""
+    namespace.setdefault("__getattr__", functools.partial(_refuse_name, namespace))
+
+
+def _refuse_name(namespace: dict[str, Any], name: str) -> Any:
+    text = f"module '{namespace['__name__']}' has no attribute '{name}'"
+    raise missing_attribute(text, name, namespace.get("__all__") or namespace)
+
+
+def _refuse_attribute(self: Any, name: str) -> Any:
+    """`__getattr__` of public classes."""
+    try:
+        return object.__getattribute__(self, name)
+    except AttributeError as error:
+        if name.startswith("_") or hasattr(type(self), name):
+            raise  # A property has said why it fails.
+        raise missing_attribute(str(error), name, dir(self)) from None
 
 
 def find_wrong_keyword(function: Any, named: dict[str, Any]) -> tuple[str, str] | None:
@@ -47,7 +83,7 @@ def find_wrong_keyword(function: Any, named: dict[str, Any]) -> tuple[str, str] 
     known = _names_of(inspect.unwrap(inner))
     for name in named:
         if known is not None and name not in known:
-            if near := _near(name, known):
+            if near := _near(name, [one for one in known if one not in named]):
                 text = f"{inner.__name__}() got an unexpected keyword argument '{name}'"
                 return text, near
     return None
@@ -61,11 +97,13 @@ def _near(wrong: str, known: Iterable[str]) -> str | None:
     return near
 
 
-def refuse_keywords(function: str, wrong: str, known: Iterable[str]) -> TypeError:
-    """The error for a keyword that a function has not."""
+def refuse_keywords(
+    function: str, wrong: str, known: Iterable[str], given: Iterable[str] = ()
+) -> TypeError:
+    """The error for a keyword that a function has not; it suggests none that a call gives."""
     known = [name for name in known if not name.startswith("_")]
     text = f"{function}() got an unexpected keyword argument '{wrong}'"
-    near = _near(wrong, known)
+    near = _near(wrong, [name for name in known if name not in given])
     if near is None and known:
         near = f"hint: its keywords: {', '.join(known)}"
     return TypeError(text if near is None else f"{text}\n  {near}")
@@ -93,7 +131,8 @@ def checked(function: Any, is_method: bool = False) -> Any:
     def check(*args: Any, **named: Any) -> Any:
         if named and not known.issuperset(named):
             wrong = next(name for name in named if name not in known)
-            raise refuse_keywords(function.__qualname__, wrong, names[is_method:])
+            given = [*names[: len(args)], *named]
+            raise refuse_keywords(function.__qualname__, wrong, names[is_method:], given)
         return function(*args, **named)
 
     # One for all modules that have the function.
@@ -103,10 +142,12 @@ def checked(function: Any, is_method: bool = False) -> Any:
     return check
 
 
-def _check_class(cls: Any) -> None:
+def _check_class(cls: Any, attributes: bool) -> None:
     if "_has_checked_keywords" in vars(cls):
         return
     cls._has_checked_keywords = True
+    if attributes and not hasattr(cls, "__getattr__") and not issubclass(cls, BaseException):
+        cls.__getattr__ = _refuse_attribute
     for name, value in list(vars(cls).items()):
         if name.startswith("_") and name != "__init__":
             continue

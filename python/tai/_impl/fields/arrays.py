@@ -237,4 +237,4 @@ for _function, _class in ((_matrix_array, Matrix), (_vector_array, Vector)):
     _class.ndarray = staticmethod(checked(_function))
 
 
-check_keywords(globals(), ["ndarray", "Ndarray"])
+check_keywords(globals(), ["ndarray", "Ndarray"], attributes=False)

@@ -232,4 +232,4 @@ class MatrixField(Field):
         active.fill_matrices(self, value)
 
 
-check_keywords(globals(), ["MatrixField"])
+check_keywords(globals(), ["MatrixField"], attributes=False)

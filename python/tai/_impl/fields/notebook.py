@@ -1,16 +1,20 @@
-"""Fields as notebooks show them: statistics, and a picture of those with two dimensions."""
+"""Fields, kernels and tapes as notebooks show them."""
 
 from __future__ import annotations
 
 import base64
 import html
+import inspect
 import io
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 # The longer side of a picture in pixels, and the most numbers that are looked at.
 _SIDE, _MOST = 256, 1 << 24
+# The most letters of an IR that are shown.
+_LETTERS = 100_000
 
 
 def field_html(field: Any) -> str:
@@ -59,3 +63,41 @@ def _picture(array: np.ndarray, field: Any) -> str:
     image.save(stream, "PNG")
     data = base64.b64encode(stream.getvalue()).decode()
     return f'<br><img src="data:image/png;base64,{data}">'
+
+
+def kernel_html(kernel: Any, function: Any, last: Any, count: int) -> str:
+    """A line about a kernel; a click shows its source, another one its IR.
+
+    Args:
+        kernel: of which the first line is.
+        function: of which it was made.
+        last: its specialisation that was used last, or None.
+        count: of its specialisations.
+    """
+    state = "not compiled yet: its first call compiles it"
+    if last is not None:
+        kinds = "one kind" if count == 1 else f"{count} kinds"
+        state = f"compiled for {kinds} of arguments"
+    parts = [f"<code>{html.escape(repr(kernel))}</code><br>{state}"]
+    try:
+        parts.append(_folded("source", inspect.getsource(function)))
+    except (OSError, TypeError):  # typed into a plain prompt
+        pass
+    if last is not None:
+        parts.append(_folded("IR", last.core.ir("tai")))
+    return "".join(parts)
+
+
+def _folded(title: str, text: str) -> str:
+    if len(text) > _LETTERS:
+        text = f"{text[:_LETTERS]}\n… and {len(text) - _LETTERS:,} letters more"
+    return f"<details><summary>{title}</summary><pre>{html.escape(text)}</pre></details>"
+
+
+def table_html(title: str, rows: Mapping[str, Any]) -> str:
+    """A line, and a table of names and numbers."""
+    cells = "".join(
+        f"<tr><td>{html.escape(name)}</td><td>{html.escape(f'{value:,}')}</td></tr>"
+        for name, value in rows.items()
+    )
+    return f"<code>{html.escape(title)}</code><table>{cells}</table>"

@@ -347,4 +347,4 @@ class ComponentField(ScalarField):
             self.from_numpy(np.full(self.shape, value, self.dtype.numpy))
 
 
-check_keywords(globals(), ["ScalarField"])
+check_keywords(globals(), ["ScalarField"], attributes=False)

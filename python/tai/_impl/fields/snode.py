@@ -728,4 +728,4 @@ ijk, ijl, ikl, jkl = (Axes(t) for t in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 
 ijkl = Axes((0, 1, 2, 3))
 
 
-check_keywords(globals(), ["SNode", "FieldsBuilder", "SNodeTree"])
+check_keywords(globals(), ["SNode", "FieldsBuilder", "SNodeTree"], attributes=False)

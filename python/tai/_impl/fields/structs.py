@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes, fitting, state
-from ..base.keywords import check_keywords
+from ..base.keywords import check_keywords, missing_attribute
 from ..base.program import get_program
 from ..values.matrix import Matrix
 from ..values.types import MatrixType, NdarrayType, ScalarType
@@ -69,7 +69,8 @@ class StructType:
         if name in vars(self).get("methods", ()):
             method = self.methods[name]
             return _OfReceiver(method) if hasattr(method, "_tai_func") else method
-        raise AttributeError(f"the struct type has no attribute '{name}'")
+        known = [*self.methods, *vars(self), *dir(type(self))] if "methods" in vars(self) else []
+        raise missing_attribute(f"the struct type has no attribute '{name}'", name, known)
 
     def __mro_entries__(self, bases: tuple) -> tuple[type]:
         """A class that derives from this type has its stand-in as a base; see `dataclass`."""
@@ -218,7 +219,9 @@ def _method(struct: Struct, name: str, problem: str) -> Any:
         AttributeError: it has none of that name, as `problem` says.
     """
     if name not in struct.methods:
-        raise AttributeError(problem)
+        raise missing_attribute(
+            problem, name, [*struct.entries, *struct.methods, *dir(type(struct))]
+        )
     return struct.methods[name].__get__(struct)
 
 
@@ -250,7 +253,7 @@ class Struct:
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in self.entries:
-            raise AttributeError(f"the struct has no member '{name}'")
+            raise missing_attribute(f"the struct has no member '{name}'", name, self.entries)
         self.entries[name] = value
 
     def __getitem__(self, name: str) -> Any:
@@ -361,7 +364,8 @@ class StructField(Field):
         members = self.__dict__.get("members", {})
         if name in members:
             return members[name]
-        raise AttributeError(f"field '{self.name}' has no member '{name}'")
+        known = [*members, *dir(type(self))]
+        raise missing_attribute(f"field '{self.name}' has no member '{name}'", name, known)
 
     @property
     def keys(self) -> list[str]:
@@ -502,7 +506,8 @@ class ElementOfStruct(Struct):
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in self._field.members:
-            raise AttributeError(f"field '{self._field.name}' has no member '{name}'")
+            text = f"field '{self._field.name}' has no member '{name}'"
+            raise missing_attribute(text, name, self._field.members)
         self._field.members[name][self._key] = value
 
     __getitem__, __setitem__ = __getattr__, __setattr__
@@ -586,4 +591,4 @@ def dataclass(cls: type) -> StructType:
     return made
 
 
-check_keywords(globals(), ["StructField", "StructType"])
+check_keywords(globals(), ["StructField", "StructType"], attributes=False)

@@ -115,7 +115,8 @@ class Expressions(Part):
             kind = getattr(base, "__name__", None) or type(base).__name__
             kind = re.sub(r"^tai\b", "ti", KINDS.get(kind, kind))
             raise TaiNameError(
-                f"'{kind}' has no attribute '{name}'", did_you_mean(name, dir(base))
+                f"'{kind}' has no attribute '{name}'",
+                did_you_mean(name, [m for m in dir(base) if not m.startswith("_")]),
             ) from None
 
     def subscript(self, base: Any, key: Any, node: ast.Subscript) -> Any:

@@ -14,6 +14,9 @@ class BoundKernel:
     def __init__(self, kernel: Any, instance: Any):
         self._kernel, self._instance = kernel, instance
 
+    def __repr__(self) -> str:
+        return f"<{self._kernel!r} of {self._instance!r}>"
+
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         return self._kernel(self._instance, *args, **kwargs)
 

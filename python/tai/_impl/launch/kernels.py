@@ -11,6 +11,7 @@ from ...errors import SHOW_TRACEBACK, TaiAutodiffError, TaiError, TaiSyntaxError
 from ..base import compiling, native, state, texts
 from ..base.modes import check_kernel, float_of
 from ..base.program import get_program
+from ..fields import notebook
 from ..fields.arrays import Ndarray
 from ..history import origins
 from ..tracking import tracked
@@ -70,6 +71,11 @@ class Kernel(native.Launcher):
 
     def __repr__(self) -> str:
         return f"<ti.kernel '{self.__qualname__}'>"
+
+    def _repr_html_(self) -> str:
+        """The kernel in a notebook, with its source and its IR."""
+        last = self._specializations.last if self._program is state.program else None
+        return notebook.kernel_html(self, self._function, last, len(self._specializations))
 
     # Calling
 
@@ -212,6 +218,9 @@ class GradientKernel(native.Launcher):
     def __init__(self, kernel: Kernel):
         self._kernel = kernel
         self.__name__ = kernel.__name__ + ".grad"
+
+    def __repr__(self) -> str:
+        return f"<gradient of {self._kernel!r}>"
 
     def _launch_slow(self, args: tuple, kwargs: dict) -> Any:
         try:

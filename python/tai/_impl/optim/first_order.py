@@ -50,6 +50,10 @@ class Optimizer:
         self._factors.materialize()
         self._kept = 0
 
+    def __repr__(self) -> str:
+        names = ", ".join(getattr(value, "name", "an array") for value in self.parameters)
+        return f"<{self._user} of {names}, lr {self.lr:g}>"
+
     @property
     def lr(self) -> float:
         return self._rate

@@ -13,6 +13,7 @@ import numpy as np
 from ...errors import TaiRuntimeTypeError, TaiTypeError
 from ..base import dtypes, state
 from ..base.elements import format_numbers
+from ..base.keywords import check_keywords, missing_attribute
 
 SWIZZLE_SETS = ("xyzw", "rgba", "stpq")
 
@@ -143,12 +144,16 @@ class Matrix:
     def __setitem__(self, key: Any, value: Any) -> None:
         self._array[key] = _plain(value)
 
+    def _missing(self, name: str) -> AttributeError:
+        text = f"a matrix of {self.n}×{self.m} has no attribute '{name}'"
+        return missing_attribute(text, name, dir(type(self)))
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # also of one that is being copied, which has no array yet
             raise AttributeError(name)
         found = swizzle(name, len(self._array))
         if found is None:
-            raise AttributeError(f"a matrix of {self.n}×{self.m} has no attribute '{name}'")
+            raise self._missing(name)
         return self[found[0]] if len(found) == 1 else Matrix._wrap(self._array[found])
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -157,7 +162,7 @@ class Matrix:
             return
         found = swizzle(name, len(self._array))
         if found is None:
-            raise AttributeError(f"a matrix of {self.n}×{self.m} has no attribute '{name}'")
+            raise self._missing(name)
         values = _plain(value)
         for position, component in enumerate(found):
             self[component] = values[position] if np.ndim(values) else values
@@ -488,3 +493,6 @@ def _full(value: int, dt: Any, n: int, m: int | None) -> Any:
 
 def _from_rows(rows: list, dt: Any) -> Any:
     return (Matrix if isinstance(rows[0], list) else Vector)(rows, dt)
+
+
+check_keywords(globals(), ["Matrix", "Vector"], attributes=False)
