@@ -116,11 +116,11 @@ HeldArrays::~HeldArrays() {
 }
 
 Match HeldArrays::pack(const ArrayArg &arg, PyObject *object,
-                       PyObject *gradient, Slots &slots) {
+                       const Beside *beside, Slots &slots) {
   size_t first = slots.size();
   Match match;
-  if (gradient) // by the side of a tensor
-    match = arg.element.empty() ? packTensor(arg, object, gradient, slots)
+  if (beside)
+    match = arg.element.empty() ? packTensor(arg, object, beside, slots)
                                 : Match::No;
   else if (ndarrayType && PyObject_TypeCheck(object, ndarrayType))
     match = packNdarray(arg, object, slots);
@@ -286,7 +286,7 @@ bool HeldArrays::isUsable(uint64_t address) const {
 }
 
 Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
-                             PyObject *given, Slots &slots) {
+                             const Beside *beside, Slots &slots) {
   auto packOne = [&](const TensorType &type, PyObject *tensor) {
     TensorView view;
     if (!readTensor(type, tensor, view) || arg.format.size() != 1 ||
@@ -313,8 +313,9 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   TensorType type = findTensorType(object);
   if (!type.isTensor)
     return Match::No;
-  if (given) {
-    if (isFloat(arg.format[0]) && (given == Py_None) == arg.hasGradient)
+  if (beside) {
+    bool isNone = !beside->copy && beside->gradient == Py_None;
+    if (isFloat(arg.format[0]) && isNone == arg.hasGradient)
       return Match::No;
   } else if (isFloat(arg.format[0])) {
     static const Name requiresGrad("requires_grad");
@@ -324,14 +325,22 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
   }
   size_t first = slots.size();
   Match match = packOne(type, object);
+  bool isCopied = beside && beside->copy;
+  if (match == Match::Yes && isCopied)
+    slots[first] = beside->copy;
   if (match != Match::Yes || !arg.hasGradient)
     return match;
+  if (isCopied) {
+    for (size_t i = first, end = slots.size(); i < end; ++i)
+      slots.push_back(slots[i]);
+    return addGradient(Match::Yes, slots, first);
+  }
   auto packPlain = [&](PyObject *tensor) {
     TensorType type = findTensorType(tensor);
     return type.isTensor ? packOne(type, tensor) : Match::No;
   };
-  if (given)
-    return addGradient(packPlain(given), slots, first);
+  if (beside)
+    return addGradient(packPlain(beside->gradient), slots, first);
   static const Name gradient("grad"), isLeaf("is_leaf");
   if (use != ArrayUse::Forward) {
     // Python code says why a tensor that torch computed cannot be used.

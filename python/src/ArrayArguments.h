@@ -46,6 +46,15 @@ enum class ArrayUse {
   Recorded  // a tape adds to them later
 };
 
+/// The gradient of a tensor, beside it.
+struct Beside {
+  /// The tensor that it is added to; None for a tensor without a gradient.
+  PyObject *gradient;
+  /// Unless 0: contiguous memory of the size of the tensor, which is used in
+  /// its place, and holds its gradient, too.
+  uint64_t copy = 0;
+};
+
 /// The arrays of one launch: keeps them alive, and checks them.
 class HeldArrays {
 public:
@@ -59,9 +68,8 @@ public:
 
   /// Adds the slots of an array. `No` means that Python code must handle it.
   ///
-  /// \p gradient is the tensor that its gradient is added to, or None; null if
-  /// the array has its gradient itself.
-  Match pack(const ArrayArg &arg, PyObject *object, PyObject *gradient,
+  /// \p beside is null if the array has its gradient itself.
+  Match pack(const ArrayArg &arg, PyObject *object, const Beside *beside,
              Slots &slots);
   /// Call when all arguments have been packed: appends the gradients, as
   /// adjoints. `No` for forbidden overlaps: one of two overlapping arrays is
@@ -90,7 +98,7 @@ private:
   bool orderStreams(TaiStatus (*order)(TaiContext, uint64_t));
   Match packBuffer(const ArrayArg &arg, PyObject *object, Slots &slots);
   Match packNdarray(const ArrayArg &arg, PyObject *object, Slots &slots);
-  Match packTensor(const ArrayArg &arg, PyObject *object, PyObject *gradient,
+  Match packTensor(const ArrayArg &arg, PyObject *object, const Beside *beside,
                    Slots &slots);
   template <typename Packer>
   Match packGradient(PyObject *owner, PyObject *name, Slots &slots,

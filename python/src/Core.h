@@ -93,6 +93,7 @@ void bindRuntime(py::module_ &module);
 void bindBuilder(py::module_ &module);
 void bindWithBlock(py::module_ &module);
 void bindLauncher(py::module_ &module);
+void bindOperatorCalls(py::module_ &module);
 void bindInterop(py::module_ &module);
 void bindXlaCalls(py::module_ &module);
 

@@ -13,9 +13,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "ArrayArguments.h"
+#include "Launcher.h"
 #include "Constants.h"
-#include "Safepoint.h"
 #include "WatchedViews.h"
 
 #include <algorithm>
@@ -215,7 +214,7 @@ Match packInteger(const Arg &arg, PyObject *object, uint64_t &slot) {
 }
 
 Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
-              PyObject *gradient, Slots &slots,
+              const Beside *beside, Slots &slots,
               std::optional<HeldArrays> &held) {
   uint64_t slot = 0;
   switch (arg.kind) {
@@ -231,7 +230,7 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
                    : spec.grad   ? ArrayUse::Gradient
                                  : ArrayUse::Forward,
                    spec.arraysMayAlias);
-    return held->pack(arg.array, object, gradient, slots);
+    return held->pack(arg.array, object, beside, slots);
   case ArgKind::F32:
   case ArgKind::F64: {
     double number;
@@ -347,10 +346,10 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
 
 /// Tries one specialisation. Yes: `answer` is the result or null on error.
 ///
-/// \p gradients: for each argument, the tensor of its gradient, or None; null
-/// where the arrays have their gradients themselves.
+/// \p gradients: one for each argument; null where the arrays have their
+/// gradients themselves.
 Match tryLaunch(Specialization &spec, PyObject *const *args,
-                PyObject *const *gradients, size_t count, PyObject *&answer) {
+                const Beside *gradients, size_t count, PyObject *&answer) {
   if (spec.generation != generation || spec.args.size() != count ||
       (isRecording() &&
        (spec.tracking == Specialization::Tracking::Python ||
@@ -369,7 +368,7 @@ Match tryLaunch(Specialization &spec, PyObject *const *args,
   std::optional<HeldArrays> held;
   for (size_t i = 0; i < count; ++i) {
     Match match = packArg(spec, spec.args[i], args[i],
-                          gradients ? gradients[i] : nullptr, slots, held);
+                          gradients ? &gradients[i] : nullptr, slots, held);
     if (match != Match::Yes)
       return match;
   }
@@ -411,7 +410,7 @@ PyObject *callSlow(Launcher *self, PyObject *const *args, size_t count,
 /// Launches the specialisation that fits. No: none does. Yes: `answer` is the
 /// result or null on error.
 Match launchKnown(Launcher *self, PyObject *const *args,
-                  PyObject *const *gradients, size_t count, PyObject *&answer) {
+                  const Beside *gradients, size_t count, PyObject *&answer) {
   calledLauncher = reinterpret_cast<PyObject *>(self);
   auto &all = *self->specializations;
   for (size_t i = all.size(); i-- > 0;) {
@@ -444,19 +443,9 @@ PyObject *callAny(PyObject *object, PyObject *const *args, size_t flags,
   return callSlow(self, args, count, names);
 }
 
-/// Python calls this one, into which no exception of C++ may go.
 PyObject *call(PyObject *object, PyObject *const *args, size_t flags,
                PyObject *names) noexcept {
-  try {
-    return callAny(object, args, flags, names);
-  } catch (py::error_already_set &error) {
-    error.restore();
-  } catch (...) {
-    // A call of libtai may have released the lock of Python.
-    if (afterCall())
-      PyErr_NoMemory();
-  }
-  return nullptr;
+  return runForPython([&] { return callAny(object, args, flags, names); });
 }
 
 PyObject *launcherNew(PyTypeObject *type, PyObject *, PyObject *) {
@@ -571,6 +560,17 @@ PyType_Spec spec = {"tai._core.Launcher", sizeof(Launcher), 0,
 
 } // namespace
 
+Match taipy::launchBeside(PyObject *launcher, PyObject *const *args,
+                          const Beside *gradients, size_t count) {
+  PyObject *answer = nullptr;
+  Match match = launchKnown(reinterpret_cast<Launcher *>(launcher), args,
+                            gradients, count, answer);
+  if (match == Match::Yes && !answer)
+    return Match::Error;
+  Py_XDECREF(answer);
+  return match;
+}
+
 void taipy::bindLauncher(py::module_ &module) {
   auto type = py::reinterpret_steal<py::object>(PyType_FromSpec(&spec));
   if (!type)
@@ -644,25 +644,6 @@ void taipy::bindLauncher(py::module_ &module) {
                drop(all, isOld);
                all.push_back(std::move(made));
              });
-  // Launches with gradients that lie beside the tensors, if code for such
-  // arguments has been compiled; returns whether it has.
-  module.def("launch_beside", [](const py::object &launcher,
-                                 const py::tuple &args,
-                                 const py::tuple &gradients) {
-    if (args.size() != gradients.size())
-      throw py::value_error("one gradient, or None, for each argument");
-    // The items of a tuple stay, whatever the arguments do meanwhile.
-    auto items = [](const py::tuple &tuple) {
-      return reinterpret_cast<PyTupleObject *>(tuple.ptr())->ob_item;
-    };
-    PyObject *answer = nullptr;
-    Match match = launchKnown(toLauncher(launcher), items(args),
-                              items(gradients), args.size(), answer);
-    if (match == Match::Yes && !answer)
-      throw py::error_already_set();
-    Py_XDECREF(answer);
-    return match == Match::Yes;
-  });
   // Launches with slots that the caller packed: vectors, matrices, copies.
   module.def("launch_slots",
              [](const std::shared_ptr<Kernel> &kernel, bool grad,

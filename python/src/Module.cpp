@@ -16,6 +16,7 @@ PYBIND11_MODULE(_core, module) {
   taipy::bindBuilder(module);
   taipy::bindWithBlock(module);
   taipy::bindLauncher(module);
+  taipy::bindOperatorCalls(module);
   taipy::bindInterop(module);
   taipy::bindXlaCalls(module);
 }

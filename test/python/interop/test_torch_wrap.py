@@ -1,10 +1,12 @@
 """Kernels as operators of torch: gradients, torch.compile, vmap, layers, and errors."""
 
+import importlib.util
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tai as ti
 
@@ -639,3 +641,94 @@ def test_an_input_that_is_written_is_found_after_plain_launches():
         with pytest.raises(ti.TaiRuntimeTypeError, match="writes to its input 'x'"):
             operator(x)
         assert x.tolist() == [1, 1, 1]
+
+
+def test_a_tensor_that_a_transform_left_behind():
+    left = []
+
+    def keep(x):
+        left.append(x)
+        return (x * x).sum()
+
+    torch.func.grad(keep)(torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64))
+    for _ in range(2):
+        assert SQUARE(left[0]).tolist() == [1, 4, 9]
+    wanted = leaf()
+    torch.testing.assert_close(BLEND(left[0], wanted, 0.5)[1].detach(), (left[0] @ wanted)[None])
+
+
+@pytest.mark.parametrize("n", [1, 512, 513, 65_537])  # 512 adjoints of f64 are copied to the stack
+@pytest.mark.parametrize("kind", ["dense", "expanded", "of the input", "strided"])
+def test_adjoints_of_all_layouts(n, kind):
+    for _ in range(2):
+        x = leaf(n)
+        bar = {
+            "dense": torch.arange(float(n), dtype=torch.float64),
+            "expanded": torch.full((1,), 3.0, dtype=torch.float64).expand(n),
+            "of the input": x.detach(),
+            "strided": torch.arange(2.0 * n, dtype=torch.float64)[::2],
+        }[kind]
+        before = bar.clone()
+        SQUARE(x).backward(bar)
+        assert torch.equal(x.grad, 2 * x.detach() * before) and torch.equal(bar, before)
+
+
+def test_larger_tensors_are_cleared():
+    dirty = [torch.full((40_000,), 5.0, dtype=torch.float64) for _ in range(4)]
+    del dirty  # whose memory the next tensors may have
+    for _ in range(2):
+        x, w = leaf(40_000), leaf(40_000, seed=1)
+        y, total = BLEND(x, w, 0.5)
+        assert torch.allclose(total, (x @ w).detach())
+        (y.sum() + total.sum()).backward()
+        torch.testing.assert_close(w.grad, 1.5 * x.detach())
+
+
+def test_numbers_of_numpy():
+    x = leaf()
+    for a in (np.float32(0.5), np.int64(2), True):
+        y, _ = BLEND(x, x, a)
+        torch.testing.assert_close(y, a * x * x + x.sin())
+
+
+@pytest.mark.parametrize("count", [31, 40])
+def test_operators_with_many_parameters(count, tmp_path):
+    names = [f"x{i}" for i in range(count)]
+    parameters = ", ".join(f"{name}: ti.types.ndarray()" for name in [*names, "y"])
+    (tmp_path / f"many_{count}.py").write_text(
+        f"import tai as ti\n@ti.kernel\ndef run({parameters}):\n    for i in range(y.shape[0]):\n"
+        f"        y[i] = {' + '.join(f'{name}[i] * {name}[i]' for name in names)}\n"
+    )
+    specification = importlib.util.spec_from_file_location("many", tmp_path / f"many_{count}.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    operator = wrap(module.run, outputs={"y": "x0"})
+    for _ in range(2):
+        inputs = [leaf(3, seed=i) for i in range(count)]
+        y = operator(*inputs)
+        torch.testing.assert_close(y, sum(x * x for x in inputs))
+        y.sum().backward()
+        assert all(torch.equal(x.grad, 2 * x.detach()) for x in inputs)
+
+
+def test_a_call_that_is_hooked():
+    x, seen = leaf(), []
+    y = SQUARE(x)
+    y.register_hook(lambda bar: 2 * bar)
+    y.grad_fn.register_hook(lambda found, bars: seen.append((found, bars)))
+    with torch.autograd.graph.saved_tensors_hooks(lambda t: t.numpy(), torch.from_numpy):
+        z = SQUARE(y)
+    z.sum().backward()
+    ((found, bars),) = seen
+    torch.testing.assert_close(x.grad, 8 * x.detach() ** 3)
+    torch.testing.assert_close(found[0], x.grad)
+    torch.testing.assert_close(bars[0], 4 * y.detach())
+
+
+def test_inputs_that_are_changed_before_the_sweep():
+    x = leaf()
+    y = SQUARE(x)
+    with torch.no_grad():
+        x += 1
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        y.sum().backward()

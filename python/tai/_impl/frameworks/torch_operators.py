@@ -6,7 +6,6 @@ import functools
 import itertools
 import re
 from collections.abc import Callable, Iterable, Sequence
-from operator import itemgetter
 from typing import Any
 
 import torch
@@ -27,8 +26,10 @@ from .stacked import Stacks
 
 # Looked up once: each costs as much as a part of a launch.
 _is_grad_enabled = torch.is_grad_enabled
-_zeros_like = torch.zeros_like
-_launch_beside = native.launch_beside
+_operator_calls = native.operator_calls
+# `Function.apply` without its own look at transforms, which a call has had.
+_apply = torch._C._FunctionBase.__dict__["apply"]
+_unwrap = torch._C._functorch.unwrap_if_dead
 _is_transformed = torch._C._are_functorch_transforms_active
 _is_compiling = torch.compiler.is_compiling
 _count_dispatchers = torch._C._len_torch_dispatch_stack
@@ -67,7 +68,6 @@ class Operator:
         self._takes_numbers = not all(self._is_tensor)
         # A tensor of it goes to the launcher as it is.
         self._is_kernel = isinstance(function, Kernel)
-        self._no_gradients = (None,) * len(kinds)
         # For each parameter in order: whether it is an input, and its number among those or among
         # the outputs.
         self._places = [
@@ -79,9 +79,6 @@ class Operator:
             self.inputs.index(s) if isinstance(s, str) else None
             for s in (outputs[n] for n in self.outputs)
         ]
-        # From a tuple of the inputs and of the outputs to the order of the parameters.
-        places = [n if given else len(self.inputs) + n for given, n in self._places]
-        self._arrange = itemgetter(*places)
         # The same as `_models`, where all outputs are like an input.
         numbers = [m for m in self._models if m is not None]
         self._likes = numbers if len(numbers) == len(self._models) else None
@@ -89,6 +86,8 @@ class Operator:
         self._stacks = Stacks(function, self.outputs, functools.partial(_OfBatch, self))
         # Torch has less to pass to a class that knows its operator.
         self._eager: Any = type("_EagerCall", (_Eager,), {"operator": self})
+        self._apply = _apply.__get__(None, self._eager)
+        self._make_calls()
         # Whether a gradient needs values of outputs that later stores overwrite.
         self._needs_tape = not self._is_kernel
         plain = re.sub(r"\W", "_", self.__name__)
@@ -96,6 +95,17 @@ class Operator:
         parameters = ", ".join(f"{_SCHEMA[kinds[n]]} {n}" for n in self.inputs)
         self._define(parameters)
         _known[self.name] = self
+
+    def _make_calls(self) -> None:
+        """Calls for plain tensors that do without Python: see python/src/OperatorCalls.cpp. Each
+        returns None, or 0, where it leaves a call to Python."""
+        kernel = self._function if self._is_kernel else None
+        likes = self._likes if self._is_kernel else None
+        calls = _operator_calls(
+            kernel, kernel and kernel.grad, self._places, self._is_tensor, likes or [], _PLAIN,
+            torch.empty_like,
+        )  # fmt: skip
+        self._launch_at_once, self._differentiate_at_once, self._classify, self._note = calls
 
     def __deepcopy__(self, memo: Any) -> Operator:
         return self  # Copies of a network share it, as they share torch's functions.
@@ -269,10 +279,9 @@ class Operator:
                 f"operator '{self.__name__}' of torch is called while a tape records",
                 "call the kernel itself in the tape, or leave the tape first",
             )
-        if self._likes is not None and self._is_kernel:
-            found = self._launch_at_once(inputs, self._likes)
-            if found is not None:
-                return found[0] if len(found) == 1 else found
+        found = self._launch_at_once(*inputs)
+        if found is not None:
+            return found
         outputs = self._allocate(inputs, torch.zeros)
         plain, types = [], []
         for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
@@ -289,19 +298,8 @@ class Operator:
         else:
             self._launch_first(plain, outputs)
             self._known.add(kind)
+            self._note(kind)
         return outputs[0] if len(outputs) == 1 else tuple(outputs)
-
-    def _launch_at_once(self, inputs: tuple, likes: Sequence[int]) -> tuple | None:
-        """The outputs of a kernel, if the launcher has it for such tensors, and None elsewhere. It
-        does not look at whether torch follows them."""
-        given = inputs
-        if self._takes_numbers:
-            given = tuple([i for i, t in zip(inputs, self._is_tensor, strict=True) if t])
-        if tuple([i.dtype for i in given]) not in self._known:
-            return None
-        outputs = tuple([_zeros_like(inputs[n]) for n in likes])
-        values = self._arrange(inputs + outputs)
-        return outputs if _launch_beside(self._function, values, self._no_gradients) else None
 
     def _launch_first(self, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         """Launches with new types of tensors, and checks that no input is written.
@@ -356,8 +354,9 @@ class Operator:
             needs: for each input.
         """
         if not self._needs_tape:
-            found = self._differentiate_at_once(inputs, bars, needs)
+            found = self._differentiate_at_once(tuple(inputs), tuple(bars), tuple(map(bool, needs)))
             if found is not None:
+                found = found if isinstance(found, tuple) else (found,)
                 return [gradient for gradient in found if gradient is not None]
         given, leaves = [], []
         for value, is_tensor, is_needed in zip(inputs, self._is_tensor, needs, strict=True):
@@ -401,23 +400,6 @@ class Operator:
                 return self._differentiate(inputs, bars, needs)
         return [leaf.grad for leaf in leaves]
 
-    def _differentiate_at_once(
-        self, inputs: Sequence[Any], bars: Sequence[Any], needs: Sequence[bool]
-    ) -> tuple[torch.Tensor | None, ...] | None:
-        """One gradient, or None, for each input, where the launcher has the code for the types, and
-        tensors are contiguous; None elsewhere."""
-        # The sweep uses the adjoints up, and takes any memory for the values of outputs.
-        seeds = tuple([bar.clone() for bar in bars])
-        if False in needs:
-            pairs = zip(inputs, needs, strict=True)
-            found = tuple([torch.zeros_like(i) if n else None for i, n in pairs])
-        else:
-            found = tuple(map(_zeros_like, inputs))
-        arrange = self._arrange
-        if _launch_beside(self._function.grad, arrange((*inputs, *seeds)), arrange(found + seeds)):
-            return found
-        return None
-
     # Calls
 
     def __call__(self, *inputs: Any, **named: Any) -> Any:
@@ -435,26 +417,32 @@ class Operator:
         """
         if named or len(inputs) != len(self.inputs):
             inputs = in_order(f"operator '{self.__name__}'", self.inputs, inputs, named)
-        is_plain, is_followed = True, False
-        for value, is_tensor in zip(inputs, self._is_tensor, strict=True):
-            if type(value) in _PLAIN and is_tensor:
-                is_followed = is_followed or value.requires_grad
-            elif is_tensor is isinstance(value, torch.Tensor):
-                is_plain = is_plain and not is_tensor
-            else:
-                inputs = self._checked(inputs)
-                is_plain = False
-                break
-        if _is_compiling():
-            return self._op(*_without_autocast(inputs))
-        if _is_transformed():
-            return _Functional.apply(self, *_without_autocast(inputs))
-        # Nothing but autograd stands between a call and the memory of plain tensors.
-        if is_plain and not (_count_dispatchers() or _is_any_autocast() or _is_tracing()):
-            if is_followed and _is_grad_enabled() or forward_ad._current_level >= 0:
-                return self._eager.apply(*inputs)
-            return self._forward(*inputs)
-        return self._op(*_without_autocast(inputs))
+        if not _is_compiling():
+            kind = self._classify(*inputs)
+            # Nothing but autograd stands between a call and the memory of plain tensors.
+            if kind and not (
+                _is_transformed() or _count_dispatchers() or _is_any_autocast() or _is_tracing()
+            ):
+                # Transforms that have ended leave tensors behind that wrap others.
+                if self._takes_numbers:
+                    pairs = zip(inputs, self._is_tensor, strict=True)
+                    inputs = tuple([_unwrap(i) if t else i for i, t in pairs])
+                else:
+                    inputs = tuple(map(_unwrap, inputs))
+                if kind == 2 and _is_grad_enabled() or forward_ad._current_level >= 0:
+                    return self._apply(*inputs)
+                return self._forward(*inputs)
+        return self._call_by_torch(inputs)
+
+    def _call_by_torch(self, inputs: tuple) -> Any:
+        """A call that something else of torch takes part in, or with wrong inputs."""
+        pairs = zip(inputs, self._is_tensor, strict=True)
+        if any(is_tensor is not isinstance(value, torch.Tensor) for value, is_tensor in pairs):
+            inputs = self._checked(inputs)
+        inputs = _without_autocast(inputs)
+        if not _is_compiling() and _is_transformed():
+            return _Functional.apply(self, *inputs)
+        return self._op(*inputs)
 
     def _checked(self, inputs: tuple) -> tuple:
         """The inputs, with tensors of one number as numbers where the operator takes numbers.
@@ -504,6 +492,7 @@ class _OfBatch(Operator):
         self._one, self._has_batch = one, [name in names for name in one.inputs]
         super().__init__(kernel, one._shapes, "_".join([one.name, "for", *names]))
         self._likes = None  # Outputs have a batch where an input that they are like may have none.
+        self._make_calls()
 
     def _allocate(self, inputs: Sequence[Any], make: Callable[..., Any]) -> list[torch.Tensor]:
         pairs = list(zip(inputs, self._has_batch, strict=True))
@@ -549,7 +538,7 @@ class _Eager(torch.autograd.Function):
         if not operator._needs_tape:
             found = operator._differentiate_at_once(inputs, bars, needs)
             if found is not None:
-                return found[0] if len(found) == 1 else found
+                return found
         return operator._spread(operator._differentiate(inputs, bars, needs), needs)
 
 
