@@ -50,8 +50,8 @@ ORDER = [
     "sum", "sum_ill", "scatter", "volume_renderer", "diffmpm", "polar", "stencil", "one_cell",
     "diffmpm3d", "liquid",
 ]  # fmt: skip
-# Their references are computed by several processes.
-SLOW = {"diffmpm3d", "liquid"}
+# Scenes whose references take a minute for each input have fewer, one for each process.
+SLOW, SLOW_INPUTS = {"diffmpm3d", "liquid"}, 4
 LEAST_ROUNDS = 3
 # Steps of descent after which a loss is compared.
 STEPS = {"tiny": 2, "quick": 5, "full": 10}
@@ -111,8 +111,9 @@ class References:
 
     def _parts(self, scene: str) -> list[tuple[int, int]]:
         total = self.given.inputs + 1
-        size = 4 if scene in SLOW and self.given.jobs > 3 else total
-        return [(first, min(size, total - first)) for first in range(0, total, size)]
+        if scene in SLOW and self.given.size == "full":
+            return [(first, 1) for first in range(min(total, SLOW_INPUTS + 1))]
+        return [(0, total)]
 
     def of(self, scene: str, deadline: float) -> references.Reference | None:
         """The reference of a scene; None if there is none, or not in time."""

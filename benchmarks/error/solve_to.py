@@ -26,6 +26,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import types
 import warnings
 from pathlib import Path
 
@@ -84,17 +85,25 @@ def prepare(name: str, size: str, reference: str):
     return run, program._loss, list(unknowns), picks, exact
 
 
-def measure(name: str, size: str, asked: float, kind: str, reference: str, cache: str) -> dict:
+def measure(
+    name: str, size: str, asked: float, kind: str, reference: str, cache: str, clock: str
+) -> dict:
     """The choice for an error, and all modes beside it."""
     import tai as ti
 
+    options = {"offline_cache": True, "offline_cache_file_path": cache}
+    options["default_fp"] = getattr(ti, kind)
+    if clock == "processor":
+        from tai._impl.ad import solve
+
+        # Other programs do not lengthen the processor's time much.
+        solve.time = types.SimpleNamespace(perf_counter=time.process_time)
+        options["cpu_max_num_threads"] = 1
     started = ti.init
-    started(default_fp=getattr(ti, kind), offline_cache=True, offline_cache_file_path=cache)
-    ti.init = lambda *_, **__: started(
-        default_fp=getattr(ti, kind), offline_cache=True, offline_cache_file_path=cache
-    )
+    started(**options)
+    ti.init = lambda *_, **__: started(**options)
     run, loss, wrt, picks, exact = prepare(name, size, reference)
-    row: dict = {"scene": name, "asked": asked, "types": kind}
+    row: dict = {"scene": name, "asked": asked, "types": kind, "clock": clock}
     warnings.simplefilter("ignore")
     begin = time.perf_counter()
     try:
@@ -297,6 +306,8 @@ def main() -> int:
     parser.add_argument("--size", default="tiny", choices=["tiny", "quick", "full"])
     parser.add_argument("--errors", default=",".join(map(str, ERRORS)))
     parser.add_argument("--types", default="f32", choices=["f32", "f64"])
+    parser.add_argument("--clock", default="wall", choices=["wall", "processor"],
+                        help="the processor's is of one thread")  # fmt: skip
     parser.add_argument("--timeout", type=float, default=120, help="seconds of a call")
     parser.add_argument("--budget", type=float, default=math.inf, help="seconds of all calls")
     parser.add_argument("--write", action="store_true", help="the page and its picture")
@@ -308,7 +319,7 @@ def main() -> int:
         stream = os.fdopen(os.dup(1), "w")
         os.dup2(2, 1)
         reference, cache = args.one.split(",")
-        row = measure(args.scenes, args.size, errors[0], args.types, reference, cache)
+        row = measure(args.scenes, args.size, errors[0], args.types, reference, cache, args.clock)
         print(json.dumps(row), file=stream, flush=True)
         return 0
     scenes = args.scenes.split(",")
@@ -332,8 +343,10 @@ def main() -> int:
                 if row is not None:
                     rows.append(row)
                     print(shown(row), flush=True)
+                    if args.write:
+                        text = json.dumps({"size": args.size, "rows": rows}, indent=1)
+                        TABLE.write_text(text + "\n")
     if args.write:
-        TABLE.write_text(json.dumps({"size": args.size, "rows": rows}, indent=1) + "\n")
         has_picture = draw(rows, PICTURE)
         PAGE.write_text(page_of(rows, harness.machine(), args.size, has_picture))
     failed = [row for row in rows if verdict(row).startswith("FAILS")]
@@ -352,7 +365,8 @@ def keep(scene: str, size: str, path: Path, cache: str, timeout: float) -> None:
 def call(scene: str, error: float, args, reference: Path, cache: str) -> dict | None:
     """The row of a call, in a process of its own; None if it could not be measured."""
     command = [sys.executable, __file__, "--scenes", scene, "--size", args.size]
-    command += ["--errors", str(error), "--types", args.types, "--one", f"{reference},{cache}"]
+    command += ["--errors", str(error), "--types", args.types, "--clock", args.clock]
+    command += ["--one", f"{reference},{cache}"]
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, cwd=HERE, check=False, timeout=args.timeout
