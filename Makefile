@@ -10,7 +10,7 @@ PYTHON := .venv/bin/python
 KINDS := $(if $(filter asan tsan,$(PRESET)),--sanitizer $(PRESET))
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-error-gate bench-pairs fmt lint tidy portable wheel docs site clean setup check peers test-peers
+.PHONY: help build demo test test-gpu test-layouts test-bounds test-differential fuzz fuzz-sparse stress paper soak coverage deb bench bench-error bench-error-gate bench-pairs bench-regress fmt lint tidy portable wheel docs site clean setup check peers test-peers
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | \
@@ -83,6 +83,9 @@ bench-error-gate: build ## compare errors and times with another build (ARGS=/pa
 
 bench-pairs: build ## time this build and another one in turns (ARGS="/path/to/base")
 	@$(PYTHON) benchmarks/pairs.py $(ARGS)
+
+bench-regress: build ## compare programs and forms with another build in turns (ARGS="/path/to/base")
+	@$(PYTHON) benchmarks/zoo/regress.py $(ARGS)
 
 bench-sparse: build ## time sparse layouts against dense ones (ARGS="--rounds 3")
 	@$(PYTHON) benchmarks/sparse/run.py $(ARGS)

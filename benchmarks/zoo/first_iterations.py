@@ -21,7 +21,17 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-PLAIN = ["cloth", "sph"]
+PLAIN = [
+    "adi",
+    "cloth",
+    "fem_cg",
+    "lbm",
+    "nbody",
+    "neural_field",
+    "ray_marcher",
+    "shallow_water",
+    "sph",
+]
 SCENES = ["smoke", "wave", "mpm", "mass_spring"]
 FIELDS = [
     "program",
