@@ -102,8 +102,9 @@ def test_pictures_of_fields():
         ("np.float32(2) ** x", "** x[i, j]"),
         ("np.add(x, 1)", "z[i, j] = x[i, j] + 1"),
         ("x < 3", "z[i, j] = x[i, j] < 3"),
-        ("-x", "z[i, j] = x[i, j] * -1"),
+        ("-x", "z[i, j] = -x[i, j]"),
         ("loss + 1", "z[None] = loss[None] + 1"),
+        ("~i", "z[ii] = ~i[ii]"),
         ("i & 1", "z[ii] = i[ii] & 1"),
         ("array * 2", "z[i] = x[i] * 2"),
     ],
@@ -128,8 +129,15 @@ def test_arrays_fill_fields():
     assert v.to_numpy().tolist() == [[0, 1], [2, 3], [4, 5]]
     v.fill([8, 9])
     assert v[2].to_list() == [8, 9]
-    with pytest.raises(ti.TaichiRuntimeTypeError, match="is filled by a number"):
-        x.fill(np.ones(3))
+    for field, shape in ((x, (3,)), (x, (3, 2)), (v, (4, 2)), (v, (2, 3))):
+        with pytest.raises(ti.TaichiRuntimeTypeError) as caught:
+            field.fill(np.ones(shape))
+        whole = field.shape + field.element_shape
+        assert f"has shape {whole}" in str(caught.value) and f"fills it {shape}" in str(
+            caught.value
+        )
+    with pytest.raises(ti.TaichiRuntimeTypeError, match="is filled by a number or by an element"):
+        v.fill([1, 2, 3])
 
 
 def test_formats_of_vectors_and_fields():

@@ -185,6 +185,7 @@ def test_a_misspelt_attribute_gets_the_nearest_one(name):
         ("ti.ad.Tape(x)", "stat", "stats"),
         ("ti.root", "dens", "dense"),
         ("run", "explan", "explain"),
+        ("run", "gradd", "grad"),
         ("ti.Vector", "fiel", "field"),
         ("ti.GUI('a', show_gui=False)", "circel", "circle"),
     ],

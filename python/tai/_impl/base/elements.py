@@ -91,11 +91,13 @@ class Elements:
 
     # Operators
 
-    def _refuse_operator(self, symbol: str, other: Any, is_swapped: bool = False) -> NoReturn:
+    def _shown_index(self) -> str:
         name, example = self._shown_name(), self._example() or "x[i]"
         index = example[example.index("[") :]
-        if name in index:
-            index = index.replace(name, f"{name}{name}")
+        return index.replace(name, f"{name}{name}") if name in index else index
+
+    def _refuse_operator(self, symbol: str, other: Any, is_swapped: bool = False) -> NoReturn:
+        name, index = self._shown_name(), self._shown_index()
         own = f"{name}{index}"
         if isinstance(other, Elements):
             shown = other._shown_name()
@@ -103,7 +105,11 @@ class Elements:
         else:
             operand = repr(other) if isinstance(other, (bool, int, float)) else f"y{index}"
         left, right = (operand, own) if is_swapped else (own, operand)
-        update = f"z{index} = {left} {symbol} {right}"
+        self._refuse_expression(symbol, index, f"{left} {symbol} {right}")
+
+    def _refuse_expression(self, symbol: str, index: str, value: str) -> NoReturn:
+        name = self._shown_name()
+        update = f"z{index} = {value}"
         if index == "[None]":
             body = f"    {update}"
         else:
@@ -115,10 +121,12 @@ class Elements:
         )
 
     def __neg__(self) -> NoReturn:
-        self._refuse_operator("*", -1)
+        index = self._shown_index()
+        self._refuse_expression("-", index, f"-{self._shown_name()}{index}")
 
     def __invert__(self) -> NoReturn:
-        self._refuse_operator("^", -1)
+        index = self._shown_index()
+        self._refuse_expression("~", index, f"~{self._shown_name()}{index}")
 
     def __abs__(self) -> NoReturn:
         raise TaiRuntimeTypeError(

@@ -70,6 +70,12 @@ def fill_matrices(field: Any, value: Any) -> None:
     try:
         whole = np.broadcast_to(values, field.element_shape)
     except ValueError:
+        if values.ndim > len(field.element_shape):
+            raise TaiRuntimeTypeError(
+                f"field '{field.name}' has shape {field.shape + field.element_shape} with its "
+                f"elements, but the array that fills it {values.shape}",
+                "fill it with an element, or with an array of its shape",
+            ) from None
         raise TaiRuntimeTypeError(
             f"field '{field.name}' is filled by a number or by an element of shape "
             f"{field.element_shape}, not by {value!r}"

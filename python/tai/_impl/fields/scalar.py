@@ -241,6 +241,12 @@ class ScalarField(Field):
         if np.ndim(value) and np.shape(value) == self.shape:
             self.from_numpy(value)
             return
+        if isinstance(value, np.ndarray) and value.ndim and value.dtype.kind in "biuf":
+            raise TaiRuntimeTypeError(
+                f"field '{self.name}' has shape {self.shape}, but the array that fills it "
+                f"{value.shape}",
+                "fill it with a number, or with an array of its shape",
+            )
         if np.ndim(value) or (
             not isinstance(value, (int, float)) and not hasattr(value, "__float__")
         ):

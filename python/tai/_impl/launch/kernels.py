@@ -72,6 +72,9 @@ class Kernel(native.Launcher):
     def __repr__(self) -> str:
         return f"<ti.kernel '{self.__qualname__}'>"
 
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), "grad"]  # A class of C++ lists no attributes of its objects.
+
     def _repr_html_(self) -> str:
         """The kernel in a notebook, with its source and its IR."""
         last = self._specializations.last if self._program is state.program else None
