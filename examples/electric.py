@@ -158,6 +158,10 @@ def set_path(path: Any):
     x[0], v[0] = path[0], (0.0, 0.0)
 
 
+# Set when the weights are.
+numbered_paths: Iterator[tuple[int, Any]]
+
+
 def path_of(number: int):
     """The path of an iteration; those of iterations before are drawn and forgotten."""
     return next(path for index, path in numbered_paths if index == number + 1)

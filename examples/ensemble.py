@@ -109,7 +109,7 @@ def fill_scenes() -> None:
 class Ensemble(torch.autograd.Function):
     """The mean cost of this process's scenes, as a function of the controller's weights."""
 
-    tape = None
+    tape: ti.ad.Tape | None = None
 
     @staticmethod
     def forward(ctx: Any, given: Any):

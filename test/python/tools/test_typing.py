@@ -35,6 +35,27 @@ def test_mypy(tmp_path):
     assert '"grda"' in found.stdout and '"fieldd"' in found.stdout
 
 
+@pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy is not installed")
+@pytest.mark.slow
+def test_mypy_on_all_examples(tmp_path):
+    programs = tmp_path / "examples"
+    shutil.copytree(EXAMPLES, programs, ignore=shutil.ignore_patterns("__pycache__", "dialect"))
+    config = tmp_path / "mypy.ini"
+    config.write_text(
+        f"[mypy]\nmypy_path = {PACKAGE.parent}:{programs}\nignore_missing_imports = True\n"
+        "check_untyped_defs = True\n"
+    )
+    files = [str(path) for path in sorted(programs.glob("*.py"))]
+    found = _run([sys.executable, "-m", "mypy", "--config-file", str(config), *files], programs)
+    problems = [
+        line for line in found.stdout.splitlines()
+        if ": error:" in line and not line.startswith((str(PACKAGE), ".."))
+    ]  # fmt: skip
+    # Where torch is not installed, its names are none to mypy.
+    assert [line for line in problems if "torch.autograd.Function" not in line] == []
+    assert f"checked {len(files)} source files" in found.stdout, found.stdout
+
+
 _needs_pyright = pytest.mark.skipif(
     shutil.which("pyright", path=str(Path(sys.executable).parent)) is None,
     reason="pyright is not installed: make peers",
