@@ -26,6 +26,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
@@ -47,7 +48,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 # Scenes in the order in which their references are there.
 ORDER = [
     "wave", "billiards", "rigid_body", "electric", "mass_spring", "smoke", "exp", "sin", "pow",
-    "sum", "sum_ill", "scatter", "volume_renderer", "diffmpm", "polar", "stencil", "one_cell",
+    "sum", "sum_ill", "scatter", "stencil", "one_cell", "volume_renderer", "diffmpm", "polar",
     "diffmpm3d", "liquid",
 ]  # fmt: skip
 # Scenes whose references take a minute for each input have fewer, one for each process.
@@ -190,7 +191,7 @@ class Group:
             worker = self.workers[name] = Worker(arguments, python, ROOT, log)
         self.rows[name] = worker.answer(self.given.timeout) or {}
 
-    def measure(self, deadline: float) -> None:
+    def measure(self, deadline: float, before_times: Callable[[], object]) -> None:
         """Errors, then times in turns; the rows go to the session."""
         reference = self.session.references.of(self.scene, deadline)
         begin = time.monotonic()
@@ -206,6 +207,7 @@ class Group:
             self._all(lambda name: self._errors(name, reference, 0.25 * share))
             for row in self.rows.values():
                 row.update(known)
+            before_times()
             self._rounds(deadline)
         for name in self.names():
             self._end(name)
@@ -322,7 +324,11 @@ class Session:
             self.references.close()
 
     def lane(self, arch: str, threads: str, jobs: int, end: float) -> None:
-        """All scenes at a place. While one is measured, the next one is compiled."""
+        """All scenes at a place. While one is measured, the next one is compiled.
+
+        A GPU divides its time among processes in slices of 2 ms, so that nothing else may run there
+        while one is timed.
+        """
         groups = [Group(self, scene, arch, threads, jobs) for scene in self.given.scenes]
         with ThreadPoolExecutor(1) as ahead:
             is_large = self.given.jobs >= 8
@@ -343,7 +349,8 @@ class Session:
                     group.prepare()
                 share = (end - time.monotonic()) / (len(groups) - number)
                 begin = time.monotonic()
-                group.measure(begin + share)
+                wait_for = [coming] if coming and arch == "cuda" else []
+                group.measure(begin + share, lambda found=wait_for: wait(found))
                 took = time.monotonic() - begin
                 print(f"{arch:4} {threads:3} {group.scene:16} {took:6.1f} s", flush=True)
 
