@@ -161,6 +161,19 @@ def test_memory_is_shared_by_dlpack_alone():
     assert not hasattr(x, "__cuda_array_interface__")  # there is no GPU
 
 
+@pytest.mark.skipif(
+    np.lib.NumpyVersion(np.__version__) < "2.1.0", reason="older NumPy does not say that it asks"
+)
+@pytest.mark.parametrize("options", [{}, {"device": "cpu"}])
+def test_a_view_of_a_field_on_a_gpu_is_refused(options, monkeypatch):
+    """NumPy's own error would name neither the field nor the way out."""
+    monkeypatch.setattr(sharing, "field_device", lambda field: (sharing.CUDA, 0))
+    x = ti.field(ti.f32, shape=4, name="x")
+    with pytest.raises(BufferError, match=r"'x' is on the GPU, where .*copy it, by to_numpy\(\)"):
+        np.from_dlpack(x, **options)
+    assert x.to_numpy().tolist() == [0, 0, 0, 0]
+
+
 def test_how_a_gpu_describes_the_memory_of_a_field():
     """`__cuda_array_interface__` has the keys of NumPy's own interface, and a stream."""
     x = ti.Vector.field(2, ti.f32, shape=(2, 3))

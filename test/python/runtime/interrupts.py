@@ -56,6 +56,10 @@ def interrupt(work, seconds=0.005):
     return False
 
 
+def is_on_gpu():
+    return os.environ.get("TI_ARCH") == "cuda" and os.environ.get("TAI_CUDA_EMULATION") != "1"
+
+
 def check_usable():
     """The context goes on: kernels, tapes, new fields."""
     x = ti.field(ti.f64, shape=3, needs_grad=True)

@@ -146,6 +146,8 @@ def interrupt_everywhere(files, make, program, after=lambda: None):
         after: looks at the state after an interruption.
     """
     steps, number, limit = Steps(files), 0, sys.getrecursionlimit()
+    # Since Python 3.12, the steps of a function are seen from the second run on that is traced.
+    steps.run(make()[0], sys.maxsize)
     while True:
         work, check = make()
         error = steps.run(work, number)

@@ -28,7 +28,7 @@ REFUSED = {
     "threads": {"cpu_max_num_threads": -3},
     "target": {"arch": "cuba"},
     "extension": {"require": ti.extension.quant},
-    "excluded": {"exclude": ti.cpu},
+    "excluded": {"exclude": [ti.cpu, ti.cuda]},
     "skip": {"skip": "all,-nothing-of-that-name"},
     "cpu": {"target_cpu": "z80"},
 }

@@ -8,6 +8,8 @@ from ..base import state
 from ..history import origins, torch_graphs
 from ..interop import sharing
 
+_UNSAID: Any = object()
+
 
 class Shareable:
     """The methods of fields for torch and DLPack."""
@@ -28,7 +30,7 @@ class Shareable:
         sharing.from_torch(self, tensor)
 
     def __dlpack__(
-        self, *, stream: Any = None, max_version: Any = None, dl_device: Any = None,
+        self, *, stream: Any = _UNSAID, max_version: Any = None, dl_device: Any = _UNSAID,
         copy: bool | None = None,
     ) -> Any:  # fmt: skip
         """The memory of the field for another library, by DLPack, without a copy.
@@ -38,8 +40,14 @@ class Shareable:
         that uses data written on a stream other than the default one, call `ti.wait_for_stream()`.
 
         Raises:
-            BufferError: a sparse field, or elements that do not lie evenly.
+            BufferError: a sparse field, or elements that do not lie evenly; or NumPy asks for a
+                field on a GPU.
         """
+        # NumPy asks like this: from whatever is on a GPU it makes an error that names no field.
+        if stream is _UNSAID and dl_device is None:
+            sharing.check_on_host(self)
+        stream = None if stream is _UNSAID else stream
+        dl_device = None if dl_device is _UNSAID else dl_device
         capsule, loan = sharing.field_dlpack(self, stream, max_version, dl_device, copy)
         origins.note_view(self, loan, *sharing.place_of(self))
         return capsule

@@ -32,6 +32,14 @@ def field_device(field: Any) -> tuple[int, int]:
     return (CUDA, 0) if get_program().context.is_on_gpu() else (CPU, 0)
 
 
+def check_on_host(field: Any) -> None:
+    """Raises BufferError for a field on a GPU."""
+    if field_device(field)[0] != CPU:
+        raise BufferError(
+            f"field '{field.name}' is on the GPU, where NumPy has no arrays; copy it, by to_numpy()"
+        )
+
+
 class Loan:
     """Keeps the memory of a field for another library."""
 
@@ -46,6 +54,8 @@ def field_dlpack(
     device = field_device(field)
     if copy:
         raise BufferError("a field is shared as it is: copy what comes of it")
+    if dl_device is not None and tuple(dl_device) == (CPU, 0):
+        check_on_host(field)
     if dl_device is not None and tuple(dl_device) != device:
         raise BufferError(f"field '{field.name}' is on device {device}, not on {dl_device}")
     if field.dtype is bf16:
