@@ -167,6 +167,20 @@ def test_names_that_notebooks_give():
     assert first.name == "pressure" and second.name == "_own"
 
 
+def test_names_of_fields_in_containers():
+    class Scene:
+        def __init__(self):
+            self.velocity = ti.field(ti.f32, shape=2)
+            self.layers = [ti.field(ti.f32, shape=2) for _ in range(2)]
+
+    scene = Scene()
+    parts = {"left": ti.field(ti.f32, shape=2), 7: (ti.field(ti.f32, shape=2),)}
+    assert scene.velocity.name == "velocity" and scene.layers[1].name == "layers_1"
+    assert parts["left"].name == "parts_left"
+    assert parts[7][0].name == "field"  # deeper than one looks
+    assert ti.field(ti.f32, shape=2).name == "field"
+
+
 def test_a_gui_without_a_window_says_so_once(capsys, monkeypatch, tmp_path):
     pytest.importorskip("PIL")
     monkeypatch.setattr(FrameLoop, "_is_told", False)

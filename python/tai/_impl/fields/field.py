@@ -20,9 +20,13 @@ if TYPE_CHECKING:
     from .scalar import ScalarField
 
 
+# Longer lists are not searched for a field.
+_LONGEST = 1000
+
+
 def _variable_of(field: Any) -> str | None:
-    """The variable of the program that holds a field, or the attribute of an object in a variable:
-    no kernel may have named the field yet."""
+    """The variable of the program that holds a field, or the attribute of an object in a variable,
+    or a list or dictionary in one of them: no kernel may have named the field yet."""
     frame: Any = sys._getframe(1)
     while frame is not None and frame.f_globals.get("__name__", "").startswith("tai."):
         frame = frame.f_back
@@ -33,10 +37,20 @@ def _variable_of(field: Any) -> str | None:
         vars(value) for names in variables for value in list(names.values())
         if hasattr(value, "__dict__") and not isinstance(value, (type, ModuleType, Elements))
     ]  # fmt: skip
-    for names in (*variables, *objects):
-        for name, value in list(names.items()):
-            if value is field and not name.startswith("_"):
-                return str(name)
+    places = [
+        (str(name), value) for names in (*variables, *objects)
+        for name, value in list(names.items())
+        if str(name).isidentifier() and not str(name).startswith("_")
+    ]  # fmt: skip
+    for name, value in places:
+        if value is field:
+            return name
+    for name, value in places:
+        if isinstance(value, (list, tuple, dict)) and len(value) <= _LONGEST:
+            items = value.items() if isinstance(value, dict) else enumerate(value)
+            for key, item in list(items):
+                if item is field:
+                    return f"{name}_{key}"
     return None
 
 

@@ -58,7 +58,8 @@ _HINTS = [
     (r"^the '.*' level over .* indices?, but got", "give one index for each of its axes"),
     (r"^'(.*)' has no attribute", "dir({0}) lists what it has while the kernel is compiled"),
     (r"takes a 2×2 or 3×3 matrix", "make it by ti.Matrix([[…], […]])"),
-    (r"^kernels have no 'with'", "open contexts such as ti.ad.Tape around the launch"),
+    (r"^kernels have no 'with'", "open contexts such as ti.ad.Tape around the launch; "
+     "ti.stop_grad(…) keeps a value out of gradients"),
     (r"^kernels have no 'del'", "a name ends with the block that it was assigned in"),
     (r"^kernels have no ", "do it in Python, outside of the kernel"),
     (r"loop_config has no option", "it has serialize, parallelize and block_dim"),
