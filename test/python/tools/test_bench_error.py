@@ -234,7 +234,7 @@ def test_shadows_agree_with_an_adjoint_by_hand(scene, tmp_path):
     assert about["error"] < 1.2e-16 and "from NumPy in 80 bits" in about["how"]
     known = references.Reference(tmp_path)
     assert known.numbers == [0, 1] and known.condition() > 0
-    assert references.relative(known.load(1)["gradient"], known.load(0)["gradient"]) > 1e-9
+    assert references.relative(known.load(1)["gradient"], known.load(0)["gradient"]) > 1e-12
 
 
 # Two builds
