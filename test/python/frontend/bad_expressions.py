@@ -620,7 +620,7 @@ def text_with_a_number_stored():
 @bad(
     ti.TaiTypeError,
     "an ndarray takes an index that is known at compile time",
-    "loop with ti.static(range(…)), or put the numbers in a field",
+    "loop with ti.static(range(…)), or pass it as an argument: x: ti.types.ndarray()",
 )
 def index_into_an_array_of_numpy():
     weights = np.ones(4, np.float32)

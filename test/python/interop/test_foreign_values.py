@@ -326,3 +326,66 @@ def test_shape_of_an_array_in_a_kernel():
         return total
 
     assert extent() == 6
+
+
+# Arrays and functions of JAX and torch in kernels
+
+
+@pytest.mark.parametrize("library", ["jax.numpy", "torch"])
+def test_functions_of_other_libraries_in_kernels(library):
+    np_like = pytest.importorskip(library, reason=f"{library} is not installed")
+    x = ti.field(ti.f32, 3)
+
+    @ti.kernel
+    def sine():
+        for i in x:
+            x[i] = np_like.sin(x[i])
+
+    @ti.kernel
+    def larger():
+        for i in x:
+            x[i] = np_like.maximum(x[i], 1.0)
+
+    @ti.kernel
+    def unknown():
+        for i in x:
+            x[i] = np_like.diag(x[i])
+
+    refused(sine, "np_like.sin cannot take values of a kernel", "write ti.sin(x[i])")
+    refused(larger, "np_like.maximum cannot take", "write ti.max(x[i], 1.0)")
+    refused(unknown, "np_like.diag cannot take", "functions of ti")
+
+
+@pytest.mark.parametrize("library", ["numpy", "jax.numpy", "torch"])
+def test_arrays_as_templates(library):
+    np_like = pytest.importorskip(library, reason=f"{library} is not installed")
+
+    @ti.kernel
+    def total(x: ti.template()) -> ti.f32:
+        result = 0.0
+        for i in range(3):
+            result += x[i]
+        return result
+
+    @ti.kernel
+    def first(x: ti.template()) -> ti.f32:
+        return float(x[0])
+
+    array = np_like.ones(3)
+    refused(lambda: total(array), "known at compile time", "x: ti.types.ndarray()")
+    assert first(array) == 1.0
+
+
+def test_arrays_of_jax_where_they_cannot_be_used():
+    jax = pytest.importorskip("jax", reason="JAX is not installed")
+    refused(lambda: set_to_one(jax.numpy.zeros(3)), "is written, but", "pass np.array(x)")
+    read_only = np.zeros(3, np.float32)
+    read_only.flags.writeable = False
+    refused(lambda: set_to_one(read_only), "is written, but", "array.copy()")
+
+    @jax.jit
+    def traced(x):
+        set_to_one(x)
+        return x
+
+    refused(lambda: traced(jax.numpy.zeros(3)), "that JAX traces has no memory", "ti.jax.wrap")

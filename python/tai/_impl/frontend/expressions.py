@@ -150,7 +150,9 @@ class Expressions(Part):
                 return self.emitter.as_value(base)[key]
             raise TaiTypeError(
                 f"{with_article(type(base).__name__)} takes an index that is known at compile time",
-                "loop with ti.static(range(…)), or put the numbers in a field",
+                "loop with ti.static(range(…)), or pass it as an argument: x: ti.types.ndarray()"
+                if hasattr(base, "__dlpack__")
+                else "loop with ti.static(range(…)), or put the numbers in a field",
             )
         if callable(base) and not hasattr(type(base), "__getitem__"):
             raise TaiTypeError(describe_misuse(base), misuse_hint(base))

@@ -1,4 +1,4 @@
-"""Functions of NumPy and `math` in kernels: an expression of the package in place of each."""
+"""Functions of other libraries in kernels: an expression of the package in place of each."""
 
 from __future__ import annotations
 
@@ -77,10 +77,15 @@ _NO_ANSWER = (
 )
 
 
+_TEXTS = {**_OF_NUMBERS, **_OF_VECTORS, **{name: f"ti.{name}({{0}})" for name in _SAME}}
+_TEXTS |= {"atan2": "ti.atan2({0}, {1})", "clamp": _OF_NUMBERS["clip"]}
+# Libraries whose functions have the names of NumPy's. They are not imported to look at them.
+_LIKE_NUMPY = ("jax", "torch", "cupy")
+
+
 def _find_all() -> dict[Any, str]:
     found: dict[Any, str] = {}
-    texts = {**_OF_NUMBERS, **_OF_VECTORS, **{name: f"ti.{name}({{0}})" for name in _SAME}}
-    texts["atan2"] = "ti.atan2({0}, {1})"
+    texts = _TEXTS
     for library in (np, np.linalg, math):
         for name, text in texts.items():
             if library is math and name in _OF_VECTORS:
@@ -95,11 +100,14 @@ _ANSWERS = _find_all()
 
 
 def is_foreign(function: Any) -> bool:
-    """Whether a function is one of NumPy or `math`, which knows no values of kernels."""
+    """Whether a function is one of another library, which knows no values of kernels."""
     if isinstance(function, np.ufunc):
         return True
-    module = getattr(function, "__module__", None) or ""
-    return callable(function) and module.split(".")[0] in ("numpy", "math")
+    return callable(function) and _library_of(function) in ("numpy", "math", *_LIKE_NUMPY)
+
+
+def _library_of(function: Any) -> str:
+    return (getattr(function, "__module__", None) or "").split(".")[0]
 
 
 def _text(node: ast.expr) -> str:
@@ -116,6 +124,8 @@ def error_of(function: Callable[..., Any], node: ast.Call) -> TaiTypeError:
     texts = [_text(argument) for argument in node.args]
     hint = _NO_ANSWER
     answer = _ANSWERS.get(function)
+    if answer is None and _library_of(function) in _LIKE_NUMPY:
+        answer = _TEXTS.get(getattr(function, "__name__", ""))
     if answer is not None:
         try:
             hint = f"write {answer.format(*texts)}"

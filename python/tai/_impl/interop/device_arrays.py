@@ -141,12 +141,23 @@ _FORMS = [
 ]  # fmt: skip
 
 
+def is_of_jax(value: Any) -> bool:
+    """Whether a value is an array of JAX, or stands for one."""
+    return type(value).__module__.split(".")[0] in ("jax", "jaxlib")
+
+
 def _not_shared(value: Any, error: Exception | None) -> TaiRuntimeTypeError:
     """The error for an array whose library does not share its memory."""
     for is_form, what, hint in _FORMS:
         if is_form(value):
             return TaiRuntimeTypeError(f"the tensor {what}: kernels take dense memory", hint)
     name = type(value).__name__
+    if is_of_jax(value) and name.endswith("Tracer"):
+        return TaiRuntimeTypeError(
+            "an array that JAX traces has no memory, which a kernel could take",
+            "within jit, grad and vmap, call a function that ti.jax.wrap makes of the kernel: see "
+            "docs/guides/jax.md",
+        )
     reason = str(error).splitlines()[0] if str(error) else type(error).__name__
     return TaiRuntimeTypeError(
         f"the memory of a {name} cannot be shared: {reason}", "pass a dense copy on the CPU"

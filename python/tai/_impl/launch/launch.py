@@ -47,7 +47,10 @@ def pack(
                 raise TaiRuntimeTypeError(
                     f"argument '{parameter.name}' of kernel '{signature.kernel}' is written, "
                     "but the array is read-only",
-                    "pass a copy: array.copy()",
+                    "arrays of JAX do not change: pass np.array(x), or wrap the kernel by "
+                    "ti.jax.wrap, which returns new ones"
+                    if device_arrays.is_of_jax(value)
+                    else "pass a copy: array.copy()",
                 )
             if isinstance(array, device_arrays.DeviceArray):
                 array.check(f"argument '{parameter.name}' of kernel '{signature.kernel}'")
