@@ -167,6 +167,16 @@ void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
     add(a.getValue(), b.getValue());
 }
 
+/// The least value of the terms of `expr` that are no multiples of `base`.
+static __int128 getLeastBelow(IndexBuilder &builder, const IndexExpr &expr,
+                              int64_t base) {
+  IndexExpr below;
+  for (const auto &[atom, factor] : expr.terms)
+    if (factor % base != 0)
+      below.add(IndexExpr(atom), factor);
+  return builder.getRange(below).low;
+}
+
 /// Equal numbers have equal digits, which are other unknowns where a factor is
 /// larger than the sum of the terms below it.
 void IterationEquations::splitDigits(IndexExpr first, IndexExpr second) {
@@ -180,12 +190,26 @@ void IterationEquations::splitDigits(IndexExpr first, IndexExpr second) {
   first.width = second.width = 64;
   second.constant = 0;
   for (const auto &[atom, factor] : first.terms) {
-    auto high = factor > 1 ? builder.split(first, factor) : std::nullopt;
-    auto other = high ? builder.split(second, factor) : std::nullopt;
-    if (!other)
+    if (factor == INT64_MIN || std::abs(factor) == 1)
       continue;
-    add(high->first, other->first);
-    add(high->second, other->second);
+    int64_t base = std::abs(factor);
+    // A digit that counts down is one that counts up, less a constant that is
+    // added to both sums.
+    __int128 low = std::min(getLeastBelow(builder, first, base),
+                            getLeastBelow(builder, second, base));
+    if (low <= -base)
+      continue;
+    IndexExpr lifted = first, other = second;
+    int64_t lift = low < 0 ? -static_cast<int64_t>(low) : 0;
+    if (llvm::AddOverflow(first.constant, lift, lifted.constant))
+      continue;
+    other.constant = lift;
+    auto high = builder.split(lifted, base);
+    auto otherHigh = high ? builder.split(other, base) : std::nullopt;
+    if (!otherHigh)
+      continue;
+    add(high->first, otherHigh->first);
+    add(high->second, otherHigh->second);
   }
 }
 

@@ -280,3 +280,22 @@ TEST_F(IndexDigitsTest, ComplementsOfBits) {
   EXPECT_FALSE(flip(i, 15) == without(15, i));
   EXPECT_FALSE(flip(j, 5) == without(5, j));
 }
+
+// Digits that count down are as good as those that count up.
+TEST_F(IndexDigitsTest, DigitsThatCountDown) {
+  start(0, 6, 0, 8);
+  ValueRange ivs = loop.getInductionVars();
+  IndexBuilder builder;
+  auto flat = [&](int64_t first, int64_t second, int64_t constant) {
+    IndexExpr expr(constant);
+    return expr.add(IndexExpr(ivs[0]), first).add(IndexExpr(ivs[1]), second);
+  };
+  for (auto [first, second] :
+       {std::pair{8, 1}, {8, -1}, {-8, 1}, {-8, -1}, {-9, 1}, {1, -6}})
+    EXPECT_TRUE(isInjectiveOver(builder, flat(first, second, 47), ivs))
+        << first << ' ' << second;
+  for (auto [first, second] :
+       {std::pair{7, 1}, {7, -1}, {-7, 1}, {-7, -1}, {1, -5}})
+    EXPECT_FALSE(isInjectiveOver(builder, flat(first, second, 47), ivs))
+        << first << ' ' << second;
+}
