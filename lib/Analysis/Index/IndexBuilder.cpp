@@ -332,8 +332,27 @@ std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
                 std::move(a), std::move(b)});
 }
 
+/// `expr` with the bits of `mask` flipped. Each run of ones in the mask is a
+/// digit of the number, which becomes the largest digit less it.
+static IndexExpr flipBits(IndexBuilder &builder, const IndexExpr &expr,
+                          uint64_t mask) {
+  if (mask == 0)
+    return expr;
+  unsigned start = llvm::countr_zero(mask);
+  unsigned length = llvm::countr_one(mask >> start);
+  IndexExpr low(int64_t(1) << start), values(int64_t(1) << length);
+  IndexExpr rest = builder.getQuotient(expr, low);
+  IndexExpr flipped(values.constant - 1);
+  flipped.add(builder.getRemainder(rest, values), -1);
+  IndexExpr above = flipBits(builder, builder.getQuotient(rest, values),
+                             mask >> (start + length));
+  return builder.getRemainder(expr, low)
+      .add(flipped, low.constant)
+      .add(above, int64_t(1) << (start + length));
+}
+
 /// Shifts by constants, constant masks of low or high bits, the union of bits
-/// that do not overlap, and complements.
+/// that do not overlap, and bits that a constant flips.
 std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
                                                  unsigned depth) {
   if (!isa<arith::ShLIOp, arith::ShRSIOp, arith::ShRUIOp, arith::AndIOp,
@@ -366,16 +385,13 @@ std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
     return *number < 0 ? all.add(low, -1) : low;
   }
   if (isa<arith::XOrIOp>(op)) {
-    // The complement of a number is minus one less the number; that of a digit
-    // is the largest digit less it.
-    IndexExpr all = buildExact(lhs, depth);
-    IndexRange range = getRange(all);
-    bool isMask = *number > 0 && *number != INT64_MAX &&
-                  (*number & (*number + 1)) == 0 && range.low >= 0 &&
-                  range.high <= *number;
-    if (getWidth(type) == 1 || (*number != -1 && !isMask))
+    // A negative mask flips the bits that its complement leaves alone.
+    int64_t mask = *number < 0 ? ~*number : *number;
+    if (mask >= int64_t(1) << 62)
       return std::nullopt;
-    return IndexExpr(*number).add(all, -1);
+    IndexExpr flipped =
+        joinDigits(flipBits(*this, buildExact(lhs, depth), mask));
+    return *number < 0 ? IndexExpr(-1).add(flipped, -1) : flipped;
   }
   if (*number < 0 || *number >= getWidth(type) || *number == 63)
     return std::nullopt;

@@ -30,6 +30,7 @@ def test_there_is_an_example_of_each():
         "A kind of layout level",
         "An option of a context",
         "An entry point of the runtime",
+        "A form of an index",
         "A form of a reduction",
         "A pass",
     ]
@@ -70,7 +71,7 @@ def changed_files(title: str, folder: Path) -> list[Path]:
 def compile_changed(folder: Path, like: str, *how: str) -> None:
     """Compiles a source as the build does, but with the changed headers of the folder first."""
     words, place = compiler_of(ROOT / like)
-    at = next(at for at, word in enumerate(words) if word.startswith("-I"))
+    at = next((at for at, word in enumerate(words) if word.startswith("-I")), len(words))
     words[at:at] = [f"-I{folder / 'include'}", "-iquote", str((ROOT / like).parent)]
     done = subprocess.run([*words, *how], cwd=place, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -82,12 +83,15 @@ def compile_changed(folder: Path, like: str, *how: str) -> None:
         ("The derivative of a scalar op", "lib/AD/Rules/ScalarRules.cpp"),
         ("A kind of layout level", "lib/AD/Rules/ScalarRules.cpp"),
         ("An entry point of the runtime", "lib/Runtime/Launch/Abi.cpp"),
+        ("A form of an index", "lib/Analysis/Index/IndexBuilder.cpp"),
+        ("A form of an index", "test/unit/Analysis/IndexDigitsTest.cpp"),
         ("A form of a reduction", "lib/Conversion/TaiToHost/Reductions/RegisterTotal.cpp"),
     ],
 )
 def test_the_changed_sources_compile(title, like, tmp_path):
     names = changed_files(title, tmp_path)
-    [source] = [name for name in names if name.suffix == ".cpp"]
+    sources = [name for name in names if name.suffix == ".cpp"]
+    [source] = [name for name in sources if name == Path(like)] or sources
     compile_changed(tmp_path, like, "-fsyntax-only", str(tmp_path / source))
 
 

@@ -281,6 +281,37 @@ TEST_F(IndexDigitsTest, ComplementsOfBits) {
   EXPECT_FALSE(flip(j, 5) == without(5, j));
 }
 
+// Flipping bits gives each number another one, as in the steps of an FFT; twice
+// it gives the number again. Any bits may be flipped, also of negative numbers.
+TEST_F(IndexDigitsTest, FlippedBits) {
+  start(-7, 24, 0, 8);
+  Value i = loop.getInductionVars()[0], j = loop.getInductionVars()[1];
+  ValueRange ivs = loop.getInductionVars();
+  IndexBuilder builder;
+  auto flip = [&](Value value, int64_t mask) -> Value {
+    return arith::XOrIOp::create(b, value, constant(mask, value.getType()));
+  };
+  for (int64_t mask : {1, 2, 5, 8, 10, 15, 21, -2, -6, -9}) {
+    Value flipped = flip(i, mask);
+    EXPECT_TRUE(isInjectiveOver(builder, builder.get({flipped, j}), ivs))
+        << mask;
+    EXPECT_FALSE(isInjectiveOver(builder, builder.get(flipped), ivs)) << mask;
+    EXPECT_EQ(builder.get(flip(flipped, mask)), builder.get(i)) << mask;
+    EXPECT_FALSE(builder.get(flipped) == builder.get(i)) << mask;
+  }
+  EXPECT_EQ(builder.get(flip(flip(j, 5), 2)), builder.get(flip(j, 7)));
+  // The same in i32, with a number that another one is added to.
+  Value narrow = arith::IndexCastOp::create(b, b.getI32Type(), i);
+  Value sum = arith::AddIOp::create(
+      b, narrow, arith::IndexCastOp::create(b, b.getI32Type(), j));
+  EXPECT_TRUE(isInjectiveOver(builder, builder.get({flip(narrow, 6), j}), ivs));
+  EXPECT_FALSE(isInjectiveOver(builder, builder.get(flip(sum, 6)), ivs));
+  // 23 without its lowest bit is 22, which 22 also is.
+  Value dropped = arith::AndIOp::create(b, i, constant(-2, i.getType()));
+  EXPECT_FALSE(
+      isInjectiveOver(builder, builder.get({flip(dropped, 6), j}), ivs));
+}
+
 // Digits that count down are as good as those that count up.
 TEST_F(IndexDigitsTest, DigitsThatCountDown) {
   start(0, 6, 0, 8);
@@ -298,4 +329,36 @@ TEST_F(IndexDigitsTest, DigitsThatCountDown) {
        {std::pair{7, 1}, {7, -1}, {-7, 1}, {-7, -1}, {1, -5}})
     EXPECT_FALSE(isInjectiveOver(builder, flat(first, second, 47), ivs))
         << first << ' ' << second;
+}
+
+// A row of run-time length around a ring of run-time size: the element alone
+// does not tell iterations apart, since the size may be one. Equal ones are
+// recognised, and the number of rounds with the element gives the place.
+TEST_F(IndexDigitsTest, RowsAroundARing) {
+  start(0, 5, 0, 4);
+  ValueRange ivs = loop.getInductionVars();
+  Type i64 = b.getI64Type();
+  Value i = arith::IndexCastOp::create(b, i64, ivs[0]);
+  Value j = arith::IndexCastOp::create(b, i64, ivs[1]);
+  Value k = arith::ExtSIOp::create(b, i64, arguments[0]);
+  Value n = arith::ExtSIOp::create(b, i64, arguments[1]);
+  auto place = [&](bool isSwapped) -> Value {
+    Value row = isSwapped ? arith::MulIOp::create(b, k, i).getResult()
+                          : arith::MulIOp::create(b, i, k);
+    return isSwapped ? arith::AddIOp::create(b, j, row).getResult()
+                     : arith::AddIOp::create(b, row, j);
+  };
+  IndexBuilder builder;
+  Value element = roundDown(false, place(false), n);
+  Value rounds = roundDown(true, place(false), n);
+  EXPECT_EQ(builder.get(element),
+            builder.get(roundDown(false, place(true), n)));
+  EXPECT_FALSE(isInjectiveOver(builder, builder.get({element, j}), ivs));
+  EXPECT_TRUE(
+      isInjectiveOver(builder, builder.get({element, rounds, j, i}), ivs));
+  IterationEquations equations(builder, loop);
+  equations.add(ValueRange{element, rounds}, ValueRange{element, rounds});
+  EXPECT_FALSE(equations.solve(ivs));
+  IndexExpr flat = builder.get(place(true));
+  EXPECT_TRUE(llvm::is_contained(equations.get(), std::pair(flat, flat)));
 }

@@ -231,7 +231,11 @@ protected:
     auto create = [&]() -> Value {
       switch (pick(0, 19)) {
       case 16:
-        return arith::AndIOp::create(b, x, randomMask(inner));
+        return chance(50)
+                   ? arith::AndIOp::create(b, x, randomMask(inner)).getResult()
+                   : arith::XOrIOp::create(b, x,
+                                           chance(50) ? randomMask(inner)
+                                                      : randomConstant(inner));
       case 17:
         return arith::ShLIOp::create(b, x, constant(pick(0, 4), inner));
       case 18:
