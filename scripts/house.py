@@ -163,7 +163,7 @@ class Rule:
 
 
 BARS = [
-    Rule("sources that take index arithmetic apart", index_arithmetic, bar=3, goal=3),
+    Rule("sources that take index arithmetic apart", index_arithmetic, bar=2, goal=3),
     Rule("sources that ask for a mode of sums", modes_of_sums, bar=5, goal=6),
     Rule("structs with more than three booleans", flag_structs, bar=0, goal=0),
     Rule("passes without a test in the folder of their room", passes_without_test, bar=0, goal=0),

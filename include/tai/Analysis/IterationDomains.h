@@ -13,7 +13,7 @@
 #ifndef TAI_ANALYSIS_ITERATIONDOMAINS_H
 #define TAI_ANALYSIS_ITERATIONDOMAINS_H
 
-#include "tai/Analysis/IndexForms.h"
+#include "tai/Analysis/Index/IndexForms.h"
 
 namespace mlir::tai {
 

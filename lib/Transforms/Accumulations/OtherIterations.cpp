@@ -26,7 +26,7 @@
 #include "mlir/IR/Matchers.h"
 #include "tai/ABI/Abi.h"
 #include "tai/Analysis/Accesses.h"
-#include "tai/Analysis/IndexForms.h"
+#include "tai/Analysis/Index/IndexForms.h"
 #include "tai/Analysis/IterationOrder.h"
 #include "tai/Analysis/LoopBox.h"
 #include "tai/Analysis/SharedElements.h"

@@ -14,8 +14,8 @@ def sources(*patterns):
 
 def test_a_header_is_looked_at_in_its_own_source():
     known = sources("lib/*.cpp")
-    header = "include/tai/Analysis/IndexForms.h"
-    assert tidy.includer(header, known) == "lib/Analysis/IndexForms.cpp"
+    header = "include/tai/Analysis/Index/IndexForms.h"
+    assert tidy.includer(header, known) == "lib/Analysis/Index/IndexForms.cpp"
 
 
 def test_headers_of_one_name_are_told_apart():

@@ -12,11 +12,11 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_ANALYSIS_INDEXFORMS_H
-#define TAI_ANALYSIS_INDEXFORMS_H
+#ifndef TAI_ANALYSIS_INDEX_INDEXFORMS_H
+#define TAI_ANALYSIS_INDEX_INDEXFORMS_H
 
 #include "tai/Analysis/Index/IntegerRanges.h"
-#include "tai/Analysis/LinearSystem.h"
+#include "tai/Analysis/Index/LinearSystem.h"
 #include "tai/Dialect/Tai/IR/Tai.h"
 #include "llvm/ADT/DenseMap.h"
 #include <optional>
@@ -121,4 +121,4 @@ private:
 
 } // namespace mlir::tai
 
-#endif // TAI_ANALYSIS_INDEXFORMS_H
+#endif // TAI_ANALYSIS_INDEX_INDEXFORMS_H

@@ -13,8 +13,8 @@
 //
 //===----------------------------------------------------------------------===//
 
-#ifndef TAI_ANALYSIS_LINEARSYSTEM_H
-#define TAI_ANALYSIS_LINEARSYSTEM_H
+#ifndef TAI_ANALYSIS_INDEX_LINEARSYSTEM_H
+#define TAI_ANALYSIS_INDEX_LINEARSYSTEM_H
 
 #include "mlir/Support/LLVM.h"
 #include "llvm/ADT/SmallVector.h"
@@ -76,4 +76,4 @@ private:
 
 } // namespace mlir::tai
 
-#endif // TAI_ANALYSIS_LINEARSYSTEM_H
+#endif // TAI_ANALYSIS_INDEX_LINEARSYSTEM_H

@@ -9,7 +9,7 @@
 //
 //===----------------------------------------------------------------------===//
 
-#include "tai/Analysis/LinearSystem.h"
+#include "tai/Analysis/Index/LinearSystem.h"
 #include "gtest/gtest.h"
 #include <random>
 
