@@ -126,7 +126,8 @@ static void narrow(Interval &range, Value value, Value condition, bool holds,
   Operation *op = condition.getDefiningOp();
   if (!op || depth-- == 0)
     return;
-  // Both parts hold of a conjunction; of a disjunction, neither, if it fails.
+  // Both parts of a conjunction that holds are true; both parts of a
+  // disjunction that fails are false.
   if ((holds && isa<arith::AndIOp>(op)) || (!holds && isa<arith::OrIOp>(op))) {
     narrow(range, value, op->getOperand(0), holds, depth);
     narrow(range, value, op->getOperand(1), holds, depth);

@@ -24,7 +24,7 @@ struct HelpfulPass {
 };
 } // namespace
 
-/// It runs the passes of `kPrepared`.
+/// The pass that runs all passes of `kPrepared`.
 static constexpr StringLiteral kPrepare = "tai-prepare-foreign";
 
 // By name: most of these dialects need not be there. Ops come before their

@@ -15,8 +15,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// So many ways in which conditions can hold are told apart. Each takes the
-/// time of a system.
+/// The maximum of pieces of a domain: each is a way in which the conditions can
+/// hold, and is checked by a system of its own.
 static constexpr size_t kMaxPieces = 8;
 
 void IterationDomain::addRow(const LinearSum &row) {

@@ -368,7 +368,8 @@ private:
         int64_t factor = index.getCoefficient(unknown);
         IndexExpr rest = wanted;
         rest.add(index, -1).add(IndexExpr(unknown), factor);
-        // The index may stand in a quotient as well.
+        // A term that is left over holds the unknown in a quotient: it cannot
+        // be solved for.
         if (factor == 0 || !rest.isConstant())
           continue;
         if (rest.constant % factor != 0)

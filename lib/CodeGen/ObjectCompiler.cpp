@@ -114,7 +114,8 @@ ObjectCompiler::create(const CodegenOptions &options) {
       CodeModel::Small, levels[std::min(options.optLevel, 3u)], /*JIT=*/true));
   if (!compiler->machine)
     return createStringError("no target machine for %s", cpu->triple.c_str());
-  // Fast code has glibc's, which are shorter.
+  // With fast_math, loops call the vector functions of glibc, which are
+  // shorter.
   if (!options.fastMath)
     compiler->vectorMath = std::make_unique<VectorMath>(
         *compiler->machine, is_contained(getVectorLibraries(), kSleef));
@@ -219,7 +220,7 @@ void ObjectCompiler::runPasses(Module &module) {
   if (!options.fastMath)
     for (LibFunc function : {LibFunc_exp2, LibFunc_exp2f, LibFunc_exp2l})
       libraryInfo.setUnavailable(function);
-  // Its results are within 4 ulp, which only fast_math may accept.
+  // Results of libmvec are within 4 ulp, which only fast_math may accept.
   if (options.fastMath && machine->getTargetTriple().isX86() &&
       is_contained(getVectorLibraries(), kGlibcVectors))
     libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,

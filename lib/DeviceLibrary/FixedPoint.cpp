@@ -73,7 +73,8 @@ template <typename T> static void noteScale(uint32_t *scale, T value) {
     if (getLane() != 0)
       return;
   }
-  // That of another thread may be missed, and is then stored once more.
+  // If this load misses the store of another thread, the maximum is taken once
+  // more.
   if (*scale < exponent)
     atomicMax(scale, exponent);
 }

@@ -232,8 +232,8 @@ void Background::perform(Job &job) {
   currentJob = &job;
   currentOwner = this;
   job.task();
-  // Its destructor may cancel other jobs, and so take the lock, which the
-  // thread that joins this one holds.
+  // The destructor of a task may cancel other jobs and so take the lock, which
+  // the thread that joins this one holds.
   job.task = nullptr;
   currentJob = nullptr;
 }

@@ -304,7 +304,7 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   object.symbol = prepared.symbol;
   object.toBeRecorded = prepared.toBeRecorded;
   object.warnings = prepared.warnings;
-  // They name places, which the key of the cache does not hold.
+  // Warnings name places, which the key of the cache does not hold.
   if (!object.warnings.empty())
     object.places = getPlaces(request);
   // Parts of a kernel count for themselves.

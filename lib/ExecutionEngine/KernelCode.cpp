@@ -443,7 +443,8 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   {
     PrepareLock lock(prepareMutex);
     Failure failure;
-    // It may take long until the code itself is asked for.
+    // The plan is asked for when a launch is recorded, the code itself only
+    // when the tape runs backwards.
     if (!toBeRecorded && failed(prepareAdjoint(failure, /*claims=*/false))) {
       // An interrupted plan is made again.
       plan.provisional = failure.kind == FailureKind::Runtime;

@@ -83,7 +83,7 @@ LogicalResult Program::declare() {
   for (auto &kernel : kernels)
     session.destroyKernel(kernel.second);
   kernels.clear();
-  // The fields go with their trees.
+  // Destroying a tree destroys its fields.
   for (const std::string &tree : trees)
     (void)session.destroyTree(tree);
   return session.fail(std::move(reason));

@@ -151,7 +151,7 @@ LogicalResult Session::compileEagerly(runtime::Kernel &kernel) {
   runtime::Status status = kernel.resolve();
   if (!status.ok())
     return fail(status);
-  // That there is no gradient is an error for those who ask for it.
+  // A kernel without an adjoint is an error only if a tape asks for it.
   if (carriesGradients(kernel))
     (void)kernel.resolveAdjoint(adjoint);
   return success();
@@ -256,7 +256,8 @@ FailureOr<Session::HostFunction> Session::compileHost(ModuleOp module,
 LogicalResult Session::runHost(
     const HostFunction &function,
     const std::function<SessionKernel *(StringRef name)> &findKernel) {
-  // Its own loads and stores are no launches, and a tape sees launches.
+  // A tape records launches, and the loads and stores of a host function are
+  // none.
   const runtime::Recorder *tape = rt->recordingTape();
   if (function.usesFields && tape && !tape->isSuspended())
     return fail(FailureKind::Usage,

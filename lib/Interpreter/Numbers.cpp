@@ -219,7 +219,7 @@ static APInt unsignedCeilQuotient(const APInt &a, const APInt &b) {
   return a.urem(b).isZero() ? a.udiv(b) : a.udiv(b) + 1;
 }
 
-/// `a << b` and the like. No result where the type has not that many bits.
+/// A shift. Its result is undefined if the type has no more than `b` bits.
 template <APInt (*Shift)(const APInt &, unsigned)>
 static Outcome shift(Operation *op, Operands a, Type) {
   unsigned width = whole(a[0]).getBitWidth();

@@ -427,8 +427,8 @@ static Datum narrow(ArrayRef<long double> numbers, Type type) {
 
 static LogicalResult runNorm(Run &run, Operation *op) {
   auto norm = cast<NormOp>(op);
-  // Its squares are in the range of long double for f64 too; with `fast`, those
-  // of the type itself count.
+  // Squares of f64 are in the range of long double; with `fast`, squares are
+  // rounded to the type.
   long double sum = 0;
   for (long double a : widen(run.get(norm.getVector()).numbers))
     sum += a * a;

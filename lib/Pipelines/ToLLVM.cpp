@@ -50,7 +50,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
   addPerFunction(pm, [&](OpPassManager &function) {
-    // Both are the business of the loop over blocks too.
+    // The loop over blocks also omits activity tests and repeated lookups.
     if (fast && options.skip.has(Skip::ActivityTests) &&
         options.skip.has(Skip::RepeatedLookups))
       function.addPass(createVectorizeBlocks());

@@ -160,7 +160,7 @@ struct PrimalDemands {
   llvm::SetVector<Operation *> reads;
   /// Random draws that cannot be repeated where they are asked for.
   llvm::SetVector<Operation *> draws;
-  /// Accesses whose fields it reads in the version before the launch.
+  /// Accesses to fields that the adjoint reads as they were before the launch.
   llvm::SetVector<Operation *> before;
   /// Stores whose elements it loads instead of computing their values.
   llvm::SetVector<Operation *> stored;

@@ -28,8 +28,8 @@ void erasePrepared(ModuleOp module);
 /// True if the derivative of the original has other arguments and results than
 /// that of its copy: it has values where the copy has memory.
 bool isWrapped(FunctionOpInterface prepared);
-/// Makes `derivative`, of a copy whose arguments are memory, that of a function
-/// of values: tensors and numbers.
+/// Wraps the derivative of a prepared copy, whose arguments are memory, in a
+/// function of the original's values: tensors and numbers.
 func::FuncOp wrapDerivative(func::FuncOp original, func::FuncOp derivative,
                             bool isForward);
 

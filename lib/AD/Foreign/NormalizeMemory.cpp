@@ -181,7 +181,8 @@ LogicalResult Elements::step(Value &array, SmallVector<Value> &indices) {
     for (auto [i, index] : llvm::enumerate(indices))
       moved[view.getPermutation().getDimPosition(i)] = index;
   } else {
-    // Its offset counts from where the memory begins, whatever the source is.
+    // The offset of a reinterpret_cast counts from the start of the allocation,
+    // not from the source.
     auto cast_ = cast<memref::ReinterpretCastOp>(op);
     while (isView(source.getDefiningOp()))
       source = source.getDefiningOp()->getOperand(0);
@@ -561,7 +562,7 @@ LogicalResult ChosenArrays::run() {
   for (auto &[array, grounds] : chosen)
     if (auto select = array.getDefiningOp<arith::SelectOp>()) {
       OpBuilder b(select);
-      // Its operands are known before: the walk is in program order.
+      // The walk is in program order, so the operands have their numbers.
       numbers[array] = arith::SelectOp::create(
           b, select.getLoc(), IndexType::get(b.getContext()),
           select.getCondition(), getNumber(select.getTrueValue()),

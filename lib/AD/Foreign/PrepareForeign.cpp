@@ -240,7 +240,8 @@ private:
   LogicalResult inlineCall(func::CallOp call) {
     auto callee = symbols.lookup<func::FuncOp>(call.getCallee());
     if (!callee || callee.isExternal()) {
-      // It prints, or does something else that no derivative depends on.
+      // A call without results that takes numbers prints, say: no derivative
+      // depends on it.
       bool takesNumbers = llvm::all_of(call.getOperandTypes(), [](Type type) {
         return isa<IntegerType, IndexType, FloatType, VectorType>(type);
       });

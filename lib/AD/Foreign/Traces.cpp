@@ -472,7 +472,7 @@ void Recorder::prune() {
       op->erase();
       changed = true;
     }
-    // Then the values that only they used.
+    // Erases the values that only the erased ops used.
     SmallVector<Operation *> ops;
     for (Operation &op : gradient.getFunctionBody().front()) {
       if (&op == end)

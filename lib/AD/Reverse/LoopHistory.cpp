@@ -131,7 +131,8 @@ Value LoopHistory::getCarried(Frame &frame, unsigned index) {
   }
   if (!getForward())
     return {};
-  // Only the end of a loop that was counted is an iteration of its own.
+  // After the last iteration, carried values are the results of the forward
+  // loop.
   if (frame.iteration == count)
     return forward.getResult(index);
   if (value.kind == CarriedKind::Invertible && !b.getPlan().recordsAll()) {

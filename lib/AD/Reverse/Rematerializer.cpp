@@ -81,8 +81,8 @@ Value Rematerializer::materialize(Frame &frame, Value value) {
       if (frame.recomputed.count(op)) {
         pending.pop_back();
       } else if (refused.contains(op)) {
-        // It may have been refused in another frame of the same block, and
-        // would be missing in this one for ever.
+        // An op that was refused in another frame of the same block has no
+        // values in this one yet.
         frame.values.map(op->getResults(), op->getResults());
         pending.pop_back();
       } else if (!needsOperands(frame, op, pending)) {
@@ -279,7 +279,8 @@ bool Rematerializer::checkRecomputable(Operation *op) {
              "a field in a kernel of its own";
       return false;
     }
-    // Else it is drawn in the order of the kernel, and recorded.
+    // A number that cannot be drawn again is drawn in the order of the kernel,
+    // and recorded.
     if (isInSerialLoop(op) || !recomputedDraws.insert(op).second) {
       demands.draws.insert(op);
     }

@@ -137,7 +137,8 @@ static LogicalResult applyGuardRule(arith::SelectOp guard, TangentBuilder &b) {
   }
   auto again = arith::SelectOp::create(
       b, condition, b.createZero(product.getType()), product);
-  // Its condition is none that this rule knows: a third derivative is refused.
+  // This rule does not know the condition of the new guard: a third derivative
+  // is refused.
   again->setAttr(kGuard, b.getUnitAttr());
   b.setTangent(guard, again);
   return success();

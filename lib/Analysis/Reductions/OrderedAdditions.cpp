@@ -191,8 +191,8 @@ bool Checker::visit(Operation *op) {
     return visitField(access);
   if (isa<memref::LoadOp, memref::StoreOp, memref::AtomicRMWOp>(op))
     return visitArray(op);
-  // These access memory of one iteration, or lists of active cells, which no
-  // op in the loop changes.
+  // These ops access memory of one iteration, or lists of active cells, which
+  // no op in the loop changes.
   if (isa<memref::AllocaOp, AllocaOp, LocalLoadOp, LocalStoreOp, LLVM::LoadOp>(
           op))
     return true;

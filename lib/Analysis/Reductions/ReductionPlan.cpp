@@ -39,8 +39,8 @@ constexpr int64_t kBlockOfTerms = 1024;
 constexpr int64_t kFewIterations = 64;
 constexpr size_t kMostUpdates = 4;
 
-/// From this many updates of an element on, a loop sums f32 in buffers of f64:
-/// one addition after another, their number is that of the roundings.
+/// If an element gets at least this many updates, a loop sums f32 in buffers of
+/// f64, since each addition rounds once.
 constexpr double kWideUpdates = 256;
 
 /// 16-bit floats keep their value when a two-thousandth of it is added.

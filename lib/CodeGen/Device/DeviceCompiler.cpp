@@ -212,7 +212,7 @@ static Error linkNeeded(llvm::Module &module, llvm::MemoryBufferRef bitcode) {
   return Error::success();
 }
 
-/// The functions that call or otherwise use one that is not there.
+/// The functions that use the missing function.
 static std::string getUsers(const llvm::Function &missing) {
   llvm::StringSet<> names;
   for (const llvm::User *user : missing.users())
@@ -479,7 +479,8 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
     kernel->setLinkage(llvm::GlobalValue::ExternalLinkage);
     code.mostThreads.push_back(takeMostThreads(*kernel));
     visible.push_back(isCuda() ? kernel : addSlotsFunction(*kernel));
-    // That of one iteration is made ready by the program that uses it.
+    // A function of one iteration is inlined and optimised in the program that
+    // calls it.
     if (llvm::Function *tile = module.getFunction(name + runtime::tileSuffix)) {
       tile->setLinkage(llvm::GlobalValue::ExternalLinkage);
       tile->addFnAttr(llvm::Attribute::OptimizeNone);

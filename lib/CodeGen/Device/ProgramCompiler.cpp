@@ -447,7 +447,8 @@ llvm::Value *ProgramBuilder::getOverlay() {
           "tai_dev_block_id",
           llvm::FunctionType::get(builder.getInt32Ty(), false)),
       {});
-  // More blocks than tiles may pass by.
+  // The emulated device has an overlay for each block, also for those that have
+  // no tile.
   return builder.CreateGEP(
       builder.getInt8Ty(), overlays,
       builder.CreateMul(builder.CreateZExt(block, builder.getInt64Ty()),

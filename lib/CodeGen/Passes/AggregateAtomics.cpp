@@ -223,8 +223,8 @@ bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
 }
 
 /// True for values that follow from loaded ones and from uniform ones: the data
-/// decides whether threads have the same value. Where the number of the thread
-/// takes part, most have elements of their own.
+/// decides whether threads have the same value. If the value depends on the
+/// thread's number, most threads have elements of their own.
 bool GroupFinder::isChosen(const Value *value, unsigned depth, bool &isLoaded) {
   if (uniformity.isUniform(value))
     return true;

@@ -484,7 +484,7 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
       if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function) ||
           !isTaiCode(function))
         return WalkResult::skip();
-      // Its accesses are those of plain memory from here on.
+      // Accesses of a host function are those of plain memory from here on.
       if (isa<func::FuncOp>(function))
         markLowered(function);
       // A host program has few accesses, and nobody else looks at its indices.

@@ -124,7 +124,8 @@ void KernelOffload::replaceTreeBases() {
   }
 }
 
-/// So do seed and number of the launch, for random numbers.
+/// Gives random draws the seed and the number of the launch as inputs, which
+/// device code gets as parameters.
 void KernelOffload::replaceDrawKeys() {
   RuntimeCalls &runtime = lowering.host.runtime;
   SmallVector<UnrealizedConversionCastOp> draws;

@@ -96,7 +96,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
                       arith::ConstantOp::create(
                           builder, loc, getLaneStart(sum.kind, sum.kept)),
                       sum.slot);
-    // It is a lane of a chunk of iterations. A chunk behind the last is empty.
+    // The thread is a lane of a chunk of iterations. A chunk behind the last is
+    // empty.
     IndexMath in(builder, loc);
     Value number = standIns.getInductionVar();
     Value length = emitChunkLength(builder, loc, count);
@@ -530,7 +531,8 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
 
   SmallVector<Value> operands(parameters.getOperands());
   bool usesState = !state.use_empty();
-  // That they may change, and the memory behind it, is not in the list.
+  // The list counts parameters from the state of the device on, if the function
+  // has it.
   auto getParameter = [&](Value outer) {
     auto number = parameters.find(outer);
     if (number)

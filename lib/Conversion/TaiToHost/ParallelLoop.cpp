@@ -155,7 +155,8 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
         scf::ForOp::create(builder, loc, from, to, math.constant(most));
     builder.setInsertionPointToStart(blocks.getBody());
     from = blocks.getInductionVar();
-    // So LLVM sees how long a block is at the most: it needs no safepoint.
+    // The minimum tells LLVM the greatest length of a block, which needs no
+    // safepoint then.
     to = math.add(from, math.min(math.constant(most), math.sub(to, from)));
   };
   if (box.rank() == 1) {

@@ -57,7 +57,7 @@ template <typename Op> struct ComputeInF64 : OpRewritePattern<Op> {
     return success();
   }
 };
-/// The wider float of the processor, or of its library.
+/// A float that is wider than f64: 80 bits on x86-64, else 128 by a library.
 FloatType getExtendedType(MLIRContext *context) {
 #if defined(__x86_64__)
   return Float80Type::get(context);

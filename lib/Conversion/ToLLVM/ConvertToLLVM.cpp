@@ -346,7 +346,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
     llvm::SetVector<Operation *> lowered = collectWithCallees(module);
-    // Their regions have one block, and a loop inside becomes several.
+    // An op of tai with regions must be gone: its regions have one block, and
+    // lowering a loop inside makes several.
     WalkResult result = module.walk([](Operation *op) {
       if (op->getNumRegions() == 0 ||
           !isa_and_present<TaiDialect>(op->getDialect()))

@@ -389,7 +389,8 @@ Value Shadows::makeWideChoice(Operation *op) {
   Value a = op->getOperand(0), other = op->getOperand(1);
   bool isMin = isa<LLVM::MinNumOp, LLVM::MinimumOp>(op);
   if (isMin || isa<LLVM::MaxNumOp, LLVM::MaximumOp>(op)) {
-    // That of the operand that is taken; of equal ones it does not matter.
+    // The shadow is that of the operand that is taken. If both are equal,
+    // either will do.
     Value takesA =
         LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::oeq, op->getResult(0), a);
     return LLVM::SelectOp::create(b, takesA, getShadow(a), getShadow(other));
@@ -654,7 +655,7 @@ void Shadows::run() {
     }
   }
   for (SmallVector<Operation *> &ops : operations) {
-    // Tests in one block do not hold in all others.
+    // A value that was tested in one block may be untested in another.
     tainted.clear();
     for (Operation *op : ops) {
       if (op->hasTrait<OpTrait::IsTerminator>())

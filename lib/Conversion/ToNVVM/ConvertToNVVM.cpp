@@ -134,7 +134,7 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
       return failure();
     // Annotations of loops are for the vectoriser, which a GPU has not, but for
     // those that keep a loop as it is.
-    // It comes from scf.for as an attribute that is not the op's own.
+    // scf.for hands its annotation to the branch as a discardable attribute.
     kernels.walk([](LLVM::BrOp branch) {
       auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
           branch->removeDiscardableAttr("llvm.loop_annotation"));

@@ -193,7 +193,7 @@ void Launch::noteSink(void *memory, size_t size) {
   try {
     sinks.emplace_back(memory, size);
   } catch (...) {
-    // It is not given back, but the launch can end.
+    // This memory is not given back, but the launch can end.
   }
 }
 

@@ -235,7 +235,7 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
       kernel.hasNoActiveCells() &&
       !(launch.given && launch.given->hasCells())) {
     parts.counters.add(SkipCount::EmptyLaunches);
-    // Its adjoint may not be so simple.
+    // The adjoint may still visit cells: it gets empty lists.
     static const ActiveListPtr none = std::make_shared<const ActiveList>();
     if (!launch.given)
       for (const SparseNode *level : kernel.loopLevels)

@@ -184,7 +184,8 @@ template <int lanes> struct WideLanes {
   TAI_WIDE_INLINE F32 exp(F32 x) { return power(x, 0x1.71547652b82fep0, expf); }
   TAI_WIDE_INLINE F32 exp2(F32 x) { return power(x, 1., exp2f); }
 
-  /// t / (t + 2) with t = e^2x - 1, of which nothing cancels.
+  /// tanh x = t / (t + 2) with t = e^2x - 1, which is computed without
+  /// cancellation.
   TAI_WIDE_INLINE F32 tanh(F32 x) {
     F64 inF64 = extend(x);
     // From 9.1 on the result is 1.

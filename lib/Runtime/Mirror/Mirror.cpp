@@ -80,9 +80,9 @@ Status Mirror::download() {
   return status ? context().report() : std::move(status);
 }
 
-/// So many accesses to single elements cost about as much as one of the whole
-/// tree, which comes after them: the cost of the former is then at most
-/// doubled.
+/// The number of accesses to single elements that cost about as much as a copy
+/// of the whole tree. The copy follows after that many, so that the cost of the
+/// accesses is at most doubled.
 static int64_t accessesWorth(int64_t bytes) { return bytes >> 17; }
 
 Status Mirror::read(int64_t offset, void *to, int64_t bytes) {

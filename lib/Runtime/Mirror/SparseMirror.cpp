@@ -293,7 +293,7 @@ void SparseMirror::touchCell(const SparseNode &node, int64_t cell) {
 
 Status SparseMirror::forEachRun(
     const std::function<Status(int64_t offset, int64_t bytes)> &body) {
-  // So few bytes more are less than one more copy.
+  // Copying a gap of this size costs less than one more copy.
   constexpr int64_t smallGap = 16 << 10;
   Status status;
   for (auto part = touched.begin(); part != touched.end() && status;) {

@@ -270,7 +270,7 @@ void DeviceQueue::Program::use(Way *way) {
   if (way == used)
     return;
   used = way;
-  // Their graphs contain the way that was used before.
+  // Graphs of prefixes contain the way that was used before.
   prefixed.noteChange();
 }
 

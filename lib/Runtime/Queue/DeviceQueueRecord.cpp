@@ -60,7 +60,7 @@ Status DeviceQueue::endCollecting() {
     return Status::success();
   Status status = checkHandler();
   if (!status) {
-    // Its work is the handler's alone.
+    // The handler is not to run the work that it has interrupted.
     *collected = Sequence();
     return status;
   }
@@ -130,7 +130,8 @@ Status DeviceQueue::endRecording(bool isSwept) {
 Status DeviceQueue::launchRecorded(Function &function, const LaunchShape &shape,
                                    const uint64_t *slots, int count) {
   Status status;
-  // Its sweep does not come, or raw memory is in use.
+  // A launch where the reverse sweep was to follow, or while raw memory is
+  // shared, is not collected.
   if (recording == Recording::AwaitsSweep ||
       numShared.load(std::memory_order_relaxed) > 0) {
     status = flush();

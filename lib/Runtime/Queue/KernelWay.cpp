@@ -91,7 +91,7 @@ Status DeviceQueue::KernelWay::adopt(const DeviceImage &image) {
   return status;
 }
 
-/// Its header stands in front of the table of a program.
+/// Size of the header in front of a program's table.
 static constexpr int64_t headerBytes = TAI_PROGRAM_HEADER;
 
 /// Makes the table hold the present slots.

@@ -160,7 +160,7 @@ void RecordedLaunches::judge(const Outcome &outcome) {
   constexpr int patience = 3;
   entry.unprepared = outcome.isPrepared ? 0 : entry.unprepared + 1;
   if (entry.unprepared >= patience) {
-    // Its copies and fills are others each time, say.
+    // Copies and fills of the recording differ each time, say.
     entry.unprepared = 0;
     entry.lost = 1;
     lose(entry);

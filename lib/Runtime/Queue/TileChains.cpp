@@ -24,7 +24,7 @@ namespace {
 struct Place {
   const TileSite *site;
   uint64_t address, begin, end;
-  /// Its elements are so many bytes apart, in any direction.
+  /// Bytes between neighbouring elements, in any direction.
   int64_t step;
 };
 

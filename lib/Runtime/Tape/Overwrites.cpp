@@ -93,7 +93,7 @@ struct Repeated {
     /// The access stores nothing.
     None,
     StoresElements,
-    /// It stores all elements at its fixed index, in all launches.
+    /// Each launch stores all elements at the access's fixed index.
     StoresSlab
   };
   struct Use {
@@ -107,7 +107,7 @@ struct Repeated {
   };
   /// The accesses whose places depend on arguments.
   std::vector<Use> uses;
-  /// It stores elements that its first launch has stored.
+  /// Later launches of the kernel store elements that the first has stored.
   bool storesAgain = false;
 };
 } // namespace

@@ -43,7 +43,8 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
                            "nest");
   DeviceContext *device = runtime.getDeviceContext();
   TapeServices services(runtime);
-  // A device recognises recordings that come again by their queued work.
+  // A device recognises a repeated recording by the launches that it queues, so
+  // those of two threads must not mix.
   if (device && services.anyRecording())
     return Status::failure(StatusCode::Usage,
                            "another thread records a tape, and a GPU has room "
@@ -187,7 +188,7 @@ Status Tape::findUses(Kernel &kernel, const void *&uses) {
   uses = parts->memory.findUses(kernel);
   if (uses && !isAlone)
     return status;
-  // It may take long: another thread may have begun to record by its end.
+  // Adopting may take long: another thread may have begun to record meanwhile.
   status = adopt(kernel);
   uses = parts->memory.findUses(kernel);
   return status;
@@ -206,7 +207,7 @@ inline Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
                  ? tape.checks->run(launch, kernel, args, results, number)
                  : tape.services.run(launch, kernel, args, results, number);
   if (__builtin_expect(!status.ok(), false)) {
-    // Its changes of memory are undone with the record that comes next.
+    // The next record undoes the changes of memory of a failed launch.
     tape.memory.settle();
     return status;
   }

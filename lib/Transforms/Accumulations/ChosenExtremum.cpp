@@ -239,7 +239,7 @@ bool ChosenExtremum::collectValue(Value value, Operation *user) {
            collectValue(select.getTrueValue(), user) &&
            collectValue(select.getFalseValue(), user);
   if (auto branch = dyn_cast<scf::IfOp>(op)) {
-    // It moves to the store.
+    // The branch moves to the store, which must be in its block.
     if (branch->getNumResults() != 1 || branch->getBlock() != user->getBlock())
       return false;
     for (Operation *between = branch; between != user;
@@ -456,7 +456,7 @@ void ChosenExtremum::sink(OpBuilder &b, Value value,
   auto known = extrema.find(value);
   if (known != extrema.end() || !old.reaches(value)) {
     Value result = known == extrema.end() ? value : known->second.given;
-    // They are equal.
+    // `given` has the same value as `result`, and is at hand.
     if (isGivenKnown && given.getType() == result.getType())
       result = given;
     return emit(b, result);

@@ -173,7 +173,8 @@ Value IterationShadow::isFree(Value array,
                               DifferentiableAccessInterface access) {
   Value own = getIteration(), isFree;
   for (Value number : getNumbers(access)) {
-    // It must not be read before the own number has been left elsewhere.
+    // An atomic read stays behind the store of the iteration's own number,
+    // which other iterations look for.
     Value found = memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::maximumf,
                                               real(-1), array, number);
     Value isMine = isNoneOr(found, own);

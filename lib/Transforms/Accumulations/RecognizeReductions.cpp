@@ -186,10 +186,10 @@ void LoopUpdates::check(DifferentiableAccessInterface store) {
                   "and the result would depend on which of them comes first");
 }
 
-/// Finds the reads of what other iterations write. The atomics that updates
-/// become commute, but for sums with elements of the iteration's own: these are
-/// stores in another form. `known` are stores that are no updates, and are
-/// dealt with.
+/// Finds reads of elements that other iterations write. An atomic on a shared
+/// element commutes with the others and is no such write; one on an element of
+/// the iteration itself is a store in another form. `known` are stores that are
+/// no updates: reads of the element that they store are not reported again.
 OtherIterations
 LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
   SmallVector<DifferentiableAccessInterface> writes, reads;
@@ -274,7 +274,7 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
   }
   if (isCertain)
     loop.setSerialize(true);
-  // One thread has the iterations in order.
+  // One thread runs the iterations in order, so that these reads are defined.
   if (atLaunch && !oneThread)
     otherIterations.refuseLaunches();
   if (atRun && !oneThread) {

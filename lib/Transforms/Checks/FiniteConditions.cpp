@@ -326,7 +326,8 @@ bool FiniteConditions::requireFinite(Value value, Operation *at) {
   return true;
 }
 
-/// That no component overflows: it is not enough that the divisor is not zero.
+/// Requires that no component of a quotient overflows. A divisor that is not
+/// zero is not enough.
 bool FiniteConditions::requireQuotient(Value lhs, Value rhs, Operation *at) {
   while (auto broadcast = rhs.getDefiningOp<vector::BroadcastOp>())
     rhs = broadcast.getSource();

@@ -317,7 +317,7 @@ static LaunchOp fuse(Candidate &first, Candidate &second,
     other.map(from, to);
   for (Operation &op : second.box.loop.getBody().front().without_terminator())
     builder.clone(op, other);
-  // That an iteration is alone with its elements is to be found out again.
+  // In the fused loop, elements may no longer belong to one iteration.
   loop.walk([](AtomicOp atomic) { atomic.setExclusive(false); });
   reuseStoredValues(iteration);
 

@@ -449,7 +449,8 @@ static bool visit(Block &body, Candidate &candidate,
     // A loop that carries nothing is better off with vectors of its own.
     if ((!bits && !holdsLoops) || isUnrolledByLLVM(loop))
       return false;
-    // So is one whose sums may be added up in any order.
+    // Vectors are also better for a loop whose sums may be added up in any
+    // order.
     if (reassociate && !holdsLoops && !readsColumns(loop))
       return false;
     candidate.sumBits = std::max(candidate.sumBits, bits);

@@ -110,7 +110,7 @@ static void split(LoopBox &box, const Interior &interior) {
   branch->setAttr("tai.interior", builder.getDenseI64ArrayAttr(
                                       {interior.lower, interior.upper}));
 
-  // The body as it was becomes the border's.
+  // The border gets the body as it was.
   Block &border = branch.getElseRegion().front();
   border.getOperations().splice(border.begin(), body.getOperations(),
                                 std::next(branch->getIterator()),

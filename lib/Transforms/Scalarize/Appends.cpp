@@ -50,7 +50,8 @@ static LogicalResult expandAppend(AppendOp append, FieldTable &fields) {
   auto store = StoreOp::create(inside, loc, append.getValue(),
                                append.getFieldAttr(), indices);
   store->setAttr(kActiveAttrName, inside.getUnitAttr());
-  // A launch that has failed goes on for a while, with some index in range.
+  // After a failed append, the launch goes on until its next test for failures:
+  // the position must be in range until then.
   append.getAt().replaceAllUsesWith(math.max(at, zero));
   append.erase();
   return success();

@@ -111,7 +111,8 @@ static bool mayBeInMemory(Value value) {
   if (!type || type.isScalable() ||
       !type.getElementType().isIntOrIndexOrFloat())
     return false;
-  // Iterations of a parallel loop would write the same buffer.
+  // With users in two scopes, iterations of a parallel loop would write the
+  // same buffer.
   Operation *scope = getScope(value);
   return llvm::all_of(value.getUsers(),
                       [&](Operation *user) { return getScope(user) == scope; });
@@ -131,7 +132,7 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   Operation *user = use.getOwner();
   Value vector = use.get();
   Region *region = vector.getParentRegion();
-  // In the next iteration of a loop around both.
+  // The use may follow in the next iteration of a loop around both.
   for (Operation *op = writer->getParentOp(); op; op = op->getParentOp()) {
     if (op->isAncestor(region->getParentOp()))
       break;
@@ -140,7 +141,7 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   }
   if (user == writer)
     return false;
-  // In the regions of an op that is around both.
+  // The use may follow in another region of an op around both.
   Operation *common = writer->getParentOp();
   while (!common->isAncestor(user))
     common = common->getParentOp();

@@ -43,7 +43,8 @@ static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
     if (lower == layout.offset[d] &&
         upper == layout.offset[d] + layout.shape[d])
       continue;
-    // Both ends in one comparison: smaller numbers wrap around.
+    // One unsigned comparison checks both ends: an index below `lower` wraps to
+    // a large number.
     Value holds = arith::CmpIOp::create(
         builder, loc, arith::CmpIPredicate::ule, math.sub(index, lower),
         math.constant(upper - block.extents[d] - lower));

@@ -142,7 +142,7 @@ PairLanes::PairLanes(OpBuilder &builder, Location loc, size_t updates,
   auto function =
       cast<LLVM::LLVMFuncOp>(builder.getInsertionBlock()->getParentOp());
   OpBuilder entry = OpBuilder::atBlockBegin(&function.getBody().front());
-  // The last terms are followed by zeros, up to whole vectors.
+  // Zeros follow the last terms, up to whole vectors.
   for (size_t i = 0; i < updates; ++i)
     terms.push_back(emitRoom(entry, loc, type, block / kLanes + kVectors));
   Value zero =

@@ -52,7 +52,7 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
         return part.track == track.get() && !part.range.isAll();
       }))
     return *track;
-  // So far it has only been used as a whole, or in larger slabs.
+  // Until now, the field was only used as a whole, or in larger slabs.
   track->stored.lose({}, lostStored);
   Track finer(track->field, std::move(wanted));
   finer.readAnywhere = track->readAnywhere;
