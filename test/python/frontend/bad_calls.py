@@ -718,19 +718,24 @@ def python_branch_on_a_value():
     "name the class: Base.f(self, x)",
 )
 def a_function_of_the_class_above():
+    @ti.dataclass
     class Base:
-        @ti.func
-        def twice(self, a):
-            return a * 2
+        mass: ti.f32
 
-    @ti.data_oriented
+        @ti.func
+        def twice(self):
+            return self.mass * 2
+
+    @ti.dataclass
     class Above(Base):
+        size: ti.f32
+
         @ti.func
-        def twice(self, a):
-            return super().twice(a)  # BAD
+        def twice(self):
+            return super().twice()  # BAD
 
-        @ti.kernel
-        def kernel(self, a: ti.f32) -> ti.f32:
-            return self.twice(a)
+    @ti.kernel
+    def kernel() -> ti.f32:
+        return Above(1.0, 2.0).twice()
 
-    Above().kernel(1.0)
+    kernel()

@@ -427,3 +427,57 @@ def test_gradients_of_a_while_whose_condition_changes_variables(leaves):
             found.append(loss[None])
         x[i] = at
         assert (found[0] - found[1]) / 2e-6 == pytest.approx(gradient[i], rel=1e-6)
+
+
+@ti.data_oriented
+class Spring:
+    factor = 2.0
+
+    @ti.func
+    def force(self, x):
+        return self.factor * x * x
+
+    @property
+    def twice(self):
+        return 2 * self.factor
+
+    @ti.kernel
+    def total(self, x: ti.template(), loss: ti.template()):
+        for i in x:
+            loss[0] += self.force(x[i])
+
+
+class Damper:
+    @ti.func
+    def force(self, x):
+        return super().force(x) + 100.0
+
+
+class Stiff(Spring):
+    @ti.func
+    def force(self, x):
+        base = super().force(x)
+        return 3.0 * base + super().force(x)
+
+    @ti.kernel
+    def of_the_class_above(self, x: ti.f64) -> ti.f64:
+        return super().force(x) + super().twice
+
+
+class Both(Damper, Stiff):
+    pass
+
+
+@pytest.mark.parametrize("n", [1, 65_537])
+def test_methods_of_the_class_above(n):
+    x = ti.field(ti.f64, shape=n, needs_grad=True)
+    loss = ti.field(ti.f64, shape=1, needs_grad=True)
+    x.fill(3.0)
+    for made, value, slope in ((Spring(), 18, 12), (Stiff(), 72, 48), (Both(), 172, 48)):
+        with ti.ad.Tape(loss):
+            made.total(x, loss)
+        assert loss[0] == value * n and (x.grad.to_numpy() == slope).all()
+    stiff = Stiff()
+    assert stiff.of_the_class_above(3.0) == 22
+    stiff.factor = 5.0  # an attribute of the object itself
+    assert stiff.of_the_class_above(3.0) == 45 + stiff.twice == 55

@@ -187,6 +187,8 @@ class Calls(Part):
             )
         if isinstance(function, Value) or not callable(function):
             raise TaiTypeError(f"'{ast.unparse(node.func)}' is not a function")
+        if function is builtins.super and not args and not kwargs:
+            return self._super()
         dynamic = any(holds_value(a) for a in (*args, *kwargs.values()))
         if dynamic and isinstance(getattr(function, "__self__", None), str):
             return self._text_method(function, args, kwargs)
@@ -230,6 +232,16 @@ class Calls(Part):
         if function is Struct:
             return as_struct_value(self.emitter, made)
         return self.checks.remember(made) if isinstance(function, type) else made
+
+    def _super(self) -> Any:
+        """`super()` in a method of a Python class, which has the class in its closure."""
+        first = [*self.frame.node.args.posonlyargs, *self.frame.node.args.args][:1]
+        found = self.frame.find(first[0].arg) if first else None
+        receiver = found.thing if isinstance(found, Bound) else None
+        cls = self.frame.closure.get("__class__")
+        if not isinstance(cls, type) or not isinstance(receiver, cls):
+            raise RuntimeError("super(): the class is not known")  # put into our words elsewhere
+        return builtins.super(cls, receiver)
 
     def _call_python(
         self, function: Any, args: list, kwargs: dict, node: ast.Call, dynamic: bool
