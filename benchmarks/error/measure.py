@@ -2,7 +2,7 @@
 
 Answers requests, lines of JSON on standard input, by lines of JSON on standard output:
 
-- at the start, when the program has run once: version and clock
+- at the start, when the program has run twice: version, clock, and seconds of a run
 - `errors`: against the reference at its inputs, an ulp apart; how many results there are
 - `warm`: runs until times are steady
 - `time`: the median time of runs during a slice of time
@@ -139,6 +139,9 @@ class Measurement:
         if self.program is None:
             raise ImportError("no program for this scene")
         self.program.run()
+        begin = time.monotonic()
+        self.program.run()
+        self.seconds = time.monotonic() - begin
 
     def errors(self, reference: str, seconds: float, distinct: int) -> dict:
         """Medians and ranges of errors over inputs, as many as there is time for."""
@@ -268,7 +271,8 @@ def main() -> int:
         start(given.system, mode, given.arch, given.threads, given.cache)
         measurement = Measurement(given, mode)
         clock = "processor" if is_one else "wall"
-        say({"status": "ok", "version": version_of(given.system), "clock": clock})
+        about = {"version": version_of(given.system), "clock": clock}
+        say({"status": "ok", "seconds": measurement.seconds} | about)
         for line in sys.stdin:
             request = json.loads(line)
             say(getattr(measurement, request.pop("do"))(**request))

@@ -54,6 +54,8 @@ ORDER = [
 # Scenes whose references take a minute for each input have fewer, one for each process.
 SLOW, SLOW_INPUTS = {"diffmpm3d", "liquid"}, 4
 LEAST_ROUNDS = 3
+# Runs that each row takes at least, and how many times its share of the time they may last.
+LEAST_RUNS, MOST_SHARES = 15, 2.5
 # Steps of descent after which a loss is compared.
 STEPS = {"tiny": 2, "quick": 5, "full": 10}
 
@@ -202,6 +204,7 @@ class Group:
                     "status": "failed", "reason": "there is no reference, or not in time"
                 }  # fmt: skip
         else:
+            self._drop_slow(share)
             known = {"condition": reference.condition(),
                      "reference_error": reference.about()["error"]}  # fmt: skip
             self._all(lambda name: self._errors(name, reference, 0.25 * share))
@@ -211,6 +214,16 @@ class Group:
             self._rounds(deadline)
         for name in self.names():
             self._end(name)
+
+    def _drop_slow(self, share: float) -> None:
+        """With a bound of the time, one program may not take that of the other scenes."""
+        for name, worker in self.workers.items():
+            seconds = self.rows[name].get("seconds", 0.0)
+            if LEAST_RUNS * seconds > MOST_SHARES * share and not worker.failure:
+                worker.failure = {
+                    "status": "missing",
+                    "reason": f"a run takes {seconds:.1f} s, for which there was no time",
+                }
 
     def _errors(self, name: tuple[str, str], reference: references.Reference, share: float) -> None:
         worker = self.workers[name]
