@@ -211,9 +211,12 @@ static SmallVector<OpenStorage> findOpen(ParallelForOp loop,
         bool isRead = write.getAccessKind() == AccessKind::Read;
         bool areSums = other.getAccessKind() != AccessKind::Read &&
                        write.getAccessKind() != AccessKind::Write;
+        // Most pairs of a scatter are sums: comparing their indices is dear.
+        if (isRead || areSums)
+          return false;
         bool isOwn = write.getAccessKind() == AccessKind::Write ||
                      !mayMeet(loop, write, write);
-        return !isRead && !areSums && isOwn && mayMeet(loop, write, other);
+        return isOwn && mayMeet(loop, write, other);
       });
       if (isSum) {
         storage.sums.push_back(other);
