@@ -10,22 +10,61 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "ExplainPasses.h"
 #include "common/OutputFile.h"
 #include "common/Upstream.h"
 #include "mlir/IR/DialectRegistry.h"
+#include "mlir/Pass/PassManager.h"
+#include "mlir/Support/FileUtilities.h"
 #include "mlir/Tools/mlir-opt/MlirOptMain.h"
 #include "tai/Dialect/Tai/IR/TextLimits.h"
 #include "tai/InitAll.h"
+#include "llvm/Support/CommandLine.h"
+#include "llvm/Support/MemoryBuffer.h"
+#include "llvm/Support/ToolOutputFile.h"
+
+using namespace mlir;
+
+/// As MlirOptMain, with a report of each pass.
+static LogicalResult runExplained(StringRef input, StringRef output,
+                                  DialectRegistry &registry) {
+  MlirOptMainConfig given = MlirOptMainConfig::createFromCLOptions();
+  MlirOptMainConfig config = given;
+  config.setPassPipelineSetupFn([given](PassManager &manager) {
+    tai::explainPasses(manager);
+    return given.setupPassPipeline(manager);
+  });
+  std::string reason;
+  std::unique_ptr<llvm::MemoryBuffer> buffer = openInputFile(input, &reason);
+  std::unique_ptr<llvm::ToolOutputFile> file =
+      buffer ? openOutputFile(output, &reason) : nullptr;
+  if (!file) {
+    llvm::errs() << reason << '\n';
+    return failure();
+  }
+  if (failed(MlirOptMain(file->os(), std::move(buffer), registry, config)))
+    return failure();
+  file->keep();
+  return success();
+}
 
 int main(int argc, char **argv) {
-  if (!mlir::tai::checkToolInput(argc, argv))
+  if (!tai::checkToolInput(argc, argv))
     return 1;
-  mlir::DialectRegistry registry;
-  mlir::tai::registerUpstreamDialects(registry);
-  mlir::tai::registerAll(registry);
-  mlir::tai::registerUpstreamPasses();
-  mlir::tai::registerAllPasses();
-  return mlir::tai::runWithOutput(argc, argv, [&](int argc, char **argv) {
-    return mlir::MlirOptMain(argc, argv, "tai optimizer driver\n", registry);
+  DialectRegistry registry;
+  tai::registerUpstreamDialects(registry);
+  tai::registerAll(registry);
+  tai::registerUpstreamPasses();
+  tai::registerAllPasses();
+  llvm::cl::opt<bool> explain(
+      "tai-explain",
+      llvm::cl::desc("Report for each kernel and function which passes changed "
+                     "it and how, with their remarks, on standard error"));
+  return tai::runWithOutput(argc, argv, [&](int argc, char **argv) {
+    auto [input, output] = registerAndParseCLIOptions(
+        argc, argv, "tai optimizer driver\n", registry);
+    if (explain)
+      return runExplained(input, output, registry);
+    return MlirOptMain(argc, argv, input, output, registry);
   });
 }
