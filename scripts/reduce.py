@@ -72,7 +72,7 @@ def main() -> int:
             [
                 f"--reduction-tree=traversal-mode=0 test={test}",
                 f"--opt-reduction-pass=opt-pass=canonicalize test={test}",
-                f"--reduction-tree=traversal-mode=0 test={test}",
+                f"--tai-reduction=test={test}",
             ]
         ):
             made = Path(folder) / f"{number}.mlir"

@@ -5,6 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "ProgramReduction.h"
 #include "common/OutputFile.h"
 #include "common/Upstream.h"
 #include "mlir/IR/MLIRContext.h"
@@ -17,6 +18,7 @@ int main(int argc, char **argv) {
     return 1;
   mlir::tai::registerUpstreamPasses();
   mlir::tai::registerAllPasses();
+  mlir::tai::registerProgramReduction();
   mlir::DialectRegistry registry;
   mlir::tai::registerUpstreamDialects(registry);
   mlir::tai::registerAll(registry);
