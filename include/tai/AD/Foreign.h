@@ -25,6 +25,12 @@ FunctionOpInterface getOriginal(FunctionOpInterface function);
 /// Removes the prepared copies.
 void erasePrepared(ModuleOp module);
 
+/// The attribute of a function whose derivative is two functions: a unit, or
+/// their names once they are made.
+constexpr llvm::StringLiteral kSplit = "tai.split";
+/// True if the two functions have been made.
+bool isSplit(FunctionOpInterface function);
+
 /// True if the derivative of the original has other arguments and results than
 /// that of its copy: it has values where the copy has memory.
 bool isWrapped(FunctionOpInterface prepared);

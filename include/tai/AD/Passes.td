@@ -89,6 +89,21 @@ def MakeAdjoint : Pass<"tai-make-adjoint", "::mlir::ModuleOp"> {
                             %a_adjoint: memref<f32>, %adjoint: memref<f32>)
     ```
 
+    A function with the unit attribute `tai.split` gets two functions instead,
+    for hosts that keep their own tape: `@f_augmented` does all that `@f` does
+    and returns its results and the tape, which is one array for each value that
+    the derivative needs and that memory does not keep; `@f_reverse` takes the
+    arguments of `@f_grad` and then the tape, which it frees. In between, arrays
+    that `@f` writes may change, and others may not. The attribute then names
+    both functions.
+
+    ```mlir
+    func.func @f(%x: memref<?xf64>)
+        attributes {tai.differentiate, tai.split} {
+      return
+    }
+    ```
+
     Host programs have no arrays to pass: they cannot launch such a kernel under
     a tape.
 

@@ -73,6 +73,10 @@ void mlir::tai::erasePrepared(ModuleOp module) {
       function.erase();
 }
 
+bool mlir::tai::isSplit(FunctionOpInterface function) {
+  return isa_and_present<ArrayAttr>(function->getAttr(kSplit));
+}
+
 bool mlir::tai::isWrapped(FunctionOpInterface prepared) {
   return getOriginal(prepared).getArgumentTypes() !=
          prepared.getArgumentTypes();
@@ -660,7 +664,7 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
       if (function.isExternal() ||
           !(kernels.empty() ? function->hasAttr("tai.differentiate")
                             : isNamed) ||
-          (function->hasAttr("tai.adjoint") &&
+          ((function->hasAttr("tai.adjoint") || isSplit(function)) &&
            function->hasAttr("tai.tangent")) ||
           function->hasAttr(kPreparedFor) || !needsPreparation(function))
         continue;
@@ -678,7 +682,7 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
   LogicalResult prepare(func::FuncOp function) {
     func::FuncOp copy = function.clone();
     copy.setName((function.getName() + "_prepared").str());
-    for (StringRef name : {"tai.adjoint", "tai.tangent",
+    for (StringRef name : {"tai.adjoint", "tai.tangent", "tai.split",
                            "llvm.emit_c_interface", "sym_visibility"})
       copy->removeAttr(name);
     copy->setAttr("tai.differentiate", UnitAttr::get(&getContext()));

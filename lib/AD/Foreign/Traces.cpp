@@ -43,8 +43,9 @@ struct Recorded {
 
 class Recorder {
 public:
-  Recorder(FunctionOpInterface primal, FunctionOpInterface gradient)
-      : primal(primal), gradient(gradient),
+  Recorder(FunctionOpInterface primal, FunctionOpInterface gradient,
+           TraceMode mode)
+      : primal(primal), gradient(gradient), mode(mode),
         b(primal.getLoc(), primal.getContext()) {}
 
   Traces run(ArrayRef<Operation *> reads);
@@ -69,6 +70,7 @@ private:
   Value ensureRoom(Value cell, Value number);
 
   FunctionOpInterface primal, gradient;
+  TraceMode mode;
   ImplicitLocOpBuilder b;
   llvm::MapVector<Block *, Slot> slots;
   SmallVector<Recorded> all;
@@ -324,7 +326,7 @@ void Recorder::rerun() {
                                cast<memref::StoreOp>(op).getMemref() == from);
                      });
     Value array = to;
-    if (isWritten) {
+    if (isWritten && mode == TraceMode::Rerun) {
       SmallVector<Value> sizes;
       for (int64_t i = 0; i != type.getRank(); ++i)
         if (type.isDynamicDim(i))
@@ -343,6 +345,10 @@ void Recorder::rerun() {
     b.clone(op, again);
   for (auto &[position, array] : copies)
     memref::DeallocOp::create(b, array);
+  if (mode == TraceMode::Augmented) {
+    b.setInsertionPointAfter(end);
+    b.clone(*body.getTerminator(), again);
+  }
 }
 
 /// The array of a trace, with room for the element `number`.
@@ -524,6 +530,11 @@ Traces Recorder::run(ArrayRef<Operation *> reads) {
       if (Operation *copy =
               again.lookup(what.fromTrace.getResult()).getDefiningOp())
         copy->erase();
+  if (mode == TraceMode::Augmented) {
+    Operation *exit = gradient.getFunctionBody().front().getTerminator();
+    for (auto &[from, array] : traces.arrays)
+      exit->insertOperands(exit->getNumOperands(), array);
+  }
   for (auto &[from, array] : traces.arrays)
     toFree.push_back(array);
   prune();
@@ -537,6 +548,6 @@ Traces Recorder::run(ArrayRef<Operation *> reads) {
 
 Traces mlir::tai::recordReads(FunctionOpInterface primal,
                               FunctionOpInterface gradient,
-                              ArrayRef<Operation *> reads) {
-  return Recorder(primal, gradient).run(reads);
+                              ArrayRef<Operation *> reads, TraceMode mode) {
+  return Recorder(primal, gradient, mode).run(reads);
 }

@@ -36,12 +36,23 @@ struct Traces {
   SmallVector<int64_t> before;
 };
 
-/// Runs `primal` again at the beginning of `gradient`, which is empty and whose
+/// Where the traces are made.
+enum class TraceMode {
+  /// The gradient runs the function again at its beginning, on copies of the
+  /// arrays that it writes.
+  Rerun,
+  /// A function of its own does all that the function does, and returns its
+  /// results and then the traces.
+  Augmented
+};
+
+/// Runs `primal` again at the beginning of `target`, which is empty and whose
 /// arguments begin with those of `primal`, and records the results of `reads`.
 /// Extends `primal` by arguments and ops that read the traces. Memory of the
-/// caller is not changed.
-Traces recordReads(FunctionOpInterface primal, FunctionOpInterface gradient,
-                   ArrayRef<Operation *> reads);
+/// caller is not changed, unless `target` is the augmented function.
+Traces recordReads(FunctionOpInterface primal, FunctionOpInterface target,
+                   ArrayRef<Operation *> reads,
+                   TraceMode mode = TraceMode::Rerun);
 
 } // namespace mlir::tai
 

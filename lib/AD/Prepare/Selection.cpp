@@ -19,7 +19,8 @@ using namespace mlir::tai;
 static constexpr StringLiteral kDifferentiate = "tai.differentiate";
 
 static bool hasAdjointAlready(FunctionOpInterface function) {
-  return function->hasAttr("adjoint") || function->hasAttr("tai.adjoint");
+  return function->hasAttr("adjoint") || function->hasAttr("tai.adjoint") ||
+         isSplit(function);
 }
 
 /// Refuses a launch under a tape that would have to say where adjoints are.

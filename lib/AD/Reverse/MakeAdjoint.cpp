@@ -272,18 +272,37 @@ static LogicalResult checkRunsAgain(FunctionOpInterface function) {
   return failure(result.wasInterrupted());
 }
 
+/// Empties a function to be made, and takes away its arguments from `count` on.
+static void clearFunction(FunctionOpInterface shell, unsigned count) {
+  clearBody(shell);
+  Block &body = shell.getFunctionBody().front();
+  body.eraseArguments(count, body.getNumArguments() - count);
+}
+
+/// Hands records to the adjoint as arguments, which stand for the results of
+/// the augmented function.
+static void passRecords(Traces &traces, FunctionOpInterface shell) {
+  Block &body = shell.getFunctionBody().front();
+  for (auto &[argument, record] : traces.arrays)
+    record = body.addArgument(record.getType(), record.getLoc());
+}
+
 /// As `fillWith`, for a function of arrays: values that it overwrites or
-/// forgets are recorded by running it once more.
-static LogicalResult fillFunction(FunctionOpInterface function,
-                                  FunctionOpInterface shell,
-                                  const AdjointSignature &signature,
-                                  const AdjointOptions &options,
-                                  bool recordsAll) {
+/// forgets are recorded by running it once more, or by its augmented form.
+static LogicalResult
+fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
+             const AdjointSignature &signature, const AdjointOptions &options,
+             bool recordsAll, FunctionOpInterface augmented) {
   // Reads are known by their numbers in the order of the program: each attempt
   // has its own copy.
   llvm::SetVector<unsigned> numbers;
+  unsigned numArguments = shell.getNumArguments();
   while (true) {
     FunctionOpInterface copy = function;
+    if (augmented) {
+      clearFunction(augmented, function.getNumArguments());
+      clearFunction(shell, numArguments);
+    }
     OwningOpRef<func::FuncOp> owner;
     if (!numbers.empty()) {
       OpBuilder builder(function->getContext());
@@ -304,7 +323,12 @@ static LogicalResult fillFunction(FunctionOpInterface function,
     local.toRecord = &missing;
     local.recordsAll = recordsAll || !numbers.empty();
     SmallVector<int64_t> before;
-    if (!reads.empty()) {
+    if (augmented) {
+      Traces traces = recordReads(copy, augmented, reads, TraceMode::Augmented);
+      passRecords(traces, shell);
+      local.recorded = std::move(traces.recorded);
+      local.records = std::move(traces.arrays);
+    } else if (!reads.empty()) {
       if (failed(checkRunsAgain(copy)))
         return failure();
       Traces traces = recordReads(copy, shell, reads);
@@ -349,25 +373,37 @@ static LogicalResult fillFunction(FunctionOpInterface function,
   }
 }
 
-LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
-                                     FunctionOpInterface shell,
-                                     const AdjointSignature &signature,
-                                     AdjointOptions options, bool *needsParts) {
-  auto fill = [&] {
+/// As `fillAdjoint`. An empty function `augmented` with the arguments of the
+/// primal becomes the primal with further results: records of values that the
+/// adjoint needs. The adjoint gets these as further arguments.
+static LogicalResult fill(FunctionOpInterface function,
+                          FunctionOpInterface shell,
+                          const AdjointSignature &signature,
+                          AdjointOptions options, bool *needsParts,
+                          FunctionOpInterface augmented) {
+  auto fillOnce = [&] {
     if (isa<func::FuncOp>(function.getOperation()))
       return fillFunction(function, shell, signature, options,
-                          isWrapped(function));
+                          isWrapped(function) || augmented, augmented);
     return fillWith(function, shell, signature, options, needsParts);
   };
   if (!options.skips.has(Skip::InactiveValues)) {
     // Not all that is assumed to carry derivatives can be differentiated.
     SilencedDiagnostics silence(function.getContext());
-    if (succeeded(fill()))
+    if (succeeded(fillOnce()))
       return success();
     clearBody(shell);
     options.skips.set(Skip::InactiveValues, true);
   }
-  return fill();
+  return fillOnce();
+}
+
+LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
+                                     FunctionOpInterface shell,
+                                     const AdjointSignature &signature,
+                                     AdjointOptions options, bool *needsParts) {
+  return fill(function, shell, signature, options, needsParts,
+              /*augmented=*/nullptr);
 }
 
 /// Fixes the cost of the loops as they were written, which the loops of the
@@ -443,6 +479,37 @@ struct MakeAdjoint
     adjoint.setStoredFormAttr(FlatSymbolRefAttr::get(&getContext(), name));
   }
 
+  /// Refuses to make two functions of the derivative where values would have to
+  /// be put into memory and taken out again.
+  LogicalResult checkSplits(FunctionOpInterface function,
+                            FunctionOpInterface original) {
+    if (isa<func::FuncOp>(function.getOperation()) && !isWrapped(function))
+      return success();
+    return original.emitError(
+        "cannot split the derivative of this function; 'tai.split' is for a "
+        "'func.func' of memrefs, numbers and vectors: run 'one-shot-bufferize' "
+        "before, if it has tensors");
+  }
+
+  /// Gives the two functions of a derivative their types, and names them in the
+  /// original.
+  void finishSplit(func::FuncOp augmented, func::FuncOp reverse,
+                   func::FuncOp original, SymbolTable &symbols) {
+    Operation *exit = augmented.getBody().front().getTerminator();
+    augmented.setFunctionType(
+        FunctionType::get(&getContext(), augmented.getArgumentTypes(),
+                          TypeRange(exit->getOperandTypes())));
+    reverse.setFunctionType(FunctionType::get(
+        &getContext(), reverse.getBody().getArgumentTypes(), {}));
+    SmallVector<Attribute> names;
+    for (func::FuncOp made : {augmented, reverse}) {
+      symbols.insert(made);
+      takeInterface(original, made);
+      names.push_back(FlatSymbolRefAttr::get(made));
+    }
+    original->setAttr(kSplit, ArrayAttr::get(&getContext(), names));
+  }
+
   LogicalResult differentiate(FunctionOpInterface function,
                               SymbolTable &symbols) {
     if (failed(Conventions::verify(function)) ||
@@ -451,10 +518,17 @@ struct MakeAdjoint
     if (failed(checkHasOneBlock(function)))
       return failure();
     FunctionOpInterface original = getOriginal(function);
-    if (original->hasAttr("tai.adjoint"))
+    if (original->hasAttr("tai.adjoint") || isSplit(original))
       return success();
-    std::string name = (original.getName() + "_grad").str();
+    bool splits = original->hasAttr(kSplit);
+    if (splits && failed(checkSplits(function, original)))
+      return failure();
+    std::string name =
+        (original.getName() + (splits ? "_reverse" : "_grad")).str();
+    std::string augmentedName = (original.getName() + "_augmented").str();
     Operation *taken = symbols.lookup(name);
+    if (!taken && splits)
+      taken = symbols.lookup(augmentedName);
     // The arguments of a function are all that it can be differentiated by.
     bool arrays = arrayAdjoints || !isa<KernelOp>(function.getOperation());
     FailureOr<AdjointSignature> signature =
@@ -470,7 +544,8 @@ struct MakeAdjoint
     }
     if (taken) {
       InFlightDiagnostic diag = function.emitError()
-                                << "cannot make the adjoint '@" << name
+                                << "cannot make the adjoint '@"
+                                << SymbolTable::getSymbolName(taken).getValue()
                                 << "': the name is taken";
       diag.attachNote(taken->getLoc()) << "by this";
       return diag;
@@ -482,18 +557,34 @@ struct MakeAdjoint
     if (hasFixedBits(function))
       fixCosts(function);
     SpectralForms forms(function);
-    if (failed(fillAdjoint(function, shell, *signature,
-                           getOptions(zeroesAll, /*loadsStored=*/false)))) {
+    func::FuncOp augmented;
+    auto fail = [&] {
       shell.erase();
+      if (augmented)
+        augmented.erase();
       return failure();
+    };
+    if (splits) {
+      OpBuilder builder(shell);
+      augmented =
+          func::FuncOp::create(builder, function.getLoc(), augmentedName,
+                               cast<FunctionType>(function.getFunctionType()));
+      augmented.addEntryBlock();
     }
+    if (failed(::fill(function, shell, *signature,
+                      getOptions(zeroesAll, /*loadsStored=*/false),
+                      /*needsParts=*/nullptr, augmented)))
+      return fail();
     auto positions = function->getAttrOfType<DenseI64ArrayAttr>(
         getFunctionAttrName(function, kGradients));
     if (isa<func::FuncOp>(function.getOperation()) && !isWrapped(function) &&
         failed(checkHasDerivative(function, positions ? positions.asArrayRef()
-                                                      : ArrayRef<int64_t>()))) {
-      shell.erase();
-      return failure();
+                                                      : ArrayRef<int64_t>())))
+      return fail();
+    if (splits) {
+      finishSplit(augmented, cast<func::FuncOp>(shell.getOperation()),
+                  cast<func::FuncOp>(original.getOperation()), symbols);
+      return success();
     }
     symbols.insert(shell);
     if (auto made = dyn_cast<func::FuncOp>(shell.getOperation())) {

@@ -42,6 +42,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.prepared_for", Kind::Symbol, true},
     {"tai.reads_before", Kind::Any, true},
     {"tai.reexecutes", Kind::Unit, true},
+    {"tai.split", Kind::Any, true},
     {"tai.tangent", Kind::Symbol, true},
     {"tai.saved", Kind::Any},
     // Dropping one of these costs time only.
@@ -165,6 +166,7 @@ static LogicalResult verifyDifferentiate(Operation *op) {
            << function.getName() << "', which has no body here";
   // The differentiated function may have been converted since.
   bool isDone = op->hasAttr("tai.adjoint") ||
+                isa_and_present<ArrayAttr>(op->getAttr("tai.split")) ||
                 op->hasAttr(getFunctionAttrName(op, "tangent"));
   if (!isDone && name != "func.func" && !isa<KernelOp>(op))
     return op->emitError("cannot differentiate a '")
@@ -195,6 +197,11 @@ LogicalResult tai::verifyDiscardableAttr(Operation *op,
            << op->getName() << "'";
   if (name == "tai.differentiate")
     return verifyDifferentiate(op);
+  if (name == "tai.split" && (!isa<UnitAttr, ArrayAttr>(attribute.getValue()) ||
+                              !op->hasAttr("tai.differentiate")))
+    return op->emitError(
+        "'tai.split' stands beside 'tai.differentiate', and is "
+        "a unit attribute until the functions are made");
   // Kernels are differentiated by themselves.
   if (name == "tai.gradients" && !op->hasAttr("tai.differentiate"))
     return op->emitError(

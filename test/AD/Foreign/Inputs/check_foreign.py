@@ -103,7 +103,8 @@ class Type:
             self.element = match[3]
             self.shape = tuple(DYNAMIC if d == "?" else int(d) for d in match[2].split("x") if d)
         self.is_float = "f" in self.element
-        self.dtype = ELEMENTS[self.element]
+        # Records may hold vectors, which the host hands on as they are.
+        self.dtype = ELEMENTS.get(self.element)
 
     def random(self, rng):
         if not self.is_float:
@@ -364,13 +365,75 @@ def check_forward(tools, path, directory, function, rng):
         compare(inner(weights, got), inner(weights, moved), tolerance, "the tangent")
 
 
+def check_split(tools, path, directory, function, rng):
+    """The augmented function, then the reverse with the tape of the first."""
+    source = directory / "split_source.mlir"
+    text = path.read_text()
+    source.write_text(re.sub(r"(func\.func @f\([^{]*\{)", r"\1tai.split, ", text, count=1))
+    text = differentiate(tools, source, tools.reverse)
+    types, returned, _ = signature(text, "f_augmented")
+    reversed_types, none, _ = signature(text, "f_reverse")
+    for name in ("f_augmented", "f_reverse"):
+        check_no_tai(text, name)
+    library = lower(tools, text, directory, "split")
+    inputs = [Type(t) for t in types]
+    results = [Type(t) for t in returned]
+    count, own = len(inputs), len(function.results)
+    shadows = [Type(t) for t in reversed_types[count : len(reversed_types) - len(results) + own]]
+    if none:
+        raise AssertionError("wrong: the reverse returns something")
+    for _ in range(3):
+        before = [t.random(rng) for t in inputs]
+        after, primal = function.run(before)
+        state = [b.copy() for b in before]
+        fields = [
+            (f"r{i}", type(t.descriptor(None)) if t.is_array else CTYPES[t.element])
+            for i, t in enumerate(results)
+        ]
+        made = type("Results", (ctypes.Structure,), {"_fields_": fields})()
+        augmented = library._mlir_ciface_f_augmented
+        descriptors = [t.descriptor(v) if t.is_array else v for t, v in zip(inputs, state)]
+
+        def pass_on(kinds, values):
+            return [
+                ctypes.byref(v) if t.is_array else CTYPES[t.element](v.item())
+                for t, v in zip(kinds, values, strict=True)
+            ]
+
+        single = len(results) == 1 and not results[0].is_array
+        augmented.restype = CTYPES[results[0].element] if single else None
+        out = [ctypes.byref(made)] if results and not single else []
+        got = augmented(*out, *pass_on(inputs, descriptors))
+        values = [got] if single else [getattr(made, name) for name, _ in fields]
+        for value, wanted in zip(state + values[:own], after + primal):
+            if not np.allclose(value, wanted, rtol=1e-5, atol=1e-6):
+                raise AssertionError("wrong: the augmented function computes other values")
+        for value, old in zip(state, before):
+            # The host may reuse memory that the function has written.
+            value[...] = np.where(value == old, value, np.asarray(77, value.dtype))
+        seeds = [t.random(rng) for t in shadows]
+        kept = [s.copy() for s in seeds]
+        kinds = inputs + shadows + results[own:]
+        arguments = descriptors + [t.descriptor(v) for t, v in zip(shadows, kept)] + values[own:]
+        library._mlir_ciface_f_reverse(*pass_on(kinds, arguments))
+        direction = [function.inputs[i].random(rng) for i in function.wrt]
+        moved, tolerance = function.directional(before, direction)
+        n = len(function.wrt)
+        arrays = [k for k in range(n) if function.inputs[function.wrt[k]].is_array]
+        weights = [seeds[k] for k in arrays] + seeds[n:]
+        constant = [(seeds[k], direction[k]) for k in range(n) if k not in arrays]
+        total = inner(kept[:n], direction) - sum(inner([s], [d]) for s, d in constant)
+        compare(total, inner(weights, moved), tolerance, "the gradient in two functions")
+
+
 def check(tools, path):
     lines = {}
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         function = None
-        for mode, run in (("reverse", check_reverse), ("forward", check_forward)):
-            if tools.mode not in (mode, "both"):
+        modes = {"reverse": check_reverse, "forward": check_forward, "split": check_split}
+        for mode, run in modes.items():
+            if tools.mode != mode and not (tools.mode == "both" and mode != "split"):
                 continue
             try:
                 function = function or Function(tools, path, directory)
@@ -389,7 +452,7 @@ def parse(arguments):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tai-opt", required=True)
     parser.add_argument("--llvm-bin", required=True)
-    parser.add_argument("--mode", default="both", choices=["reverse", "forward", "both"])
+    parser.add_argument("--mode", default="both", choices=["reverse", "forward", "split", "both"])
     parser.add_argument("--reverse", default="--tai-autodiff")
     parser.add_argument("--forward", default="--tai-autodiff-forward")
     parser.add_argument("--jobs", type=int, default=2)
@@ -423,8 +486,10 @@ def main():
         for mode, line in lines.items():
             print(f"{name} {mode}: {line}")
     every = [(mode, line) for lines in outcomes.values() for mode, line in lines.items()]
-    for mode in ("reverse", "forward"):
+    for mode in ("reverse", "forward", "split"):
         said = [line for m, line in every if m == mode]
+        if not said:
+            continue
         counts = {k: sum(line.startswith(k) for line in said) for k in ("right", "refused")}
         print(
             f"{mode}: {counts['right']} right, {counts['refused']} refused, of {len(said)}",
