@@ -129,6 +129,7 @@ void tai::populateAccurateMath(RewritePatternSet &patterns,
     patterns.add<ExtendedRsqrt>(context, benefit);
     patterns.add<ExtendedCall<math::TanhOp>>(context, benefit, "tanhl");
     patterns.add<ExtendedCall<math::SinhOp>>(context, benefit, "sinhl");
+    patterns.add<ExtendedCall<math::CoshOp>>(context, benefit, "coshl");
     patterns.add<ExtendedCall<math::AsinhOp>>(context, benefit, "asinhl");
     patterns.add<ExtendedCall<math::AcoshOp>>(context, benefit, "acoshl");
     patterns.add<ExtendedCall<math::AtanhOp>>(context, benefit, "atanhl");

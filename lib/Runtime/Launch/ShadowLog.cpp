@@ -20,12 +20,17 @@ char *tai_rt_shadows = nullptr;
 Status shadow::reserve() {
   static std::mutex mutex;
   std::lock_guard<std::mutex> lock(mutex);
-  if (tai_rt_shadows)
-    return Status::success();
   // A vector that begins in the last entries ends in the page behind them.
-  void *table =
-      mmap(nullptr, 2 * (TAI_SHADOW_MASK + 1) + 4096, PROT_READ | PROT_WRITE,
-           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  constexpr size_t size = 2 * (TAI_SHADOW_MASK + 1) + 4096;
+  if (tai_rt_shadows) {
+    // An earlier context may have left entries, and one of an f64 can be taken
+    // for that of an f32 that is zero. Shadows of contexts that live begin
+    // anew.
+    madvise(tai_rt_shadows, size, MADV_DONTNEED);
+    return Status::success();
+  }
+  void *table = mmap(nullptr, size, PROT_READ | PROT_WRITE,
+                     MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (table == MAP_FAILED)
     return Status::failure(
         StatusCode::Memory,

@@ -33,6 +33,8 @@ float logf(float);
 float log2f(float);
 float log10f(float);
 float tanhf(float);
+float sinhf(float);
+float coshf(float);
 }
 
 namespace {
@@ -183,6 +185,30 @@ template <int lanes> struct WideLanes {
   }
   TAI_WIDE_INLINE F32 exp(F32 x) { return power(x, 0x1.71547652b82fep0, expf); }
   TAI_WIDE_INLINE F32 exp2(F32 x) { return power(x, 1., exp2f); }
+
+  /// e^|x| - 1, which is computed without cancellation. `covered` is set where
+  /// sinh and cosh do not overflow in f32; elsewhere the result is 0.
+  TAI_WIDE_INLINE F64 exponentialMinusOne(F64 x, I64 &covered) {
+    F64 size = __builtin_elementwise_abs(x);
+    // The bound is the logarithm of twice the largest f32.
+    covered = size < 89.41598;
+    size = number(bits(size) & covered);
+    F64 minusOne, scale = splitPower(size * 0x1.71547652b82fep0, minusOne);
+    return fma(scale, minusOne, scale - 1.);
+  }
+  /// sinh |x| = (t + t / (t + 1)) / 2 with t = e^|x| - 1.
+  TAI_WIDE_INLINE F32 sinh(F32 x) {
+    I64 covered;
+    F64 inF64 = extend(x), t = exponentialMinusOne(inF64, covered);
+    F64 result = 0.5 * (t + t / (t + 1.));
+    return finish(withSignOf(inF64, result), covered, sinhf, x);
+  }
+  /// cosh x = 1 + t^2 / (2 (t + 1)) with t = e^|x| - 1.
+  TAI_WIDE_INLINE F32 cosh(F32 x) {
+    I64 covered;
+    F64 t = exponentialMinusOne(extend(x), covered);
+    return finish(1. + 0.5 * t * (t / (t + 1.)), covered, coshf, x);
+  }
 
   /// tanh x = t / (t + 2) with t = e^2x - 1, which is computed without
   /// cancellation.

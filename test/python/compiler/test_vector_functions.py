@@ -135,3 +135,38 @@ def test_loops_that_draw_are_vectors(dt):
     code = draw.mlir(stage="llvmir")
     assert "tai_rt_random" not in code
     assert re.search(r"mul nuw <\d+ x i64>", code)
+
+
+@pytest.mark.parametrize("name", ["sinh", "cosh"])
+@pytest.mark.parametrize("dtype", [ti.f32, ti.f64])
+@pytest.mark.parametrize("mode", ["default", "accurate", "strict", "fast"])
+def test_results_next_to_the_largest_number_are_finite(name, dtype, mode):
+    """The exponential overflows a factor of two before them; so for the gradient."""
+    ti.init(arch=ti.cpu, math=mode, default_fp=dtype)
+    real = np.float32 if dtype == ti.f32 else np.float64
+    n = 1037
+    x = ti.field(dtype, n, needs_grad=True)
+    y = ti.field(dtype, n, needs_grad=True)
+    loss = ti.field(dtype, (), needs_grad=True)
+    end = 89.415 if dtype == ti.f32 else 710.4758
+    values = np.concatenate([np.linspace(-end, end, n - 200), np.linspace(end - 1, end, 200)])
+    x.from_numpy(values.astype(real))
+    function = getattr(ti, name)
+
+    @ti.kernel
+    def apply():
+        for i in x:
+            y[i] = function(x[i])
+
+    @ti.kernel
+    def add():
+        for i in x:
+            loss[None] += 1e-10 * y[i]
+
+    with ti.ad.Tape(loss):
+        apply()
+        add()
+    at = x.to_numpy().astype(np.longdouble)
+    slope = "cosh" if name == "sinh" else "sinh"
+    for found, exact in ((y, getattr(np, name)(at)), (x.grad, getattr(np, slope)(at) * 1e-10)):
+        np.testing.assert_allclose(found.to_numpy(), exact, rtol=4 * np.finfo(real).eps)
