@@ -94,6 +94,36 @@ tai.kernel @range(%x: f32) {
   tai.return
 }
 
+// A sum of integers is made again in the body, where LLVM sees the distance of
+// two slots: one value travels.
+// CHECK-LABEL: llvm.func @slots(
+//       CHECK:   llvm.alloca %{{.+}} x !llvm.array<1 x i64>
+// CHECK-LABEL: llvm.func internal @slots.loop0(
+//       CHECK:   %[[T:.+]] = llvm.load %{{.+}} : !llvm.ptr -> i32
+//       CHECK:   %[[SLOT:.+]] = arith.index_cast %[[T]] : i32 to index
+//       CHECK:   %[[NEXT:.+]] = arith.addi %[[SLOT]], %{{.+}} : index
+//       CHECK:   scf.for
+//       CHECK:     arith.muli %[[NEXT]]
+tai.kernel @slots(%t: i32) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %n = arith.constant 100000 : index
+  %slot = arith.index_cast %t : i32 to index
+  %next = arith.addi %slot, %c1 : index
+  %p = tai_rt.tree_base @t : !llvm.ptr
+  tai.parallel_for (%i) = (%c0) to (%n) {
+    %from = arith.addi %slot, %i : index
+    %to = arith.muli %next, %n : index
+    %0 = arith.index_cast %from : index to i64
+    %1 = llvm.getelementptr %p[%0] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    %2 = llvm.load %1 : !llvm.ptr -> f32
+    %3 = arith.index_cast %to : index to i64
+    %4 = llvm.getelementptr %p[%3] : (!llvm.ptr, i64) -> !llvm.ptr, f32
+    llvm.store %2, %4 : f32, !llvm.ptr
+  }
+  tai.return
+}
+
 // Many rows: the partition counts rows, and the inner loop is whole.
 // CHECK-LABEL: llvm.func internal @rows.loop0(
 //       CHECK:   scf.for

@@ -105,6 +105,21 @@ bool mayAliasAcrossIterations(const ElementAccess &store,
          !areProvablyEqual(store.indices, other.indices);
 }
 
+/// Whether an iteration of `loop` makes one of the two accesses at most: they
+/// are in different arms of a branch that it comes to once, such as its
+/// interior and its border.
+bool excludeEachOther(const ElementAccess &a, const ElementAccess &b,
+                      ParallelForOp loop) {
+  for (Operation *op = a.op; op != loop; op = op->getParentOp()) {
+    Operation *parent = op->getParentOp();
+    if (isa<scf::IfOp>(parent) && parent->isProperAncestor(b.op))
+      return !op->getParentRegion()->isAncestor(b.op->getParentRegion()) &&
+             parent->getParentOfType<LoopLikeOpInterface>().getOperation() ==
+                 loop.getOperation();
+  }
+  return false;
+}
+
 SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
                                            FieldTable &fields) {
   SmallVector<ElementAccess> accesses;
@@ -159,7 +174,7 @@ bool tai::needsOrderWithin(ParallelForOp loop, FieldTable &fields) {
       // Loops inside may be unrolled: their next round comes after.
       bool isAfter = j > i || mayAliasAcrossIterations(store, other);
       if (isAfter && j != i && (store.isStrided || other.isStrided) &&
-          mayAlias(store, other))
+          mayAlias(store, other) && !excludeEachOther(store, other, loop))
         return true;
     }
     if (store.isStrided && mayAliasAcrossIterations(store, store))

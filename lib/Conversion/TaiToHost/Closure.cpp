@@ -54,6 +54,19 @@ LogicalResult tai::replaceOutside(Region &region,
 // Closure
 //===----------------------------------------------------------------------===//
 
+static bool isVectorOfScalars(Operation *op) {
+  return isa<VectorType>(op->getResultTypes().front()) &&
+         op->getNumRegions() == 0 && isMemoryEffectFree(op);
+}
+
+/// The address of an array is replaced later, where it is used.
+static bool isIntegerSum(Operation *op) {
+  return isa<arith::AddIOp, arith::SubIOp, arith::IndexCastOp, arith::ExtSIOp>(
+             op) &&
+         !op->getOperand(0)
+              .getDefiningOp<memref::ExtractAlignedPointerAsIndexOp>();
+}
+
 Closure::Closure(LLVM::LLVMFuncOp inner, Value frame, Operation *call)
     : inner(inner), call(call), entry(inner.getContext()) {
   known[frame] = inner.getArgument(0);
@@ -71,9 +84,10 @@ FailureOr<Value> Closure::get(Value outer) {
     value = entry.clone(*definition)->getResult(0);
     return value;
   }
-  // Vectors of scalars from outside are made again.
-  if (definition && isa<VectorType>(outer.getType()) &&
-      definition->getNumRegions() == 0 && isMemoryEffectFree(definition)) {
+  // Vectors of scalars from outside are made again, and so are sums of
+  // integers: LLVM must see the distance of the slots `t` and `t + 1`.
+  if (definition &&
+      (isVectorOfScalars(definition) || isIntegerSum(definition))) {
     IRMapping operands;
     Operation *last = nullptr;
     for (Value operand : definition->getOperands()) {

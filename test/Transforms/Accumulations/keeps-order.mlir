@@ -142,3 +142,47 @@ tai.kernel @every_second(%v: f64) {
   }
   tai.return
 }
+
+// An iteration makes one of the two additions: it is in the interior or at a
+// border.
+// CHECK-LABEL: tai.kernel @exclusive_arms(
+//       CHECK:   access_groups
+//       CHECK:   tai.return
+tai.kernel @exclusive_arms(%v: f64, %c: i1) {
+  %c0 = arith.constant 0 : index
+  %c64 = arith.constant 64 : index
+  %zero = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%c64) {
+    scf.if %c {
+      tai.store %v, @m[%i] component [%zero] : f64
+    } else {
+      %old = tai.load @m[%i] component [%zero] : f64
+      tai.store %old, @x[%i] : f64
+    }
+  }
+  tai.return
+}
+
+// Rounds of a serial loop may come to both arms, one after the other.
+// CHECK-LABEL: tai.kernel @arms_in_rounds(
+//   CHECK-NOT:   access_groups
+//       CHECK:   tai.return
+tai.kernel @arms_in_rounds(%v: f64) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  %c2 = arith.constant 2 : index
+  %c64 = arith.constant 64 : index
+  %zero = arith.constant 0 : index
+  tai.parallel_for (%i) = (%c0) to (%c64) {
+    scf.for %k = %c0 to %c2 step %c1 {
+      %c = arith.cmpi eq, %k, %c0 : index
+      scf.if %c {
+        tai.store %v, @m[%i] component [%zero] : f64
+      } else {
+        %old = tai.load @m[%i] component [%zero] : f64
+        tai.store %old, @x[%i] : f64
+      }
+    }
+  }
+  tai.return
+}

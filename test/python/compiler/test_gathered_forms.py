@@ -340,3 +340,69 @@ def test_convolutions(n, start):
         inside = i[(i + k >= 0) & (i + k < n)]
         taps.append((inside, inside + k, k + 3.0))
     check_map(step, x, y, taps)
+
+
+def rope_step(ti_type, n, layout):
+    """One step of a rope whose springs have lengths: fields of two slots, and the kernel."""
+    extra = {} if layout is None else {"layout": layout}
+    x, v = (ti.Vector.field(2, ti_type, shape=(2, n), needs_grad=True, **extra) for _ in range(2))
+
+    @ti.func
+    def pull(a, b):
+        d = b - a
+        length = ti.sqrt(d.dot(d) + 0.015625)
+        return (length - 0.5) / length * d
+
+    @ti.kernel
+    def step(t: ti.i32):
+        for i in range(n):
+            force = ti.Vector([0.0, -1.0], dt=ti_type)
+            if i > 0:
+                force += pull(x[t, i], x[t, i - 1])
+            if i < n - 1:
+                force += pull(x[t, i], x[t, i + 1])
+            v[t + 1, i] = 0.5 * v[t, i] + 0.25 * force
+            x[t + 1, i] = x[t, i] + 0.25 * v[t + 1, i]
+
+    return x, v, step
+
+
+def rope_by_numpy(at, speed, x_bar, v_bar):
+    """The step of rope_step, and the adjoints of its first slots by the chain rule, in f64."""
+    d = at[1:] - at[:-1]
+    length = np.sqrt((d * d).sum(-1, keepdims=True) + 0.015625)
+    pull = (length - 0.5) / length * d
+    force = np.zeros_like(at) + [0.0, -1.0]
+    force[:-1] += pull
+    force[1:] -= pull
+    new_speed = 0.5 * speed + 0.25 * force
+    speed_bar = v_bar + 0.25 * x_bar
+    pull_bar = 0.25 * (speed_bar[:-1] - speed_bar[1:])
+    along = (pull_bar * d).sum(-1, keepdims=True)
+    d_bar = (length - 0.5) / length * pull_bar + 0.5 / length**3 * along * d
+    at_bar = x_bar.copy()
+    at_bar[1:] += d_bar
+    at_bar[:-1] -= d_bar
+    return at + 0.25 * new_speed, new_speed, at_bar, 0.5 * speed_bar
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize("layout", [None, ti.Layout.SOA])
+@pytest.mark.parametrize("n", [1, 2, 7, 1000, 65_537])
+def test_lengths_of_springs(n, layout, precision, start):
+    x, v, step = rope_step(getattr(ti, precision), n, layout)
+    random = np.random.default_rng(n)
+    at, speed, x_bar, v_bar = (random.standard_normal((n, 2)) for _ in range(4))
+    zero = np.zeros((n, 2))
+    for field, first in ((x, at), (v, speed)):
+        field.from_numpy(np.stack([first, zero]).astype(precision.replace("f", "float")))
+    for field, last in ((x, x_bar), (v, v_bar)):
+        field.grad.from_numpy(np.stack([zero, last]).astype(precision.replace("f", "float")))
+    step(0)
+    new_at, new_speed, at_bar, speed_bar = rope_by_numpy(at, speed, x_bar, v_bar)
+    tolerance = 2e-5 if precision == "f32" else 1e-13
+    np.testing.assert_allclose(x.to_numpy()[1], new_at, atol=tolerance)
+    np.testing.assert_allclose(v.to_numpy()[1], new_speed, atol=tolerance)
+    step.grad(0)
+    np.testing.assert_allclose(x.grad.to_numpy(), [at_bar, zero], atol=4 * tolerance)
+    np.testing.assert_allclose(v.grad.to_numpy(), [speed_bar, zero], atol=4 * tolerance)
