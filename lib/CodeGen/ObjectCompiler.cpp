@@ -114,11 +114,8 @@ ObjectCompiler::create(const CodegenOptions &options) {
       CodeModel::Small, levels[std::min(options.optLevel, 3u)], /*JIT=*/true));
   if (!compiler->machine)
     return createStringError("no target machine for %s", cpu->triple.c_str());
-  // With fast_math, loops call the vector functions of glibc, which are
-  // shorter.
-  if (!options.fastMath)
-    compiler->vectorMath = std::make_unique<VectorMath>(
-        *compiler->machine, is_contained(getVectorLibraries(), kSleef));
+  compiler->vectorMath = std::make_unique<VectorMath>(
+      *compiler->machine, is_contained(getVectorLibraries(), kSleef));
   return compiler;
 }
 
@@ -250,8 +247,10 @@ void ObjectCompiler::runPasses(Module &module) {
         // Registers the functions that have vector forms. The pipeline's own
         // comes after this place.
         early.addPass(InjectTLIMappings());
-        if (vectorMath)
-          early.addPass(NameVectorMath(*vectorMath));
+        // With fast_math, loops call the vector functions of glibc where there
+        // are any, which are shorter.
+        early.addPass(NameVectorMath(*vectorMath,
+                                     /*besideOthers=*/options.fastMath));
         early.addPass(VectorizeLoops(LoopVectorizeOptions(
             !tuning.LoopInterleaving, !tuning.LoopVectorization)));
       });
@@ -262,7 +261,7 @@ void ObjectCompiler::runPasses(Module &module) {
         // Where nothing is fused, calls that may be contracted are those of
         // deterministic kernels. Whether a loop is vectorised depends on the
         // work that is skipped in it, on which their results must not depend.
-        if (vectorMath && level != OptimizationLevel::O0)
+        if (!options.fastMath && level != OptimizationLevel::O0)
           late.addPass(
               MatchScalarMath(*vectorMath, /*everywhere=*/!options.contract));
       });

@@ -54,12 +54,15 @@ private:
 };
 
 /// Runs before the loop vectoriser: annotates calls with their vector forms,
-/// as the vector function ABI does.
+/// as the vector function ABI does. With `besideOthers`, functions for which
+/// the target library has shorter forms keep those.
 struct NameVectorMath : llvm::PassInfoMixin<NameVectorMath> {
-  explicit NameVectorMath(const VectorMath &math) : math(&math) {}
+  NameVectorMath(const VectorMath &math, bool besideOthers)
+      : math(&math), besideOthers(besideOthers) {}
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);
   const VectorMath *math;
+  bool besideOthers;
 };
 
 /// Runs after the vectorisers: in a function that calls vector forms, the
