@@ -29,14 +29,19 @@ void Rematerialiser::restart() {
   executedAt.clear();
 }
 
-/// Calls body(track, range) for all that the record may change.
+/// Calls body(track, range) for all that the record may change and that is
+/// followed.
 template <typename Body>
 Status Rematerialiser::forEachChange(size_t index, const Body &body) {
   const TapeRecording::Record &record = recording[index];
+  auto visit = [&](Track &changed, SlabRange changedRange) {
+    auto [track, range] = memory.followedFor(changed, changedRange);
+    return track ? body(*track, range) : Status::success();
+  };
   if (record.kind == TapeRecording::Kind::Launch) {
     const uint64_t *args = recording.args(record);
     for (const TapeMemory::Use &use : memory.usesOf(*record.kernel).changes) {
-      Status status = body(*use.track, use.locate(args));
+      Status status = visit(*use.track, use.locate(args));
       if (!status)
         return status;
     }
@@ -44,7 +49,7 @@ Status Rematerialiser::forEachChange(size_t index, const Body &body) {
   }
   const std::vector<TapeMemory::Part> &changes = memory.partsAt(index);
   for (const TapeMemory::Part &part : changes) {
-    Status status = body(*part.track, part.range);
+    Status status = visit(*part.track, part.range);
     if (!status)
       return status;
   }
@@ -54,14 +59,18 @@ Status Rematerialiser::forEachChange(size_t index, const Body &body) {
 Status Rematerialiser::recompute(Launch &launch, size_t index, bool saving,
                                  size_t oldest) {
   topology.goBefore(static_cast<uint32_t>(index));
+  bool changesFollowed = false;
   Status status = forEachChange(index, [&](Track &track, SlabRange range) {
+    changesFollowed = true;
     return checkpoints->log(track, range);
   });
   if (status && saving)
     status = memory.beforeReplay(static_cast<uint32_t>(index),
                                  static_cast<uint32_t>(oldest));
   topology.beginReexecution(static_cast<uint32_t>(index));
-  if (status)
+  // A write to the tangent of a gradient does not belong into the sweep.
+  if (status &&
+      (changesFollowed || recording[index].kind != TapeRecording::Kind::Write))
     status = replayRecord(services, recording, launch, index,
                           !memory.partsAt(index).empty());
   checkpoints->settle();

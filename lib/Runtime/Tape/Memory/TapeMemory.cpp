@@ -153,6 +153,24 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   return *uses;
 }
 
+TapeMemory::Part TapeMemory::followedFor(Track &track, SlabRange range) {
+  if (!runtime.isForward())
+    return {&track, range};
+  if (!track.ofPrimal) {
+    const std::vector<FieldPtr> &fields = runtime.fields();
+    auto primal =
+        std::find_if(fields.begin(), fields.end(), [&](const FieldPtr &field) {
+          return field->dual() == track.field.get();
+        });
+    track.ofPrimal = primal == fields.end() ? nullptr : *primal;
+  }
+  const FieldPtr &primal = *track.ofPrimal;
+  if (!primal)
+    return {&track, range};
+  // Slabs of the two may differ.
+  return {primal->isAdjoint() ? nullptr : &trackOf(primal, {}), {}};
+}
+
 const Track *TapeMemory::findTrack(const Field &field) const {
   auto track = tracks.find({&field.tree(), field.layout().placeOffset});
   return track == tracks.end() ? nullptr : track->second.get();
@@ -176,14 +194,16 @@ Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
     lost |= !isPart && !changedParts.empty();
   }
   for (const Use &use : uses.changes) {
-    Track &track = *use.track;
-    if (__builtin_expect(track.stored.any(), false))
-      track.stored.lose(use.locate(args), lostStored);
+    if (__builtin_expect(use.track->stored.any(), false))
+      use.track->stored.lose(use.locate(args), lostStored);
     // The adjoint of a part is the business of the host function.
     bool before = use.before && !isPart;
-    if (track.lastRead == 0 && !before && !checkpoints)
+    if (use.track->lastRead == 0 && !before && !checkpoints)
       continue;
-    SlabRange range = use.locate(args);
+    auto [followed, range] = followedFor(*use.track, use.locate(args));
+    if (!followed)
+      continue;
+    Track &track = *followed;
     uint32_t stamp = before ? stampOf(record) : track.readStamp(range);
     Status status;
     if (checkpoints) {
@@ -215,37 +235,21 @@ void TapeMemory::afterPart(const KernelUses &uses, const uint64_t *args) {
     parts.push_back({use.track, use.locate(args)});
 }
 
-/// The field whose memory is followed for a write of the host: in forward mode,
-/// for a dual the field that it belongs to; and none for the tangent of a
-/// gradient, which the tape does not restore.
-static FieldPtr followedFor(const FieldPtr &written, const Runtime &runtime) {
-  if (!runtime.isForward())
-    return written;
-  const std::vector<FieldPtr> &fields = runtime.fields();
-  auto primal =
-      std::find_if(fields.begin(), fields.end(), [&](const FieldPtr &field) {
-        return field->dual() == written.get();
-      });
-  if (primal == fields.end())
-    return written;
-  return (*primal)->isAdjoint() ? nullptr : *primal;
-}
-
 Status TapeMemory::beforeWrite(const FieldPtr &written, const int64_t *index,
                                uint32_t record) {
   if (Status status = safepoints.checkHandler(); !status)
     return status;
-  FieldPtr field = followedFor(written, runtime);
-  if (!field)
+  Track *followed = followedFor(trackOf(written, {}), {}).track;
+  if (!followed)
     return Status::success();
-  Track &track = trackOf(field, {});
+  Track &track = *followed;
   const std::vector<int> &dimensions = track.slabs.dimensions();
   SlabRange range;
   if (index && !dimensions.empty()) {
     range = SlabRange::one(0);
     for (int d : dimensions)
       range.first =
-          range.first * field->shape()[d] + index[d] - field->firstIndex(d);
+          range.first * written->shape()[d] + index[d] - written->firstIndex(d);
   }
   parts.push_back({&track, range});
   track.stored.lose(range, lostStored);
@@ -286,8 +290,14 @@ Status TapeMemory::propose(Candidate candidate) {
   return checkpoints ? Status::success() : save(candidate);
 }
 
-Status TapeMemory::save(const Candidate &candidate) {
-  Track &track = *candidate.track;
+Status TapeMemory::save(const Candidate &proposed) {
+  Candidate candidate = proposed;
+  auto [followed, range] = followedFor(*proposed.track, proposed.range);
+  if (!followed)
+    return Status::success();
+  candidate.track = followed;
+  candidate.range = range;
+  Track &track = *followed;
   Status status = saveOne(candidate);
   if (!runtime.isForward()) {
     if (track.field->dual())

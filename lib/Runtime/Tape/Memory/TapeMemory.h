@@ -89,6 +89,11 @@ public:
     /// host function that launches it may read.
     std::vector<Use> touches;
   };
+  /// The part that is followed for a change of one: in forward mode, for a dual
+  /// the field that it belongs to, with which it is saved and restored; and
+  /// none (a null track) for the tangent of a gradient, which the tape does not
+  /// restore.
+  Part followedFor(Track &track, SlabRange range);
   /// The uses of a kernel; plans its adjoint if necessary.
   const KernelUses &usesOf(Kernel &kernel);
   /// The same, or null if not known yet.

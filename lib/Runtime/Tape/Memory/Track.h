@@ -21,6 +21,7 @@
 #include "StoredOutputs.h"
 #include "tai/Runtime/Launch/Runtime.h"
 #include <algorithm>
+#include <optional>
 
 namespace mlir::tai::runtime {
 
@@ -47,6 +48,9 @@ struct Track {
   bool everSaved = false;
   /// See tangentIn.
   std::unique_ptr<Track> tangent;
+  /// If the field is a dual: the field that it belongs to. Looked for in
+  /// forward mode alone.
+  std::optional<FieldPtr> ofPrimal;
   /// The list of all cells, if all are kept.
   ActiveListPtr everyCell;
 
