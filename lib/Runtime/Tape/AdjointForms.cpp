@@ -12,8 +12,8 @@ using namespace mlir::tai::runtime;
 
 bool AdjointForms::loadsStored(size_t index) const {
   const Kernel *kernel = recording[index].kernel;
-  // A host function may change fields without the tape's knowledge, now or when
-  // it is called again. Tangents of stored values need not be stored.
+  // A host function can change fields without the tape's knowledge, now or when
+  // called again. The tangents of stored values are not necessarily stored.
   return kernel && TapedKernel::loadsStored(*kernel) &&
          !recording.hasCallbacks() && !lostStored && !services.isForward() &&
          memory.holdsStored(static_cast<uint32_t>(index));
@@ -22,7 +22,7 @@ bool AdjointForms::loadsStored(size_t index) const {
 Status AdjointForms::find(size_t index, Kernel *&adjoint) const {
   Kernel &kernel = *recording[index].kernel;
   bool zeroes = plan.zeroesAt(index);
-  // Found once; the function that makes them takes a lock.
+  // `known` finds an adjoint made before, without the lock of resolveAdjoint.
   if (loadsStored(index)) {
     adjoint = TapedKernel::known(kernel, zeroes, /*stored=*/true);
     if (adjoint)
@@ -39,7 +39,8 @@ std::vector<PendingAdjoint> AdjointForms::pending() const {
   std::vector<PendingAdjoint> pending;
   for (uint32_t index : plan.replayed()) {
     Kernel *kernel = recording[index].kernel;
-    // Unpruned launches need not be differentiable.
+    // A launch that is replayed only because pruning is off can lack a
+    // derivative.
     if (!kernel || plan[index] == TapePlan::Decision::Unpruned)
       continue;
     PendingAdjoint entry = {kernel, plan.zeroesAt(index), loadsStored(index)};

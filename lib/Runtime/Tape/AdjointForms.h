@@ -8,8 +8,8 @@
 // An adjoint has up to four variants: it zeroes the adjoints of overwritten
 // elements, or not; it loads stored outputs of the kernel, or recomputes them.
 // The loading variant is used if the fields still hold the stored values.
-// Otherwise the other one recomputes them from values that the tape saves
-// anyway, so that nothing is saved just for this.
+// Otherwise the recomputing variant is used, which needs no values beyond those
+// that the tape saves anyway.
 //
 //===----------------------------------------------------------------------===//
 

@@ -29,7 +29,7 @@ static void examineElement(const Field &adjoint, const char *address,
   }
 }
 
-/// The same as below where only active cells hold anything.
+/// Like examineElements, for a sparse field: only active cells have values.
 static void examineCells(const Field &adjoint, int64_t dimension,
                          int64_t position, RecordHealth &found) {
   CellElements elements(adjoint);
@@ -43,8 +43,8 @@ static void examineCells(const Field &adjoint, int64_t dimension,
         examineElement(adjoint, elements.base(cell) + element.offset, found);
 }
 
-/// Examines the elements of an adjoint; those at one position of a dimension,
-/// unless that is -1.
+/// Examines the elements of an adjoint at one position along a dimension, or
+/// all elements if `dimension` is -1.
 static void examineElements(const Field &adjoint, int64_t dimension,
                             int64_t position, RecordHealth &found) {
   int rank = adjoint.rank();
@@ -93,7 +93,7 @@ void AdjointHealth::examine(const TapeRecording &recording, size_t index) {
   const TapeRecording::Record &record = recording[index];
   const uint64_t *args = recording.args(record);
   for (const Field *field : TapedKernel::targets(*record.kernel)) {
-    // One place of the field, or all of it where the reads are at several.
+    // Examine the position that all reads share, or else the whole field.
     int64_t dimension = -1, position = -1;
     bool any = false, whole = false;
     for (const Access &access : record.kernel->summary()) {

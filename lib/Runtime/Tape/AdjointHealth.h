@@ -27,12 +27,12 @@ public:
   /// Call at the start of a sweep.
   void clear() { examined.clear(); }
 
-  /// Call after the adjoint of a launch; and after the reverse of a host
-  /// function, when only adjoints of `live` fields may be non-zero.
+  /// Call the first after the adjoint of a launch, the second after the reverse
+  /// of a host function, when only adjoints of `live` fields can be non-zero.
   void examine(const TapeRecording &recording, size_t index);
   void examine(size_t index, const std::vector<Field *> &live);
 
-  /// The findings of the last sweep, in its order.
+  /// The findings of the last sweep, in the order in which it visited records.
   const std::vector<RecordHealth> &found() const { return examined; }
 
 private:

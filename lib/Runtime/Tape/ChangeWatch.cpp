@@ -17,7 +17,7 @@ void ChangeWatch::begin(const TapeMemory &memory) {
   endLaunch = services.nextLaunch();
 }
 
-/// The fields that launches since then have changed.
+/// Adds the fields, other than adjoints, that launches of the kernel change.
 static void addChangedBy(const Kernel &kernel, std::vector<Field *> &changed) {
   for (const Access &access : kernel.summary())
     if (access.kind != AccessKind::Read && !access.field->isAdjoint())
@@ -33,7 +33,7 @@ Status ChangeWatch::check(const TapeMemory &memory,
     if (TapedField::hostVersion(*field) != version)
       byHost.push_back(field.get());
   services.forEachKernel([&](Kernel &kernel) {
-    // Without code it has changed nothing, and its summary may be on its way.
+    // A kernel without code has not run; its summary may be unfinished.
     if (endLaunch > 0 && kernel.resolved() &&
         TapedKernel::lastLaunch(kernel).load(std::memory_order_relaxed) >=
             endLaunch)

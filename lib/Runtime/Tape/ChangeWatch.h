@@ -22,11 +22,11 @@ class ChangeWatch {
 public:
   explicit ChangeWatch(TapeServices services) : services(services) {}
 
-  /// Call when the sequence has run: later changes count.
+  /// Call when the sequence has run: check() reports changes after this call.
   void begin(const TapeMemory &memory);
   /// Fails if a field has changed whose values the reverse sweep needs. Adds a
-  /// line to `notes` for other fields of the sequence that have changed.
-  /// `lostStored`: one of them has stored outputs.
+  /// line to `notes` for other fields of the sequence that have changed. Sets
+  /// `lostStored` if a changed field has stored outputs.
   Status check(const TapeMemory &memory, std::vector<std::string> &notes,
                bool &lostStored) const;
 

@@ -29,7 +29,7 @@ bool DirectReplay::findReverse(const TapePlan &plan,
       return false;
   adjoints.clear();
   targets.clear();
-  // Sequences are of few kernels, again and again.
+  // A sequence repeats few kernels: check each adjoint once.
   std::vector<const Kernel *> known;
   for (uint32_t index : plan.replayed()) {
     Kernel *adjoint = nullptr;

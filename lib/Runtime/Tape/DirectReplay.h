@@ -44,9 +44,9 @@ private:
 
   TapeServices services;
   const TapeRecording &recording;
-  /// One for each record that the plan replays.
+  /// The adjoint of each record that the plan replays.
   std::vector<Kernel *> adjoints;
-  /// Adjoint fields that they change.
+  /// Adjoint fields that `adjoints` change.
   std::vector<Field *> targets;
 };
 

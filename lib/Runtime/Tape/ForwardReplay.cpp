@@ -10,8 +10,9 @@
 using namespace mlir::tai::runtime;
 using Kind = TapeRecording::Kind;
 
-/// Repeats a write of the host. A value that the host writes is a constant; but
-/// before the first launch, it is the point at which one differentiates.
+/// Repeats a write of the host. In forward mode, a value written after a launch
+/// is a constant with zero tangent; a write before the first launch sets the
+/// point of differentiation, and keeps the tangent.
 static Status replayWrite(const TapeServices &services,
                           const TapeRecording &recording, size_t index) {
   constexpr auto canStop = FieldCopies::Interrupts::Stop;

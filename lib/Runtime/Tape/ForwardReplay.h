@@ -16,7 +16,7 @@
 namespace mlir::tai::runtime {
 
 /// One replay of all records, on the current contents of fields. Overwritten
-/// values are saved for adjoints as while the sequence was recorded.
+/// values are saved for adjoints in the same way as during recording.
 class ForwardReplay {
 public:
   ForwardReplay(TapeServices services, const TapeRecording &recording,

@@ -26,10 +26,10 @@ using namespace mlir::tai::runtime;
 
 struct mlir::tai::runtime::HostState {
   HostModule *module;
-  /// The trees that the program itself may use.
+  /// The trees that the host program itself can access, besides its kernels.
   const std::vector<TreePtr> *trees;
   std::unique_ptr<Tape> tape;
-  /// Names come as literals of the module: found once by address.
+  /// Kernels by the address of their name, a literal of the module.
   std::unordered_map<const char *, Kernel *> kernels;
 };
 
@@ -83,7 +83,7 @@ Status mlir::tai::runtime::runHost(Runtime &runtime, TaiKernelFn function,
   return status ? runtime.synchronize() : std::move(status);
 }
 
-/// Passes a failure on to the host program. Returns the caller's return value.
+/// Passes a failure on to the host program. Returns 1 for a failure, else 0.
 static int32_t report(Launch &launch, Status status) {
   if (status)
     return 0;
@@ -97,8 +97,8 @@ static int32_t reportUsage(Launch &launch, std::string message,
                                         where ? where : ""));
 }
 
-/// The program itself finds its fields on the host, whatever kernels have done
-/// since.
+/// Before control returns to the host program, makes its trees current on the
+/// host, as the program accesses them directly. Then reports `status`.
 static int32_t returnTo(Launch &launch, Status status) {
   launch.owner().settleZeros(fieldsIn(*launch.host->trees));
   if (launch.owner().getDevice() && launch.host->module->usesTrees)
@@ -149,7 +149,7 @@ extern "C" int32_t tai_rt_host_tape_checkpoint(TaiFrame *frame, int32_t kind,
   Launch &launch = launchOf(frame);
   if (!launch.host)
     return reportUsage(launch, "a tape belongs to the host");
-  // The failure of its beginning is known.
+  // tai_rt_host_tape_begin has reported why there is no tape.
   if (!launch.host->tape)
     return 1;
   CheckpointPolicy policy;
@@ -211,7 +211,7 @@ std::string number(double value) {
   return text;
 }
 
-/// Compares one gradient after another.
+/// Compares gradients with central differences, one field at a time.
 class GradientCheck {
 public:
   GradientCheck(Launch &launch, FieldPtr loss,
@@ -232,7 +232,7 @@ public:
     Status status = runtime.beginTape(loss, true, launch.host->tape);
     if (!status)
       return report(launch, std::move(status));
-    // Each evaluation begins with these values of the fields.
+    // Each evaluation starts from this snapshot.
     before = save();
     if (region(&launch, closure) != 0 || launch.hasFailed())
       return 1;
@@ -347,9 +347,10 @@ private:
     return true;
   }
 
-  /// Finds the elements whose first values matter. Elements that the region
-  /// overwrites before it reads them (all but the first step of a field with a
-  /// time axis, say) have adjoints, but no difference of them shows anything.
+  /// Finds the elements whose initial values affect the loss. Elements that the
+  /// region overwrites before it reads them (all but the first step of a field
+  /// with a time axis, say) have adjoints, but the loss does not depend on
+  /// their initial values.
   bool findInputs(Field &field, const std::vector<char *> &values,
                   std::vector<bool> &checked) {
     constexpr double step = 0.125;
@@ -365,7 +366,7 @@ private:
     (void)field.readable();
     std::vector<size_t> written;
     for (size_t i = 0; i < values.size(); ++i) {
-      // As `evaluate` stored it: the type may be narrower.
+      // The value that `evaluate` has stored, rounded to the field's type.
       double now = loadF64(field.scalar(), values[i]);
       storeF64(field.scalar(), values[i], start[i] + step * direction[i]);
       if (!(now == loadF64(field.scalar(), values[i])))
@@ -375,8 +376,8 @@ private:
       return true;
     if (!evaluate(field, values, none, 0, reference))
       return false;
-    // Whole groups at once, and halves of those that matter; elements that are
-    // not told apart within the budget are checked.
+    // Change groups of elements at once, and bisect groups that affect the
+    // loss. Elements on which the budget allows no decision are checked.
     unsigned budget = 48;
     std::vector<std::pair<size_t, size_t>> groups = {{0, written.size()}};
     for (size_t g = 0; g < groups.size(); ++g) {
@@ -384,7 +385,7 @@ private:
       std::vector<double> part(values.size());
       for (size_t k = begin; k < end; ++k)
         part[written[k]] = direction[written[k]];
-      // A group is judged by both directions; one alone proves nothing.
+      // A decision on a group takes up to two evaluations, one for each sign.
       if (budget < 2)
         break;
       bool matters = false;
@@ -393,7 +394,7 @@ private:
         --budget;
         if (!evaluate(field, values, part, sign * step, result))
           return false;
-        // Sums of threads differ in their last bits. A NaN matters.
+        // Parallel sums vary in their last bits. A NaN counts as an effect.
         matters |= !(std::fabs(result - reference) <=
                      1e-13 * std::max(1e-300, std::fabs(reference)));
         if (matters)
@@ -438,7 +439,7 @@ private:
 
   static void consider(double value, double product, double loss,
                        Estimate &best) {
-    // Differences of a loss cannot resolve less than this.
+    // Central differences cannot resolve derivatives below 1e-6 of the loss.
     double scale =
         std::max({std::fabs(value), std::fabs(product), 1e-6 * loss, 1e-300});
     double error = std::fabs(value - product) / scale;
@@ -511,7 +512,7 @@ Status mlir::tai::runtime::checkGradient(Runtime &runtime, const FieldPtr &loss,
   state.trees = &trees;
   Launch *launch = runtime.acquireLaunch();
   launch->host = &state;
-  // A closure of C gets the function through its argument.
+  // The C function pointer `run` gets `region` through its data argument.
   struct Closure {
     Launch &launch;
     const std::function<Status()> &region;

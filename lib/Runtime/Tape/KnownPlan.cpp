@@ -12,7 +12,7 @@ using namespace mlir::tai::runtime;
 std::shared_ptr<const KnownPlan> KnownPlan::make(const TapeRecording &recording,
                                                  const PlanInputs &inputs,
                                                  const PlanResults &results) {
-  // Some 10 MB.
+  // A copy of so many records takes about 10 MB.
   constexpr size_t mostRecords = 1 << 18;
   if (!recording.onlyLaunches() || recording.size() > mostRecords)
     return nullptr;
@@ -34,7 +34,7 @@ bool KnownPlan::find(const TapeRecording &recording, const PlanInputs &wanted,
       recording.kernels().size() != kernels.size() ||
       !(recording.launches() == launches))
     return false;
-  // A new kernel may lie where one was that has gone.
+  // A new kernel can have the address of a destroyed one.
   for (size_t i = 0; i < kernels.size(); ++i)
     if (kernels[i].lock() != recording.kernels()[i])
       return false;

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Each iteration of an optimiser records the same launches on a new tape. Their
-// plan is the same too, and a comparison of the records costs far less than
-// making it again.
+// plan is the same too, and a comparison of the records costs far less than a
+// new plan.
 //
 //===----------------------------------------------------------------------===//
 
@@ -31,7 +31,7 @@ enum class PlanDecision : uint8_t {
   Overwrite     // a write of the host: the adjoint of its elements becomes zero
 };
 
-/// Everything besides the records that the decisions depend on.
+/// All that the decisions depend on, except the records.
 struct PlanInputs {
   uint64_t epoch = 0;
   /// The fields whose adjoints may be non-zero at the start, and those whose
@@ -53,7 +53,8 @@ struct PlanResults {
   Overwrites overwrites;
 };
 
-/// Keeps neither kernels nor fields alive.
+/// A plan with the launches and inputs that it was made for. Keeps neither
+/// kernels nor fields alive.
 class KnownPlan {
 public:
   /// Null for a recording with host functions or writes of the host, and for
@@ -61,7 +62,8 @@ public:
   static std::shared_ptr<const KnownPlan> make(const TapeRecording &recording,
                                                const PlanInputs &inputs,
                                                const PlanResults &results);
-  /// Copies the results, if they are those of this recording.
+  /// If the plan was made for this recording and these inputs, copies the
+  /// results and returns true.
   bool find(const TapeRecording &recording, const PlanInputs &inputs,
             PlanResults &results) const;
 
@@ -71,7 +73,8 @@ private:
   TapeRecording::Launches launches;
   std::vector<std::weak_ptr<Kernel>> kernels;
   PlanInputs inputs;
-  /// Without the fields of `overwrites.storedOnce`.
+  /// The fields of `overwrites.storedOnce` are null; `storedOnce` refers to
+  /// them.
   PlanResults results;
   std::vector<std::weak_ptr<Field>> storedOnce;
 };

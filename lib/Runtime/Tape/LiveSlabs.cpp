@@ -23,8 +23,8 @@ size_t LiveSlabs::numberOf(const Field &field) {
   return entry->second;
 }
 
-/// Many places of a field in one kernel, such as the columns of a matrix of
-/// weights, count as all of it.
+/// A kernel with more accesses to a field, for example to the columns of a
+/// matrix of weights, counts as accessing all elements of the field.
 static constexpr size_t mostPlaces = 16;
 
 void LiveSlabs::collect(const Kernel &kernel, KernelUses &uses) {
@@ -41,7 +41,7 @@ void LiveSlabs::collect(const Kernel &kernel, KernelUses &uses) {
   for (const Access &access : kernel.summary()) {
     if (!access.field->adjoint())
       continue;
-    // An adjoint written by hand may access other elements.
+    // A hand-written adjoint can access elements outside the summary.
     bool isKnown =
         kernel.hasZeroingAdjoint() && places[access.field.get()] <= mostPlaces;
     size_t set = numberOf(*access.field);
@@ -120,7 +120,7 @@ void LiveSlabs::add(const std::vector<Use> &uses, const uint64_t *args) {
 void LiveSlabs::end(const KernelUses &uses, const uint64_t *args) {
   for (const Use &use : uses.ended) {
     SlabSet::Slab slab = locate(use, args);
-    // A place beyond the field is no reason to end all of it.
+    // `locate` returns the whole field if an index is out of range: keep it.
     if (!slab.isWhole() || use.fixed->empty())
       sets[use.set].remove(slab);
   }

@@ -5,10 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The elements whose adjoints may be non-zero at a point of a reverse sweep,
-// according to the summaries of the kernels whose adjoints have run: a launch
-// of x[t + 1, b] from x[t, b] takes the slab of x at [t + 1, b] to that at
-// [t, b], for its values of t and b.
+// The elements whose adjoints may be non-zero ("live") at a point of a reverse
+// sweep, according to the summaries of the kernels whose adjoints have run.
+// After the adjoint of a launch that computes x[t + 1, b] from x[t, b], the
+// slab of x at [t, b] is live, and the slab at [t + 1, b] is not if it has been
+// zeroed.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,13 +23,13 @@ namespace mlir::tai::runtime {
 
 class LiveSlabs {
 public:
-  /// No element is live.
+  /// Starts without live elements.
   explicit LiveSlabs(const TapeRecording &recording);
 
-  /// All elements of a field, or of all fields, are live from here on.
+  /// Makes all elements of a field, or of all fields, live.
   void add(const Field &field);
   void addAll() { isAll = true; }
-  /// No element of the field is live.
+  /// Makes no element of the field live.
   void remove(const Field &field);
 
   bool has(const Field &field) const;
@@ -36,13 +37,13 @@ public:
   bool isWritten(const TapeRecording::Record &record) const;
   bool isOverwritten(const TapeRecording::Record &record) const;
 
-  /// The adjoint of a launch has run. `zeroes`: it has set the adjoints of the
-  /// elements that the launch overwrites to zero.
+  /// Updates the live elements after the adjoint of a launch. `zeroes`: it has
+  /// set the adjoints of the elements that the launch overwrites to zero.
   void pass(const TapeRecording::Record &record, bool zeroes);
 
-  /// The same questions in the order of the records, where an element is live
-  /// if its value depends on some inputs: whether a launch reads such elements,
-  /// and the state after it.
+  /// For passes in the order of the records, where an element is live if its
+  /// value depends on some inputs. isRead: whether a launch reads live
+  /// elements. passForward: updates the live elements after the launch.
   bool isRead(const TapeRecording::Record &record) const;
   void passForward(const TapeRecording::Record &record, bool isRead);
 
@@ -54,7 +55,7 @@ private:
   };
   struct KernelUses {
     std::vector<Use> read, written, overwritten;
-    /// The overwritten ones of which each launch stores all elements.
+    /// The subset of `overwritten` of which each launch stores all elements.
     std::vector<Use> ended;
   };
   size_t numberOf(const Field &field);

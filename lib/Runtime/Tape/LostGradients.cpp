@@ -10,8 +10,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// Whether a derivative by the field's contents ends there, though it could
-/// have one.
+/// Whether the field cuts off derivatives: a float field without gradient.
 static bool endsGradients(const Field &field) {
   return isFloat(field.scalar()) && !field.adjoint() && !field.isAdjoint();
 }
@@ -40,8 +39,8 @@ static bool endsGradients(const FlowPlace &place) {
   return place.isArray() && !place.hasGradient;
 }
 
-/// Whether there are arrays without gradients that some kernel stores to, and
-/// such that some kernel reads.
+/// Whether some kernel stores to an array without gradient, and some kernel
+/// reads from an array without gradient.
 static bool haveSuspectArrays(const std::vector<KernelPtr> &kernels) {
   bool isStored = false, isRead = false;
   for (const KernelPtr &kernel : kernels) {
@@ -64,7 +63,7 @@ size_t LostGradients::hash(const TapeRecording &recording,
     mix(std::hash<const void *>()(kernel.get()));
   if (!hasArrays)
     return hash;
-  // Launches that share arrays, at any address, and calls of the host.
+  // Mix in which launches and host writes share arrays, but no addresses.
   struct Seen {
     uint64_t end;
     size_t number;
@@ -105,7 +104,7 @@ void LostGradients::find(const TapeServices &services,
                          const TapeRecording &recording,
                          const std::vector<Field *> &live,
                          std::vector<std::string> &notes) const {
-  // An iteration of a loop records the same kernels; they are checked once.
+  // Loops record the same sequence again; it is checked once.
   size_t known = hash(recording, haveSuspectArrays(recording.kernels()));
   for (const Field *field : live)
     known = known * 31 + std::hash<const void *>()(field);
@@ -126,7 +125,7 @@ void LostGradients::find(const TapeServices &services,
              recording.write(record).replacesAll())
       tracker.overwrite(*recording.write(record).field);
   }
-  // Memory of a device is not looked at.
+  // Gradients on a device are not read, and count as wanted.
   FlowTracker::CutSet cuts =
       tracker.cutsOfArrays([&](uint64_t address, uint64_t bytes) {
         const auto *adjoint = reinterpret_cast<const char *>(address);
@@ -139,7 +138,7 @@ void LostGradients::find(const TapeServices &services,
   want(tracker.cutsOfResults());
   for (const Field *field : live)
     want(tracker.cutsOf(*field));
-  // In the order of the program.
+  // Report the cuts in program order.
   std::sort(cuts.begin(), cuts.end());
   cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
   for (unsigned cut : cuts)

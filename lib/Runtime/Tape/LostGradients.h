@@ -24,9 +24,9 @@ namespace mlir::tai::runtime {
 
 class LostGradients {
 public:
-  /// Launches record addresses of arrays. To match these: `address` holds a
-  /// copy of an array for one launch; the host has changed an array before a
-  /// record.
+  /// Launches record addresses of arrays. noteCopy: `address` holds a copy of
+  /// `array` for one launch. noteWrite: the host has changed `array` before
+  /// this record.
   void noteCopy(uint64_t address, const ArrayRange &array) {
     copies[address] = array;
   }

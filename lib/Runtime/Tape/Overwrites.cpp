@@ -13,16 +13,16 @@
 using namespace mlir::tai::runtime;
 
 namespace {
-/// The elements of a field that the records so far have used: positions along
-/// the first dimension in which a launch fixes its index.
+/// The elements of a field that the records so far have used, as positions
+/// along the first dimension that an access fixes.
 struct Used {
   const Field *field;
   int64_t dimension = -1;
   std::vector<char> positions;
   bool anywhere = false;
   bool any = false;
-  /// Elements whose first user is a record that stores them: slabs, and
-  /// boxes.
+  /// Elements whose first user is a record that stores them: whole slabs by
+  /// position, other elements as boxes.
   std::vector<char> stored;
   OwedZeros boxes;
 
@@ -33,7 +33,7 @@ struct Used {
         return &fixed;
     return nullptr;
   }
-  /// The position of an access, or -1 if it is not known.
+  /// The position of an access, or -1 if it is not fixed or out of range.
   int64_t locate(const Access &access, const uint64_t *args) const {
     const FixedIndex *fixed = find(access);
     if (!fixed)
@@ -53,7 +53,7 @@ struct Used {
     else
       positions[position] = true;
   }
-  /// The elements that an access stores in a launch are zeroed after the sweep.
+  /// Notes elements that an access stores, to be zeroed after the sweep.
   void owe(const Access &access, bool isSlab, int64_t position,
            const uint64_t *args) {
     if (isSlab && position >= 0) {
@@ -87,7 +87,7 @@ std::shared_ptr<const OwedZeros> Used::take(const Field &field) {
                              : std::make_shared<OwedZeros>(std::move(boxes));
 }
 
-/// The facts that launches of a kernel after the first look at.
+/// Facts about a kernel that its first launch finds for its later launches.
 struct Repeated {
   enum class Effect {
     /// The access stores nothing.
@@ -100,12 +100,12 @@ struct Repeated {
     size_t used;
     const Access *access;
     Effect effect;
-    /// Whether its elements depend on arguments.
+    /// Whether the accessed elements depend on launch arguments.
     bool varies;
 
     bool stores() const { return effect != Effect::None; }
   };
-  /// The accesses whose places depend on arguments.
+  /// The accesses with `varies`; during the first launch, all accesses.
   std::vector<Use> uses;
   /// Later launches of the kernel store elements that the first has stored.
   bool storesAgain = false;
@@ -156,7 +156,7 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
   };
   std::unordered_map<const Kernel *, Repeated> known;
   std::vector<int64_t> positions;
-  // A gradient of the program's own may add to whatever it likes.
+  // A host function's own reverse can add to any gradient.
   bool isUnknown = false;
   for (size_t i = 0; i < recording.size(); ++i) {
     const TapeRecording::Record &record = recording[i];
@@ -169,7 +169,7 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
     const uint64_t *args = recording.args(record);
     positions.clear();
     bool again = TapedKernel::alwaysZeroes(*kernel);
-    // An adjoint written by hand may have one form only.
+    // A hand-written adjoint possibly has no zeroing variant.
     bool canZero = kernel->hasZeroingAdjoint();
     auto look = [&](const Repeated::Use &use) {
       Used &entry = used[use.used];
@@ -192,7 +192,7 @@ Overwrites mlir::tai::runtime::findOverwrites(const TapeRecording &recording) {
         size_t index = lookup(access);
         const FixedIndex *fixed = used[index].find(access);
         bool varies = fixed && !fixed->terms.empty();
-        // Accesses that differ in another dimension are one here.
+        // Accesses that differ only along other dimensions are alike.
         auto isAlike = [&](const Repeated::Use &use) {
           const FixedIndex *other = used[index].find(*use.access);
           return use.used == index && !use.stores() &&

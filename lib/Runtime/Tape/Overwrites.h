@@ -5,14 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Finds the launches that overwrite elements that an earlier one has used,
-// according to summaries: their adjoints must zero the adjoints of these
-// elements during the sweep. If a launch is the first to access the elements
-// that it stores, no later adjoint in the sweep reads their adjoints, so these
-// can be zeroed after the sweep (OwedZeros.h), if it is known which they are. A
-// kernel may have hundreds of accesses at constant indices (the columns of a
-// matrix of weights), which are the same in all its launches: these are
-// analysed once.
+// Finds, from summaries, launches that overwrite elements which an earlier
+// launch has used: their adjoints must zero the adjoints of these elements
+// during the sweep. If a launch is the first to access the elements that it
+// stores, the adjoints of these elements can be zeroed after the sweep
+// (OwedZeros.h). Accesses at constant indices, which can be hundreds in a
+// kernel, are the same in all its launches and are analysed once.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,10 +24,10 @@ namespace mlir::tai::runtime {
 
 struct Overwrites {
   /// For each record, whether it may store elements with an adjoint that an
-  /// earlier one has used.
+  /// earlier record has used.
   std::vector<bool> isRepeated;
-  /// By adjoint field, the elements that other records store for the first
-  /// time: after a sweep their adjoints are zero.
+  /// By adjoint field, the elements that a record stores before any other use:
+  /// their adjoints are zeroed after a sweep.
   using Zeros =
       std::vector<std::pair<FieldPtr, std::shared_ptr<const OwedZeros>>>;
   Zeros storedOnce;

@@ -29,8 +29,8 @@ void Rematerialiser::restart() {
   executedAt.clear();
 }
 
-/// Calls body(track, range) for all that the record may change and that is
-/// followed.
+/// Calls body(track, range) for each part that the record can change and that
+/// the tape restores (TapeMemory::followedFor).
 template <typename Body>
 Status Rematerialiser::forEachChange(size_t index, const Body &body) {
   const TapeRecording::Record &record = recording[index];
@@ -68,7 +68,7 @@ Status Rematerialiser::recompute(Launch &launch, size_t index, bool saving,
     status = memory.beforeReplay(static_cast<uint32_t>(index),
                                  static_cast<uint32_t>(oldest));
   topology.beginReexecution(static_cast<uint32_t>(index));
-  // A write to the tangent of a gradient does not belong into the sweep.
+  // Skip a host write that changes only tangents of gradients.
   if (status &&
       (changesFollowed || recording[index].kind != TapeRecording::Kind::Write))
     status = replayRecord(services, recording, launch, index,
@@ -94,8 +94,9 @@ bool Rematerialiser::mayNeed(size_t index) const {
   return recording.callsInReverse() || TapePlan::isReplayed(plan[index]);
 }
 
-/// Goes through [from, to) in reverse by saving the values overwritten there.
-/// Memory is that before `from`, and anything afterwards.
+/// Reverses the records [from, to): re-executes them, saving the values that
+/// they overwrite, then runs their adjoints. Memory must be as before record
+/// `from`; it is unspecified afterwards.
 Status Rematerialiser::reverseSaving(Launch &launch, size_t from, size_t to) {
   memory.beginSegment(static_cast<uint32_t>(from));
   Status status;
@@ -114,7 +115,7 @@ int64_t Rematerialiser::freeSnapshots() const {
   if (policy.budget > 0)
     return (policy.budget - checkpoints->bytes() - checkpoints->growth()) /
                std::max<int64_t>(checkpoints->snapshotBytes(), 1) -
-           1; // the values of the record that is being reversed
+           1; // room for the values of the record that is being reversed
   return std::max<int64_t>(policy.snapshots, 1) - checkpoints->count();
 }
 
@@ -131,7 +132,7 @@ bool Rematerialiser::isShort(size_t from, size_t to) const {
                           static_cast<uint32_t>(to)) <= room;
 }
 
-/// Drops the topmost snapshot, and restores memory to the one before.
+/// Drops the topmost snapshot, and restores memory to the one before it.
 Status Rematerialiser::dropTop() {
   Status status = checkpoints->restore();
   if (!status)
@@ -140,8 +141,8 @@ Status Rematerialiser::dropTop() {
   return checkpoints->restore();
 }
 
-/// Goes through [from, to) in reverse. Memory is that before `from`, where the
-/// topmost snapshot is, and anything afterwards.
+/// Reverses the records [from, to). Memory must be as before record `from`,
+/// where the topmost snapshot is; it is unspecified afterwards.
 Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
   Status status;
   while (status) {
@@ -153,7 +154,7 @@ Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
       return reverseSaving(launch, from, to);
     int64_t free = freeSnapshots();
     if (free <= 0) {
-      // From this one snapshot again and again.
+      // Re-execute from this snapshot for every record.
       status = recomputeRange(launch, from, to - 1);
       if (status)
         status = reverseSaving(launch, to - 1, to);
@@ -176,9 +177,9 @@ Status Rematerialiser::reverseRange(Launch &launch, size_t from, size_t to) {
   return status;
 }
 
-/// The number of snapshots, from the first on, that a sweep should start with:
-/// by now their number of records is known, and others may serve better in the
-/// places that the later ones take.
+/// The number of snapshots, from the first on, to keep for a sweep. The number
+/// of records is known now, so dropping later snapshots can make room for
+/// better placed ones.
 int64_t Rematerialiser::bestSnapshots() const {
   int64_t count = checkpoints->count();
   int64_t all = count + std::max<int64_t>(freeSnapshots(), 0);
@@ -248,13 +249,15 @@ Status Rematerialiser::sweep() {
     throw;
   }
   checkpoints->restoreFinal();
-  // The first snapshot covers all, after a failure too.
+  // Merge all snapshots into the first one, which covers all records; also
+  // after a failure.
   while (checkpoints->count() > 1)
     checkpoints->pop();
   return status;
 }
 
-/// Runs the sequence again, with new snapshots, after a sweep has left one.
+/// Runs the sequence again, with new snapshots, if an earlier sweep has left
+/// only the first one.
 Status Rematerialiser::recomputeAll(Launch &launch) {
   Status status = checkpoints->restore();
   if (!status)
@@ -267,7 +270,7 @@ Status Rematerialiser::recomputeAll(Launch &launch) {
   return status;
 }
 
-/// Reverses the records between each two snapshots, the last ones first.
+/// Reverses the records between adjacent snapshots, from last to first.
 Status Rematerialiser::reverseAll(Launch &launch) {
   int64_t kept =
       checkpoints->getPolicy().kind == CheckpointPolicy::Kind::Binomial

@@ -70,7 +70,7 @@ private:
   /// Re-executed records, in total and for each record.
   int64_t executed = 0;
   std::vector<uint32_t> executedAt;
-  /// After a sweep: only the first snapshot is left.
+  /// Whether a sweep has run, which leaves only the first snapshot.
   bool sweptBefore = false;
 };
 

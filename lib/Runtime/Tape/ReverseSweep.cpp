@@ -67,7 +67,7 @@ Status ReverseSweep::runAdjoint(Launch &launch, size_t index) {
   const TapeRecording::Record &record = recording[index];
   Kernel &kernel = *record.kernel;
   const uint64_t *args = recording.args(record);
-  // A value that was returned and not used any more costs nothing.
+  // Skip a launch if adjoints of its results and changed fields are zero.
   const std::vector<Field *> &sources = TapedKernel::sources(kernel);
   const CallerAdjoints &caller = kernel.callerAdjoints();
   if (services.skips(Skip::DeadLaunches) && !caller.results.empty() &&
@@ -117,7 +117,7 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
     zero.what = HostWrite::What::Fill;
   if (!services.perform(zero, FieldCopies::Interrupts::Stop))
     return failAsInterrupted();
-  // Tangents go along.
+  // In forward mode, zero the tangent of the adjoint as well.
   zero.field = services.isForward() ? adjoint->dual() : nullptr;
   if (zero.field && !services.perform(zero, FieldCopies::Interrupts::Stop))
     return failAsInterrupted();
@@ -125,7 +125,7 @@ Status ReverseSweep::zeroWritten(const HostWrite &write) {
 }
 
 Status ReverseSweep::findLoops(Kernel &kernel, LoopLists &lists) {
-  // Activity is that of the end of the function.
+  // The current activity is that after the whole host function.
   for (SparseNode *node : TapedKernel::sparseNodes(kernel))
     lists.addUnknown(
         *node, node->list(),

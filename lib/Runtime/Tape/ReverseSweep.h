@@ -35,7 +35,7 @@ public:
   /// Runs all records, with a decision on each at its turn: host functions may
   /// have written adjoints in ways that the plan does not know.
   Status runDeciding(Launch &launch);
-  /// Reverses one record, of such a sweep, or of a checkpointed one.
+  /// Reverses one record, as a step of runDeciding or of a checkpointed sweep.
   Status reverse(Launch &launch, size_t index);
 
   /// During the reverse of a host function: the cells that the loops of a

@@ -63,7 +63,7 @@ unsigned SlabSet::addShape(const std::vector<FixedIndex> &fixed) {
   return static_cast<unsigned>(shapes.size() - 1);
 }
 
-/// Makes the counts, when all shapes are known.
+/// Makes the counts, after all shapes have been added.
 void SlabSet::prepare() {
   for (Shape &shape : shapes) {
     for (const Shape &other : shapes) {

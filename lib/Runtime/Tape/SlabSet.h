@@ -8,8 +8,9 @@
 // A slab is the set of all elements of a field with given positions along some
 // of its dimensions: x[t, b, :]. Launches access slabs, and a set of elements
 // is a union of them. Two slabs have elements in common if their positions
-// agree along the dimensions that both fix, so the set counts, for each pair of
-// such sets of dimensions, the positions along those that both fix.
+// agree along the dimensions that both fix. So, for each pair of shapes (sets
+// of fixed dimensions), slabs are counted by their positions along the common
+// ones.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,8 +24,8 @@
 namespace mlir::tai::runtime {
 
 class SlabSet {
-  /// Accesses that fix more dimensions, or further sets of dimensions, count as
-  /// accesses to the whole field.
+  /// Limits for shapes (sets of fixed dimensions) and for dimensions in them;
+  /// accesses beyond the limits count as accesses to the whole field.
   static constexpr unsigned mostShapes = 8, mostDimensions = 8;
 
 public:
@@ -43,20 +44,20 @@ public:
     unsigned shape = 0;
     std::array<int64_t, mostDimensions> positions;
   };
-  /// The slab of an access in a launch; the whole field if a position is not
-  /// one of the field.
+  /// The slab of an access in a launch; the whole field if an index is out of
+  /// range.
   Slab locate(unsigned shape, const std::vector<FixedIndex> &fixed,
               const uint64_t *args) const;
   Slab whole() const { return {}; }
 
   void add(const Slab &slab);
-  /// Takes elements of the slab away, but may leave any of them.
+  /// Removes elements of the slab, but is allowed to keep any of them.
   void remove(const Slab &slab);
   /// Whether the slab may have elements that are in the set.
   bool meets(const Slab &slab) const;
 
 private:
-  /// How many slabs have these positions.
+  /// The number of slabs by their positions along the dimensions of `mask`.
   class Counts {
   public:
     Counts(unsigned mask, int64_t size);
@@ -71,8 +72,9 @@ private:
   struct Shape {
     /// The dimensions, as a mask over `dimensions`.
     unsigned mask;
-    /// The slabs of this shape by the dimensions that they share with others,
-    /// and where those of each other shape are; `own` for all.
+    /// Counts of this shape's slabs by their positions along dimensions in
+    /// common with another shape. shared[i] is the number of the counts for
+    /// shape i, `own` that for this shape.
     std::vector<Counts> counts;
     std::vector<unsigned> shared;
     unsigned own = 0;

@@ -62,7 +62,7 @@ Status SweepSeeds::add(FieldPtr loss, TapeHolds &holds) {
 }
 
 void SweepSeeds::clearSum(Field &loss) const {
-  // Losses are summed up, so a tape starts from an empty one.
+  // Kernels add up a loss, so a tape starts from zero.
   const char zeros[8] = {};
   if (isSum(loss))
     services.perform({HostWrite::What::Fill, &loss, zeros});

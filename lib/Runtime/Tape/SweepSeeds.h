@@ -23,13 +23,13 @@ public:
 
   bool empty() const { return losses.empty(); }
   bool has(const Field &field) const;
-  /// "'loss', 'other'"
+  /// The names of the losses: "'loss', 'other'".
   std::string names() const;
 
   /// Adds a loss, which the tape holds from then on. A field of one number is
   /// treated as a sum: it is set to zero, and its seed is 1.
   Status add(FieldPtr loss, TapeHolds &holds);
-  /// A row-major array of the scalar type of the adjoint.
+  /// Sets the seed of a loss: a row-major array of its adjoint's scalar type.
   Status set(const Field &loss, const void *array);
   /// Sets the losses that are sums to zero, before the sequence runs again.
   void clearSums() const;
@@ -37,14 +37,14 @@ public:
   Status store() const;
 
   /// The fields whose adjoints may be non-zero when a sweep starts, except
-  /// those written by other threads only. `cleared`: gradients are then zero,
-  /// except exported ones.
+  /// those written by other threads only. `cleared`: gradients are zeroed
+  /// before the sweep, so that only exported ones can be non-zero.
   std::vector<Field *> liveFields(bool cleared, const TapeHolds &holds) const;
 
 private:
   struct Loss {
     FieldPtr field;
-    /// Bytes of the adjoint; empty for 1.
+    /// The seed in the adjoint's scalar type; empty for a seed of 1.
     std::vector<char> seed;
   };
   void clearSum(Field &loss) const;

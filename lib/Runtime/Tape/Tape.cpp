@@ -29,7 +29,7 @@ bool Tape::uses(const FieldPtr &field) const { return parts->holds.has(field); }
 void Tape::releaseFields() { parts->holds.release(); }
 
 namespace {
-/// Lets go of the fields at the end, however it comes.
+/// Releases the fields of a tape at the end of a scope, also after a failure.
 class ReleasedAtEnd {
 public:
   explicit ReleasedAtEnd(Tape &tape) : tape(tape) {}
@@ -91,7 +91,7 @@ void Tape::plan(bool cleared) {
 }
 
 namespace {
-/// While it lives, the launches on a device become one piece of work.
+/// While an object lives, the launches on a device become one piece of work.
 class CollectedWork {
 public:
   explicit CollectedWork(Runtime &runtime, bool isReplay = false)
@@ -103,7 +103,7 @@ public:
   CollectedWork(const CollectedWork &) = delete;
   CollectedWork &operator=(const CollectedWork &) = delete;
 
-  /// Queues it. An earlier failure comes first.
+  /// Queues the work. Returns `status` if it is a failure, else the result.
   Status finish(Status status) {
     if (!device)
       return status;
@@ -165,7 +165,7 @@ Status Tape::replayAll(bool forward, bool reverse) {
 
 Status Tape::replayForward() {
   Parts &tape = *parts;
-  // New numbers for all launches, at the same distances.
+  // Give all launches new numbers, which keep their distances.
   tape.recording.renumber(
       tape.services.takeLaunches(tape.recording.numLaunches()));
   HeldLaunch launch(tape.services);
@@ -219,7 +219,7 @@ Status Tape::sweep() {
   try {
     status = runPlan();
   } catch (...) {
-    // Fields hold earlier values, which are put right first.
+    // Fields hold values of earlier records: restore them before the throw.
     isOutOfMemory = true;
   }
   if (!tape.rematerialiser.isOn())
@@ -230,7 +230,7 @@ Status Tape::sweep() {
   for (const auto &[adjoint, zeros] : tape.plan.zerosAfter())
     tape.services.oweZeros(adjoint, zeros);
   forgetUnwanted();
-  // Host functions may have made any changes.
+  // Host functions can have changed any field: watch for changes from here.
   tape.changes.begin(tape.memory);
   if (status)
     tape.report.checkEffect(tape.recording, tape.plan, tape.seeds.names(),
@@ -238,7 +238,7 @@ Status Tape::sweep() {
   return status;
 }
 
-/// Zeroes the gradients that the sweep has added to on its way to others.
+/// Zeroes the gradients that the sweep has added to on its way to wanted ones.
 void Tape::forgetUnwanted() {
   const Parts &tape = *parts;
   if (tape.wanted.empty())
@@ -321,7 +321,7 @@ Status Tape::runRecord(int64_t index) {
 }
 
 //===----------------------------------------------------------------------===//
-// What one sees
+// Queries
 //===----------------------------------------------------------------------===//
 
 int64_t Tape::numRecords() const {

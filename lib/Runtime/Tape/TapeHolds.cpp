@@ -23,7 +23,7 @@ Status TapeHolds::add(const FieldPtr &field, HoldKind kind) {
     used.erase(entry);
     return status;
   }
-  // Left there by another thread before: a tape begins with gradients of zero.
+  // Another thread left these values; the tape's gradients start at zero.
   if (isNew && clears && field->isAdjoint() && field->isDirtiedByOther()) {
     const char zeros[8] = {};
     field->settleZeros();
@@ -40,14 +40,14 @@ Status TapeHolds::add(const Kernel &kernel) {
   for (const Access &access : kernel.summary()) {
     if (status)
       status = add(access.field, holdKindOf(access.kind));
-    // Activity is part of the sequence, and the same for all fields.
+    // All fields of a tree share its activity, which the launch depends on.
     if (status && access.field->sparseNode() && access.field->valid())
       status = add(services.firstOf(access.field->tree()), HoldKind::Write);
     if (access.field->adjoint())
       (access.kind == AccessKind::Read ? reads : changes) = true;
   }
-  // A sweep adds to the gradients of read fields, and takes those of changed
-  // fields to be of this tape.
+  // A sweep adds to the gradients of read fields, and treats the gradients of
+  // changed fields as this tape's own.
   if (reads && changes)
     for (const Access &access : kernel.summary())
       if (status && TapedField::adjoint(*access.field))

@@ -20,7 +20,7 @@ namespace mlir::tai::runtime {
 
 class TapeHolds {
 public:
-  /// `tape`: the owner of the holds. `clears`: it zeroes gradients at its
+  /// `tape`: the owner of the holds. `clears`: the tape zeroes gradients at its
   /// start, and uses them exclusively.
   TapeHolds(TapeServices services, const Tape &tape, bool clears)
       : services(services), tape(tape), clears(clears) {}
@@ -30,11 +30,11 @@ public:
   /// that other threads have written.
   Status add(const Kernel &kernel);
   Status add(const FieldPtr &field, HoldKind kind);
-  /// The kind of hold on gradients that its sweep adds to.
+  /// The kind of hold on gradients that the tape's sweep adds to.
   HoldKind gradientKind() const {
     return clears ? HoldKind::Write : HoldKind::Add;
   }
-  /// Holds all these fields again, for the calling thread.
+  /// Holds all added fields again, for the calling thread.
   Status hold();
   void release();
 

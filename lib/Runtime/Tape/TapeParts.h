@@ -20,7 +20,7 @@
 
 namespace mlir::tai::runtime {
 
-/// In the order of their dependencies.
+/// The parts of a tape, each declared after the parts that it depends on.
 struct Tape::Parts {
   Parts(Runtime &runtime, Tape &tape, uint64_t stamp, bool clears)
       : stamp(stamp), services(runtime), holds(services, tape, clears),
@@ -36,12 +36,12 @@ struct Tape::Parts {
   uint64_t stamp;
   TapeServices services;
   bool isOpen = false;
-  /// Memory has run out in the middle.
+  /// Memory has run out during an operation: the tape can no longer be used.
   bool isSpoilt = false;
   /// A replay has failed before its end.
   bool isHalfRun = false;
-  /// The nesting depth of suspend(), and the number of the next launch at the
-  /// first one.
+  /// The nesting depth of suspend(), and the number of the next launch when the
+  /// outermost suspend() was called.
   int suspended = 0;
   uint64_t suspendedAt = UINT64_MAX;
 

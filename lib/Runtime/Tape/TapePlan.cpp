@@ -13,7 +13,7 @@ using namespace mlir::tai::runtime;
 using Kind = TapeRecording::Kind;
 
 namespace {
-/// Live adjoints as a sweep that runs sees them, whatever changed them.
+/// Live adjoints during a sweep, from the dirty flags of adjoint fields.
 struct DirtyAdjoints {
   static bool has(const Field &field) { return field.adjoint()->dirty(); }
   static bool hasAny(const std::vector<Field *> &fields) {
@@ -54,8 +54,8 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
   if (interest == Interest::Leads &&
       (!TapedKernel::targets(kernel).empty() || caller.hasTargets))
     return Decision::Replay;
-  // The rest of the work is to forget the adjoints of fields that the kernel
-  // overwrote. That matters only to those who wrote it before.
+  // Otherwise the adjoint only zeroes adjoints of elements that the kernel
+  // overwrote, which matters only to earlier writers of these elements.
   if (interest != Interest::None && zeroesAt(index) &&
       live.isOverwritten(record))
     return Decision::Replay;
@@ -63,8 +63,8 @@ TapePlan::Decision TapePlan::decide(const TapeRecording &recording,
                                      : Decision::SkipUnwanted;
 }
 
-/// Goes through the records in their order with the elements that depend on
-/// wanted fields.
+/// Follows the elements that depend on wanted fields through the records, and
+/// sets the interest of each record.
 void TapePlan::findUnwanted(const TapeRecording &recording,
                             const std::vector<FieldPtr> &wanted) {
   interests.assign(recording.size(), Interest::Leads);
@@ -79,7 +79,7 @@ void TapePlan::findUnwanted(const TapeRecording &recording,
       varied.addAll();
     if (record.kind != Kind::Launch)
       continue;
-    // Arrays may hold anything, and their gradients are always wanted.
+    // Arrays can depend on wanted fields, and their gradients are wanted.
     bool leads =
         varied.isRead(record) || record.kernel->callerAdjoints().hasTargets;
     if (!leads)
@@ -100,7 +100,7 @@ void TapePlan::make(const TapeServices &services,
   for (const FieldPtr &field : wanted)
     inputs.wanted.push_back(field.get());
   for (const KernelPtr &kernel : recording.kernels())
-    // A tree that has gone is an error when the kernel is launched.
+    // Ignore a destroyed tree here: launching the kernel will fail.
     (void)TapedKernel::bind(*kernel, inputs.epoch);
   std::shared_ptr<const KnownPlan> known = services.knownPlan();
   if (known && known->find(recording, inputs, results))
@@ -114,7 +114,7 @@ void TapePlan::make(const TapeServices &services,
     services.setKnownPlan(std::move(made));
 }
 
-/// From the last record to the first, with the adjoints that may be non-zero.
+/// Decides on records from last to first, following live adjoints.
 void TapePlan::decideAll(const TapeRecording &recording) {
   std::vector<Decision> &decisions = results.decisions;
   decisions.assign(recording.size(), Decision::SkipUnreached);

@@ -38,7 +38,8 @@ public:
   bool isMade(const TapeRecording &recording) const {
     return results.decisions.size() == recording.size();
   }
-  /// Whether they are valid for this epoch of the storage and these adjoints.
+  /// Whether the decisions are valid for this storage epoch and these fields
+  /// with non-zero adjoints.
   bool holds(const TapeRecording &recording, uint64_t epoch,
              const std::vector<Field *> &live) const {
     return isMade(recording) && inputs.epoch == epoch && inputs.live == live;

@@ -53,7 +53,7 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
   // An iteration of an optimiser records as many launches as the last one.
   if (std::shared_ptr<const KnownPlan> last = services.knownPlan())
     made->parts->recording.reserve(last->getLaunches());
-  // From here on it holds its fields.
+  // From here on, the tape holds its fields.
   Status held = made->parts->holds.hold();
   if (!held)
     return held;
@@ -68,7 +68,7 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
     if (!status)
       return status;
   }
-  // Clearing belongs to it.
+  // A device's recording includes the clearing of gradients.
   if (device)
     device->beginRecording();
   Status status;
@@ -96,7 +96,7 @@ Status Tape::begin(Runtime &runtime, uint64_t stamp, FieldPtr loss, bool clears,
 }
 
 void Tape::end(bool isSwept) {
-  // The thread may be another one, since any thread may drop a tape.
+  // Any thread can drop a tape, not only the thread that records it.
   if (!std::exchange(parts->isOpen, false))
     return;
   parts->services.endRecording(*this);
@@ -145,8 +145,8 @@ const AccessChecks *Tape::accessChecks() const { return parts->checks.get(); }
 // Launches
 //===----------------------------------------------------------------------===//
 
-/// True if the adjoint may want the state of a field before the launch and the
-/// one after it: then the kernel may have to be recorded in parts.
+/// True if the adjoint may need the state of a field both before and after the
+/// launch: then the kernel may have to be recorded in parts.
 static bool readsWhatItChanges(const Kernel &kernel) {
   const std::vector<Access> &summary = kernel.summary();
   return std::any_of(summary.begin(), summary.end(), [&](const Access &read) {
@@ -158,7 +158,8 @@ static bool readsWhatItChanges(const Kernel &kernel) {
 }
 
 Status Tape::adopt(Kernel &kernel) {
-  // Elsewhere the code comes first: the adjoint is begun meanwhile.
+  // A kernel that needs no parts is compiled first, and its adjoint meanwhile
+  // in the background.
   if (!readsWhatItChanges(kernel) || isSuspended()) {
     Status status = parts->services.ready(kernel);
     if (!status)
@@ -171,7 +172,7 @@ Status Tape::adopt(Kernel &kernel) {
     if (tree)
       parts->topology.watch(tree);
   const void *uses = &parts->memory.usesOf(kernel);
-  // Where several tapes record, each looks for itself.
+  // A kernel has room for the uses of one tape: only a lone tape sets them.
   if (!parts->services.recordsTogether())
     TapedKernel::setKnown(kernel, parts->stamp, uses);
   parts->recording.keep(kernel);
@@ -207,7 +208,8 @@ inline Status Tape::launchOne(Launch &launch, Kernel &kernel, const void *known,
                  ? tape.checks->run(launch, kernel, args, results, number)
                  : tape.services.run(launch, kernel, args, results, number);
   if (__builtin_expect(!status.ok(), false)) {
-    // The next record undoes the changes of memory of a failed launch.
+    // Keep the copies of a failed launch: reversing the next record restores
+    // its changes.
     tape.memory.settle();
     return status;
   }

@@ -40,7 +40,7 @@ public:
     bool operator==(const Launches &other) const;
   };
   const Launches &launches() const { return all; }
-  /// Allocates the memory of as many records and arguments.
+  /// Allocates memory for as many records and arguments as `expected` has.
   void reserve(const Launches &expected) {
     all.records.reserve(expected.records.size());
     all.slots.reserve(expected.slots.size());
@@ -87,7 +87,8 @@ public:
         [](const Record &record) { return record.kind == Kind::Launch; });
   }
 
-  /// By the summaries of kernels, in the order of the records.
+  /// Fields that a record overwrites after an earlier use, by the summaries of
+  /// kernels, in the order of the records.
   std::vector<FieldOverwrite> overwrites() const;
 
   /// Keeps a launched kernel alive.
@@ -102,8 +103,8 @@ public:
     for (int64_t i = 0; i < kernel.tapeSlots(); ++i)
       all.slots.push_back(args[i]);
   }
-  /// `start`: the number of its first launch (or the number that it would
-  /// have). `next`: the number of the next launch.
+  /// `start`: the number of the function's first launch (or the number that it
+  /// would have). `next`: the number of the first launch after the function.
   void addCallback(TapeCallback callback, uint64_t start, uint64_t next);
   /// Owns the data that a HostWrite refers to.
   struct Write {
@@ -119,8 +120,8 @@ public:
   };
   void addWrite(std::unique_ptr<Write> write);
 
-  /// The number of launch numbers used by the records; and sets the first,
-  /// which shifts all of them.
+  /// numLaunches: how many launch numbers the records span. renumber: sets the
+  /// number of the first launch, which shifts all numbers.
   uint64_t numLaunches() const { return anyLaunch ? lastLaunch + 1 : 0; }
   void renumber(uint64_t first) { firstLaunch = first; }
 

@@ -115,7 +115,7 @@ public:
 
   const std::vector<FieldPtr> &fields() const { return runtime.fields(); }
   uint64_t epoch() const { return runtime.storageEpoch(); }
-  /// False if it was interrupted.
+  /// Performs a write. Returns false if the host interrupted it.
   bool perform(const HostWrite &write,
                FieldCopies::Interrupts interrupts =
                    FieldCopies::Interrupts::Wait) const {
@@ -154,7 +154,7 @@ private:
   Runtime &runtime;
 };
 
-/// The same for fields.
+/// The operations of fields that only the parts of a tape use.
 struct TapedField {
   static const TreePtr &tree(const Field &field) { return field.sharedTree(); }
   static const FieldPtr &adjoint(const Field &field) {

@@ -18,7 +18,7 @@ using namespace mlir::tai::runtime;
 // Schedules
 //===----------------------------------------------------------------------===//
 
-/// n over k, or the greatest number where that is more.
+/// The binomial coefficient n over k, limited to `most`.
 static int64_t choose(int64_t n, int64_t k) {
   constexpr int64_t most = std::numeric_limits<int64_t>::max() / 4;
   k = std::min(k, n - k);
@@ -39,7 +39,7 @@ int64_t mlir::tai::runtime::binomialCost(int64_t steps, int64_t snapshots) {
   if (steps <= 1)
     return 0;
   snapshots = std::clamp<int64_t>(snapshots, 1, steps);
-  // The least number of times that a step is repeated.
+  // The least r with choose(snapshots + r, snapshots) >= steps.
   int64_t repeats = 1;
   while (choose(snapshots + repeats, snapshots) < steps)
     ++repeats;
@@ -47,7 +47,7 @@ int64_t mlir::tai::runtime::binomialCost(int64_t steps, int64_t snapshots) {
 }
 
 int64_t mlir::tai::runtime::binomialSplit(int64_t steps, int64_t snapshots) {
-  // The cost is convex in the place of the next snapshot.
+  // The cost is convex in the position of the next snapshot: bisect.
   auto cost = [&](int64_t at) {
     return at + binomialCost(at, snapshots) +
            binomialCost(steps - at, snapshots - 1);
@@ -92,12 +92,12 @@ void Checkpoints::push(uint32_t record) {
 
 bool Checkpoints::tooMany() const {
   if (policy.budget > 0)
-    // The next snapshot, the contents of the fields at the end, and the values
-    // of a single record take at most as much as the largest so far each.
+    // Leave room for the next snapshot, the final contents of the fields, and
+    // the values of a single record: each at most the largest snapshot so far.
     return total + 3 * largest > policy.budget;
   if (policy.snapshots > 0)
     return count() >= policy.snapshots;
-  // The number of snapshots is that of the records of a segment, or twice that.
+  // Keep between once and twice as many snapshots as a segment has records.
   return count() >= 2 * int64_t(stride);
 }
 
@@ -183,7 +183,7 @@ void Checkpoints::settle() {
   }
   growing.clear();
   size_t kept = unsettled;
-  // After an interruption, copies are kept that may not be needed.
+  // After an interruption, keep all copies, needed or not.
   bool compares = safepoints.begin(bytesOf(top.pieces, unsettled)).ok();
   for (size_t i = unsettled; i < top.pieces.size(); ++i) {
     compares = compares && safepoints.pass().ok();
@@ -218,7 +218,8 @@ Status Checkpoints::restore() {
   return status;
 }
 
-/// If both snapshots hold a part, the earlier one has the older contents.
+/// Merges a snapshot into the previous one, whose older contents replace the
+/// snapshot's own where both hold a part.
 void Checkpoints::mergeIntoPrevious(size_t index) {
   Log &older = logs[index - 1], &newer = logs[index];
   uint32_t mark = ++ids;
@@ -234,7 +235,7 @@ void Checkpoints::mergeIntoPrevious(size_t index) {
     for (int64_t cell = piece.cell; cell < piece.endCell; ++cell)
       if (track.loggedBy[cell] == newer.id)
         track.loggedBy[cell] = older.id;
-    // The older one may know nothing of the track, or of cells that came later.
+    // The older snapshot can lack the track, or cells activated later.
     track.marks.resize(static_cast<size_t>(track.numCells()));
     auto begin = track.marks.begin() + piece.cell;
     auto end = track.marks.begin() + piece.endCell;

@@ -39,8 +39,9 @@ public:
 
   /// Drops all snapshots, before the sequence runs from its start.
   void restart();
-  /// The same where memory is that of the first snapshot, which covers all: it
-  /// stays, so that nothing is lost if the sequence does not reach its end.
+  /// Drops all snapshots but the first, which covers all records; memory must
+  /// be as at that snapshot. Nothing is lost if the sequence then fails before
+  /// its end.
   void rewind();
   /// Call before each record while the sequence first runs: takes a snapshot
   /// where one is due.
@@ -49,7 +50,7 @@ public:
   /// copies of cells that did not change.
   Status log(Track &track, SlabRange range);
   void settle();
-  /// Whether a copy was made out of forward mode, without its tangents.
+  /// Whether a copy was made outside forward mode, and so without its tangents.
   bool lackTangents() const { return lacksTangents; }
 
   /// Pushes a new snapshot, at a record.
@@ -70,8 +71,8 @@ public:
   Status keepFinal();
   void restoreFinal();
 
-  /// Bytes of the largest snapshot, of all of them with the final contents; the
-  /// maximum number of snapshots.
+  /// Bytes of the largest snapshot; bytes of all snapshots and of the final
+  /// contents; the maximum number of snapshots so far.
   int64_t snapshotBytes() const { return largest; }
   int64_t bytes() const { return total + finalBytes; }
   int64_t mostSnapshots() const { return most; }
@@ -83,7 +84,7 @@ private:
     uint32_t start;
     uint32_t id;
     int64_t bytes = 0;
-    /// Later pieces hold older contents.
+    /// Where pieces overlap, later pieces hold older contents.
     std::vector<Piece> pieces;
   };
   Status logOne(Track &track, SlabRange range);
@@ -106,7 +107,7 @@ private:
   int64_t total = 0, finalBytes = 0;
   int64_t largest = 0;
   int64_t most = 0;
-  /// Passed by the copies and comparisons that run.
+  /// Safepoints during copies and comparisons.
   CopySafepoints safepoints;
 };
 

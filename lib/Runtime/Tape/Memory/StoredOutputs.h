@@ -24,10 +24,10 @@ class StoredOutputs {
 public:
   bool any() const { return anyStored; }
 
-  /// Notes that the record with this stamp has stored to these of `count`
-  /// slabs, or to unknown ones, if the range is all. Sets `lost`, by stamp, for
-  /// records whose stored values may be overwritten. Only the last record that
-  /// stored to a slab is tracked.
+  /// Notes that the record with this stamp has stored to `range`, or to unknown
+  /// slabs if the range is all; the field has `count` slabs. Sets lost[s] for
+  /// each stamp s whose record's stored values this may overwrite. Only the
+  /// last record that stored to a slab is tracked.
   void mark(SlabRange range, int64_t count, uint32_t stamp,
             std::vector<bool> &lost) {
     lose(range, lost, stamp);
@@ -41,8 +41,8 @@ public:
     std::fill(at.begin() + range.first, at.begin() + range.end(), stamp);
   }
 
-  /// Notes that slabs, or any of all, change. The record with the stamp
-  /// `keeps` does not lose its stored values.
+  /// Notes that the slabs in `range` change, or unknown slabs if the range is
+  /// all. The record with the stamp `keeps` does not lose its stored values.
   void lose(SlabRange range, std::vector<bool> &lost, uint32_t keeps = 0) {
     if (!anyStored)
       return;
@@ -66,8 +66,8 @@ public:
   }
 
 private:
-  /// Stamps of the records that stored to each slab, and to an unknown slab,
-  /// and whose adjoints may load that; 0 after a change.
+  /// at: for each slab, the stamp of the last record that stored to it, or 0 if
+  /// the slab has changed since. anywhere: the same for unknown slabs.
   std::vector<uint32_t> at;
   uint32_t anywhere = 0;
   bool anyStored = false;

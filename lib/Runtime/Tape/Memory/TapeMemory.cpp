@@ -30,7 +30,7 @@ SlabRange TapeMemory::Use::locateAny(const uint64_t *args) const {
     number = number * extent + position;
     located *= extent;
   }
-  // No division where each slab is told apart, in each launch.
+  // Save the division, in each launch, where the indices fix one slab.
   int64_t all = track->slabs.count();
   int64_t count = located == all ? 1 : all / located;
   return {number * count, count};
@@ -89,8 +89,8 @@ TapeMemory::Use TapeMemory::makeUse(const Access &access) {
   return use;
 }
 
-/// A use of all slabs one by one, at constant indices, is one of the field: the
-/// columns of a matrix of weights can be hundreds, in each of many launches.
+/// Merges uses of every slab of a field at constant indices into one use of the
+/// field: a kernel may use hundreds of columns of a matrix of weights.
 static void mergeSlabs(std::vector<TapeMemory::Use> &uses) {
   std::map<const Track *, std::set<int64_t>> slabs;
   for (const TapeMemory::Use &use : uses) {
@@ -167,7 +167,7 @@ TapeMemory::Part TapeMemory::followedFor(Track &track, SlabRange range) {
   const FieldPtr &primal = *track.ofPrimal;
   if (!primal)
     return {&track, range};
-  // Slabs of the two may differ.
+  // The slabs of a field and its dual can differ: follow the whole field.
   return {primal->isAdjoint() ? nullptr : &trackOf(primal, {}), {}};
 }
 
@@ -196,7 +196,7 @@ Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
   for (const Use &use : uses.changes) {
     if (__builtin_expect(use.track->stored.any(), false))
       use.track->stored.lose(use.locate(args), lostStored);
-    // The adjoint of a part is the business of the host function.
+    // The sweep runs no adjoint for a launch of a host function.
     bool before = use.before && !isPart;
     if (use.track->lastRead == 0 && !before && !checkpoints)
       continue;
@@ -387,7 +387,7 @@ void TapeMemory::settle() {
   int64_t bytes = 0;
   for (size_t i = unsettled; i < pieces.size(); ++i)
     bytes += pieces[i].bytes();
-  // After an interruption, copies are kept that may not be needed.
+  // After an interruption, keep all copies, needed or not.
   bool compares = safepoints.begin(bytes).ok();
   size_t kept = unsettled;
   for (size_t i = unsettled; i < pieces.size(); ++i) {
@@ -395,7 +395,7 @@ void TapeMemory::settle() {
     Piece &piece = pieces[i];
     Track &track = *piece.track;
     if (compares && piece.holds()) {
-      // The last read still needs it.
+      // Unchanged so far, so the last read still needs a later save.
       saved -= piece.keptBytes();
       std::fill(track.savedAt.begin() + piece.cell,
                 track.savedAt.begin() + piece.endCell, 0);
@@ -559,7 +559,7 @@ Status TapeMemory::swapAll(FieldCopies::Interrupts interrupts) {
   Status status = safepoints.begin(bytes);
   if (!status && canStop)
     return status;
-  // Not in the middle of a piece.
+  // An interruption must not leave a piece half swapped.
   safepoint::Unstoppable whole;
   auto isStopped = [&] {
     return canStop && safepoint::Unstoppable::wasAsked();
@@ -610,7 +610,7 @@ Status TapeMemory::beginReverse() {
   return Status::success();
 }
 
-/// Visits the pieces that the record entered last wants put back early.
+/// Visits the pieces with `before` of the record entered last.
 template <typename Visit> void TapeMemory::forEachEntered(const Visit &visit) {
   for (size_t i = cursor; i > 0 && pieces[i - 1].record == entered; --i)
     if (pieces[i - 1].before)
@@ -680,8 +680,7 @@ void TapeMemory::leave(bool reexecutes) {
 }
 
 void TapeMemory::endReverse() {
-  // In the record that was entered last, pieces wanted early are restored
-  // already.
+  // Pieces with `before` of the record entered last have been restored already.
   some.clear();
   for (; cursor > 0 && pieces[cursor - 1].record == entered; --cursor)
     if (!pieces[cursor - 1].before)

@@ -27,7 +27,7 @@ class TapeMemory {
 public:
   explicit TapeMemory(Runtime &runtime) : runtime(runtime) {}
 
-  /// From now on, while the sequence runs, changes go into snapshots.
+  /// From now on, values overwritten by the running sequence go into snapshots.
   void useCheckpoints(Checkpoints *snapshots) { checkpoints = snapshots; }
 
   struct Part {
@@ -41,23 +41,23 @@ public:
   /// How the launches of a kernel use one field.
   struct Use {
     Track *track;
-    /// The fixed indices along the first of the dimensions that the track has
-    /// slabs for.
+    /// The fixed indices along a leading part of the dimensions that tell the
+    /// track's slabs apart.
     std::vector<FixedIndex> fixed;
-    /// The indices of the field along each of these dimensions.
+    /// The range of the field's indices along each of these dimensions.
     std::vector<SlabRange> ranges;
     /// For changes: the adjoint reads the version of the field before the
     /// launch.
     bool before = false;
 
-    /// The only fixed index, if it is an argument and a constant: it is found
-    /// in each launch without following pointers.
+    /// The only fixed index, if it is a multiple of one argument plus a
+    /// constant: a launch evaluates it without following pointers.
     struct Single {
       LaunchTerm term;
       int64_t constant = 0, extent = -1;
     } single;
 
-    /// The slabs for these arguments, or all if they are not known.
+    /// The slabs for these arguments, or all slabs if an index is not known.
     SlabRange locate(const uint64_t *args) const {
       if (single.extent != track->slabs.count())
         return locateAny(args);
@@ -69,7 +69,7 @@ public:
                  : SlabRange();
     }
     SlabRange locateAny(const uint64_t *args) const;
-    /// Whether they are the same slabs in all launches.
+    /// Whether the use has the same slabs in all launches.
     bool isConstant() const {
       return std::all_of(
           fixed.begin(), fixed.end(),
@@ -86,17 +86,17 @@ public:
     /// Reads of the adjoint variant that loads stored outputs.
     std::vector<Use> stored;
     /// Changes and reads of the kernel itself: memory that the reverse of a
-    /// host function that launches it may read.
+    /// host function which launches the kernel may read.
     std::vector<Use> touches;
   };
-  /// The part that is followed for a change of one: in forward mode, for a dual
-  /// the field that it belongs to, with which it is saved and restored; and
-  /// none (a null track) for the tangent of a gradient, which the tape does not
-  /// restore.
+  /// The part to save and restore for a change of `range`. In forward mode, a
+  /// dual is saved with its primal field, so the part is the whole primal
+  /// field; its track is null for the tangent of a gradient, which the tape
+  /// does not restore. In all other cases, the part is `range` itself.
   Part followedFor(Track &track, SlabRange range);
   /// The uses of a kernel; plans its adjoint if necessary.
   const KernelUses &usesOf(Kernel &kernel);
-  /// The same, or null if not known yet.
+  /// The uses of a kernel, or null before the first usesOf(kernel).
   const KernelUses *findUses(const Kernel &kernel) const {
     auto found = kernelUses.find(&kernel);
     return found == kernelUses.end() ? nullptr : found->second.get();
@@ -106,8 +106,8 @@ public:
   // Forward
   //===--------------------------------------------------------------------===//
 
-  /// Call before and after a launch. `record`: its number, or that of the host
-  /// function that it belongs to (`isPart`).
+  /// Call before and after a launch. `record`: the number of its record or, if
+  /// `isPart`, of the record of the host function that makes the launch.
   Status beforeLaunch(const KernelUses &uses, const uint64_t *args,
                       uint32_t record, bool isPart);
   void afterLaunch(const KernelUses &uses, const uint64_t *args,
@@ -118,7 +118,7 @@ public:
   /// Call before the host writes a field or, with an index, a slab of it.
   Status beforeWrite(const FieldPtr &field, const int64_t *index,
                      uint32_t record);
-  /// Assigns all launches since the last call to a host function.
+  /// Assigns the launches and writes since the last call to this record.
   void endParts(uint32_t record, bool readsInReverse);
   /// Drops copies of cells that did not change.
   void settle();
@@ -147,11 +147,11 @@ public:
   /// saved without their tangents.
   Status beginReverse();
   static Status failWithoutTangents();
-  /// Restores memory to the state after the record, or, for fields that its
-  /// adjoint reads in the version before, to that. If the adjoint `reexecutes`
-  /// (re-executes) its kernel, it changes such fields; `leave` then restores
-  /// them again. Fails if the host interrupts it; then, only `endReverse` may
-  /// follow.
+  /// Restores memory to the state after the record; but fields whose version
+  /// before the record the adjoint reads, to that version. If the adjoint
+  /// `reexecutes` (re-executes) its kernel, it changes such fields; `leave`
+  /// then restores them again. Fails if the host interrupts it; then, only
+  /// `endReverse` may follow.
   Status enter(uint32_t record, bool reexecutes);
   void leave(bool reexecutes);
   /// Restores memory to the state after all records.
@@ -168,7 +168,7 @@ public:
     const Track *track = findTrack(field);
     return track && track->stored.any();
   }
-  /// Whether no later record has changed the stored outputs of this one.
+  /// Whether no later record has changed the stored outputs of this record.
   bool holdsStored(uint32_t record) const {
     uint32_t stamp = stampOf(record);
     return stamp >= lostStored.size() || !lostStored[stamp];
@@ -185,7 +185,7 @@ public:
   bool savesNothing() const { return pieces.empty() && candidates.empty(); }
 
 private:
-  /// A copy that may be needed whenever the sequence runs.
+  /// A copy of values that any run of the sequence may have to make.
   struct Candidate {
     Track *track;
     SlabRange range;
@@ -206,8 +206,8 @@ private:
   /// Saves zeros for cells that the record has activated.
   void keepZeros();
   static void swap(Piece &piece);
-  /// Swaps all pieces in `some`, which are of one record. If the host has
-  /// interrupted it, they are swapped back.
+  /// Swaps all pieces in `some`, which are of one record. If the host
+  /// interrupts the swaps, the swapped pieces are swapped back.
   Status swapAll(FieldCopies::Interrupts interrupts);
   void swapSome(size_t begin, size_t end, int64_t bytes);
   template <typename Visit> void forEachEntered(const Visit &visit);
@@ -215,11 +215,12 @@ private:
   static uint32_t stampOf(uint32_t record) { return record + 2; }
 
   Runtime &runtime;
-  /// By place: fields that name the same one share it.
+  /// By place in a tree: fields at the same place share a track.
   std::map<std::pair<const Tree *, int64_t>, std::unique_ptr<Track>> tracks;
   std::unordered_map<const Kernel *, std::unique_ptr<KernelUses>> kernelUses;
   std::vector<Candidate> candidates;
-  /// For the next record: the accesses of its host function, and its changes.
+  /// Accesses since the last record, by launches of a host function and by
+  /// writes; and the changes among them, kept for snapshots.
   std::vector<Part> parts, changedParts;
   std::unordered_map<size_t, std::vector<Part>> partsByRecord;
   bool lost = false;
@@ -228,14 +229,14 @@ private:
   Checkpoints *checkpoints = nullptr;
   /// In the order of their records.
   std::vector<Piece> pieces;
-  /// Pieces from here on have not been compared yet.
+  /// Pieces from here on have not been compared with their fields yet.
   size_t unsettled = 0;
-  /// Values that were saved out of forward mode lack their tangents.
+  /// Values that were saved outside forward mode lack their tangents.
   enum class Tangents { Kept, Lacking };
   Tangents tangents = Tangents::Kept;
-  /// Passed by the save, comparison or restoration that runs.
+  /// Safepoints during saves, comparisons and restorations.
   CopySafepoints safepoints;
-  /// For the running record: copies of sparse fields.
+  /// Copies of sparse fields, whose cells the running record may activate.
   std::vector<Candidate> growing;
   /// Next candidate of a forward replay.
   size_t nextCandidate = 0;

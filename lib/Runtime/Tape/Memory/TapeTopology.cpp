@@ -44,7 +44,7 @@ void TapeTopology::end() {
 void TapeTopology::update(Watched &entry, uint32_t record) {
   if (!entry.tree->base())
     return;
-  // States that were kept come first.
+  // epoch() fetches activity from a device, and runs deferred updates first.
   uint64_t epoch = entry.node->epoch();
   if (entry.known->epoch == epoch)
     return;
@@ -66,8 +66,8 @@ void TapeTopology::update(Watched &entry, uint32_t record) {
     add(std::move(change));
 }
 
-/// A change kept on a device is recorded later than the changes that the host
-/// has seen.
+/// Inserts a change in the order of records: a deferred update on a device adds
+/// its change after changes of later records.
 void TapeTopology::add(Change change) {
   auto after = std::upper_bound(
       changed.begin(), changed.end(), change.record,
@@ -90,7 +90,7 @@ bool TapeTopology::updateLater(const TreePtr &tree, uint32_t record) {
 }
 
 void TapeTopology::settle(uint32_t record) {
-  // The levels of a tree follow each other.
+  // The levels of a tree are adjacent in `watched`.
   const Tree *later = nullptr;
   for (Watched &entry : watched) {
     if (entry.tree.get() == later)
@@ -110,7 +110,7 @@ void TapeTopology::noteLoops(uint32_t record, const LoopLists &lists) {
 }
 
 void TapeTopology::restart() {
-  // Earlier records belong to the memory that is freed.
+  // Run deferred updates of earlier records before `changed` is cleared.
   for (Watched &entry : watched)
     if (entry.tree->base())
       (void)entry.node->epoch();
@@ -293,8 +293,8 @@ void TapeTopology::endReexecution(uint32_t record) {
         values.store(cells, kept);
         kept += cells.size() * values.bytes();
       });
-  // The bits are there already, but for lists that other threads filled in
-  // another order.
+  // Re-execution has restored the activity, except for lists that threads have
+  // filled in another order.
   seek(record + 1);
 }
 
@@ -351,7 +351,7 @@ int64_t TapeTopology::dropAdjoints(const Change &change, Field &field,
 
 void TapeTopology::endReverse(std::vector<std::string> &notes) {
   seek(UINT32_MAX);
-  // Cells that are inactive now hold nothing, adjoints among it.
+  // Inactive cells hold zeros, so zero the adjoints in them.
   for (size_t i = passed; i < changed.size(); ++i) {
     const Change &change = changed[i];
     if (change.cleared.empty())

@@ -50,18 +50,19 @@ public:
   // Reverse
   //===--------------------------------------------------------------------===//
 
-  /// Fails if a tree has been destroyed, or cells were deactivated since.
+  /// Fails if a tree has been destroyed, or cells were deactivated since the
+  /// sequence ran.
   Status check() const;
   void beginReverse() { settle(kEnd); }
   /// Restores the activity before or after the record.
   void goBefore(uint32_t record) { seek(record); }
   void goAfter(uint32_t record) { seek(record + 1); }
-  /// The same for the sweep: also zeroes adjoints of cells that later records
+  /// goAfter for the sweep: also zeroes adjoints of cells that later records
   /// deactivated.
   void enter(uint32_t record);
   /// Call before and after the record is re-executed from the state before it.
-  /// Keeps the adjoints of cells that it deactivates: they belong to a later
-  /// time.
+  /// Keeps the adjoints of cells that the record deactivates, since these
+  /// adjoints belong to later records.
   void beginReexecution(uint32_t record);
   void endReexecution(uint32_t record);
   /// Restores the activity after all records. Adds a line to `notes` if
@@ -113,16 +114,16 @@ private:
   /// Calls body(field) for each adjoint field in cells of the level.
   template <typename Body>
   void forEachAdjoint(const SparseNode &node, const Body &body) const;
-  /// The same as body(values, cells) for adjoints in the memory that a record
-  /// clears; adjoints of other times are there, too.
+  /// Calls body(values, cells) for each adjoint field in the memory that a
+  /// record clears. `cells`: all cells there that are active at any record.
   template <typename Body>
   void forEachCleared(uint32_t record, const Body &body) const;
   void findEver();
 
   Runtime &runtime;
   std::vector<Watched> watched;
-  /// In the order of records; those from `cursor` on are undone, and the sweep
-  /// has passed those from `passed` on.
+  /// In the order of records. Changes from `cursor` on are undone, and the
+  /// sweep has passed the changes from `passed` on.
   std::vector<Change> changed;
   size_t cursor = 0;
   size_t passed = 0;

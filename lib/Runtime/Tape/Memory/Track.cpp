@@ -15,7 +15,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// Bytes of a cell, and of a piece, where fields are larger.
+/// Bytes of a cell, and of a piece, in a field that is larger than this.
 static constexpr int64_t cellBytes = 8 << 10;
 
 Track::Track(FieldPtr fieldPtr, std::vector<int> dimensions)
@@ -27,7 +27,7 @@ Track::Track(FieldPtr fieldPtr, std::vector<int> dimensions)
     return;
   }
   if (slabs.onDevice()) {
-    // Nothing is compared there, so a slab is kept in one piece.
+    // On a device nothing is compared, so a slab is kept in one piece.
     cellElements = std::max<int64_t>(slabs.elements(), 1);
     cellsPerSlab = 1;
     return;
@@ -62,8 +62,8 @@ int64_t Track::refresh() {
   if (!slabs.byCell())
     return numCells();
   SparseNode &node = *field->sparseNode();
-  // To know which cells have been active, the host would wait for the device.
-  // Cells that have not been active are kept as zeros.
+  // Keep all cells of a small field: to list the active cells, the host would
+  // wait for the device. Inactive cells are kept as zeros.
   constexpr int64_t fewBytes = 256 << 10;
   if (slabs.onDevice() && slabs.dimensions().empty() &&
       node.numCells() * slabs.elementBytes() <= fewBytes &&

@@ -25,7 +25,7 @@
 
 namespace mlir::tai::runtime {
 
-/// The memory of one place, shared by all fields that name it.
+/// The history of one place in a tree, shared by all fields at that place.
 struct Track {
   Track(FieldPtr field, std::vector<int> dimensions);
 
@@ -43,15 +43,15 @@ struct Track {
   uint32_t lastRead = 0;
   /// Stamp of the last save of each cell.
   std::vector<uint32_t> savedAt;
-  /// The last snapshot that copied each cell, and marks for counting cells.
+  /// The last snapshot that copied each cell, and temporary marks of cells.
   std::vector<uint32_t> loggedBy, marks;
   bool everSaved = false;
   /// See tangentIn.
   std::unique_ptr<Track> tangent;
-  /// If the field is a dual: the field that it belongs to. Looked for in
-  /// forward mode alone.
+  /// If the field is a dual: the field that it belongs to. Set in forward mode
+  /// only.
   std::optional<FieldPtr> ofPrimal;
-  /// The list of all cells, if all are kept.
+  /// A list of all cells of the level, if all cells are kept; see refresh.
   ActiveListPtr everyCell;
 
   /// Stored outputs that adjoints may load.
@@ -61,7 +61,7 @@ struct Track {
   /// and restored wherever the field is.
   Track *tangentIn(const Runtime &runtime);
 
-  /// Makes the host's copy current, if that is the one that is saved.
+  /// Makes the host's copy current, if saves read it and not the device's.
   Status bring() const;
 
   void markRead(SlabRange range, uint32_t stamp);
@@ -77,8 +77,8 @@ struct Track {
   int64_t numCells() const {
     return slabs.byCell() ? slabs.numCells() : slabs.count() * cellsPerSlab;
   }
-  /// Adds the currently active cells to those of a sparse field. Returns how
-  /// many it had before.
+  /// Adds the currently active cells to those of a sparse field. Returns the
+  /// number of cells before.
   int64_t refresh();
   /// Calls body(begin, end) for runs of cells of the slabs for which `wanted`
   /// holds, none longer than longestRun().
@@ -104,7 +104,7 @@ struct Track {
 };
 
 /// Saved contents of consecutive elements of a field, in `data` on the host or
-/// `block` on the device; neither stands for zeros.
+/// `block` on the device; zeros if both are null.
 struct Piece {
   Track *track;
   uint32_t record;
@@ -119,7 +119,7 @@ struct Piece {
   int64_t bytes() const { return count() * track->slabs.elementBytes(); }
   int64_t keptBytes() const { return data || block ? bytes() : 0; }
   /// Copies the contents of the field; fails if the tape would exceed the
-  /// memory limit. `kept`: bytes that it has saved so far.
+  /// memory limit. `kept`: bytes that the tape has saved so far.
   Status allocate(Runtime &runtime, int64_t kept);
   /// Whether the field still has these contents. False on a device, where the
   /// comparison is not worth the wait.
@@ -143,7 +143,7 @@ template <typename Wanted, typename Body>
 Status Track::forEachRun(SlabRange range, const Wanted &wanted,
                          const Body &body) const {
   int64_t longest = longestRun();
-  // There, a range is one slab.
+  // With sparse cells, a range is all or one slab.
   if (!range.isAll() && slabs.byCell()) {
     const std::vector<int64_t> &cells = slabs.cellsOf(range.first);
     for (size_t i = 0; i < cells.size();) {
