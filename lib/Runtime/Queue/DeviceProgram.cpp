@@ -44,9 +44,9 @@ static bool isGraph(ProgramMode mode) {
          mode == ProgramMode::Aside;
 }
 
-/// Predicts milliseconds from the cost of a launch or barrier, and from the
-/// number of rounds that the threads make. The constants were measured on an
-/// H200; they only select the ways that are tried.
+/// Predicts the milliseconds of a run from the cost of each launch or barrier,
+/// and from the rounds that the threads make to cover each step. The constants
+/// were measured on an H200; they only select the ways that are tried.
 double DeviceQueue::Program::predict(ProgramMode mode,
                                      const LaunchShape &shape) const {
   constexpr double overlappedUs = 1.05, roundUs = 0.6, stageUs = 0.15,
@@ -57,7 +57,7 @@ double DeviceQueue::Program::predict(ProgramMode mode,
                   : mode == ProgramMode::Block   ? blockUs
                   : mode == ProgramMode::Cluster ? clusterUs
                                                  : gridUs;
-  // A graph has its own way to wait, after each node.
+  // A graph waits after each node, a kernel only at its barriers.
   bool hasTiles = mode == ProgramMode::Tiles;
   const StepSchedules::Schedule &schedule = schedules.get(hasTiles);
   size_t waits =
@@ -130,7 +130,7 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
     }
     if (limits.hasGridBarriers && width > most) {
       unsigned threads = std::min(256u, most);
-      // As few blocks as there is work for: each waits for all.
+      // Use only as many blocks as have work: each waits for all others.
       unsigned blocks = std::clamp((width + threads - 1) / threads, 2u,
                                    limits.multiprocessors);
       if (blocks == limits.multiprocessors)
@@ -148,8 +148,8 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
   });
   if (wanted == ProgramMode::Automatic)
     dropHopelessWays();
-  // Kernels that overlap are worth their compilation only where a graph is
-  // among the best, so they come last.
+  // Kernels with overlapping launches are worth compiling only if a graph is
+  // among the fastest ways, so try them last.
   for (ProgramMode last : {ProgramMode::Overlapped, ProgramMode::Aside}) {
     auto found = std::find_if(ways.begin(), ways.end(), [&](const auto &way) {
       return way->mode == last;
@@ -159,9 +159,10 @@ void DeviceQueue::Program::listWays(ProgramMode wanted) {
   }
 }
 
-/// Drops the ways that the model predicts to be far behind. A plain graph stays
-/// in any case: it needs no compilation, and is the fallback. In the
-/// background, it comes first, and a program must be predicted to beat it.
+/// Drops kernels that the model predicts to be far slower than the best way.
+/// Graphs stay: a plain graph needs no compilation, and is the fallback. If
+/// code is compiled in the background, the plain graph is tried first, and only
+/// kernels that are predicted to be faster stay.
 void DeviceQueue::Program::dropHopelessWays() {
   if (ways.empty())
     return;
@@ -184,8 +185,8 @@ void DeviceQueue::Program::dropHopelessWays() {
 // Choosing
 //===----------------------------------------------------------------------===//
 
-/// Whether a graph is among the best tried ways: else its launches need not be
-/// made to overlap.
+/// Whether a graph is among the fastest tried ways; otherwise no graph with
+/// overlapping launches is tried.
 bool DeviceQueue::Program::mayOverlapPay() const {
   constexpr double gain = 0.75;
   const Way *graph = findGraph();
@@ -233,11 +234,11 @@ void DeviceQueue::Program::noteRun(bool same) {
   prefixed.noteChange();
 }
 
-/// Lists the ways. A sequence that occurs once is not worth it.
+/// Lists the ways to run the sequence. Called for its second run.
 void DeviceQueue::Program::begin(ProgramMode mode, const Tools &tools) {
   begun = Clock::now();
   choices = tools.choices;
-  // A form that is asked for is there at once.
+  // A mode that was requested is compiled at once, not in the background.
   if (mode == ProgramMode::Automatic && tools.starter)
     starter = tools.starter;
   else
@@ -274,7 +275,8 @@ void DeviceQueue::Program::use(Way *way) {
   prefixed.noteChange();
 }
 
-/// Uses the fastest way so far; after the last trial, remembers it.
+/// Ends the trial of a way: uses the fastest way so far, and stores this choice
+/// after the last trial.
 void DeviceQueue::Program::endTrial(Way &way) {
   way.isTried = true;
   way.job.reset();
@@ -304,7 +306,7 @@ bool DeviceQueue::Program::isWorthCompiling(Way &way) const {
   return elapsed.count() >= share * way.compileSeconds;
 }
 
-/// Trials take at most a twentieth of the time since the sequence was repeated.
+/// Limits trials to a twentieth of the time since the second run.
 bool DeviceQueue::Program::mayTry() const {
   constexpr int share = 20, numRuns = 3;
   double ms = used ? used->measured : 0;
@@ -356,11 +358,11 @@ DeviceQueue::Way *DeviceQueue::Program::nextTrial() {
     else if (way->overlaps() && !mayOverlapPay())
       refuse(*way, "launches by themselves take too long");
     else if (way->needsCode() && !makeCode(*way)) {
-      // One compilation at a time.
+      // Compile for one way at a time.
       if (!way->isTried)
         return nullptr;
     } else {
-      // The fallback is tried at once.
+      // The first way, which is the fallback, is tried at once.
       bool waits =
           starter && way->tries == 0 && way.get() != ways.front().get();
       return waits && !mayTry() ? nullptr : way.get();
@@ -370,12 +372,12 @@ DeviceQueue::Way *DeviceQueue::Program::nextTrial() {
 }
 
 Status DeviceQueue::Program::tryWay(Way &way) {
-  // The first of three runs brings code and table to where they are used.
+  // The first of three runs loads code and table, and is not timed.
   constexpr int wanted = 3;
   auto start = Clock::now();
   Status status = way.makeCurrent();
   if (!status) {
-    // If only its code is outdated, other code is made in the background.
+    // If only the way's code is outdated, compile new code in the background.
     if (way.needsCode() && starter)
       way.tries = 0;
     else
@@ -384,7 +386,7 @@ Status DeviceQueue::Program::tryWay(Way &way) {
   }
   hasStarted = true;
   status = way.tries == 0 ? way.launch() : runTimed(way);
-  // A failure on the device is one of the program, whatever the way.
+  // A failure on the device is one of the steps, whatever the way.
   if (!status)
     return status;
   if (&way != ways.front().get())
@@ -407,7 +409,7 @@ Status DeviceQueue::Program::runUsed() {
   }
   if (!used->needsCode())
     return status;
-  // Other code is made in the background; meanwhile another way is used.
+  // Compile new code for this way in the background; use another meanwhile.
   Way &lost = *used;
   lost.isTried = false;
   lost.tries = 0;
@@ -443,13 +445,13 @@ Status DeviceQueue::Program::run(const Sequence &prefix, bool same,
       return status;
     return trial ? tryWay(*trial) : runUsed();
   } catch (const std::bad_alloc &) {
-    // The runtime counts on steps that were not reached.
+    // Run the steps that were not reached, since the runtime relies on them.
     Status status;
     if (prefixState == Prefix::Waits && !hasStarted)
       status = StepRunner::runAlone(device, prefix);
     if (status && !hasStarted)
       status = StepRunner::runAlone(device, sequence);
-    // If all steps have run, another run may prepare the program.
+    // If all steps have run, do not fail: a later run can prepare the program.
     if (hasStarted || prefixState == Prefix::Runs)
       throw;
     return status;

@@ -38,17 +38,17 @@ public:
       : sequence(std::move(sequence)), device(device),
         schedules(device, this->sequence), prefixed(device) {}
 
-  /// `same`: the slots are those of the last run.
+  /// `same`: the parameter slots are the same as in the last run.
   Status run(bool same, ProgramMode mode, const Tools &tools);
-  /// The same after the launches of `prefix`.
+  /// Runs the launches of `prefix`, then the sequence.
   Status run(const Sequence &prefix, bool same, ProgramMode mode,
              const Tools &tools);
-  /// Whether there is a way to run it, or one that is still to be tried.
+  /// Whether a way to run the sequence is in use, or still to be tried.
   bool isPrepared() const { return used || hasTrials(); }
   std::string explain() const;
   bool uses(const Module &module) const;
-  /// Its times in milliseconds, for RecordedLaunches::Outcome; unchanged while
-  /// trials go on.
+  /// Sets the times of the chosen way and of a graph in milliseconds, for
+  /// RecordedLaunches::Outcome; leaves them unchanged while trials go on.
   void tellTimes(double &chosenMs, double &graphMs) const;
 
   Sequence sequence;
@@ -88,17 +88,17 @@ private:
   ProgramMaker maker;
   ProgramStarter starter;
   KeptChoices choices;
-  /// The form that an earlier process has chosen.
+  /// The mode that an earlier process has chosen.
   std::optional<ProgramMode> keptChoice;
-  /// Whether steps of the run that goes on have been queued.
+  /// Whether steps of the current run have been queued.
   bool hasStarted = false;
   OverlappingKernels overlapping;
   int runs = 0, changes = 0;
-  /// The second run, and the time that trials have taken since.
+  /// The time of the second run, and the time spent on trials since then.
   Clock::time_point begun;
   Clock::duration spent{};
   std::vector<std::unique_ptr<Way>> ways;
-  /// The fastest way so far; null for single launches.
+  /// The fastest way so far; null while steps are launched one by one.
   Way *used = nullptr;
   PrefixedGraphs prefixed;
 };

@@ -168,14 +168,14 @@ Status DeviceQueue::fillRows(const DeviceRows &to, const void *pattern,
   if (to.rowBytes == 0 || to.rows == 0 || to.outer == 0)
     return Status::success();
   collected->addFill(to, pattern, patternBytes);
-  // Fills that no launch has needed yet wait for neighbours, or for the
-  // sequence that they belong to.
+  // Keep the fill until other work needs it: it can be merged with neighbouring
+  // fills, or become part of the next sequence.
   isKeeping |= collecting == 0;
   return oneByOne ? settle() : Status::success();
 }
 
-/// Bytes between two safepoints of a copy between host and device: a few
-/// milliseconds, beside which a wait for the device is short.
+/// Bytes between two safepoints of a copy between host and device: a copy of a
+/// few milliseconds, compared with which a wait for the device is short.
 static constexpr int64_t bytesPerCopy = 16 << 20;
 
 Status DeviceQueue::copyIn(DevicePtr to, const void *from, int64_t bytes) {
@@ -225,8 +225,8 @@ Status DeviceQueue::synchronize() {
 }
 
 void DeviceQueue::free(DevicePtr memory) {
-  // The collected work may use it. A recording goes on: a thread that frees
-  // memory kept by a tape need not wait.
+  // Queue collected work, which may use the memory. A recording goes on: its
+  // memory is released after the work, so the thread need not wait.
   bool isOutOfMemory = false;
   try {
     if (!isRecording())
@@ -260,11 +260,11 @@ DeviceQueue::Program *DeviceQueue::findProgram(Sequence &&sequence,
         program.sequence = std::move(sequence);
       return &program;
     }
-  // Programs whose sequences never come again would pile up.
+  // Limits the number of programs of sequences that are never repeated.
   constexpr size_t mostPrograms = 64;
   if (programs.size() >= mostPrograms)
     programs.clear();
-  // Memory that runs out leaves the sequence as it is.
+  // If memory runs out, `sequence` stays as it is.
   auto added = programs.emplace(sequence.hash, nullptr);
   try {
     added->second = std::make_unique<Program>(*device, std::move(sequence));
@@ -287,7 +287,7 @@ Status DeviceQueue::flush(bool isWhole) {
   if (!status || (collected->empty() && prefix->empty()))
     return status;
   {
-    // Memory may run out in the middle.
+    // Restores the depth even if memory runs out.
     struct Running {
       std::optional<unsigned> &depth;
       std::optional<unsigned> outer =
@@ -298,7 +298,7 @@ Status DeviceQueue::flush(bool isWhole) {
   }
   if (runDepth)
     return status;
-  // Memory that handlers have given up.
+  // Free memory that handlers have released meanwhile.
   if (collected->empty() && prefix->empty()) {
     Blocks gone;
     gone.swap(released);
@@ -346,7 +346,7 @@ Status DeviceQueue::runCollected(bool isWhole) {
     try {
       program = findProgram(std::move(sequence), same);
     } catch (const std::bad_alloc &) {
-      // The sequence is as it was, and a program is no must.
+      // The sequence is as it was, and can run without a program.
     }
     int64_t start = recorded->hasRun() ? RecordedLaunches::now() : 0;
     if (program) {
@@ -410,6 +410,6 @@ Status Device::elapsed(const DeviceEvent &, const DeviceEvent &, int64_t &) {
   return hasNoEvents();
 }
 
-// A device without other queues has nothing to wait for.
+// By default, a device has no other streams, and nothing to wait for.
 Status Device::waitForStream(uint64_t) { return Status::success(); }
 Status Device::letStreamWait(uint64_t) { return Status::success(); }

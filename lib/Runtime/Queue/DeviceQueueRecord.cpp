@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Replays and sweeps are collected as a whole. A recording is collected if the
-// same was recorded before, together with the sweep that follows at once: the
-// program is then that of a replay. An operation that cannot wait until the
-// recording ends first queues the collected work, in order. Launches between
-// two replays are deferred to the second one.
+// same launches were recorded before, together with a sweep that follows at
+// once: both then run as the program of a replay. An operation that cannot wait
+// until the recording ends first queues the collected work, in order. Launches
+// between two replays are deferred to the second one.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,14 +30,14 @@ void DeviceQueue::beginCollecting(bool replay) {
   collection.hasProgram = false;
   failure = Status::success();
   collection.isReplay = replay;
-  // A recording that goes on behind the sweep of another tape begins anew.
+  // The sweep of another tape interrupts a recording that is not collected.
   if (isRecording() && !isGathering())
     (void)recorded->interrupt(/*isEnd=*/true);
   if (isGathering()) {
     bool isWhole = recorded->interrupt(/*isEnd=*/true);
     if (recording == Recording::AwaitsSweep)
       recording = Recording::None;
-    // The recorded work goes on with its sweep.
+    // The collected recording and its sweep become one sequence.
     if (isWhole) {
       collection.isReplay = true;
       return;
@@ -48,7 +48,7 @@ void DeviceQueue::beginCollecting(bool replay) {
     prefixes->begin();
   } else {
     (void)noteOther();
-    // Fills go on.
+    // Queue the deferred launches, but keep fills for the new sequence.
     if (Status status = runPrefix(); !status)
       failure = std::move(status);
   }
@@ -60,7 +60,7 @@ Status DeviceQueue::endCollecting() {
     return Status::success();
   Status status = checkHandler();
   if (!status) {
-    // The handler is not to run the work that it has interrupted.
+    // A handler must not run the work that it has interrupted.
     *collected = Sequence();
     return status;
   }
@@ -130,8 +130,8 @@ Status DeviceQueue::endRecording(bool isSwept) {
 Status DeviceQueue::launchRecorded(Function &function, const LaunchShape &shape,
                                    const uint64_t *slots, int count) {
   Status status;
-  // A launch where the reverse sweep was to follow, or while raw memory is
-  // shared, is not collected.
+  // Do not collect a launch that comes in place of the expected sweep, or while
+  // other libraries share raw memory.
   if (recording == Recording::AwaitsSweep ||
       numShared.load(std::memory_order_relaxed) > 0) {
     status = flush();
@@ -185,7 +185,8 @@ bool DeviceQueue::expectsLaunches() const {
 
 bool DeviceQueue::keep(Function &function, const LaunchShape &shape,
                        const uint64_t *slots, int count) {
-  // Users of raw addresses do not ask for the kept launches.
+  // Do not defer launches while other libraries use raw addresses: they would
+  // not ask for the launches.
   if (numShared.load(std::memory_order_relaxed) > 0)
     prefixes->interrupt();
   else if (prefixes->expects(&function, shape, count)) {
@@ -211,7 +212,7 @@ Status DeviceQueue::runPrefix() {
 
 template <typename Allocate>
 Status DeviceQueue::allocateBlock(const Allocate &allocate, DevicePtr &memory) {
-  // The host's memory first: if it runs out, nothing is left on the device.
+  // Allocate on the host first: if that fails, no device memory leaks.
   Blocks made;
   Blocks::node_type block = made.extract(made.emplace(0, 0).first);
   Status status = allocate();
@@ -229,7 +230,7 @@ Status DeviceQueue::allocate(int64_t bytes, DevicePtr &memory) {
         if (status || released.empty() || collecting > 0 ||
             status.code() != StatusCode::Memory)
           return status;
-        // Memory given back since then is still to be used.
+        // Flushing frees memory that was released while work could use it.
         status = flush();
         return status ? device->allocate(bytes, memory) : std::move(status);
       },
@@ -250,7 +251,7 @@ void DeviceQueue::forget(Module &module) {
     return;
   }
   (void)settle();
-  // Programs hold addresses of functions, which later functions may get.
+  // Programs refer to functions by addresses that later functions can get.
   for (auto program = programs.begin(); program != programs.end();)
     program = program->second->uses(module) ? programs.erase(program)
                                             : std::next(program);

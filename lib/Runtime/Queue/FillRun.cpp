@@ -35,24 +35,25 @@ bool mlir::tai::runtime::isDense(const DeviceRows &rows) {
   return rows.rows == 1 && rows.outer == 1;
 }
 
-/// The first byte behind it.
+/// The address after the last byte of the rows.
 static uint64_t endOf(const DeviceRows &rows) {
   return rows.address +
          static_cast<uint64_t>((rows.outer - 1) * rows.outerStep +
                                (rows.rows - 1) * rows.step + rows.rowBytes);
 }
 
-/// All of its rows start at multiples of this behind the first; 0 for one row.
+/// All rows start at multiples of this distance after the first row; 0 for a
+/// single row.
 static int64_t pitchOf(const DeviceRows &rows) {
   return std::gcd(rows.rows > 1 ? rows.step : 0,
                   rows.outer > 1 ? rows.outerStep : 0);
 }
 
-/// Whether no byte is one of both.
+/// True only if the two have no byte in common.
 static bool areApart(const DeviceRows &a, const DeviceRows &b) {
   if (endOf(a) <= b.address || endOf(b) <= a.address)
     return true;
-  // The rows of one lie between those of the other: fields that share cells.
+  // The rows of fields that share cells are interleaved.
   int64_t pitch = std::gcd(pitchOf(a), pitchOf(b));
   if (pitch == 0)
     return false;
@@ -83,7 +84,7 @@ bool mlir::tai::runtime::isFilledAgain(const DeviceFill &earlier,
 //===----------------------------------------------------------------------===//
 
 bool FillRun::add(const DeviceFill &fill) {
-  // Each is compared with all others.
+  // Limits comparisons, since each fill is compared with all others.
   constexpr size_t most = 64;
   if (fills.size() >= most)
     return false;
@@ -98,8 +99,8 @@ bool FillRun::add(const DeviceFill &fill) {
     }
     if (!isDense(before.rows) || !isDense(fill.rows))
       return false;
-    // The remains of it, in front of and behind the new one. The pattern goes
-    // on behind a whole number of patterns.
+    // Keep the parts of the earlier fill before and after the new one, if both
+    // cuts are between repetitions of the pattern.
     uint64_t begin = before.rows.address, end = endOf(before.rows);
     uint64_t from = std::max(begin, fill.rows.address);
     uint64_t to = std::min(end, endOf(fill.rows));
@@ -119,10 +120,10 @@ bool FillRun::add(const DeviceFill &fill) {
 }
 
 //===----------------------------------------------------------------------===//
-// Devices without a way of their own
+// Default implementations
 //===----------------------------------------------------------------------===//
 
-/// The last one first: who counts on their order shall be found out.
+/// Runs the fills in reverse, to expose callers that rely on their order.
 Status Device::fillAll(const std::vector<DeviceFill> &fills) {
   Status status;
   for (auto fill = fills.rbegin(); status && fill != fills.rend(); ++fill)

@@ -21,8 +21,8 @@ namespace mlir::tai::runtime {
 /// Repeats the pattern of a fill to eight bytes.
 uint64_t repeatPattern(const void *pattern, int patternBytes);
 
-/// The size from which a fill is not merged: driver and kernel are limited by
-/// memory bandwidth, and take more than ten microseconds on an H200.
+/// Fills of this size or more are not merged: limited by memory bandwidth, each
+/// takes more than ten microseconds on an H200 anyway.
 int64_t largeFillBytes();
 
 /// Whether the rows are contiguous.

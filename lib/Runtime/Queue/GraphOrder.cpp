@@ -54,9 +54,9 @@ static StepMemory memoryOf(const DeviceRows &rows) {
 
 std::optional<DeviceQueue::GraphOrder::FrontFills>
 DeviceQueue::GraphOrder::splitFront() const {
-  // A step that waits for both breaks the chain of launches that overlap: as
-  // much as some microseconds of filling. Large fills take all of the memory's
-  // time wherever they are.
+  // The step that waits for the fills breaks the chain of overlapping launches,
+  // which costs as much as some microseconds of filling. Large fills use all
+  // memory bandwidth, wherever they run.
   constexpr int64_t fewestBytes = 4 << 20;
   constexpr size_t fewestLaunches = 16, mostSteps = 4096;
   constexpr int64_t mostGroups = 64;
@@ -65,7 +65,7 @@ DeviceQueue::GraphOrder::splitFront() const {
   for (; count < size() && (*this)[count].isFill(); ++count)
     if (!run.add(sequence.fillOf((*this)[count])))
       return std::nullopt;
-  // A fill: the memory that it touches, and the first step that touches it.
+  // A fill, its memory, and the first later step that touches this memory.
   struct Fill {
     const DeviceFill *fill;
     StepMemory memory;

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Chooses the fills of a sequence that run before all launches, and those that
-// run in parallel with the first ones: the clearing of gradients, for example,
-// in parallel with the forward pass.
+// Chooses the fills of a sequence that run before all launches, and the fills
+// that run in parallel with the first launches: the zeroing of gradients, for
+// example, in parallel with the forward pass.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,7 +19,7 @@
 namespace mlir::tai::runtime {
 
 /// The steps in order, except that fills are moved to earlier fills, or to the
-/// front: between launches each of them would be a separate node.
+/// front: between launches, each fill would be a separate graph node.
 class DeviceQueue::GraphOrder {
 public:
   explicit GraphOrder(const Sequence &sequence);
@@ -33,7 +33,8 @@ public:
   /// parallel with later steps, up to the step `join` in the order.
   struct FrontFills {
     std::vector<DeviceFill> first, aside;
-    /// The number of these steps, and the first step that waits for all.
+    /// The number of fill steps at the front, and the position of the first
+    /// step that waits for `aside`.
     size_t count = 0, join = 0;
   };
   /// Returns no value if the gain would be small.
@@ -41,7 +42,7 @@ public:
 
 private:
   const Sequence &sequence;
-  /// Numbers of steps.
+  /// The numbers of the steps, in the chosen order.
   std::vector<uint32_t> order;
 };
 

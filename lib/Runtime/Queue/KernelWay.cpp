@@ -22,7 +22,7 @@ DeviceQueue::KernelWay::~KernelWay() {
 }
 
 static int scopeOf(ProgramMode mode, DeviceKind kind) {
-  // All blocks of the emulated device meet as threads of a block do.
+  // On the emulated device, a block's barrier holds for all blocks.
   if (mode == ProgramMode::Block || kind == DeviceKind::Emulated)
     return TAI_SCOPE_BLOCK;
   return mode == ProgramMode::Cluster ? TAI_SCOPE_CLUSTER : TAI_SCOPE_GRID;
@@ -59,7 +59,7 @@ Status DeviceQueue::KernelWay::plan(ProgramPlan &plan) {
   return Status::success();
 }
 
-/// On failure, the present code stays.
+/// Loads the compiled code. If loading fails, the present code stays.
 Status DeviceQueue::KernelWay::adopt(const DeviceImage &image) {
   std::unique_ptr<DeviceModule> loaded;
   DeviceFunction *found = nullptr;
@@ -94,7 +94,7 @@ Status DeviceQueue::KernelWay::adopt(const DeviceImage &image) {
 /// Size of the header in front of a program's table.
 static constexpr int64_t headerBytes = TAI_PROGRAM_HEADER;
 
-/// Makes the table hold the present slots.
+/// Updates the table, and the code if necessary, to the current slots.
 Status DeviceQueue::KernelWay::update() {
   schedules.update();
   std::vector<LoopStep> steps;
@@ -102,7 +102,7 @@ Status DeviceQueue::KernelWay::update() {
     steps = schedules.listSteps(usesTiles);
   std::vector<uint64_t> rows;
   if (steps.empty() || !loops.pack(steps, words, rows)) {
-    // Parameters do not change as they did: without loops any will do.
+    // Parameters vary in a new way: make code without loops, which fits any.
     if (usesTiles)
       schedules.dropTiles();
     usesTiles = usesLoops = false;
@@ -127,13 +127,13 @@ Status DeviceQueue::KernelWay::update() {
 Status DeviceQueue::KernelWay::updateTable(const std::vector<uint64_t> &rows) {
   auto bytes = static_cast<int64_t>(rows.size() * sizeof(uint64_t));
   Status status;
-  // Without loops there are more rows than before.
+  // Code without loops has more rows in the table.
   if (table && bytes > tableBytes) {
     device.free(table);
     table = 0;
   }
   if (!table) {
-    // The loops ask for the row behind the last one of a list, too.
+    // Loops also read the row after the last one of a list.
     constexpr int64_t spareBytes = 1024;
     status = device.allocate(headerBytes + bytes + spareBytes, table);
     tableBytes = bytes;
@@ -163,7 +163,7 @@ Status DeviceQueue::KernelWay::launch() {
   return runSteps(runner);
 }
 
-/// Steps that are too large for the few threads come first.
+/// Runs the steps that are too large for the kernel's threads, then the kernel.
 Status DeviceQueue::KernelWay::runSteps(StepRunner &runner) {
   Status status;
   for (size_t i = 0; status && i < schedules.countBefore(); ++i)
@@ -195,7 +195,7 @@ std::string DeviceQueue::KernelWay::describe() const {
   return text;
 }
 
-/// Clocks of one multiprocessor by the function of a step.
+/// Clock cycles on one multiprocessor, summed by the function of each step.
 std::string DeviceQueue::KernelWay::explainClocks() const {
   if (!clocks)
     return "";

@@ -23,8 +23,8 @@ namespace mlir::tai::runtime {
 
 class DeviceQueue::KernelWay final : public Way {
 public:
-  /// `maker`: compiles at once where parameters vary in a new way; null if the
-  /// way then needs other code and is unusable until it is there.
+  /// `maker`: compiles at once if parameters vary in a new way. If null, the
+  /// way then needs new code (needsCode), and is unusable until adopt().
   KernelWay(Device &device, const Sequence &sequence, ProgramMode mode,
             double predicted, const ProgramMaker &maker,
             StepSchedules &schedules, const LaunchShape &shape)
@@ -59,9 +59,9 @@ private:
   int64_t tableBytes = 0;
   /// The time stamps (number of steps + 1), or 0.
   DevicePtr clocks = 0;
-  /// The loops and tables, and the loop parameters.
+  /// The loops of the loaded code.
   ProgramLoops loops;
-  /// The loops of the planned code.
+  /// The loops of code that is planned, but not loaded yet.
   ProgramLoops planned;
   /// Whether code may have loops, and whether the loops of the present code do
   /// not fit the parameters any more.

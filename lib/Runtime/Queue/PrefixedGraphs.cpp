@@ -12,8 +12,7 @@ using namespace mlir::tai::runtime;
 
 Status DeviceQueue::PrefixedGraphs::run(const Sequence &prefix, Way &way) {
   Prefixed &entry = find(prefix);
-  // As with sequences, a prefix that comes once is not made ready for a second
-  // time.
+  // Like a sequence, a prefix gets a graph only when it is repeated.
   bool isFirst = entry.runs++ == 0, same = entry.prefix.slots == prefix.slots;
   entry.changes += !same;
   if (!isFirst && device.limits().hasGraphs && entry.refused.empty()) {
@@ -62,7 +61,7 @@ DeviceQueue::PrefixedGraphs::find(const Sequence &prefix) {
   return *entries.back();
 }
 
-/// Records it with the stand-in of the sequence on the device now.
+/// Captures the prefix and the work of `way` as one graph.
 Status DeviceQueue::PrefixedGraphs::capture(Prefixed &entry, Way &way) {
   Status status = way.prepareSteps();
   if (status)
@@ -80,8 +79,8 @@ Status DeviceQueue::PrefixedGraphs::capture(Prefixed &entry, Way &way) {
   return status ? std::move(ended) : std::move(status);
 }
 
-/// Changes the launches whose parameters are others now. False where the graph
-/// must be made again.
+/// Changes the parameters of the graph's launches to those in `prefix`. False
+/// if the graph must be captured again.
 bool DeviceQueue::PrefixedGraphs::change(Prefixed &entry,
                                          const Sequence &prefix) {
   size_t changeable = prefix.countFirstLaunches();

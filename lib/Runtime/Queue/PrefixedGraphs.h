@@ -7,7 +7,7 @@
 //
 // Launches between two replays run together with the second one, as one graph
 // if the device has graphs. The program of the replay itself is unchanged, so
-// that a replay without them needs nothing new. See
+// that a replay without such launches needs no new program. See
 // docs/decisions/0014-launches-between-replays.md.
 //
 //===----------------------------------------------------------------------===//
@@ -25,7 +25,7 @@ public:
 
   /// Runs the launches of `prefix`, then `way`.
   Status run(const Sequence &prefix, Way &way);
-  /// Notes that the slots of the ways have changed.
+  /// Notes that the way to run a sequence, or its slots, have changed.
   void noteChange();
   bool uses(const Module &module) const;
   std::string explain() const;
@@ -44,7 +44,7 @@ private:
   bool change(Prefixed &entry, const Sequence &prefix);
 
   Device &device;
-  /// Most recently used last.
+  /// The most recently used entry is last.
   std::vector<std::unique_ptr<Prefixed>> entries;
 };
 

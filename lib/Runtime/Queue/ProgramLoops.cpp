@@ -13,11 +13,11 @@
 
 using namespace mlir::tai::runtime;
 
-/// Longer loops are code that no longer fits the caches of instructions.
+/// The code of longer loops would not fit the instruction caches.
 static constexpr size_t longestPeriod = 64;
 /// Fewer repetitions are not worth code of their own.
 static constexpr size_t fewestRepetitions = 4;
-/// Each step of a loop is code of its own.
+/// Limits the size of code: each step in the body of a loop adds to it.
 static constexpr size_t mostLoopSteps = 128;
 
 /// Chains have no rows in the table.
@@ -29,8 +29,7 @@ static bool areAlike(const LoopStep &a, const LoopStep &b) {
   return a.part == b.part && a.waits == b.waits && a.numSlots == b.numSlots;
 }
 
-/// The number of repetitions of the steps from `first`, one period after the
-/// other.
+/// How often the `period` steps from `first` on occur one after the other.
 static size_t countRepetitions(const std::vector<LoopStep> &steps, size_t first,
                                size_t period) {
   size_t same = 0;
@@ -40,7 +39,7 @@ static size_t countRepetitions(const std::vector<LoopStep> &steps, size_t first,
   return 1 + same / period;
 }
 
-/// The change of a parameter from one turn to the next.
+/// How a parameter changes from one iteration of a loop to the next.
 static ProgramSlot::Kind classify(const std::vector<LoopStep> &steps,
                                   size_t first, size_t period, size_t count,
                                   size_t slot) {
@@ -72,7 +71,7 @@ ProgramLoops::ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops) {
   stride = 8;
   for (const LoopStep &step : steps)
     stride = std::max(stride, isChain(step) ? 0 : step.numSlots);
-  // The number of the part, and the parameters.
+  // A row holds the number of the part, and the parameters.
   ++stride;
   size_t loopSteps = 0;
   for (size_t at = 0; at < steps.size();) {
@@ -99,7 +98,7 @@ ProgramLoops::ProgramLoops(const std::vector<LoopStep> &steps, bool useLoops) {
       fits = false;
     ++at;
   }
-  // Lists come after the rows.
+  // In the table, lists come after the rows of single steps.
   for (ProgramSegment &segment : segments)
     tableWords += segment.isLoop() ? 0 : segment.count * stride;
   for (ProgramSegment &segment : segments)
@@ -189,7 +188,8 @@ bool ProgramLoops::pack(const std::vector<LoopStep> &steps,
   return true;
 }
 
-/// Writes the list of a loop; false if something else does not fit.
+/// Writes the list of a loop; false if the steps or other parameters do not fit
+/// the loop.
 bool ProgramLoops::packLoop(const ProgramSegment &segment,
                             const std::vector<LoopStep> &steps,
                             const std::vector<uint64_t> &words,

@@ -143,20 +143,21 @@ static bool areInterleaved(const StepMemory::Piece &a,
                      std::gcd(a.step, b.step));
 }
 
-/// True if all of one piece lies between two elements of the other: a row of
-/// numbers where the rows of their gradients are cleared.
+/// True if all of one piece lies between two elements of the other, as numbers
+/// lie between rows of gradients that are zeroed.
 static bool liesBetween(const StepMemory::Piece &a,
                         const StepMemory::Piece &b) {
   return liesBetween(static_cast<int64_t>(a.begin - b.first),
                      static_cast<int64_t>(a.end - a.begin), b.size, b.step);
 }
 
-/// True if in both the same iterations reach the same memory, and no others do.
+/// True if each byte is accessed by the same iteration in both pieces, and by
+/// no other iteration.
 static bool haveSameThreads(const StepMemory::Piece &a,
                             const StepMemory::Piece &b) {
   if (!a.map || !b.map || a.map->size() != b.map->size())
     return false;
-  // The length of the outermost digit does not matter.
+  // Only the extents of the outermost digits may differ.
   for (size_t i = 0; i < a.map->size(); ++i)
     if ((*a.map)[i].second != (*b.map)[i].second ||
         (i + 1 < a.map->size() && (*a.map)[i].first != (*b.map)[i].first))
@@ -166,7 +167,7 @@ static bool haveSameThreads(const StepMemory::Piece &a,
       static_cast<int64_t>(std::max(a.first + static_cast<uint64_t>(a.window),
                                     b.first + static_cast<uint64_t>(b.window)) -
                            first);
-  // The window of one iteration, of one row of them, ...
+  // Each stride must exceed the width of all faster digits together.
   for (size_t i = 0; i < a.map->size(); ++i) {
     auto [extent, stride] = (*a.map)[i];
     if (stride < width)
@@ -217,7 +218,7 @@ StepRelation mlir::tai::runtime::getRelation(const StepMemory &a,
 //===----------------------------------------------------------------------===//
 
 ProgramSchedule::ProgramSchedule(const std::vector<StepMemory> &steps) {
-  // A step is not moved past more than this.
+  // A step is moved past at most so many groups and steps.
   constexpr size_t mostGroups = 12, mostSteps = 192;
   std::vector<std::vector<uint32_t>> groups;
   for (uint32_t i = 0; i < steps.size(); ++i) {
@@ -246,6 +247,6 @@ ProgramSchedule::ProgramSchedule(const std::vector<StepMemory> &steps) {
       order.push_back(step);
       waits.push_back(step == group.back());
     }
-  // There is no barrier behind the last group.
+  // There is no barrier after the last group.
   numBarriers = groups.empty() ? 0 : groups.size() - 1;
 }

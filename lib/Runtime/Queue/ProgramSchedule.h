@@ -17,8 +17,9 @@ namespace mlir::tai::runtime {
 struct Footprint {
   explicit Footprint(const FunctionAccesses &accesses);
 
-  /// The address as a function of the iteration number: extents and strides in
-  /// bytes of its digits, the fastest first, with contiguous digits merged.
+  /// Maps an iteration number to an address: the extents and the strides in
+  /// bytes of its digits (one for each loop dimension), the fastest digit
+  /// first, with contiguous digits merged.
   using Map = std::vector<std::pair<int64_t, int64_t>>;
   struct Line {
     DeviceAccess access;
@@ -36,17 +37,17 @@ struct Footprint {
 struct StepMemory {
   struct Piece {
     DeviceAccess::Kind kind;
-    /// Start of the first window, and the whole range.
+    /// The address in the first iteration, and the range over all iterations.
     uint64_t first, begin, end;
     int64_t window, step, size;
     /// See Footprint::Line::map; null for none.
     const Footprint::Map *map;
   };
-  /// Pieces that are only read, and the others.
+  /// Pieces that are only read, and pieces that are changed.
   std::vector<Piece> reads, changes;
-  /// The pieces are all accesses.
+  /// Whether the pieces are all accesses of the step.
   bool isKnown = false;
-  /// The first thread does all accesses.
+  /// Whether the first thread does all accesses.
   bool isSingle = false;
 
   static StepMemory ofLaunch(const Footprint *footprint, const uint64_t *slots,
@@ -70,8 +71,8 @@ private:
   std::shared_ptr<Footprint::Map> ownMap;
 };
 
-/// True if so many bytes, `distance` behind an element, lie between elements of
-/// `size` bytes each of which is `step` behind the one before.
+/// True if a range of `bytes`, at `distance` after the start of an element,
+/// lies between elements of `size` bytes that start every `step` bytes.
 bool liesBetween(int64_t distance, int64_t bytes, int64_t size, int64_t step);
 
 /// The order in which a program runs its steps.
@@ -79,7 +80,7 @@ struct ProgramSchedule {
   ProgramSchedule() = default;
   explicit ProgramSchedule(const std::vector<StepMemory> &steps);
 
-  /// Numbers of steps.
+  /// The numbers of the steps, in the order of execution.
   std::vector<uint32_t> order;
   /// For each position in that order: whether a barrier follows the step.
   std::vector<bool> waits;

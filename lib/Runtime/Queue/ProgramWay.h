@@ -24,24 +24,24 @@ public:
   const ProgramMode mode;
   /// Predicted and measured time in milliseconds; negative if not measured yet.
   double predicted, measured = -1;
-  /// Why it cannot be used; empty if it can.
+  /// Why the way cannot be used; empty if it can.
   std::string refused;
-  /// The compilation of its code on another thread; null if there is none.
+  /// The compilation of the way's code on another thread, or null.
   std::unique_ptr<ProgramJob> job;
   /// The predicted time of that compilation; negative if not known.
   double compileSeconds = -1;
-  /// The number of its trial runs so far, and whether the trial is over.
+  /// The number of trial runs so far, and whether the trial is over.
   int tries = 0;
   bool isTried = false;
 
   virtual bool isGraph() const = 0;
-  /// Whether it uses programmatic dependent launch.
+  /// Whether the way uses programmatic dependent launch.
   virtual bool overlaps() const { return false; }
-  /// Whether it runs chains in tiles.
+  /// Whether the way runs chains of launches in tiles.
   virtual bool hasTiles() const { return false; }
 
-  /// Whether it needs code that does not exist yet: then plan() describes the
-  /// code, and adopt() loads it.
+  /// Whether the way needs code that does not exist yet: then plan() describes
+  /// the code, and adopt() loads it.
   virtual bool needsCode() const { return false; }
   virtual Status plan(ProgramPlan &plan) {
     (void)plan;
@@ -53,16 +53,17 @@ public:
   }
   /// Notes that the slots of the sequence have changed.
   void noteChange() { isCurrent = false; }
-  /// Updates it to the current slots.
+  /// Updates the way to the current slots.
   Status makeCurrent();
-  /// Runs it alone.
+  /// Runs the sequence in this way, outside of any other graph.
   virtual Status launch() = 0;
-  /// Prepares it for runSteps.
+  /// Prepares the way for runSteps.
   virtual Status prepareSteps() = 0;
-  /// Queues its work as part of a graph that is being captured.
+  /// Queues the work of the way as part of a graph that is being captured.
   virtual Status runSteps(StepRunner &runner) = 0;
 
-  /// Describe its composition, and the times of the steps of its last run.
+  /// Describe the composition of the way, and the times of the steps of its
+  /// last run.
   virtual std::string describe() const = 0;
   virtual std::string explainClocks() const { return ""; }
 

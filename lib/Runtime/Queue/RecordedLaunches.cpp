@@ -13,7 +13,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// The most recordings that are known, and launches of one.
+/// The maximum of known recordings, and of launches in a recording.
 static constexpr size_t mostKnown = 8, mostLaunches = 1 << 18;
 
 int64_t RecordedLaunches::now() {
@@ -45,10 +45,11 @@ bool RecordedLaunches::areAnyKnown() const {
 }
 
 //===----------------------------------------------------------------------===//
-// What comes
+// Recognition
 //===----------------------------------------------------------------------===//
 
-/// A recording that begins with the collected items and this launch.
+/// Returns a known recording that begins with the collected launches and
+/// `next`; null if there is none.
 RecordedLaunches::Known *RecordedLaunches::findLonger(const Item &next) const {
   for (size_t i = known.size(); i-- > 0;) {
     const std::vector<Item> &items = known[i]->items;
@@ -60,7 +61,7 @@ RecordedLaunches::Known *RecordedLaunches::findLonger(const Item &next) const {
   return nullptr;
 }
 
-/// A recording that equals the collected items.
+/// Returns the known recording that equals the collected launches, or null.
 RecordedLaunches::Known *RecordedLaunches::findWhole() const {
   if (expected && expected->items.size() == run.size())
     return expected;
@@ -88,7 +89,7 @@ bool RecordedLaunches::expects(const Item &item) {
       collects = longer != nullptr;
     }
   }
-  // One more says that there are too many.
+  // One item above the maximum marks the run as too long.
   if (run.size() <= mostLaunches)
     run.push_back(item);
   return collects;
@@ -114,7 +115,7 @@ bool RecordedLaunches::interrupt(bool isEnd) {
 }
 
 void RecordedLaunches::learn(bool isEnd) {
-  // Fewer by themselves are not worth a graph.
+  // Fewer launches, without a sweep, are not worth a graph.
   constexpr size_t fewest = 4;
   if (run.size() > mostLaunches || (run.size() < fewest && !isEnd))
     return;
@@ -133,7 +134,8 @@ void RecordedLaunches::learn(bool isEnd) {
   entry.seen = std::min(entry.seen + 1, entry.wanted);
 }
 
-/// The collected work is queued launch by launch.
+/// Notes that a recording was expected in vain: the collected launches are
+/// queued one by one.
 void RecordedLaunches::lose(Known &entry) {
   constexpr int mostLost = 2, mostWanted = 64;
   ++numLost;
@@ -144,11 +146,11 @@ void RecordedLaunches::lose(Known &entry) {
 }
 
 //===----------------------------------------------------------------------===//
-// Whether it pays
+// Whether collecting pays
 //===----------------------------------------------------------------------===//
 
 void RecordedLaunches::noteLaunch(int64_t ns) {
-  // A full queue makes launches wait for the device: the shortest did not.
+  // If the queue is full, launches wait for the device: take the minimum.
   launchNs = launchNs < 0 ? ns : std::min(launchNs, ns);
 }
 
@@ -160,7 +162,7 @@ void RecordedLaunches::judge(const Outcome &outcome) {
   constexpr int patience = 3;
   entry.unprepared = outcome.isPrepared ? 0 : entry.unprepared + 1;
   if (entry.unprepared >= patience) {
-    // Copies and fills of the recording differ each time, say.
+    // For example, copies and fills of the recording differ each time.
     entry.unprepared = 0;
     entry.lost = 1;
     lose(entry);
@@ -168,9 +170,9 @@ void RecordedLaunches::judge(const Outcome &outcome) {
   }
   if (outcome.chosenMs < 0 || wish == Wish::Always)
     return;
-  // While launches are collected, the device does nothing. Launched one by one,
-  // they run meanwhile, and only the device's time beyond that of the host is
-  // left.
+  // While launches are collected, the device is idle. Launches at once run in
+  // parallel with the host, so that only device time beyond the host's time is
+  // added.
   auto launches = double(entry.items.size());
   double share = launches / std::max(double(outcome.steps), launches);
   double deviceNs = 1e6 * outcome.chosenMs * share;

@@ -29,14 +29,14 @@ public:
 
   /// The result of running a collected sequence.
   struct Outcome {
-    /// Whether ways to run it have been set up.
+    /// Whether ways to run the sequence have been set up.
     bool isPrepared = false;
     /// Device time in milliseconds in the chosen way, and as a graph; negative
     /// if not known.
     double chosenMs = -1, graphMs = -1;
     /// All steps, including those after the recording.
     size_t steps = 0;
-    /// Host time to queue it.
+    /// Host time to queue the sequence.
     int64_t hostNs = 0;
   };
 
@@ -63,7 +63,7 @@ public:
   /// Whether any sequence is likely to be collected.
   bool areAnyKnown() const;
 
-  /// Whether judge() is expected.
+  /// Whether a collected sequence has been queued whose outcome judge() gets.
   bool hasRun() const { return running != nullptr; }
   void judge(const Outcome &outcome);
 
@@ -98,15 +98,15 @@ public:
 private:
   struct Known {
     std::vector<Item> items;
-    /// How often they occurred, how often they must occur to be collected, and
-    /// how often in a row collecting them was in vain.
+    /// How often the items occurred, how often they must occur to be collected,
+    /// and how often in a row collecting them was in vain.
     int seen = 0, wanted = 2, lost = 0;
-    /// How often in a row there was no program for the sequence, and it was
-    /// slower than single launches.
+    /// How often in a row the sequence had no program, and how often in a row
+    /// it was slower than single launches.
     int unprepared = 0, slow = 0;
     /// Host times of the last run.
     int64_t collectNs = 0, hostNs = -1;
-    /// Why they are no longer collected; empty if they are.
+    /// Why the items are no longer collected; empty if they are.
     std::string refused;
     bool isLikely() const { return seen >= wanted && refused.empty(); }
   };
@@ -118,7 +118,7 @@ private:
 
   enum class Wish { Judge, Always, Never };
   Wish wish = Wish::Judge;
-  /// Most recently used last.
+  /// The most recently used recording is last.
   std::vector<std::unique_ptr<Known>> known;
   /// The launches since the last interruption, and the sequence expected.
   std::vector<Item> run;

@@ -76,7 +76,7 @@ StepMemory DeviceQueue::Sequence::memoryOf(const Step &step) const {
     return StepMemory::ofLaunch(step.function->footprint.get(), values,
                                 step.numSlots);
   case Step::Kind::Fill:
-    // Single bytes are filled eight at a time.
+    // A fill of single bytes writes eight at a time, by unknown threads.
     if (values[2] > 1)
       memory.addNumbers(DeviceAccess::Write, values[0],
                         static_cast<int64_t>(values[2]),
@@ -144,7 +144,7 @@ bool DeviceQueue::Sequence::uses(const Module &module) const {
 // Fills
 //===----------------------------------------------------------------------===//
 
-/// Whether `second` starts in every place where `first` ends.
+/// Whether each row of `second` starts where a row of `first` ends.
 static bool isBeside(const DeviceRows &first, const DeviceRows &second) {
   if (second.address != first.address + static_cast<uint64_t>(first.rowBytes) ||
       first.rows != second.rows || first.outer != second.outer)
@@ -156,7 +156,7 @@ static bool isBeside(const DeviceRows &first, const DeviceRows &second) {
                                (first.rows > 1 || bytes <= first.outerStep)));
 }
 
-/// Rows without anything in between are one, and groups of one row are rows.
+/// Merges contiguous rows into one row, and turns groups of one row into rows.
 static void closeUp(DeviceRows &rows) {
   if (rows.rows > 1 && rows.rowBytes == rows.step) {
     rows.rowBytes *= rows.rows;
@@ -177,7 +177,7 @@ static void closeUp(DeviceRows &rows) {
 
 DeviceFill DeviceQueue::Sequence::fillOf(const Step &step) const {
   const uint64_t *values = slots.data() + step.firstSlot;
-  // The pattern, and its size behind it.
+  // The pattern, followed by its size.
   const uint64_t *held = values + (step.kind == Step::Kind::Fill ? 1 : 4);
   auto size = static_cast<int>(held[1]);
   DeviceRows rows = rowsOf(step);
@@ -201,8 +201,8 @@ void DeviceQueue::Sequence::addFill(const DeviceRows &rows, const void *pattern,
                                     int patternBytes) {
   DeviceFill fill{rows, repeatPattern(pattern, patternBytes), patternBytes};
   closeUp(fill.rows);
-  // The last fills: whether each stays, the last one first, and the place of
-  // the new one.
+  // Compare with the last fills. stays: whether each stays, the last fill
+  // first. place: the position of the new fill.
   constexpr size_t most = 16;
   bool stays[most];
   size_t first = steps.size(), place = steps.size();

@@ -23,14 +23,14 @@ struct DeviceQueue::Function : DeviceFunction {
   std::shared_ptr<const std::string> bitcode;
   /// DeviceImage::key of the module.
   std::string imageKey;
-  /// Null if its accesses are not known.
+  /// Null if the function's accesses are not known.
   std::shared_ptr<const Footprint> footprint;
-  /// Null if it cannot run in tiles.
+  /// Null if the function cannot run in tiles.
   std::shared_ptr<const FunctionAccesses> accesses;
 };
 
 struct DeviceQueue::Module : DeviceModule {
-  /// Deferred work may refer to its functions.
+  /// Deferred work may refer to functions of the module.
   ~Module() override {
     if (queue)
       queue->forget(*this);
@@ -60,7 +60,7 @@ struct DeviceQueue::Step {
     SwapRows
   };
   Kind kind;
-  /// For launches.
+  /// The number of slots; for launches, also the function and its shape.
   unsigned numSlots = 0;
   Function *function = nullptr;
   LaunchShape shape;
@@ -90,8 +90,9 @@ struct DeviceQueue::Sequence {
     slots.insert(slots.end(), values, values + count);
     add(step);
   }
-  /// Merges adjacent consecutive fills into one step, such as those of fields
-  /// that share cells, and drops parts that are filled again immediately.
+  /// Adds a fill. Merges adjacent consecutive fills into one step, such as
+  /// fills of fields that share cells; drops parts that are filled again
+  /// immediately.
   void addFill(const DeviceRows &rows, const void *pattern, int patternBytes);
   DeviceFill fillOf(const Step &step) const;
   void addCopy(DevicePtr to, DevicePtr from, int64_t bytes) {
@@ -114,15 +115,15 @@ struct DeviceQueue::Sequence {
   /// Queues a step.
   Status run(Device &device, const Step &step) const;
   StepMemory memoryOf(const Step &step) const;
-  /// The maximum of threads that a step has work for.
+  /// The maximum number of threads of a step.
   unsigned getWidth() const;
-  /// The number of launches before the first other step.
+  /// The number of launches before the first step of another kind.
   size_t countFirstLaunches() const;
-  /// The functions of its launches, in order of first use.
+  /// The launched functions, in order of first use.
   std::vector<const Function *> listParts() const;
   /// Whether all functions can be parts of programs.
   bool areAllPartsKnown() const;
-  /// Whether it launches functions of the module.
+  /// Whether the sequence launches functions of the module.
   bool uses(const Module &module) const;
 
 private:

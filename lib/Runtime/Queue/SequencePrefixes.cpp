@@ -19,7 +19,7 @@ static int64_t now() {
 }
 
 SequencePrefixes::SequencePrefixes() {
-  // A device that has nothing else to do loses so much at most.
+  // An idle device loses at most this time by deferred launches.
   constexpr int64_t usualUs = 100;
   const char *given = std::getenv("TAI_KEEP_LAUNCHES_US");
   longestNs = 1000 * (given && *given ? std::atoll(given) : usualUs);
@@ -49,7 +49,8 @@ bool SequencePrefixes::expects(const DeviceFunction *function,
   return expected != nullptr;
 }
 
-/// The kept launches are queued without their sequence.
+/// Notes that launches were deferred in vain: they are queued without a
+/// sequence.
 void SequencePrefixes::lose() {
   constexpr int mostLost = 2, mostWanted = 64;
   if (expected && !run.empty()) {

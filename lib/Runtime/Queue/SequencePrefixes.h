@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // Learns which launches repeatedly occur directly before a sequence, such as
-// those of an optimiser between two replays of a tape. Known ones may be
+// launches of an optimiser between two replays of a tape. Known prefixes may be
 // deferred and queued with the sequence
 // (docs/decisions/0014-launches-between-replays.md).
 //
@@ -22,7 +22,7 @@ namespace mlir::tai::runtime {
 
 class SequencePrefixes {
 public:
-  /// The maximum of launches before a sequence, and between two sequences.
+  /// The maximum number of launches before a sequence, and between sequences.
   static constexpr size_t kMostLaunches = 16, kMostBetween = 32;
 
   /// For tests and measurements, TAI_KEEP_LAUNCHES_US sets how long, in
@@ -33,7 +33,7 @@ public:
   /// continues a known prefix.
   bool expects(const DeviceFunction *function, const LaunchShape &shape,
                int count);
-  /// Notes other work.
+  /// Notes work other than launches, which interrupts a prefix.
   void interrupt();
   /// A sequence begins, which includes the deferred launches.
   void begin();
@@ -52,7 +52,7 @@ private:
   /// A prefix, found by its first launch.
   struct Prefix {
     std::vector<Item> items;
-    /// How often in a row they occurred, how often they must occur to be
+    /// How often in a row the items occurred, how often they must occur to be
     /// deferred, and how often in a row deferring them was in vain.
     int seen = 0, wanted = 2, lost = 0;
     bool isKnown() const { return seen >= wanted; }
@@ -66,8 +66,8 @@ private:
   bool open = false;
   /// Launches since the last sequence.
   size_t between = 0;
-  /// The launches since the last other work, the time of the first one, and the
-  /// prefix expected, or null.
+  /// The launches since the last interruption, the time of the first one, and
+  /// the prefix expected, or null.
   std::vector<Item> run;
   int64_t start = 0;
   Prefix *expected = nullptr;

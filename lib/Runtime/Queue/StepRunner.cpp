@@ -31,8 +31,8 @@ Status DeviceQueue::StepRunner::run(const Sequence &sequence,
   }
 }
 
-/// The runtime counts on all steps, such as the clearing of gradients: if the
-/// memory for one has run out, those after it run all the same.
+/// Runs all steps. The runtime relies on each of them, such as the zeroing of
+/// gradients: if memory runs out in a step, the steps after it still run.
 Status DeviceQueue::StepRunner::runAll(const Sequence &sequence) {
   Status status;
   bool isOutOfMemory = false;

@@ -19,7 +19,7 @@ public:
   explicit StepRunner(Device &device) : device(device) {}
   Status run(const Sequence &sequence, const Step &step);
   Status runAll(const Sequence &sequence);
-  /// Runs all steps, and finishes.
+  /// Queues all steps of a sequence, and the fills that are pending then.
   static Status runAlone(Device &device, const Sequence &sequence);
   /// Queues pending fills; call before other work is queued.
   Status finish();

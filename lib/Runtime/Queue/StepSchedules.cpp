@@ -14,9 +14,9 @@
 
 using namespace mlir::tai::runtime;
 
-/// A program has few threads, often. Steps that move much memory before it
-/// starts, such as clearing the gradients of all time steps, are left to the
-/// device.
+/// The number of initial fills and copies to run before the program, which
+/// often has few threads; 0 unless they move much memory, as the zeroing of
+/// gradients of all time steps does.
 size_t DeviceQueue::StepSchedules::countStepsBefore() const {
   constexpr uint64_t muchBytes = 1 << 20;
   uint64_t bytes = 0;
@@ -146,7 +146,7 @@ void DeviceQueue::StepSchedules::makeTiled(
   }
   if (hasChains)
     tiled.order = ProgramSchedule(united);
-  // Tiles take a grid of their size: they must save many barriers.
+  // Tiles need a grid with a block for each: they must save many barriers.
   if (!hasChains || 4 * tiled.order.numBarriers > 3 * plain.order.numBarriers)
     tiled = Schedule();
 }
@@ -217,7 +217,7 @@ DeviceQueue::StepSchedules::listSteps(bool withTiles) const {
     listed.slots = sequence.slots.data() + step.firstSlot;
     listed.numSlots = step.numSlots;
     if (unit.chain >= 0) {
-      // The slots of its launches stand one behind the other.
+      // The slots of the launches of a chain are consecutive.
       const Step &last = sequence.steps[unit.first + unit.count - 1];
       listed.part = firstChainPart + static_cast<uint64_t>(unit.chain);
       listed.numSlots = last.firstSlot + last.numSlots - step.firstSlot;

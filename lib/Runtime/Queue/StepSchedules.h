@@ -42,7 +42,7 @@ public:
   /// Computes the schedules. `wantsTiles`: also the one with tiles, if chains
   /// exist.
   void make(bool wantsTiles);
-  /// Computes them again if parameters that affect them have changed.
+  /// Computes the schedules again if parameters that affect them have changed.
   void update();
   /// The schedule with tiles is no longer needed.
   void dropTiles() { wantsTiles = false; }

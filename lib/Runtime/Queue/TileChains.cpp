@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Everything is decided from the sites of the launches, with the addresses that
-// their parameters give. An array that the chain writes is a row; all that the
-// chain does with its memory must be sites of that row.
+// their parameters give. Each array that the chain writes is called a row; all
+// accesses of the chain to memory of the array must be sites of this row.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,11 +20,11 @@
 using namespace mlir::tai::runtime;
 
 namespace {
-/// A site of a launch with its address.
+/// An access site of a launch, with its address and range.
 struct Place {
   const TileSite *site;
   uint64_t address, begin, end;
-  /// Bytes between neighbouring elements, in any direction.
+  /// Distances between elements, in bytes, are multiples of this.
   int64_t step;
 };
 
@@ -46,7 +46,7 @@ private:
   void findLoads();
   void alignHalos();
   bool chooseTile();
-  /// Calls f(stage, site, row) for all sites of rows.
+  /// Calls f(stage, site, row) for each site that accesses a row.
   template <typename F> void forEachSite(const F &f) {
     for (size_t s = 0; s < count; ++s)
       for (size_t k = 0; k < chain.stages[s].sites.size(); ++k)
@@ -60,7 +60,7 @@ private:
   TileChain chain;
   size_t rank = 0;
   std::vector<std::vector<Place>> places;
-  /// Places of the rows: all of their cells.
+  /// For each row, the memory of all of its cells.
   std::vector<Place> rowPlaces;
 };
 } // namespace
@@ -69,7 +69,7 @@ static bool isWrite(const TileSite &site) {
   return site.access.kind != DeviceAccess::Read;
 }
 
-/// All launches run over one box.
+/// Adds a stage for each launch. False unless all launches run over one box.
 bool ChainMaker::addStages() {
   if (count == 0 || !steps[0].function)
     return false;
@@ -147,7 +147,7 @@ bool ChainMaker::findPlace(const ChainStep &step, const TileSite &site,
   return access.unit == 0 || sum < 0x1p30 * double(access.unit);
 }
 
-/// No byte of one is a byte of the other.
+/// True only if the two places have no byte in common.
 bool ChainMaker::isApart(const Place &one, const Place &other) const {
   if (one.end <= other.begin || other.end <= one.begin)
     return true;
@@ -192,7 +192,7 @@ bool ChainMaker::findRows() {
       places[s].push_back(place);
       if (!isWrite(site))
         continue;
-      // Each iteration writes its own cell.
+      // Each iteration must write its own cell.
       bool isOwn = site.isRegular && isInjective(site);
       for (size_t d = 0; isOwn && d < rank; ++d)
         isOwn = site.digits[d].shift == 0 && !site.digits[d].wraps &&
@@ -250,7 +250,8 @@ bool ChainMaker::findCyclicDimensions() {
   return true;
 }
 
-/// Whether an iteration reads writes of others of the same launch.
+/// Whether an iteration accesses cells that other iterations of the same launch
+/// write.
 bool ChainMaker::findRaces() const {
   for (const TileStage &stage : chain.stages)
     for (size_t k = 0; k < stage.sites.size(); ++k)
@@ -272,7 +273,8 @@ static void grow(TileHalo &halo, const TileHalo &other, const TileSite &site) {
   }
 }
 
-/// A launch must write all cells that later ones read.
+/// Finds the halos: in its tile, a launch must write all cells that later
+/// launches read.
 void ChainMaker::findHalos() {
   for (size_t s = count; s-- > 0;) {
     TileStage &stage = chain.stages[s];
@@ -290,8 +292,8 @@ void ChainMaker::findHalos() {
   });
 }
 
-/// Finds overlays that start with the contents of memory, and whether blocks
-/// must then wait for each other.
+/// Finds the overlays (tiles of a row in shared memory) that start with the
+/// contents of memory, and whether blocks must then wait for each other.
 void ChainMaker::findLoads() {
   std::vector<bool> isWritten(chain.rows.size(), false);
   for (const TileStage &stage : chain.stages) {
@@ -306,8 +308,8 @@ void ChainMaker::findLoads() {
       for (size_t d = 0; d < rank; ++d)
         seesBorder |= site.digits[d].shift != 0 && !chain.isCyclic[d];
       row.isLoaded |= keepsOld || seesBorder;
-      // Other blocks load cells that this one writes in the end. They need not
-      // be kept away from a border that no launch writes.
+      // Blocks load halo cells that other blocks write at the end, so they must
+      // wait. Border cells that no launch writes need no wait.
       if (keepsOld)
         for (size_t d = 0; d < rank; ++d)
           chain.mustWait |= row.halo.low[d] != 0 || row.halo.high[d] != 0;
@@ -319,8 +321,8 @@ void ChainMaker::findLoads() {
   }
 }
 
-/// All overlays have the same cells, so that each belongs to one thread and is
-/// in the same place in all of them.
+/// Gives all overlays the same cells, so that each cell belongs to one thread
+/// and has the same place in all overlays.
 void ChainMaker::alignHalos() {
   TileHalo all = chain.stages.front().halo;
   auto extend = [&](const TileHalo &other) {
@@ -339,8 +341,8 @@ void ChainMaker::alignHalos() {
 
 static int64_t ceilOf(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
-/// As few cells as there can be in the largest halo, with a block for each
-/// tile.
+/// Chooses the tile with the fewest cells including the largest halo, such that
+/// there is a block for each tile.
 bool ChainMaker::chooseTile() {
   if (chain.rows.empty())
     return false;
@@ -359,8 +361,8 @@ bool ChainMaker::chooseTile() {
     chain.tile = tile;
   };
   std::vector<int64_t> tile(rank, 1);
-  // Along all but the last dimension any number of tiles; there, the rest of
-  // them.
+  // Try each number of tiles along all dimensions but the last, which gets the
+  // remaining tiles.
   auto choose = [&](auto &self, size_t d, int64_t left) -> void {
     int64_t extent = chain.upper[d] - chain.lower[d];
     if (d + 1 == rank) {
@@ -406,7 +408,7 @@ mlir::tai::runtime::makeChain(const ChainStep *steps, size_t count,
   return ChainMaker(steps, count, limits).make();
 }
 
-/// Whether the last launch touches cells that others of the chain write.
+/// Whether the last launch accesses cells that earlier launches write.
 static bool isLastRelated(const TileChain &chain) {
   const TileStage &last = chain.stages.back();
   for (size_t s = 0; s + 1 < chain.stages.size(); ++s)

@@ -14,7 +14,7 @@ namespace mlir::tai::runtime {
 
 /// A launch, as input of the analysis.
 struct ChainStep {
-  /// Null if it cannot run in tiles.
+  /// Null if the launch cannot run in tiles.
   const FunctionAccesses *function = nullptr;
   const uint64_t *slots = nullptr;
   size_t numSlots = 0;
