@@ -76,8 +76,8 @@ private:
   /// several fields: that distance, else 0.
   int64_t step = 0;
   std::vector<Element> inner;
-  /// The digits that count cells; `divisor` is the increment of the element's
-  /// number for a step.
+  /// The layout levels whose indices select a cell; `divisor` is the increment
+  /// of an element's number when such an index grows by one.
   std::vector<LayoutLevel> outer;
   bool uniform = false;
   int64_t cellStride = 0;

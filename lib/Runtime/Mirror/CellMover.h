@@ -22,7 +22,7 @@ class Mirror;
 class CellMover {
 public:
   /// The mover for a field. Succeeds with null if the field is not on a device
-  /// that supports this.
+  /// that can move cells.
   static Status find(const Field &field, const CellElements &elements,
                      std::shared_ptr<CellMover> &mover);
 
@@ -45,7 +45,7 @@ public:
   /// Sets every scalar of the cells to one value.
   Status fill(Cells cells, const void *value) const;
 
-  /// The same with numbers and contents in host memory.
+  /// Like the functions above, with cell numbers and contents in host memory.
   Status load(const std::vector<int64_t> &cells, char *to) const;
   Status store(const std::vector<int64_t> &cells, const char *from) const;
   Status clear(const std::vector<int64_t> &cells) const;

@@ -21,8 +21,8 @@ namespace mlir::tai::runtime {
 
 class DeviceCells {
 public:
-  /// Allocates a list for up to `capacity` cells, zeroed, so that its version
-  /// is that of no activity.
+  /// Allocates a list for up to `capacity` cells, with version 0, which no
+  /// state of activity has.
   static Status make(std::shared_ptr<DeviceContext> context, int64_t capacity,
                      std::shared_ptr<DeviceCells> &list);
   ~DeviceCells() { context->free(memory); }
@@ -34,7 +34,7 @@ public:
   int64_t capacity() const { return most; }
   Device &device() const { return context->get(); }
 
-  /// DeviceActivity::generation when it was last requested.
+  /// DeviceActivity::generation when the list was last requested.
   uint64_t generation = 0;
 
   static constexpr DevicePtr cellsOffset = 256;
@@ -52,7 +52,7 @@ private:
 /// Waits for the device, and copies the list.
 Status fetchCells(const DeviceCells &list, std::vector<int64_t> &cells);
 
-/// Whether loops over the level visited different cells.
+/// Sets `differs` if loops over the level have visited different cells.
 Status findDifference(const LoopLists &lists, const SparseNode &node,
                       bool &differs);
 

@@ -15,7 +15,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// Bytes of printed lines that a program can leave until someone waits.
+/// Bytes of lines that kernels can print before the host waits for the device.
 static constexpr int64_t outputBytes = 1 << 20;
 /// The most bytes of one stack of a gradient.
 static constexpr int64_t stackBytes = 256 << 20;
@@ -47,7 +47,7 @@ DeviceContext::~DeviceContext() {
 Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
                                DevicePtr &memory) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  // Others need the memory more than a recording that may not come.
+  // Free the pool: a recording that would reuse it may never come.
   if (limit > 0 && bytes > limit - held)
     dropSpare();
   Status status;
@@ -74,7 +74,7 @@ Status DeviceContext::allocate(int64_t bytes, const std::string &owner,
   if (holdings.empty())
     return Status::failure(StatusCode::Memory,
                            message + "; this program holds nothing else there");
-  // Owners and their bytes, equal names together.
+  // Sum the bytes by owner.
   std::map<std::string, int64_t> sums;
   for (const auto &[address, holding] : holdings)
     sums[holding.owner] += holding.bytes;
@@ -108,8 +108,8 @@ int64_t DeviceContext::mostBytes() const {
 
 int64_t DeviceContext::leftToReserved(int64_t taken) {
   std::lock_guard<std::recursive_mutex> lock(mutex);
-  // Where memory runs out, pages are moved to the host, which is worse than a
-  // failure: lists, copies and kernels need some, too.
+  // If device memory runs out, pages move to the host, which is worse than a
+  // failure. So keep some memory for lists, copies and kernels.
   int64_t kept = device->limits().memoryBytes / 32;
   int64_t left = device->freeBytes() - kept;
   if (limit > 0)
@@ -126,7 +126,7 @@ Status DeviceContext::allocateNow(int64_t bytes, DevicePtr &memory) {
 }
 
 void DeviceContext::dropSpare() {
-  // Freeing may run queued work, and a handler then add to these.
+  // Freeing may run queued work, and a handler may then add to `spare`.
   auto dropped = std::exchange(spare, {});
   for (auto [bytes, memory] : dropped) {
     held -= bytes;
@@ -139,7 +139,8 @@ Status DeviceContext::take(int64_t bytes, const std::string &owner,
                            DevicePtr &memory) {
   {
     std::lock_guard<std::recursive_mutex> lock(mutex);
-    // The first block of so many bytes, so that each gets its former memory.
+    // Take the block that was returned first, so that requests in the same
+    // order get the same memory again.
     if (auto found = spare.lower_bound(bytes);
         found != spare.end() && found->first == bytes) {
       memory = found->second;
@@ -151,8 +152,8 @@ Status DeviceContext::take(int64_t bytes, const std::string &owner,
 }
 
 void DeviceContext::giveBack(int64_t bytes, DevicePtr memory) {
-  // Work is in the order of its requests, so that the next owner's work comes
-  // after that of the present users.
+  // Queued work runs in order, so work of the next owner comes after work of
+  // the present users.
   constexpr int often = 2;
   std::lock_guard<std::recursive_mutex> lock(mutex);
   try {
@@ -172,7 +173,7 @@ void DeviceContext::free(DevicePtr memory) {
     return;
   held -= found->second.bytes;
   holdings.erase(found);
-  // Destructors call this, from which no exception may come.
+  // Destructors call this function, so no exception may leave it.
   try {
     device->free(memory);
   } catch (const std::bad_alloc &) {
@@ -184,7 +185,7 @@ void DeviceContext::noteOutOfMemory() noexcept {
   try {
     note(Status::failure(StatusCode::Memory, "out of memory"));
   } catch (const std::bad_alloc &) {
-    // The next allocation says it.
+    // The next allocation will fail and report it.
   }
 }
 
@@ -259,8 +260,8 @@ Status DeviceContext::report() {
         " lines that kernels printed were lost: there is room for " +
         formatBytes(outputBytes) +
         " of them on the device until the next wait for it\n");
-  // The thread that asked for it knows. Other threads wait for the incomplete
-  // work.
+  // The thread that asked for the stop gets the failure of the kernel. Another
+  // thread must know that it has waited for incomplete work.
   if (report.failure && report.stoppedBy &&
       report.stoppedBy != safepoint::threadNumber())
     return Status::failure(StatusCode::Interrupted,
@@ -377,7 +378,7 @@ Status DeviceLaunch::finish() {
     context->free(smaller);
   outgrown.clear();
   start = used;
-  // The other library reads its memory without a request to run kept launches.
+  // Another library reads its memory without asking for deferred launches.
   if (memory == Memory::Others && status)
     status = context->queue().settle();
   memory = Memory::Trees;

@@ -28,7 +28,7 @@ class Mirror;
 
 class DeviceContext {
 public:
-  /// `limit`: maximum of bytes there; 0 for all of its memory.
+  /// `limit`: maximum bytes on the device; 0 for all of its memory.
   DeviceContext(const DeviceServices &services, std::unique_ptr<Device> device,
                 int64_t limit, std::shared_ptr<Profiler> profiler);
   ~DeviceContext();
@@ -53,14 +53,14 @@ public:
   /// addresses.
   Status take(int64_t bytes, const std::string &owner, DevicePtr &memory);
   void giveBack(int64_t bytes, DevicePtr memory);
-  /// The limit of memory, and the rest of it for reserved memory, of which
-  /// `taken` bytes are already committed.
+  /// mostBytes: the limit of memory. leftToReserved: the rest of it for
+  /// reserved memory, of which `taken` bytes are committed already.
   int64_t mostBytes() const;
   int64_t leftToReserved(int64_t taken);
 
   /// The TaiDeviceState, allocated at the first call.
   Status state(DevicePtr &memory);
-  /// Notes that device code may have written to it.
+  /// Notes that device code may have written to the TaiDeviceState.
   void noteStateUsed() { stateUsed.store(true, std::memory_order_relaxed); }
   /// Call after waiting for the device: prints the output of device code, and
   /// returns its failure.
@@ -69,7 +69,7 @@ public:
   /// Starts collecting work, with the same scratch memory as the work collected
   /// before, so that both can be the same graph.
   void beginCollecting(bool isReplay) {
-    // Launches that were kept already use it.
+    // Deferred launches already use the current scratch memory.
     if (!device->keepsLaunches() && !device->isGathering())
       collections.fetch_add(1, std::memory_order_relaxed);
     device->beginCollecting(isReplay);
@@ -80,7 +80,7 @@ public:
       collections.fetch_add(1, std::memory_order_relaxed);
     return status;
   }
-  /// The same around the recording of a tape; see DeviceQueue.
+  /// Call when the recording of a tape begins and ends; see DeviceQueue.
   void beginRecording();
   void endRecording(bool isSwept);
   uint64_t numCollections() const {
@@ -148,7 +148,7 @@ public:
       block.reset(new DeviceBlock(context, memory, 0));
     return status;
   }
-  /// From the pool, for values that a tape saves.
+  /// Makes a block of pooled memory, for values that a tape saves.
   static Status makeKept(const std::shared_ptr<DeviceContext> &context,
                          int64_t bytes, std::unique_ptr<DeviceBlock> &block) {
     DevicePtr memory = 0;
@@ -191,10 +191,11 @@ struct DeviceCode {
   std::shared_ptr<const DeviceImage> image;
   std::unique_ptr<DeviceModule> module;
   std::vector<Function> functions;
-  /// The mirrors of the kernel's trees, in order; and those that it changes.
+  /// The mirrors of the kernel's trees, in order; and the mirrors of trees that
+  /// the kernel changes.
   std::vector<Mirror *> mirrors, changed;
   std::vector<void *> bases;
-  /// The epoch of the storage for which these are valid.
+  /// The storage epoch for which the mirrors and bases are valid.
   std::atomic<uint64_t> epoch{0};
 };
 
@@ -210,7 +211,7 @@ struct DeviceLaunch {
   Status scratch(int64_t bytes, DevicePtr &result);
   /// Device memory with a copy of the caller's array.
   Status array(void *host, int64_t bytes, bool written, DevicePtr &result);
-  /// The tree that has this base on the device, or null.
+  /// The mirror of the tree with this device address, or null.
   Mirror *mirrorOf(const void *base) const {
     for (size_t i = 0; code && i < code->bases.size(); ++i)
       if (code->bases[i] == base)
@@ -226,11 +227,11 @@ struct DeviceLaunch {
   const DeviceCode *code = nullptr;
   unsigned multiprocessors;
   bool usesState = false;
-  /// The device has been synchronised since the last work was queued.
+  /// Whether the device has been synchronised since work was last queued.
   bool waited = false;
 
 private:
-  /// The memory that it uses; each includes those before.
+  /// The memory that a launch uses; each kind includes the kinds before.
   enum class Memory {
     Trees,
     /// Scratch memory, and copies of the caller's arrays.
@@ -252,7 +253,7 @@ private:
   /// Where the scratch memory of this launch begins in the block.
   int64_t start = 0;
   std::vector<DevicePtr> outgrown;
-  /// The collection for which memory was last allocated.
+  /// The collection of work for which scratch memory was last allocated.
   uint64_t collection = 0;
 };
 

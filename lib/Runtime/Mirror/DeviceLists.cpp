@@ -23,7 +23,7 @@ using namespace mlir::tai::runtime;
 // Memory for lists
 //===----------------------------------------------------------------------===//
 
-/// Longer ones take memory as far as they are used, where that can be.
+/// Longer lists reserve memory that is committed on use, if the device can.
 static constexpr int64_t mostBytes = int64_t(256) << 20;
 
 static int64_t bytesFor(int64_t cells) {
@@ -96,8 +96,8 @@ Status DeviceLists::find(const ActiveListPtr &list, DevicePtr &address) {
       address = known.memory + DeviceCells::cellsOffset;
       return Status::success();
     }
-  // Lists without another owner are not asked for again; the oldest of the
-  // others go.
+  // Drop lists without another owner, which no loop can request again, and the
+  // oldest of the others.
   constexpr size_t mostLists = 64;
   auto isOld = [&](const Uploaded &known) {
     bool old = (known.list.use_count() == 1 ||
@@ -129,7 +129,7 @@ Status DeviceLists::find(const ActiveListPtr &list, DevicePtr &address) {
 }
 
 //===----------------------------------------------------------------------===//
-// Making them
+// Making lists
 //===----------------------------------------------------------------------===//
 
 size_t mlir::tai::runtime::numberOf(const Tree &tree, const SparseNode &node) {
@@ -144,7 +144,7 @@ int64_t DeviceLists::guessActive(const SparseNode &node) const {
   int64_t known = node.knownActive();
   if (activity.isBehind())
     known = known > 0 ? 2 * known : node.numCells();
-  // Not every cell is to make another number of it.
+  // Round up to a power of two: single cells must not change the guess.
   int64_t guess = 1;
   while (guess < known)
     guess *= 2;
@@ -189,7 +189,7 @@ Status DeviceLists::list(SparseNode &node, DeviceCellsPtr &cells) {
     cells = pool.current;
     return Status::success();
   }
-  // Where the host does not know how many there are, there is room for all.
+  // If the host does not know the number of cells, make room for all.
   int64_t needed = activity.isBehind() ? node.numCells() : guessActive(node);
   if (bytesFor(needed) > mostBytes &&
       context.get().limits().reservedPieceBytes == 0)
@@ -203,8 +203,8 @@ Status DeviceLists::list(SparseNode &node, DeviceCellsPtr &cells) {
     return list.use_count() == holders && list->capacity() >= needed;
   };
   std::shared_ptr<DeviceCells> chosen;
-  // The last one may show the active cells. The collected work is recognised
-  // only if each of its loops has its former list.
+  // Prefer the current list, which possibly shows the active cells already. But
+  // collected work is recognised only if each loop has its former list.
   if (pool.current && isFree(pool.current) && !context.queue().isCollecting())
     chosen = pool.current;
   for (const std::shared_ptr<DeviceCells> &list : pool.all)

@@ -20,8 +20,8 @@
 namespace mlir::tai::runtime {
 
 /// The host's knowledge of the activity on a device. States are numbered: the
-/// current one, the oldest one known to be the same, and the last one at which
-/// cells were deactivated.
+/// current state, the oldest state known to be equal to the current one, and
+/// the last state at which cells were deactivated.
 struct DeviceActivity {
   std::atomic<bool> behind{false};
   uint64_t generation = 1, unchangedFrom = 1, lastRemoval = 0;
@@ -61,7 +61,8 @@ public:
   /// keeps `list` alive.
   Status find(const ActiveListPtr &list, DevicePtr &address);
   /// Queues the computation of the list of active cells, after the work queued
-  /// before; the host does not wait. Null if the device does not support this.
+  /// before; the host does not wait. `cells` is null if the device cannot
+  /// compute lists.
   Status list(SparseNode &node, DeviceCellsPtr &cells);
   /// An estimate of the number of active cells, to choose the size of a grid.
   int64_t guessActive(const SparseNode &node) const;

@@ -16,8 +16,9 @@
 
 using namespace mlir::tai::runtime;
 
-/// The most work whose times wait to be read, and how much of it is left when
-/// there is more: the device has passed the rest long ago.
+/// The maximum of work whose times have not been read. Beyond it, the oldest
+/// are read until `leftPending` remain: the device has finished that work long
+/// ago.
 static constexpr size_t mostPending = 8192, leftPending = 4096;
 
 struct WatchedDevice::Module : DeviceModule {
@@ -47,7 +48,7 @@ Status WatchedDevice::load(const DeviceImage &image,
   return status;
 }
 
-/// "name (file:line)", as people say it.
+/// The label of a function: "name (file:line)".
 static std::string labelOf(const std::string &name, const std::string &place) {
   size_t column = place.rfind(':');
   if (place.empty() || column == std::string::npos)
@@ -83,8 +84,8 @@ Status WatchedDevice::find(DeviceModule &module, const std::string &name,
 // Reading times
 //===----------------------------------------------------------------------===//
 
-/// Finds out when an event is, by the clock of the host: not before it was
-/// queued, and not after the host has seen that it is over.
+/// Finds the time of an event on the host's clock: between the time when it was
+/// queued and the time when the host has seen its end.
 Status WatchedDevice::align() {
   constexpr int tries = 5;
   Status status = device->synchronize();
@@ -105,7 +106,7 @@ Status WatchedDevice::align() {
   return status;
 }
 
-/// Hands the times of the oldest work on.
+/// Passes the times of the oldest `count` pieces of work to the profiler.
 Status WatchedDevice::read(size_t count) {
   if (count == 0)
     return Status::success();
@@ -121,7 +122,7 @@ Status WatchedDevice::read(size_t count) {
       status = device->elapsed(*work.begin, *work.end, duration);
     at += distance;
     from = work.begin.get();
-    // Nothing begins before it was asked for: so far the clocks were off.
+    // No work begins before it is queued: if so, correct the clocks' offset.
     late = std::max(late, work.queuedNs - at);
     events.push_back({nullptr, true, work.thread, at, duration, work.queuedNs,
                       work.blocks, work.threads});
@@ -150,7 +151,7 @@ Status WatchedDevice::collect() {
   if (section.isAgain())
     return section.check();
   Status status = read(pending.size());
-  // Clocks drift apart: the next work is placed by a new event.
+  // The clocks drift apart: align them again for the next work.
   if (anchor)
     unused.push_back(std::move(anchor));
   return status;
@@ -164,7 +165,7 @@ template <typename Work>
 Status WatchedDevice::timed(Profiler::Item item, const LaunchShape &shape,
                             Work work) {
   Section::Entry section(timing);
-  // The work of a handler meanwhile is not timed.
+  // Work of a handler that interrupts this section is not timed.
   if (section.isAgain())
     return work();
   Status status;

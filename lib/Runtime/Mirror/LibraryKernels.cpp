@@ -10,7 +10,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// In the order of LibraryKernel.
+/// The names of the kernels, in the order of LibraryKernel.
 static constexpr const char *names[] = {
     "tai_dev_list_cells",   "tai_dev_list_count",      "tai_dev_list_scan",
     "tai_dev_list_write",   "tai_dev_deactivate_list", "tai_dev_move_cells",

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Copies between host and device, and operations that run on the device
-// instead.
+// Copies of trees and fields between host and device, and operations on fields
+// that run on the device.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,7 +20,8 @@
 using namespace mlir::tai::runtime;
 
 /// Bytes between two safepoints of a copy of a field between host and device: a
-/// few milliseconds, beside which a wait for the device is short.
+/// copy of a few milliseconds, compared with which a wait for the device is
+/// short.
 static constexpr int64_t bytesPerCopy = 16 << 20;
 
 Mirror::~Mirror() {
@@ -81,8 +82,8 @@ Status Mirror::download() {
 }
 
 /// The number of accesses to single elements that cost about as much as a copy
-/// of the whole tree. The copy follows after that many, so that the cost of the
-/// accesses is at most doubled.
+/// of the whole tree. The tree is copied after so many accesses, so that the
+/// cost of the accesses is at most doubled.
 static int64_t accessesWorth(int64_t bytes) { return bytes >> 17; }
 
 Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
@@ -98,7 +99,7 @@ Status Mirror::read(int64_t offset, void *to, int64_t bytes) {
 }
 
 Status Mirror::write(int64_t offset, const void *from, int64_t bytes) {
-  // A write on the device is not waited for.
+  // The host does not wait for a write on the device, so allow more of them.
   constexpr int64_t few = 8;
   if (onDevice() &&
       (isExported() || writes++ < few + accessesWorth(tree.bytes()))) {
@@ -127,7 +128,8 @@ void Tree::bringToHost() const { mirrored->context().note(mirrored->toHost()); }
 
 void Tree::bringToHostToChange() const {
   Status status = mirrored->toHost();
-  // Memory that could not be read must not be overwritten with an older copy.
+  // If the copy to the host failed, the host's older data must not count as
+  // current.
   if (status)
     mirrored->hostWrites();
   mirrored->context().note(std::move(status));
@@ -141,7 +143,7 @@ Status Field::storeMirrored(int64_t offset, const void *from) const {
   return owner->mirror()->write(offset, from, byteSize(fieldLayout.scalar));
 }
 
-/// If two threads look, the second one waits until the zeros are there.
+/// Guards owed zeros: a second thread waits until the zeros are stored.
 static Section &storingZeros() {
   static Section section;
   return section;
@@ -180,14 +182,15 @@ void Field::storeZeros() const {
 // Whole fields
 //===----------------------------------------------------------------------===//
 
-/// Whether fields are copied and filled where the device has them.
+/// Whether a field is copied and filled on the device: it has an even stride,
+/// and the device is current.
 static bool liesThere(const Mirror &mirror, const Field &field) {
   return field.evenStep() != 0 && mirror.onDevice();
 }
 
-/// Copies between arrays of the host and a field on the device, where other
-/// fields may lie between its elements: then by way of memory in which they
-/// are dense.
+/// Copies between arrays of the host and a field on the device. If elements of
+/// other fields lie between its elements, the copies go through a dense buffer
+/// on the device.
 namespace {
 class DeviceCopy {
 public:
@@ -263,7 +266,7 @@ std::optional<bool> Mirror::copyIn(const Field &field, const void *array,
     deviceWrites();
     return copy.copyIn(first, count, static_cast<const char *>(array));
   });
-  // A handler has written to the tree on the host in the middle.
+  // A handler has written to the tree on the host during the copy.
   if (isLost)
     return std::nullopt;
   if (status.code() == StatusCode::Interrupted)
@@ -272,9 +275,9 @@ std::optional<bool> Mirror::copyIn(const Field &field, const void *array,
   return true;
 }
 
-/// The pieces of a field that is not evenly spaced: those of its elements that
-/// differ in the indices with the largest steps alone are in other pieces.
-/// Empty where there are too many, or no pieces of even spacing.
+/// Cuts a field that is not evenly spaced into pieces that are, one for each
+/// combination of the indices with the largest steps. Empty if there are too
+/// many pieces, or none is evenly spaced.
 static std::vector<DeviceRows> findPieces(const Mirror &mirror,
                                           const Field &field) {
   struct Axis {
@@ -294,7 +297,7 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
   }
   std::sort(axes.begin(), axes.end(),
             [](const Axis &a, const Axis &b) { return a.step < b.step; });
-  // One axis after the other goes on where those before have ended.
+  // Merge axes, smallest step first, while a step equals the extent so far.
   int64_t rows = 1, step = field.numComponents() * layout.componentStride;
   size_t even = 0;
   for (; even < axes.size(); ++even) {
@@ -304,7 +307,7 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
       break;
     rows *= axes[even].extent;
   }
-  // The next axis is one of groups.
+  // The next axis counts groups of rows.
   Axis group{1, 0};
   if (even < axes.size())
     group = axes[even++];
@@ -332,8 +335,8 @@ static std::vector<DeviceRows> findPieces(const Mirror &mirror,
   return pieces;
 }
 
-/// A user of a field's raw memory does not ask for the launches that the queue
-/// keeps.
+/// Queues deferred work if other libraries use the tree's raw memory, as they
+/// do not ask for this work.
 static void settleLent(const Mirror &mirror) {
   if (mirror.isExported())
     mirror.context().note(mirror.context().queue().settle());
@@ -420,7 +423,7 @@ void Slabs::changeOnDevice(int64_t first, int64_t count,
                            const MoveCells &moveCells,
                            const MoveRows &moveRows) const {
   Mirror &mirror = *field->tree().mirror();
-  // Half of a change could not be put right.
+  // A change that stops halfway could not be undone.
   safepoint::Unstoppable whole;
   if (Status status = mirror.toDevice(); !status) {
     mirror.context().note(std::move(status));

@@ -56,7 +56,7 @@ public:
     pristine = false;
     ++changes;
   }
-  /// The memory on the device, allocated if necessary; it need not be current.
+  /// Gets the tree's device memory, allocated if necessary and possibly stale.
   Status allocate(DevicePtr &address);
   /// Makes the memory of the device current.
   Status toDevice() { return onDevice() ? Status::success() : upload(); }
@@ -68,12 +68,12 @@ public:
     ++changes;
   }
 
-  /// Other libraries have its device address, and may write there at any time:
-  /// the host's copy is then always stale.
+  /// Other libraries have the tree's device address, and may write there at any
+  /// time: the host's copy is then always stale.
   bool isExported() const {
     return exports.load(std::memory_order_relaxed) > 0;
   }
-  /// The device must be current.
+  /// Notes that a library gets the device address; the device must be current.
   void addExport() {
     exports.fetch_add(1, std::memory_order_relaxed);
     deviceWrites();
@@ -84,7 +84,7 @@ public:
     context().queue().unshare();
   }
 
-  /// Accesses a few bytes, on the cheaper side.
+  /// Accesses a few bytes, on the host or the device, whichever is cheaper.
   Status read(int64_t offset, void *to, int64_t bytes);
   Status write(int64_t offset, const void *from, int64_t bytes);
 
@@ -93,9 +93,9 @@ public:
   /// in the middle of a copy, so the caller shares the mirror.
   bool copyOut(const Field &field, void *array);
   bool fill(const Field &field, const void *scalarBytes);
-  /// Copies from an array. Empty if that is better done on the host, all of it;
-  /// false if the host has interrupted it and `canStop`. Safepoints are passed
-  /// either way.
+  /// Copies an array to a field. Empty if the host should do all of the copy
+  /// instead; false if the host has interrupted it and `canStop`. Safepoints
+  /// are passed either way.
   std::optional<bool> copyIn(const Field &field, const void *array,
                              bool canStop);
 
@@ -128,7 +128,7 @@ private:
   std::atomic<bool> pristine{true};
   /// Single elements read and written since the last launch.
   int64_t reads = 0, writes = 0;
-  /// Writes on either side, for copies during which a handler may write.
+  /// Counts writes on either side, so that a copy notices a handler's writes.
   uint64_t changes = 0;
   DevicePtr memory = 0;
 };

@@ -27,8 +27,8 @@ struct OwedZeros {
   };
   std::vector<Box> boxes;
 
-  /// Adds a box; merges it with the last one if it continues that one along the
-  /// dimension.
+  /// Adds a box; merges it with the last box if it continues the last box along
+  /// the dimension.
   void add(Box box, int64_t dimension);
   /// Whether an element has this position along the dimension.
   bool contains(int64_t dimension, int64_t position) const;

@@ -19,7 +19,7 @@ struct Slabs::Numbers {
   int64_t count = 0, capacity = 0;
 };
 
-/// Whether these are the first dimensions of all.
+/// Whether `dimensions` are the leading dimensions of a field.
 static bool areFirst(const std::vector<int> &dimensions) {
   return dimensions.empty() ||
          dimensions.back() + 1 == static_cast<int>(dimensions.size());
@@ -93,8 +93,8 @@ Slabs::Slabs(const Field &field, std::vector<int> dimensions, bool byCell)
       add(d);
 }
 
-/// Numbers of cells in the memory of the device, where those that are new
-/// follow the others.
+/// Finds the numbers of cells in device memory, after appending the numbers
+/// that are new.
 Status Slabs::bringNumbers(int64_t first, int64_t count,
                            CellMover::Cells &found) const {
   Numbers &there = *numbersOnDevice;
@@ -150,10 +150,10 @@ bool Slabs::forEachCell(int64_t first, int64_t count,
   return true;
 }
 
-/// Calls run(address, bytes, offset in the buffer) for each piece of memory
-/// that lies densely in both, until it returns false. `data` is the address of
-/// the field. The number of bytes is a
-/// constant where it is a usual one.
+/// Calls run(address, bytes, offset in the buffer) for each run of bytes that
+/// is contiguous in the field and in the buffer, until `run` returns false.
+/// `data` is the address of the field. Common numbers of bytes are passed as
+/// constants.
 template <typename Data, typename Run>
 bool Slabs::forEachRun(Data *data, int64_t first, int64_t count,
                        const Run &run) const {
@@ -300,7 +300,7 @@ void Slabs::zero(int64_t first, int64_t count) const {
                                   static_cast<int>(byteSize(field->scalar()))));
     return;
   }
-  // Not through the field, which may be about to store its owed zeros.
+  // Bypass the field's accessors, since it may be storing its owed zeros now.
   char *data = field->tree().writable() + field->layout().placeOffset;
   forEachRun(data, first, count, [](char *address, auto size, int64_t) {
     std::memset(address, 0, static_cast<size_t>(size));

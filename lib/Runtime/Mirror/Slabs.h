@@ -5,13 +5,13 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Numbers the elements of a field so that all with the same indices along some
-// dimensions are consecutive, and copies ranges of such numbers, for any
-// layout.
+// Numbers the elements of a field so that all elements with the same indices
+// along some dimensions are consecutive, and copies ranges of such numbers, for
+// any layout.
 //
 // In a sparse field, only elements in cells that have ever been active are
-// numbered, in the order in which the cells were first seen. The others are
-// zero.
+// numbered, in the order in which the cells were first seen. All other elements
+// are zero.
 //
 //===----------------------------------------------------------------------===//
 
@@ -38,12 +38,12 @@ struct SlabRange {
 
 class Slabs {
 public:
-  /// One slab for each position along these dimensions, which ascend, in
-  /// row-major order; a single one without any. `byCell`: of a sparse field,
-  /// where no slab is smaller than a cell, and one dimension counts at most.
+  /// Makes a slab for each position along `dimensions`, which ascend, in
+  /// row-major order; one slab without dimensions. `byCell`: for a sparse
+  /// field, whose slabs consist of whole cells, along one dimension at most.
   explicit Slabs(const Field &field, std::vector<int> dimensions = {},
                  bool byCell = false);
-  /// The first dimensions of these that a field can be cut along.
+  /// The leading dimensions of `fixed` along which the field can be cut.
   static std::vector<int> choose(const Field &field,
                                  const std::vector<FixedIndex> &fixed);
 
@@ -67,7 +67,7 @@ public:
   /// Copies `count` elements from number `first` on, to or from a dense buffer.
   void load(int64_t first, int64_t count, char *to) const;
   void store(int64_t first, int64_t count, const char *from) const;
-  /// True if they equal these bytes.
+  /// True if the elements equal these bytes.
   bool equal(int64_t first, int64_t count, const char *expected) const;
   /// Exchange elements with a buffer, compare them with zeros, or zero them;
   /// only if byCell().
@@ -78,7 +78,7 @@ public:
   void zero(int64_t first, int64_t count) const;
 
   /// Whether the field is on a device that can save ranges of it in device
-  /// memory; then: save, restore, and exchange. Unless they are in row-major
+  /// memory; then: save, restore, and exchange. Unless numbers are in row-major
   /// order, a range must be one slab.
   bool inRowMajorOrder() const { return isRowMajor; }
   bool onDevice() const {
@@ -137,7 +137,7 @@ private:
   std::shared_ptr<Numbers> numbersOnDevice;
   Status bringNumbers(int64_t first, int64_t count,
                       CellMover::Cells &found) const;
-  /// Cells by number, and sorted.
+  /// The cells by number, and the same cells sorted.
   std::vector<int64_t> numbered, known;
   ActiveListPtr lastAdded;
   /// Cell numbers of each slab.

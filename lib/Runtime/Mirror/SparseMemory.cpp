@@ -27,7 +27,7 @@ using namespace mlir::tai::runtime;
 static constexpr int64_t wordBytes = sizeof(uint64_t);
 
 //===----------------------------------------------------------------------===//
-// All of it, or addresses
+// Allocation or reservation
 //===----------------------------------------------------------------------===//
 
 Status SparseMirror::check(const DeviceContext &context,
@@ -49,7 +49,7 @@ Status SparseMirror::check(const DeviceContext &context,
 Status SparseMirror::allocateBlock(int64_t bytes) {
   std::string owner = "tree '" + tree.name() + "' (all cells of " +
                       tree.sparseNodes().back()->info().label + ")";
-  // Memory that is there from the start has no first touch to wait for.
+  // Memory that is committed at once makes no access wait for its commitment.
   constexpr int64_t share = 8;
   bool canReserve = pieceBytes > 0;
   Status status;
@@ -66,8 +66,8 @@ Status SparseMirror::allocateBlock(int64_t bytes) {
 // Pieces
 //===----------------------------------------------------------------------===//
 
-/// Counts the pieces in which the host has something, too, before it goes to
-/// the device.
+/// Counts the committed pieces, and those that the host's data will need,
+/// before the data is copied to the device.
 Status SparseMirror::countPieces() {
   if (!isReserved)
     return Status::success();
@@ -119,8 +119,8 @@ Status SparseMirror::countPieces() {
 // Bits and lengths
 //===----------------------------------------------------------------------===//
 
-/// Calls body(offset, bytes) for those parts of a row of bits or lengths which
-/// these marks say may not be zero; for all of a short one.
+/// Calls body(offset, bytes) for the parts of a level's bits or lengths that
+/// may be non-zero by `marks`, or for all of them if they are few.
 template <typename Marks, typename Body>
 static Status forEachPart(const SparseNode &node, int64_t numMarks,
                           const Marks &marks, const Body &body) {
@@ -149,8 +149,7 @@ static Status forEachPart(const SparseNode &node, int64_t numMarks,
 
 Status SparseMirror::sendBits(const SparseNode &node) {
   int64_t offset = node.info().activityOffset;
-  // Marks stay: elsewhere there are only zeros, on the device
-  // either.
+  // Marks are never removed: without a mark, bits are zero on both sides.
   auto mark = [&](int64_t i) {
     return node.marked()[i].load(std::memory_order_relaxed);
   };
@@ -198,8 +197,8 @@ Status SparseMirror::sendWords(const SparseNode &node,
   return status ? sendAccount() : std::move(status);
 }
 
-/// Makes the host's copy of one level current, and forgets the cells
-/// deactivated there.
+/// Makes the host's activity of one level current. `removes`: also takes the
+/// bits of deactivated cells, and clears them on the device.
 Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   Device &device = context.get();
   size_t number = numberOf(tree, node);
@@ -215,7 +214,7 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   auto mark = [&](int64_t i) { return found[static_cast<size_t>(i)]; };
   status =
       forEachPart(node, node.numMarked(), mark, [&](int64_t at, int64_t bytes) {
-        // Whole words, of which the last of a row of lengths may be half.
+        // Whole words: a last length alone takes only half of its word.
         now.assign(static_cast<size_t>((bytes + 7) / 8), 0);
         Status copied =
             device.copyOut(now.data(), row + static_cast<DevicePtr>(at), bytes);
@@ -238,7 +237,7 @@ Status SparseMirror::fetchLevel(SparseNode &node, bool removes) {
   return status;
 }
 
-/// Sends the limits of active cells, if the host knows their memory.
+/// Sends the bytes of known active cells, and their limit, to the device.
 Status SparseMirror::sendAccount() {
   const MemoryAccount &memory = context.host().memory;
   int64_t used = 0;
@@ -256,7 +255,8 @@ Status SparseMirror::sendAccount() {
                 : std::move(status);
 }
 
-/// Makes the activity of the levels that the host has changed known to lists.
+/// Sends the marks of levels whose activity the host has changed, and makes
+/// lists of their cells stale.
 Status SparseMirror::sendActivity() {
   const auto &nodes = tree.sparseNodes();
   Status status;
@@ -281,10 +281,10 @@ Status SparseMirror::sendActivity() {
 }
 
 //===----------------------------------------------------------------------===//
-// States that are kept
+// Snapshots of activity
 //===----------------------------------------------------------------------===//
 
-/// The row of bits or lengths of a level, in whole words.
+/// Bytes of the bits or lengths of a level, rounded up to whole words.
 static int64_t keptRow(const SparseNode &node) {
   return (node.activityBytes() + wordBytes - 1) / wordBytes * wordBytes;
 }
@@ -297,8 +297,8 @@ int64_t SparseMirror::keptBytes() const {
 }
 
 bool SparseMirror::canKeepActivity() const {
-  // Lists of loops have room for all cells while the host does not know how
-  // many are active, and a tape keeps one for each launch.
+  // While the host does not know the number of active cells, the list of a loop
+  // has room for all cells, and a tape keeps a list for each launch.
   constexpr int64_t mostCells = 1 << 13;
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
     if (node->numCells() > mostCells)
@@ -324,8 +324,8 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
     if (!context.allocate(keptBytes(), "activity that tapes keep", memory))
       return false;
     keptMemory.push_back(memory);
-    // Bits of removed cells are written only if there were any, and fetched
-    // always.
+    // Bits of removed cells are written only if cells were removed, but are
+    // always fetched: zero them.
     char zero = 0;
     context.note(context.get().fill(memory, &zero, 1, keptBytes()));
   }
@@ -338,7 +338,7 @@ bool SparseMirror::keepActivity(std::function<void()> seen) {
   return true;
 }
 
-/// Goes through the states in their order.
+/// Adopts all snapshots in order, and calls the function of each.
 Status SparseMirror::adoptKept(bool &any) {
   std::vector<std::function<void()>> states;
   states.swap(kept);

@@ -17,7 +17,7 @@
 using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
-/// The number of tiles of a list of the level.
+/// The number of tiles in which a device computes a list of the level.
 static int64_t numTiles(const SparseNode &node) {
   int64_t units = node.info().isList ? node.numCells() / node.capacity()
                                      : (node.numCells() + 63) / 64;
@@ -108,8 +108,8 @@ Status SparseMirror::allocate(DevicePtr &address) {
   return status;
 }
 
-/// The description for device code lies in memory of its own, which the tree
-/// holds.
+/// Writes the descriptor for device code to memory of its own, and the address
+/// of this memory in front of the tree.
 Status SparseMirror::writeDescriptor() {
   const auto &nodes = tree.sparseNodes();
   std::vector<TaiDeviceNode> entries;
@@ -211,7 +211,7 @@ Status SparseMirror::writeDescriptor() {
 // Memory that may not be zero
 //===----------------------------------------------------------------------===//
 
-/// Whole pages, as the host has them.
+/// Touched ranges consist of whole pages of the host.
 static constexpr int64_t pageBytes = 4 << 10;
 
 void SparseMirror::touch(int64_t begin, int64_t end) {
@@ -234,14 +234,14 @@ void SparseMirror::touch(int64_t begin, int64_t end) {
   touched[begin] = end;
 }
 
-/// Whether the bits or lengths of a level are so many that its marks are looked
-/// at.
+/// Whether a level has so many bits or lengths that only marked parts are
+/// copied.
 static bool hasLongRow(const SparseNode &node) {
   return node.activityBytes() >= int64_t(1) << 20;
 }
 
-/// Marks [begin, end), which is cell `cell` of the level `above` or the whole
-/// tree, without cells of the sparse levels next below.
+/// Touches [begin, end), except cells of the sparse levels next below. The
+/// range is the cell `cell` of the level `above`, or the whole tree.
 void SparseMirror::touchOutside(int64_t begin, int64_t end,
                                 const SparseNode *above, int64_t cell) {
   constexpr int64_t mostPools = 1 << 16;
@@ -258,7 +258,7 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
       nested &= steps[i].stride >= steps[i + 1].cells * steps[i + 1].stride;
       count = std::min(count, mostPools) * steps[i].cells;
     }
-    // Small ones hold no piece as a whole.
+    // Pools of less than a page contain no whole page.
     if (!nested || count > mostPools || bytes < pageBytes)
       continue;
     int64_t first = cell * node->numCellsBelow();
@@ -267,7 +267,7 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
       pools.push_back({offset, offset + bytes});
     }
   }
-  // Long rows of bits and lengths are marked by their own records.
+  // Long rows of bits and lengths are tracked by marks instead.
   for (const std::unique_ptr<SparseNode> &node : tree.sparseNodes())
     if (!above && hasLongRow(*node))
       pools.push_back({node->info().activityOffset,
@@ -276,7 +276,7 @@ void SparseMirror::touchOutside(int64_t begin, int64_t end,
   for (auto [from, to] : pools) {
     if (begin < from)
       touch(begin, from);
-    // Pieces that the pool has in part are those of its neighbours too.
+    // Pages that are partly outside of the pool belong to its neighbours.
     begin = std::max(begin, to);
   }
   if (begin < end)
@@ -344,7 +344,7 @@ Status SparseMirror::fetch() {
   Section::Entry entry(moving);
   if (entry.isAgain())
     return entry.check();
-  // A caller that is told of a kept state asks for it.
+  // The function called for a snapshot may ask for activity again.
   if (!isBehind() || isFetching)
     return Status::success();
   Device &device = context.get();
@@ -386,14 +386,15 @@ Status SparseMirror::fetch() {
 //===----------------------------------------------------------------------===//
 
 void SparseMirror::hostChanges(bool removes) {
-  // There is only one copy to change.
+  // Make the host's copy the only current one, which the host then changes.
   (void)tree.writable();
   state.change(removes);
 }
 
 bool SparseMirror::isCurrent() const { return tree.mirror()->onDevice(); }
 
-/// The level itself, behind those levels below by whose cells it is zeroed.
+/// The levels whose cells are zeroed to deactivate all cells of a level: the
+/// levels below, if they hold all memory of its cells; then the level itself.
 static std::vector<SparseNode *> findHolders(SparseNode &node,
                                              const Tree &tree) {
   std::vector<SparseNode *> found;
@@ -414,8 +415,8 @@ bool SparseMirror::deactivateAll(SparseNode &node) {
   }
   if (!isCurrent())
     return false;
-  // Where cells hold nothing else than cells below, those are zeroed, and by
-  // lists of their own: of a large box few may be active.
+  // If cells consist of cells of the next levels alone, the latter are zeroed,
+  // by lists of their own: possibly few of them are active.
   std::vector<std::pair<SparseNode *, DeviceCellsPtr>> all;
   for (SparseNode *next : findHolders(node, tree)) {
     DeviceCellsPtr cells;
@@ -459,7 +460,7 @@ bool SparseMirror::fillActive(const Field &field, const CellElements &elements,
         cellLists.list(const_cast<SparseNode &>(*field.sparseNode()), cells);
   if (status && !cells)
     return false;
-  // The number of cells is known there.
+  // -1: the device knows the number of cells.
   if (status)
     status = mover->fill({cells->cells(), -1}, scalarBytes);
   context.note(std::move(status));

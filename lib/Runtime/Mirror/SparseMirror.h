@@ -8,7 +8,7 @@
 // A sparse tree has device memory for all of its cells, zero where nothing is
 // active. Device code changes activity and computes lists of active cells
 // there; the host fetches the activity on demand. Only parts of the tree that
-// have ever been active are copied between them.
+// have ever been active are copied between host and device.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,14 +35,14 @@ public:
   SparseMirror(const SparseMirror &) = delete;
   SparseMirror &operator=(const SparseMirror &) = delete;
 
-  /// Fails if such a tree cannot be on this device.
+  /// Fails if a tree of this size cannot be on the device.
   static Status check(const DeviceContext &context, const std::string &name,
                       int64_t bytes, const std::vector<SparseInfo> &levels);
 
   /// Allocates zeroed memory for the tree, with its descriptor (TaiDeviceTree).
   Status allocate(DevicePtr &base);
   Status upload();
-  /// Also fetches activity.
+  /// Copies the tree to the host, after fetching its activity.
   Status download();
 
   /// Notes that queued work may change activity; `removes`: may deactivate
@@ -53,8 +53,8 @@ public:
   }
   void hostChanges(bool removes) override;
   /// Queues a snapshot of the activity so far on the device, without waiting:
-  /// when the host later fetches activity, it first moves to that state, and
-  /// `seen` is called in it. False if the host must fetch at once.
+  /// when the host later fetches activity, it first adopts the snapshot, and
+  /// calls `seen` in that state. False if the host must fetch at once.
   bool keepActivity(std::function<void()> seen);
   bool canKeepActivity() const;
   bool isBehind() const override { return state.isBehind(); }
@@ -75,7 +75,7 @@ public:
                   const void *scalarBytes);
 
   DeviceLists &lists() { return cellLists; }
-  /// Whether a list is known to be up to date.
+  /// Whether the list is known to be up to date.
   bool isShownBy(const DeviceCells &cells) const {
     return state.isShownBy(cells);
   }
@@ -114,8 +114,8 @@ private:
   /// follow the account.
   bool isReserved = false;
   int64_t pieceBytes = 0, numPieces = 0;
-  /// After the tree in memory: a TaiDeviceActivity for each level; removed
-  /// cells and marks of each; sums of tiles for the largest.
+  /// Device memory after the tree: a TaiDeviceActivity, removed cells and marks
+  /// for each level; the account; bits of the committed pieces.
   DevicePtr activity = 0, account = 0, pieces = 0;
   std::vector<DevicePtr> removed, marks;
   /// The epoch of each level at which both sides had the same activity.
