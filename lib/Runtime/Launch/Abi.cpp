@@ -56,7 +56,8 @@ struct Loop {
 
 static void runPart(void *context, int64_t part) {
   Loop &loop = *static_cast<Loop *>(context);
-  // The rest of a launch that has failed would be thrown away.
+  // The results of a failed launch are discarded, so its other parts need not
+  // run.
   if (loop.launch->hasFailed())
     return;
   if (!loop.launch->passSafepoint())
@@ -113,7 +114,7 @@ struct Zeroing {
 };
 } // namespace
 
-/// Zeroes, on the workers where it is much.
+/// Zeroes memory; large memory is divided among the workers.
 static void zero(Launch &launch, char *address, int64_t bytes) {
   constexpr int64_t partBytes = 128 << 10;
   int64_t parts =
@@ -135,7 +136,7 @@ static void zero(Launch &launch, char *address, int64_t bytes) {
       &zeroing);
 }
 
-/// Null, and a failed launch, if there is no memory.
+/// Returns null and fails the launch if there is no memory.
 static void *tryScratch(Launch &launch, int64_t bytes, const char *purpose) {
   int64_t limit = std::min(launch.owner().memoryLimit(), largestScratch);
   if (bytes >= 0 && bytes <= limit) {

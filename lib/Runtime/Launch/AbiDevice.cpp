@@ -19,7 +19,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// Returns null after a failure: the rest of the kernel then has no effect.
+/// Returns the device state of the launch, or null after a failure: the rest of
+/// the kernel then has no effect.
 static DeviceLaunch *working(Launch &launch) {
   if (__builtin_expect(launch.hasFailed(), false))
     return nullptr;
@@ -32,7 +33,7 @@ static DeviceLaunch *working(Launch &launch) {
   return onDevice;
 }
 
-/// Keeps a failure. Returns true if there was one.
+/// Fails the launch if `status` is a failure, and returns true in that case.
 static bool failed(Launch &launch, Status status) {
   if (__builtin_expect(status.ok(), true))
     return false;
@@ -55,7 +56,8 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
   auto blocksOf = [&](unsigned threads) {
     return (iterations + threads - 1) / threads;
   };
-  // Few iterations are spread over all of the device, by whole warps.
+  // With few iterations, shrink the blocks, in whole warps, to give each
+  // multiprocessor a block.
   constexpr unsigned warp = 32, leastThreads = 64;
   while (!hasSize && shape.threads >= 2 * leastThreads &&
          blocksOf(shape.threads) < int64_t(multiprocessors))
@@ -64,7 +66,8 @@ static LaunchShape shapeOf(BlockTrial::Size function, bool hasSize,
     shape.threads =
         std::min(shape.threads,
                  static_cast<unsigned>((iterations + warp - 1) / warp * warp));
-  // Smaller blocks keep the number of resident threads.
+  // If blocks have shrunk, allow more of them, for the same number of resident
+  // threads.
   int64_t most = function.mostBlocks == BlockTrial::kAnyBlocks
                      ? function.mostBlocks
                      : int64_t(function.mostBlocks) * function.threads /
@@ -101,7 +104,8 @@ static void launchOnDevice(Launch &launch, int32_t number, int64_t iterations,
   }
   BlockTrial &trial = function.trials->of(iterations);
   if (trial.hasEnded())
-    // A sequence is known by the shapes of its launches.
+    // The queue recognizes a repeated sequence by the shapes of its launches,
+    // so launches with trial shapes stay outside of it.
     failed(launch, launchWith(trial.best()));
   else if (!failed(launch, queue.interrupt()))
     failed(launch, trial.run(queue, iterations, [&](BlockTrial::Size size) {
@@ -117,8 +121,8 @@ extern "C" void tai_rt_device_launch(TaiFrame *frame, int32_t number,
   });
 }
 
-/// Memory on the device that find(on device, address) looks up; null after a
-/// failure.
+/// Returns the memory on the device that `find` stores in its second argument;
+/// null after a failure.
 template <typename Find>
 static void *findMemory(TaiFrame *frame, const Find &find) {
   return orFail(frame, static_cast<void *>(nullptr), [&] {
@@ -148,7 +152,7 @@ extern "C" void tai_rt_device_fetch(TaiFrame *frame, void *to, const void *from,
     onDevice->waited = true;
     return true;
   });
-  // The rest of the kernel must not rely on the former contents.
+  // After a failure, the rest of the kernel must not rely on the old contents.
   if (!isFetched)
     std::memset(to, 0, static_cast<size_t>(bytes));
 }

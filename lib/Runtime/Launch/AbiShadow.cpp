@@ -15,7 +15,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// The distance of a float from its shadow, in parts of it; 1 at the most.
+/// The distance of `value` from its shadow, `value` + `error`, relative to the
+/// shadow; at most 1.
 static double relativeError(double value, double error) {
   double exact = value + error;
   if (error == 0)
@@ -24,7 +25,8 @@ static double relativeError(double value, double error) {
   return relative < 1 ? relative : 1;
 }
 
-/// Counts; without a locked operation where one thread runs.
+/// Adds `times` to the counter, without a locked operation if only one thread
+/// runs (`alone`).
 static void count(std::atomic<int64_t> &counter, bool alone,
                   int64_t times = 1) {
   if (alone)
@@ -34,12 +36,13 @@ static void count(std::atomic<int64_t> &counter, bool alone,
     counter.fetch_add(times, std::memory_order_relaxed);
 }
 
-/// The error relative to the shadow that rounding alone makes.
+/// The error, relative to the shadow, of one rounding.
 static double roundingOf(int32_t precision) {
   return precision == 24 ? 0x1p-24 : std::ldexp(1, -precision);
 }
 
-/// Most results are not the worst by far, which takes no division to see.
+/// A result with a smaller relative error cannot exceed the site's largest
+/// growth. Comparing errors with this bound saves most results a division.
 static double reachOf(const ShadowLog::Site &site, double least) {
   return 0.99 * least * site.growth.load(std::memory_order_relaxed);
 }
@@ -49,7 +52,7 @@ extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
                                    int32_t precision, int32_t fires, double a,
                                    double errorOfA, double b, double errorOfB,
                                    double result, double error, double exact) {
-  // Where the shadow overflows too, that is how the program is.
+  // If the shadow overflows as well, rounding is not the cause.
   if (!fires || !std::isfinite(exact))
     return;
   Runtime &owner = launchOf(frame).owner();
@@ -58,7 +61,8 @@ extern "C" void tai_rt_shadow_site(TaiFrame *frame, TaiShadowSite *named,
   if (!std::isfinite(result))
     return count(site.nonFinite, alone);
   count(site.lost, alone);
-  // A difference cancels if both operands are at least eight times as large.
+  // A difference cancels if both operands are at least eight times as large as
+  // the result.
   if (std::min(std::abs(a), std::abs(b)) > 8 * std::abs(result))
     count(site.cancellations, alone);
   double least = roundingOf(precision);
@@ -145,8 +149,8 @@ extern "C" void tai_rt_shadow_move(TaiFrame *, void *to, const void *from,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// An update and its shadow are one: who updates a float that shares a lock
-/// waits.
+/// Makes the updates of a float and of its shadow one atomic step. Floats whose
+/// addresses select the same flag share a lock.
 class UpdateLock {
 public:
   explicit UpdateLock(const void *address)
@@ -167,7 +171,8 @@ private:
 std::array<UpdateLock::Flag, UpdateLock::count> UpdateLock::flags;
 } // namespace
 
-/// NaN where one of both is, as the instructions for `minimum` and `maximum`.
+/// Returns NaN if `a` or `b` is NaN, as the instructions for `minimum` and
+/// `maximum` do.
 template <typename T> static T choose(T a, T b, bool greater) {
   if (std::isnan(a) || std::isnan(b))
     return std::numeric_limits<T>::quiet_NaN();
@@ -188,7 +193,9 @@ template <typename T> static T combine(T before, T operand, int32_t kind) {
   }
 }
 
-/// `alone`: no other thread of the launch updates.
+/// Applies the operation to the float at `address` and to its shadow, and
+/// returns the float's old value. `alone`: no other thread of the launch
+/// updates.
 template <typename T, typename Exact>
 static double update(T *address, int32_t kind, T value, double error,
                      double *oldError, bool alone) {

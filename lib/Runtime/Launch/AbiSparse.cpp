@@ -16,8 +16,8 @@ static SparseNode &nodeOf(void *tree, int32_t node) {
   return *Tree::of(tree).sparseNodes()[node];
 }
 
-/// Where the launch runs on a device, the tree that has this base there; null
-/// where it runs on the CPU.
+/// The mirror of the tree whose base on the device is `tree`; null if the
+/// launch runs on the CPU.
 static Mirror *mirrorOf(const Launch &launch, const void *tree) {
   return __builtin_expect(launch.onDevice != nullptr, false)
              ? launch.onDevice->mirrorOf(tree)
@@ -30,15 +30,16 @@ static SparseNode &nodeOf(const Launch &launch, void *tree, int32_t node) {
   return nodeOf(tree, node);
 }
 
-/// Fails the launch at a line of the program.
+/// Fails the launch; `where` is the line of the program to report, or null.
 static void failAt(TaiFrame *frame, StatusCode code, std::string message,
                    const char *where) {
   launchOf(frame).fail(
       Status::failure(code, std::move(message), where ? where : ""));
 }
 
-/// True if there is such a cell; else the launch fails. Where indices are not
-/// checked, some that are out of range name a cell all the same.
+/// Returns true if the node has this cell; otherwise fails the launch. Without
+/// checks of indices, some indices out of range yield the number of an existing
+/// cell, which pass unnoticed here.
 static bool checkCell(TaiFrame *frame, const SparseNode &node, int64_t cell,
                       const char *where) {
   if (cell >= 0 && cell < node.numCells())
@@ -51,7 +52,8 @@ static bool checkCell(TaiFrame *frame, const SparseNode &node, int64_t cell,
   return false;
 }
 
-/// True if there is memory for one more cell; else the launch fails.
+/// Returns true if there is memory for one more cell; otherwise fails the
+/// launch.
 static bool checkMemory(TaiFrame *frame, const SparseNode &node,
                         const char *where) {
   Status status = launchOf(frame).owner().checkActiveBytes(node, 1);
@@ -106,7 +108,7 @@ extern "C" int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
                 [&] { return append(frame, tree, node, list, where); });
 }
 
-/// Hands a list to compiled code.
+/// Passes a list of cells to compiled code, and returns its length.
 static int64_t give(Launch &launch, const std::vector<int64_t> &list,
                     const int64_t **cells) {
   *cells = list.data();
@@ -115,9 +117,10 @@ static int64_t give(Launch &launch, const std::vector<int64_t> &list,
   return static_cast<int64_t>(list.size());
 }
 
-/// The same for code on a device, which makes the list and knows its length.
-/// Cells are not left out there by their contents: the host would have to wait
-/// for the device to look at them.
+/// Passes a list of cells to code on a device. If the device makes the list,
+/// only the device knows its length, and the result is a guess. Cells with zero
+/// adjoints are not left out: the host would have to wait for the device to
+/// find them.
 static int64_t giveOnDevice(Launch &launch, Mirror &mirror, int32_t node,
                             const int64_t **cells) {
   SparseNode &sparse = *mirror.getTree().sparseNodes()[node];
@@ -185,7 +188,8 @@ static bool isListCurrent(Launch &launch, void *tree, int32_t node) {
     const LoopLists::Entry *entry = launch.findGiven(sparse);
     if (!entry)
       return 0;
-    // A caller that gets false must do work that is right for any list.
+    // A wrong false is harmless: a caller that gets false does work that is
+    // right for any list.
     if (entry->onDevice)
       return mirror->sparse()->isShownBy(*entry->onDevice);
   }

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Functions that compiled kernels call when the partitions of a loop have added
-// to buffers of their own. Elements that no iteration added to cost one look: a
-// grid around particles is mostly such.
+// to private buffers. An element that no iteration added to costs only one
+// read: most elements of a grid around particles are of this kind.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,7 +23,8 @@
 using namespace mlir::tai::runtime;
 
 namespace {
-/// `count`: of the elements of a buffer.
+/// Adds elements [begin, end) of all `parts` buffers to the target. `count`:
+/// the number of elements of a buffer.
 using AddBuffers = void (*)(void *target, char *buffers, int64_t begin,
                             int64_t end, int64_t parts, int64_t stride,
                             int64_t count);
@@ -48,7 +49,7 @@ using Half = Float16Bits<doubleFromHalf, halfFromDouble>;
 using Bfloat = Float16Bits<doubleFromBfloat, bfloatFromDouble>;
 } // namespace
 
-/// Without a branch for each element, so that they are compared in vectors.
+/// Has no branch for each element, so that the comparisons are vectorized.
 template <typename T>
 __attribute__((always_inline)) static inline bool isAnyNonZero(const T *from,
                                                                int64_t count) {
@@ -58,8 +59,8 @@ __attribute__((always_inline)) static inline bool isAnyNonZero(const T *from,
   return isAny;
 }
 
-/// Adds a block of a buffer to `sums`, which hold nothing yet if it is the
-/// first, and leaves zeros. Returns false if there was nothing to add.
+/// Adds a block of a buffer to `sums` (if `isFirst`, copies the block there),
+/// and fills the block with zeros. Returns false if the block held only zeros.
 template <typename T>
 __attribute__((always_inline)) static inline bool
 moveBlock(T *from, int64_t count, T *sums, bool isFirst) {
@@ -74,18 +75,19 @@ moveBlock(T *from, int64_t count, T *sums, bool isFirst) {
   return true;
 }
 
-/// The value of a number after a sum was added. Nothing is nothing: -0 stays,
-/// as it does in blocks that are skipped.
+/// Returns `to` + `sum`. A zero sum leaves `to` as it is: -0 stays -0, as it
+/// does in blocks that are skipped.
 template <typename Target, typename T>
 __attribute__((always_inline)) static inline Target added(Target to, T sum) {
   return sum == 0 ? to : static_cast<Target>(to + sum);
 }
 
-/// Buffers of so many bytes are zeroed by the next launch: that takes less than
-/// to look for numbers in them.
+/// Whether buffers of this size are left for the next launch to zero, which
+/// takes less time than searching them for elements that are not zero.
 static bool areFew(int64_t bytes) { return bytes <= 8 << 10; }
 
-/// Adds all elements of few, and leaves them as they are.
+/// Adds all elements of small buffers (see areFew) and leaves the buffers as
+/// they are.
 template <typename Target, typename T>
 static void addFew(Target *target, const char *buffers, int64_t count,
                    int64_t parts, int64_t stride) {
@@ -120,8 +122,8 @@ addBuffers(void *targetBytes, char *buffers, int64_t begin, int64_t end,
   }
 }
 
-/// Adds elements [begin, end) of all buffers of pairs, each rounded once. A
-/// buffer holds `count` sums, and then the rounding errors of each.
+/// Adds elements [begin, end) of all buffers of pairs, and rounds each result
+/// once. A buffer holds `count` sums, and then their rounding errors.
 __attribute__((always_inline)) static inline void
 addPairs(void *targetBytes, char *buffers, int64_t begin, int64_t end,
          int64_t parts, int64_t stride, int64_t count) {
@@ -193,7 +195,7 @@ static int64_t sizeOfSums(int32_t kind) {
   }
 }
 
-// Compiled for the vector units that there may be; the sums are the same.
+// Variants for AVX2, chosen at run time; they compute the same sums.
 #if defined(__x86_64__)
 #define TAI_ADD_BUFFERS(name, target_type, type, unit)                         \
   __attribute__((target(unit))) static void name(                              \
@@ -215,8 +217,9 @@ addPairsAvx2(void *to, char *buffers, int64_t begin, int64_t end, int64_t parts,
 }
 #endif
 
-/// Does `add`, which adds `parts` buffers to `count` numbers, the numbers of
-/// the buffers one after another; shadows follow.
+/// Calls `add`, which adds `parts` buffers to the `count` numbers at
+/// addressOf(0), addressOf(1), ..., and adds the shadows of the buffers to the
+/// numbers' shadows.
 template <typename Target, typename T, typename AddressOf, typename Add>
 static void addWithShadows(int64_t count, int64_t parts, char *buffers,
                            int64_t stride, AddressOf addressOf, Add add) {
@@ -237,8 +240,8 @@ static void addWithShadows(int64_t count, int64_t parts, char *buffers,
   }
 }
 
-/// The same for the types of `kind`, where the kernels of the context have
-/// shadows.
+/// Calls `add`; if the kernels of the context have shadows, through
+/// addWithShadows with the types of `kind`.
 template <typename AddressOf, typename Add>
 static void addBuffersOf(Launch &launch, int32_t kind, int64_t count,
                          int64_t parts, char *buffers, int64_t stride,
@@ -280,8 +283,9 @@ static AddBuffers chooseAdd(int32_t kind) {
                               : addBuffers<float, double>;
 }
 
-/// Buffers that were added hold zeros, which the next launch need not write.
-/// Shadows, if there are any, are forgotten when memory is taken.
+/// Marks buffers that moveBlock has filled with zeros, so that the next launch
+/// need not zero them. With shadows they stay dirty: allocating dirty memory
+/// also discards its shadows.
 static void left(Launch &launch, const void *buffers, int64_t bytes) {
   if (!launch.owner().options().instruments.shadow && !areFew(bytes))
     launch.arena.markZero(static_cast<const char *>(buffers), bytes);
@@ -290,13 +294,13 @@ static void left(Launch &launch, const void *buffers, int64_t bytes) {
 extern "C" void tai_rt_combine(TaiFrame *frame, void *target, void *buffers,
                                int64_t count, int64_t parts, int32_t kind) {
   Launch &launch = launchOf(frame);
-  // After a failure the buffers may not be as the code assumes.
+  // After a failure, `buffers` may be memory without meaning: see Launch::sink.
   if (count <= 0 || parts <= 0 || launch.hasFailed())
     return;
   int64_t size = sizeOfSums(kind);
   int64_t targetBytes = sizeOfTarget(kind);
   int64_t stride = (count * size + 63) / 64 * 64;
-  // Bytes read by one worker that repay its fork.
+  // The number of bytes that one worker must read to repay its fork.
   constexpr int64_t cutBytes = 64 << 10;
   int64_t cuts = std::clamp<int64_t>(count * size / cutBytes * parts, 1,
                                      launch.owner().threads());
@@ -332,7 +336,7 @@ struct StridedCombining {
 };
 } // namespace
 
-/// Adds cells [begin, end) of all buffers, summed in their order.
+/// Adds the cells of one cut, summed over all buffers in order.
 template <typename Target, typename T>
 static void addStrided(void *context, int64_t cut) {
   const auto &c = *static_cast<StridedCombining *>(context);
@@ -340,8 +344,8 @@ static void addStrided(void *context, int64_t cut) {
   int64_t end = boundOf(c.cells, cut + 1, c.cuts);
   constexpr int64_t block = 1024;
   T sums[block];
-  // Whole cells, up to the size of the block; a matrix has at most 16
-  // components.
+  // A block holds whole cells, or a part of one cell that has more components
+  // than the block has elements.
   int64_t cellsInBlock = std::max<int64_t>(block / c.components, 1);
   for (int64_t at = begin; at < end; at += cellsInBlock) {
     int64_t cells = std::min(cellsInBlock, end - at);

@@ -89,7 +89,7 @@ AccessPlace AccessChecks::getPlace(int64_t id) const {
   auto after =
       std::partition_point(ranges.begin(), ranges.end(),
                            [&](const Range &range) { return range.base < id; });
-  // A range that another thread was about to record is missing.
+  // The range of `id` is missing if another thread has not recorded it yet.
   if (id <= 0 || after == ranges.begin())
     return {"", -1, AccessKind::Write, "", 0, 0};
   const Range &range = *std::prev(after);
@@ -102,7 +102,7 @@ AccessPlace AccessChecks::getPlace(int64_t id) const {
           access.column};
 }
 
-/// True if two iterations of one loop are in each other's way.
+/// True for violations between two iterations of one loop.
 static bool isRace(int64_t kind) {
   return kind == static_cast<int64_t>(ViolationKind::Race) ||
          kind == static_cast<int64_t>(ViolationKind::EarlyRead);
@@ -118,7 +118,7 @@ void AccessChecks::collect(const Range &range) {
       if (!racesOnly || isRace(words[1 + 3 * i + 2]))
         entries.push_back(words + 1 + 3 * i);
     total += racesOnly ? static_cast<int64_t>(entries.size()) : words[0];
-    // Threads report in any order.
+    // Threads report in any order; sort the reports by element.
     std::sort(entries.begin(), entries.end(),
               [](const int64_t *a, const int64_t *b) { return a[1] < b[1]; });
     for (const int64_t *entry : entries) {

@@ -16,7 +16,7 @@ using namespace mlir::tai::runtime;
 /// Whether the launches of the kernel may change the tree.
 static bool mayChange(const Kernel &kernel, const Tree &tree) {
   const std::vector<Access> &summary = kernel.summary();
-  // Adjoints and the like come without one.
+  // Adjoints and other derived kernels have no summary.
   if (summary.empty())
     return true;
   return std::any_of(summary.begin(), summary.end(), [&](const Access &access) {
@@ -35,8 +35,8 @@ static unsigned mostBlockThreads(const Device &device,
              : most;
 }
 
-/// Sizes of blocks that are worth a try besides the usual one; none where
-/// there is no other.
+/// Makes trials for the sizes of blocks that are worth a try; null if only the
+/// usual size is possible.
 static std::shared_ptr<BlockTrials>
 makeTrials(const Device &device, const DeviceCode::Function &function,
            unsigned mostThreads, const KeptChoices &kept, std::string key) {
@@ -45,7 +45,8 @@ makeTrials(const Device &device, const DeviceCode::Function &function,
     if (threads != function.threads && threads <= mostThreads)
       if (unsigned blocks = device.residentBlocks(*function.function, threads))
         sizes.push_back({threads, blocks});
-  // The number of blocks follows the work; blocks come in order of the memory.
+  // With kAnyBlocks, the number of blocks follows the number of iterations, and
+  // blocks start in the order of the memory that they access.
   for (unsigned threads : {128u, function.threads})
     if (threads <= mostThreads)
       sizes.push_back({threads, BlockTrial::kAnyBlocks});
@@ -54,7 +55,8 @@ makeTrials(const Device &device, const DeviceCode::Function &function,
   return std::make_shared<BlockTrials>(std::move(sizes), kept, std::move(key));
 }
 
-/// The key by which another process on such a device finds a function.
+/// The key under which other processes with an equal device find the size of
+/// blocks chosen for a function.
 static std::string keyOf(const DeviceImage &image, const std::string &function,
                          const Device &device) {
   if (image.key.empty())
@@ -79,7 +81,8 @@ static Status loadCode(Device &device, const DeviceImage &image,
   return status;
 }
 
-/// The same; an image from the cache that is not taken is compiled anew, once.
+/// Loads code and finds its functions. An image from the cache that the device
+/// refuses is compiled anew, once.
 static Status loadOrMakeAgain(Device &device,
                               std::shared_ptr<const DeviceImage> &image,
                               std::unique_ptr<DeviceModule> &module,
@@ -91,7 +94,7 @@ static Status loadOrMakeAgain(Device &device,
   Status made = image->makeAgain(*fresh);
   if (!made)
     return made;
-  // The host's part, which goes by numbers, stays.
+  // The host code is not compiled anew, and refers to functions by number.
   if (fresh->functions != image->functions)
     return status;
   image = std::move(fresh);
@@ -125,8 +128,8 @@ Status DeviceLaunches::load(Kernel &kernel, uint64_t epoch) {
       const std::string &name = loaded->image->functions[i];
       DeviceCode::Function entry{};
       entry.function = functions[i];
-      // Enough to hide the time of memory, and few enough that registers do
-      // not limit how many blocks there are.
+      // Enough threads to hide the latency of memory, and few enough that
+      // registers do not limit the number of resident blocks.
       constexpr unsigned usualThreads = 256;
       unsigned wanted = options.blockThreads > 0
                             ? static_cast<unsigned>(options.blockThreads)
@@ -209,7 +212,7 @@ void DeviceLaunches::leave(Launch &launch) {
   Status status = onDevice.finish();
   if (onDevice.usesState) {
     devices.get()->noteStateUsed();
-    // Otherwise the next wait reports failures.
+    // Without this wait, the next wait reports failures of the launch.
     if (status && options.instruments.debug && !onDevice.waited) {
       status = devices.device()->synchronize();
       onDevice.waited = true;

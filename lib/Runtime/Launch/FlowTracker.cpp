@@ -15,7 +15,8 @@ using namespace mlir::tai::runtime;
 bool ArrayRange::overlaps(const ArrayRange &other) const {
   if (begin >= other.end || other.begin >= end)
     return false;
-  // Columns of a matrix lie between each other.
+  // The columns of a matrix are interleaved: they overlap in range, and may
+  // still have no element in common.
   uint64_t common = std::gcd(step, other.step);
   uint64_t apart = (begin % common + common - other.begin % common) % common;
   return apart < other.elementBytes || apart + elementBytes > common;
@@ -156,8 +157,8 @@ void FlowTracker::store(const FlowPlace &place, const uint64_t *args,
 // Launches
 //===----------------------------------------------------------------------===//
 
-/// Whether a launch stores all elements, from the first of each dimension on,
-/// of which there are so many.
+/// Whether a launch with `args` stores all elements with indices from first(d)
+/// up to first(d) + extent(d) in each dimension d.
 template <typename First, typename Extent>
 static bool storesAll(const std::vector<StoredBox> &boxes, const uint64_t *args,
                       const First &first, const Extent &extent) {
@@ -242,7 +243,8 @@ void FlowTracker::launch(Kernel &kernel, const uint64_t *args) {
   std::vector<State> before, added(all.places.size()), again(all.places.size());
   for (const FlowPlace &place : all.places)
     before.push_back(stateOf(place, args));
-  // A kernel may go on with a value that it has just stored.
+  // A kernel may read a value that it has just stored: repeat until no flow
+  // adds to a state.
   for (bool grown = true; grown;) {
     grown = false;
     for (const ValueFlow &flow : all.flows) {
@@ -275,7 +277,7 @@ void FlowTracker::launch(Kernel &kernel, const uint64_t *args) {
 }
 
 //===----------------------------------------------------------------------===//
-// What is found
+// Results
 //===----------------------------------------------------------------------===//
 
 const FlowTracker::CutSet &FlowTracker::cutsOf(const Field &field) const {

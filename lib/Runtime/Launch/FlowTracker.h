@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Tracks launches in order and knows, for each field and array, the cuts in the
-// derivative of its values: stores of a value with a derivative to memory
-// without one, from which the value was read again.
+// Follows launches in order and finds, for each field and array, the cuts in
+// the derivative of its values. A cut is a store of a value with a derivative
+// to memory without one, from which the value was read again.
 //
 // If a launch changes nothing of this state, and does not depend on its
 // arguments, the next launch of its kernel costs one look-up.
@@ -57,7 +57,8 @@ public:
 
   /// The cuts in the derivative of the field's values.
   const CutSet &cutsOf(const Field &field) const;
-  /// The same for arrays with gradients whose adjoint `isWanted`.
+  /// The cuts in the derivatives of arrays with gradients, for whose adjoints
+  /// `isWanted` holds.
   using Wants = std::function<bool(uint64_t adjoint, uint64_t bytes)>;
   CutSet cutsOfArrays(const Wants &isWanted) const;
   const CutSet &cutsOfResults() const { return fromResults; }
@@ -105,10 +106,10 @@ private:
   bool dependsOnArguments(Kernel &kernel) const;
 
   Mode mode;
-  /// Fields that are adjoints or duals of others.
+  /// Fields that are adjoints or duals of other fields.
   std::unordered_set<const Field *> companions;
   std::unordered_map<const Field *, State> ofFields;
-  /// By their first address.
+  /// Keyed by the first address of the array.
   std::multimap<uint64_t, ArrayState> ofArrays;
   uint64_t longest = 0;
   std::unordered_map<uint64_t, ArrayRange> copies;

@@ -101,8 +101,8 @@ Status Kernel::resolve() {
   return status;
 }
 
-/// The records of a tape for an adjoint without a plan are not the ones it
-/// reads.
+/// A tape records the values that the plan names: without a plan, the records
+/// lack the values that the adjoint reads.
 static Status planFailed(const Status &why) {
   return Status::failure(why.code(), why.message(), why.where(), why.detail());
 }
@@ -151,14 +151,15 @@ const AdjointPlan &Kernel::plan() {
   Lock lock(section);
   if (adjointPlan && (!adjointPlan->provisional || lock.isAgain()))
     return *adjointPlan;
-  // A handler cannot launch it: see checkHandler.
+  // `isAgain`: a handler that interrupted this work asks for the plan. The
+  // handler cannot launch the adjoint: see checkHandler.
   static const AdjointPlan unknown;
   if (lock.isAgain())
     return unknown;
   auto made = std::make_unique<AdjointPlan>();
   if (info.differentiable && info.provider) {
-    // Without an adjoint nothing is read. The error is reported when a reverse
-    // sweep needs the plan.
+    // If there is no adjoint, the plan stays empty. The error is reported when
+    // a reverse sweep needs the plan.
     planFailure = info.provider->planAdjoint(*this, *made);
     if (!planFailure) {
       bool provisional = made->provisional;
@@ -284,7 +285,8 @@ Status Kernel::bind(uint64_t epoch) {
       return Status::failure(StatusCode::Usage,
                              "kernel '" + name() + "' uses tree '" +
                                  tree->name() + "', which has been destroyed");
-  // A launch of another thread may be using the tables: equal ones stay.
+  // A launch of another thread may be using the tables: tables that are equal
+  // to the new ones stay.
   std::vector<void *> newBases;
   std::vector<SparseNode *> nodes;
   newBases.reserve(info.trees.size());
@@ -343,9 +345,9 @@ Status Kernel::resolveChecked(CheckedKernel *&result) {
 // Activity
 //===----------------------------------------------------------------------===//
 
-// An adjoint goes over the cells that its primal went over. Under a tape that
-// is part of the record; an adjoint that is launched by hand belongs to the
-// last launch of its primal, and finds its data here.
+// An adjoint visits the cells that its primal visited. Under a tape, these
+// cells are part of the record of the launch. An adjoint that is launched by
+// hand belongs to the last launch of its primal, whose cells are kept here.
 
 void Kernel::noteBegin() {
   std::lock_guard<std::mutex> lock(activityMutex);

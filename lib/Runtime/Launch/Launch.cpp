@@ -105,14 +105,15 @@ void Arena::reset() {
 Launch::~Launch() { freeSinks(); }
 
 bool Launch::look() {
-  // The thread that launched polls for signals.
+  // Only the thread that launched polls for signals; workers see its failure.
   if (safepoint::isWorker())
     return !hasFailed();
   __atomic_store_n(&tick, safepoint::now(), __ATOMIC_RELAXED);
   if (!hasFailed() && !owner().interruptRequested() && safepoint::look())
     return true;
   fail(failAsInterrupted());
-  // Workers look at their next safepoint, not at the next tick.
+  // Workers then call look() at their next safepoint, not only after the next
+  // tick.
   __atomic_store_n(&tick, 0, __ATOMIC_RELAXED);
   return false;
 }
@@ -154,8 +155,9 @@ void Launch::recover() noexcept {
   end();
 }
 
-/// A failed launch may go on to its end, so it needs memory to write to even
-/// where there is none: a piece of a file mapped again and again.
+/// A failed launch may run to its end, and then needs memory to write to
+/// although there is none: one piece of a file is mapped to all addresses of
+/// the sink.
 void *Launch::sink(int64_t bytes) {
   constexpr size_t pieceSize = size_t(64) << 20, most = size_t(1) << 38;
   std::lock_guard<std::mutex> lock(failureMutex);
@@ -164,7 +166,7 @@ void *Launch::sink(int64_t bytes) {
   void *memory = mmap(nullptr, size, PROT_READ | PROT_WRITE,
                       MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (memory == MAP_FAILED) {
-    // Not even addresses are left: one page, better than null.
+    // There are not even enough addresses: one page is better than null.
     size = static_cast<size_t>(sysconf(_SC_PAGESIZE));
     memory = mmap(nullptr, size, PROT_READ | PROT_WRITE,
                   MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
@@ -193,7 +195,8 @@ void Launch::noteSink(void *memory, size_t size) {
   try {
     sinks.emplace_back(memory, size);
   } catch (...) {
-    // This memory is not given back, but the launch can end.
+    // The list of sinks cannot grow: `memory` is leaked, but the launch can
+    // end.
   }
 }
 
@@ -206,7 +209,7 @@ void Launch::freeSinks() {
 int64_t Launch::partition(int64_t n, int64_t cost, bool reduces) {
   Workers &workers = owner().workers();
   measured = nullptr;
-  // The estimate is wrong by less than this.
+  // The estimate `cost` is assumed to be wrong by less than this factor.
   constexpr double factor = 16;
   double total = static_cast<double>(n) * static_cast<double>(cost);
   if (workers.threads() == 1 || !loopTimes ||

@@ -33,8 +33,9 @@ public:
   /// Allocates `bytes` bytes (a multiple of 64) aligned to 64, or returns null.
   /// The first `dirtyBytes` of them may be non-zero. Thread-safe.
   char *allocate(int64_t bytes, int64_t &dirtyBytes);
-  /// Bytes that were allocated are zero, and stay so until they are allocated
-  /// again: those are not dirty then. Thread-safe.
+  /// Notes that allocated bytes are zero, and stay zero until they are
+  /// allocated again; allocate() does not count them as dirty then.
+  /// Thread-safe.
   void markZero(const char *address, int64_t bytes);
   /// Frees everything. One block of the total size is kept for the next launch.
   void reset();
@@ -74,9 +75,9 @@ struct Launch : TaiFrame {
   Runtime &owner() const { return *static_cast<Runtime *>(runtime); }
   /// Sets the failure of the launch, unless it has one.
   void fail(Status status);
-  /// The same where no memory is left for a status.
+  /// Fails the launch with "out of memory", without allocating a status.
   void failWithoutMemory() noexcept;
-  /// Leaves no trace of a launch that an exception has ended.
+  /// Resets the object after an exception has ended its launch.
   void recover() noexcept;
   bool hasFailed() const { return failed.load(std::memory_order_relaxed); }
   /// A safepoint of the launching thread, or of a worker. False if the launch
@@ -87,11 +88,11 @@ struct Launch : TaiFrame {
                             true) ||
            look();
   }
-  /// The slow path, after a tick.
+  /// The slow path of passSafepoint, after a tick.
   bool look();
   Status takeFailure();
-  /// The number of partitions of a loop. Loops for which the estimate is not
-  /// decisive are timed.
+  /// The number of partitions of a loop. A loop is timed if its estimated cost
+  /// is too close to a threshold to decide this number.
   int64_t partition(int64_t n, int64_t cost, bool reduces);
   /// Memory that a failed launch may write to.
   void *sink(int64_t bytes);
@@ -100,9 +101,9 @@ struct Launch : TaiFrame {
   /// returns. Fails the launch if it is an adjoint and the cells of its primal
   /// are not known.
   const std::vector<int64_t> &cellsFor(SparseNode &node);
-  /// The same, including cells whose incoming adjoints are zero.
+  /// The cells of cellsFor and the cells whose incoming adjoints are zero.
   const std::vector<int64_t> &visitedCells(SparseNode &node);
-  /// The same as a list; null after a failure.
+  /// The cells of visitedCells as a shared list; null after a failure.
   ActiveListPtr visitedList(SparseNode &node);
   /// For adjoints: the cells that the primal's loops over the level visited.
   const LoopLists::Entry *findGiven(SparseNode &node);
@@ -132,7 +133,8 @@ struct Launch : TaiFrame {
   /// that is being timed.
   LoopTimes *loopTimes = nullptr;
   LoopTimes::Entry *measured = nullptr;
-  /// Its device state; `DeviceLaunch::code` is null if it runs on the CPU.
+  /// The launch's device state; its `code` is null if the launch runs on the
+  /// CPU.
   std::unique_ptr<DeviceLaunch> onDevice;
   /// The cells that the loops of this launch visited.
   LoopLists loops;
@@ -140,8 +142,8 @@ struct Launch : TaiFrame {
   /// For adjoints: the cells that the primal's loops visited, and its name.
   const LoopLists *given = nullptr;
   const std::string *primalName = nullptr;
-  /// For adjoints: in which cells loops can be skipped, and the remaining
-  /// cells.
+  /// For adjoints: the loops that can be skipped in some cells, and the lists
+  /// of cells that remain to be visited.
   const std::vector<ZeroAdjoints> *flags = nullptr;
   std::vector<std::unique_ptr<std::vector<int64_t>>> filtered;
   /// Lists that were copied from a device.
@@ -160,8 +162,8 @@ struct Launch : TaiFrame {
   void freeSinks();
 };
 
-/// Around what compiled code calls and may allocate: no exception can pass
-/// through its frames. Memory that runs out fails the launch.
+/// Calls `body` for compiled code, through whose frames no exception can pass.
+/// If memory runs out, fails the launch and returns `otherwise`.
 template <typename Result, typename Body>
 Result orFail(TaiFrame *frame, Result otherwise, const Body &body) noexcept {
   try {
@@ -191,10 +193,11 @@ inline HoldKind holdKindOf(AccessKind kind) {
   __builtin_unreachable();
 }
 
-/// Whether this access of a launch may touch one of the elements.
+/// Whether this access, in a launch with these arguments, may touch an element
+/// of `zeros`.
 bool mayAlias(const OwedZeros &zeros, const Access &access,
               const uint64_t *args);
-/// The elements of a box in a launch with these arguments, clipped to the
+/// Finds the elements of a box in a launch with these arguments, clipped to the
 /// field; false if there are none.
 bool findElements(const StoredBox &box, const Field &field,
                   const uint64_t *args, OwedZeros::Box &elements);

@@ -17,7 +17,8 @@ using namespace mlir::tai::runtime;
 
 const std::vector<int64_t> &Launch::visitedCells(SparseNode &node) {
   static const std::vector<int64_t> none;
-  // The list stays: `loops` or the record of the primal holds it.
+  // The list outlives this call: `loops`, `fetched` or the record of the primal
+  // holds it.
   ActiveListPtr list = visitedList(node);
   return list ? list->cells : none;
 }
@@ -56,7 +57,7 @@ ActiveListPtr Launch::visitedList(SparseNode &node) {
     const LoopLists::Entry *entry = findGiven(node);
     if (!entry || entry->list)
       return entry ? entry->list : nullptr;
-    // The host needs a list made on the device, which is rare.
+    // The host needs a list that the device has made, which is rare.
     auto list = std::make_shared<ActiveList>();
     Status status = fetchCells(*entry->onDevice, list->cells);
     if (!status) {
@@ -82,9 +83,10 @@ const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
 // Cells that a reverse loop may leave out
 //===----------------------------------------------------------------------===//
 
-// Where every contribution of an iteration is a product with adjoints of its
-// own cell, and these are zero, it need not run. Whether they are is found by
-// looking at them, before the loop: a few bytes of each cell against the body.
+// An iteration need not run if each of its contributions is a product with
+// adjoints of its own cell, and these adjoints are zero. Before the loop, the
+// adjoints of all cells are compared with zero: reading a few bytes of each
+// cell costs little compared with the loop's body.
 
 /// True if cells of the level are numbered for both fields by the same digits
 /// of the same indices.
@@ -106,7 +108,8 @@ static bool numbersAlike(const Field &a, const Field &b) {
   return true;
 }
 
-/// The fields that must be zero; none if some loop over the level does more.
+/// The fields that must be zero in a cell for loops over the level to skip it;
+/// none if some loop over the level cannot skip cells.
 static std::vector<const Field *>
 findSources(const std::vector<ZeroAdjoints> &flags, const SparseNode &node) {
   std::vector<const Field *> sources;
@@ -205,7 +208,8 @@ public:
     return count;
   }
 
-  /// Adds the cell and those up to `reach` away along each dimension.
+  /// Adds the cell and all cells up to `reach` away along each dimension to
+  /// `found`.
   void addAround(int64_t cell, int64_t reach,
                  std::vector<int64_t> &found) const {
     addAround(cell, reach, 0, 0, found);
@@ -256,8 +260,8 @@ const std::vector<int64_t> &Launch::gatheredCellsFor(SparseNode &node,
     owner().skipCounters().add(SkipCount::FlaggedVisited, more);
     owner().skipCounters().add(SkipCount::FlaggedSkipped, -more);
   };
-  // Where most cells are busy, or each makes many others so, the way around
-  // would cost more than it saves.
+  // If most cells are busy, or many cells are within reach of each busy cell,
+  // finding those cells would cost more than skipping the rest saves.
   if (2 * busy.size() > cells.size() || grid.numAround(reach) > 64) {
     note(cells);
     return cells;

@@ -69,7 +69,8 @@ Status Launcher::failureOf(Launch &launch, const Kernel &kernel) {
                          "kernel '" + kernel.name() + "' failed");
 }
 
-/// The fields in the trees of the kernel, and the gradients of its fields.
+/// Selects the fields in the trees of the kernel, and the gradients of its
+/// fields.
 static Gradients::Uses fieldsOf(const Kernel &kernel) {
   return [&](const FieldPtr &field) {
     return kernel.uses(field->tree()) ||
@@ -118,8 +119,9 @@ Status Launcher::checkAdjointHolds(const Kernel &kernel) const {
   return status;
 }
 
-/// The tangents of a kernel's fields belong to the thread that launches it,
-/// from its first launch on: values that another one has left are zero to it.
+/// The tangents of a kernel's fields belong to the thread that launches the
+/// kernel, from its first launch on: values that another thread has left in a
+/// tangent are cleared.
 void Launcher::takeOverTangents(const Kernel &kernel) {
   for (const Access &access : kernel.summary()) {
     Field *tangent = access.field->dual();
@@ -156,9 +158,9 @@ Status Launcher::runTangent(Launch &launch, Kernel &kernel,
   return status;
 }
 
-/// On the CPU a kernel takes the time of its launch. On a device that is the
-/// time to queue it, which is kept for the trace alone: its loops are timed
-/// where they run (see DeviceWatch.h).
+/// On the CPU, the time of the call is the time of the kernel. On a device, the
+/// call only queues work: its time is kept for the trace alone, and loops are
+/// timed on the device (see DeviceWatch.h).
 int32_t Launcher::runTimed(Launch &launch, Kernel &kernel,
                            TaiKernelFn function) {
   Profiler &profiler = parts.devices.profiler();
@@ -235,7 +237,8 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
       kernel.hasNoActiveCells() &&
       !(launch.given && launch.given->hasCells())) {
     parts.counters.add(SkipCount::EmptyLaunches);
-    // The adjoint may still visit cells: it gets empty lists.
+    // Cells may be active when the adjoint runs: record that this launch
+    // visited no cells.
     static const ActiveListPtr none = std::make_shared<const ActiveList>();
     if (!launch.given)
       for (const SparseNode *level : kernel.loopLevels)
@@ -261,8 +264,8 @@ Status Launcher::runBegun(Launch &launch, Kernel &kernel, const uint64_t *args,
 }
 
 namespace {
-/// A launch object for one call, which is left as it was found even if memory
-/// runs out in the middle.
+/// A launch object for one call. If memory runs out in the middle of the call,
+/// the object is reset before it is released.
 class TakenLaunch {
 public:
   TakenLaunch(Launcher &launcher, bool isUnrecorded)
@@ -276,8 +279,9 @@ public:
   TakenLaunch &operator=(const TakenLaunch &) = delete;
   Launch &operator*() const { return *launch; }
 
-  /// The call has returned. A flag costs nothing; the count of exceptions in
-  /// flight would be two accesses to variables of the thread in each launch.
+  /// Notes that the call has returned without an exception. A flag costs
+  /// nothing; std::uncaught_exceptions() would read thread-local variables
+  /// twice in each launch.
   Status finish(Status status) {
     isFinished = true;
     return status;
@@ -300,8 +304,8 @@ static Status wrongSlots(const Kernel &kernel, int64_t wanted, int64_t slots) {
   return Status::failure(StatusCode::Usage, std::move(message));
 }
 
-/// Fails where an array shares memory with a field that the kernel uses: its
-/// code takes them for apart.
+/// Fails if an array shares memory with a field that the kernel uses: the
+/// kernel's code assumes that arrays and fields do not overlap.
 static Status checkLentFields(const Kernel &kernel, const uint64_t *args) {
   for (const Access &access : kernel.summary()) {
     const Field &field = *access.field;
@@ -433,7 +437,7 @@ Status Launcher::runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
     if (!status)
       return status;
   }
-  // The adjoint's own summary need not be known.
+  // Marked here because the adjoint may have no summary of its own.
   for (Field *field : kernel.adjointTargets)
     field->adjoint()->markDirty();
   launch.given = given;

@@ -21,7 +21,8 @@
 
 using namespace mlir::tai::runtime;
 
-/// 16-bit floats are passed as the compiler passes them: as floats.
+/// Compilers pass _Float16 and __bf16 in floating-point registers, so the
+/// functions below use these types instead of uint16_t.
 template <typename T> static T fromBits(uint16_t bits) {
   T value;
   static_assert(sizeof(value) == sizeof(bits));
@@ -48,8 +49,8 @@ static float extendHalfToFloat(_Float16 value) {
   return static_cast<float>(doubleFromHalf(bits));
 }
 
-/// Fast math makes x to the power of a whole number out of pow. The squares are
-/// exact to f32, however many there are.
+/// Fast math calls this function in place of pow for integral exponents. The
+/// squares are formed in f64, so that their errors hardly reach the f32 result.
 static float powerOfFloat(float base, int exponent) {
   double square = base, result = 1;
   for (unsigned left = std::abs(static_cast<int64_t>(exponent)); left;

@@ -33,14 +33,15 @@ Launch *Launcher::acquire(bool isUnrecorded) {
 }
 
 inline Launch *Launcher::take() {
-  // Once a thread has ended, another one may have its number, and its launch.
+  // `self` may be the number of an earlier thread that has ended; this thread
+  // then takes over the launch of that thread.
   const void *self = __builtin_thread_pointer();
   const void *thread = hot.thread.load(std::memory_order_acquire);
   if (__builtin_expect(thread == self && !hot.isTaken, true)) {
     hot.isTaken = true;
     return hot.launch.load(std::memory_order_relaxed);
   }
-  // Not in line: a prepared launch would save registers for it.
+  // Kept out of line: a prepared launch would otherwise save registers for it.
   auto takeAnother = [&]() __attribute__((noinline)) {
     runningLaunches.noteFork();
     if (Launch *launch =
@@ -103,7 +104,7 @@ void Launcher::dropLaunches() {
 // Prepared launches
 //===----------------------------------------------------------------------===//
 
-/// All but the state and the number.
+/// All members but `state` and `lastLaunch`.
 static auto fieldsOf(PreparedLaunch &prepared) {
   PreparedLaunch &p = prepared;
   return std::tie(p.function, p.trees, p.slots, p.hasResults, p.code, p.mirrors,
@@ -122,7 +123,8 @@ void Launcher::prepare(Kernel &kernel) {
     return;
   Kernel::Lock lock(kernel.section);
   uint64_t before = prepared.state.load(std::memory_order_relaxed);
-  // Zeros that its fields owe are stored in each launch.
+  // A kernel that accesses adjoints is not prepared: each of its launches first
+  // stores the zeros that its fields still lack (see settleZeros).
   if (before == epoch || kernel.usesAdjoints)
     return;
   PreparedLaunch made;
@@ -147,7 +149,8 @@ void Launcher::prepare(Kernel &kernel) {
   made.adjointsEnd = made.adjoints + kernel.changedAdjoints.size();
   if (fieldsOf(prepared) != fieldsOf(made)) {
     // A launch of another thread may be using the present tables. No launch
-    // begins to while the state is another one.
+    // begins to use them while `prepared.state` differs from the state of the
+    // runtime.
     bool isUsed = false;
     if (before != 0) {
       runningLaunches.publishState();

@@ -53,14 +53,14 @@ bool RunningLaunches::areAny() const {
                                        __builtin_thread_pointer());
 }
 
-/// A fence in every thread of the process that runs.
+/// Executes a memory fence on every running thread of the process.
 static void fenceAllThreads() {
   static const bool isReady =
       syscall(SYS_membarrier, MEMBARRIER_CMD_REGISTER_PRIVATE_EXPEDITED, 0,
               0) == 0;
   std::atomic_thread_fence(std::memory_order_seq_cst);
-  // Where the system has none, a host with a lock around its calls, such as
-  // Python, does without.
+  // A system without membarrier gets no such fence. Hosts that hold a lock
+  // around their calls, such as Python, do not need the fence.
   if (isReady)
     (void)syscall(SYS_membarrier, MEMBARRIER_CMD_PRIVATE_EXPEDITED, 0, 0);
 }

@@ -20,12 +20,12 @@ char *tai_rt_shadows = nullptr;
 Status shadow::reserve() {
   static std::mutex mutex;
   std::lock_guard<std::mutex> lock(mutex);
-  // A vector that begins in the last entries ends in the page behind them.
+  // A vector that begins in the last entries ends in the page after the table.
   constexpr size_t size = 2 * (TAI_SHADOW_MASK + 1) + 4096;
   if (tai_rt_shadows) {
-    // An earlier context may have left entries, and one of an f64 can be taken
-    // for that of an f32 that is zero. Shadows of contexts that live begin
-    // anew.
+    // Discard the entries of earlier contexts: the entry of an f64 could be
+    // taken for the entry of an f32 that is zero. Contexts that are in use lose
+    // their shadows, too.
     madvise(tai_rt_shadows, size, MADV_DONTNEED);
     return Status::success();
   }
@@ -44,7 +44,8 @@ Status shadow::reserve() {
 void shadow::forget(const void *address, int64_t bytes) {
   if (!tai_rt_shadows || bytes <= 0)
     return;
-  // The table wraps round.
+  // The low bits of an address select its entry, so a range can pass the end of
+  // the table and continue at its start.
   const char *at = static_cast<const char *>(address);
   while (bytes > 0) {
     uint64_t first = reinterpret_cast<uintptr_t>(at) & TAI_SHADOW_MASK;

@@ -25,7 +25,8 @@ void TangentFlows::launch(Kernel &kernel, const uint64_t *args) {
 
 void TangentFlows::overwrite(const Field &field) {
   std::lock_guard<std::mutex> lock(mutex);
-  // Before the first launch the host says at which point one differentiates.
+  // Writes of the host before the first launch set the point at which to
+  // differentiate, and end no tangent.
   if (hasLaunched)
     tracker.overwrite(field);
 }
@@ -39,7 +40,7 @@ TangentFlows::describe(const std::vector<FieldPtr> &outputs,
     const FlowTracker::CutSet &more = tracker.cutsOf(*field);
     cuts.insert(cuts.end(), more.begin(), more.end());
   }
-  // In the order of the program.
+  // Report the cuts in the order in which launches made them.
   std::sort(cuts.begin(), cuts.end());
   cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
   std::vector<std::string> lines;

@@ -25,8 +25,8 @@ public:
 
   void launch(Kernel &kernel, const uint64_t *args);
   void overwrite(const Field &field) override;
-  /// A line for each cut in the derivative of the outputs that is not in
-  /// `said`; adds them to `said`.
+  /// Returns a line for each cut in the derivative of the outputs that is not
+  /// in `said`, and adds the names of these cuts to `said`.
   std::vector<std::string> describe(const std::vector<FieldPtr> &outputs,
                                     std::unordered_set<std::string> &said);
 

@@ -34,8 +34,8 @@ struct TapedKernel {
     launch.loopTimes = &kernel.loopTimes;
     return kernel.function.load(std::memory_order_relaxed)(&launch);
   }
-  /// The data of the tape with this stamp, if it was the last tape to set it;
-  /// or null.
+  /// The data that the tape with this stamp has stored by setKnown; null if
+  /// another tape was the last to call setKnown.
   static const void *knownTo(const Kernel &kernel, uint64_t stamp) {
     return kernel.tapeStamp == stamp ? kernel.tapeUses : nullptr;
   }
@@ -44,8 +44,10 @@ struct TapedKernel {
     kernel.tapeStamp = stamp;
   }
 
-  /// Fields whose adjoints its adjoint adds to, fields whose adjoints it reads,
-  /// those of them that are overwritten, and adjoints that a launch may change.
+  /// targets: fields whose adjoints the kernel's adjoint adds to. sources:
+  /// fields whose adjoints it reads. overwritten: the sources that the kernel
+  /// overwrites. changedAdjoints: adjoints that a launch of the kernel may
+  /// change.
   static const std::vector<Field *> &targets(const Kernel &kernel) {
     return kernel.adjointTargets;
   }
@@ -70,14 +72,14 @@ struct TapedKernel {
   static bool loadsStored(const Kernel &kernel) {
     return kernel.adjointPlan && kernel.adjointPlan->stored;
   }
-  /// The adjoint always zeroes the adjoints of the elements that the kernel
-  /// overwrites.
+  /// Whether the adjoint always zeroes the adjoints of the elements that the
+  /// kernel overwrites.
   static bool alwaysZeroes(const Kernel &kernel) {
     return kernel.adjointPlan && kernel.adjointPlan->zeroes;
   }
 
-  /// A variant of the adjoint if it is known, and whether it has been
-  /// requested.
+  /// known: the variant of the adjoint that has been resolved, or null.
+  /// isAsked: whether the variant has been requested from the provider.
   static Kernel *known(const Kernel &kernel, bool zeroes, bool stored) {
     return form(kernel, zeroes, stored).known.load(std::memory_order_acquire);
   }
