@@ -26,8 +26,8 @@ uint64_t CudaDevice::getNextIdentity() {
   return ++last;
 }
 
-/// With code that was made by a compiler this is memory that a kernel used and
-/// should not have.
+/// Whether a kernel has accessed memory that it should not have: with compiled
+/// code, these results have no other cause.
 static bool isFault(Result result) {
   return result == kIllegalAddress ||
          (result >= kHardwareStackError && result <= kLaunchFailed);
@@ -47,7 +47,7 @@ Status CudaDevice::failure(Result result, const char *what) const {
 
 static Status noDevice(const std::string &why) {
   std::string message = "no CUDA device: " + why;
-  // The usual reason where there is one in the machine.
+  // The usual reason if the machine has a device.
   if (const char *visible = std::getenv("CUDA_VISIBLE_DEVICES"))
     message += "; the environment variable CUDA_VISIBLE_DEVICES is '" +
                std::string(visible) + "', which hides all others";
@@ -115,8 +115,8 @@ Status CudaDevice::open() {
   most.threadsPerBlock = static_cast<unsigned>(threads);
   most.memoryBytes = static_cast<int64_t>(bytes);
   most.threadsPerMultiprocessor = static_cast<unsigned>(resident);
-  // The bytes that the driver commits at the first touch of a distant place, as
-  // measured on an H200.
+  // The bytes of reserved memory that the driver commits at the first access to
+  // a distant address, as measured on an H200.
   most.reservedPieceBytes = managed ? int64_t(2) << 20 : 0;
   int cooperative = 0, clusters = 0;
   (void)cu.deviceGetAttribute(&cooperative, kCooperativeLaunch, number);
@@ -125,7 +125,7 @@ Status CudaDevice::open() {
   most.hasGridBarriers = cooperative != 0;
   // The maximum of Hopper; a kernel must ask for more than 8.
   most.mostClusterBlocks = clusters ? 16 : 1;
-  // A device with clusters has overlaps.
+  // Devices with clusters also have programmatic dependent launch.
   most.hasOverlaps = clusters != 0;
   if (major < 6)
     return Status::failure(
@@ -133,11 +133,12 @@ Status CudaDevice::open() {
         label + " has compute capability " + std::to_string(major) + "." +
             std::to_string(minor) + ", and 6.0 or newer is needed");
   status = enter();
-  // In order with the default stream, on which others hand over their arrays.
+  // A stream that is ordered with the default stream, on which other libraries
+  // hand over their arrays.
   Result made = status ? cu.streamCreate(&stream, 0) : kSuccess;
   if (status && made != kSuccess && made != kOutOfMemory) {
-    // A kernel that failed earlier has taken the context with it: all of its
-    // memory is gone, and so is everything that stands on it.
+    // A kernel that failed earlier has invalidated the context: all memory of
+    // the context is lost, and so are all objects that depend on it.
     (void)cu.primaryCtxReset(number);
     made = cu.streamCreate(&stream, 0);
   }
@@ -169,7 +170,8 @@ Status CudaDevice::open() {
   return status;
 }
 
-/// Memory that kernels ask for while they run, for the records of loops.
+/// Sets the size of the heap from which running kernels allocate memory, for
+/// the records of loops.
 Status CudaDevice::setHeap(size_t memoryBytes) {
   auto wanted = static_cast<size_t>(deviceHeapBytes());
   size_t bytes =
@@ -193,7 +195,7 @@ CudaDevice::~CudaDevice() {
   if (!context)
     return;
   kernels.unload();
-  // At the end of a process the driver may have gone first.
+  // At the end of a process, the driver may already have shut down.
   if (enter()) {
     if (stream)
       (void)cu.streamSynchronize(stream);
@@ -255,9 +257,9 @@ Status CudaDevice::allocate(int64_t bytes, DevicePtr &memory) {
   return status;
 }
 
-// Managed memory, of which the host uses nothing: pages come when code of the
-// device touches them, and hold zeros. That they are preferred on the device
-// makes them come later where they are far from each other, and no faster.
+// Managed memory that the host never accesses: the driver provides zeroed pages
+// when device code touches them. With the device as their preferred location,
+// pages that are far apart would be provided later, and no page sooner.
 Status CudaDevice::reserve(int64_t bytes, DevicePtr &memory) {
   memory = 0;
   Status status = enter();
@@ -311,11 +313,12 @@ Status CudaDevice::copyIn(DevicePtr to, const void *from, int64_t bytes) {
     return status;
   auto size = static_cast<size_t>(bytes);
   Section::Entry entry(stagingCopies);
-  // The pieces of copies that a handler has interrupted stay as they are.
+  // A copy made by a handler must not use the staging memory of the copy that
+  // the handler has interrupted.
   if (bytes > largestStaged || entry.isAgain()) {
     status = check(cu.memcpyHtoDAsync(to, from, size, stream),
                    "a copy to the device fails");
-    // The device has not yet read pinned memory.
+    // If `from` is pinned memory, the device has not read it yet.
     return status ? synchronize() : std::move(status);
   }
   int64_t room = (bytes + 63) / 64 * 64;
@@ -355,7 +358,7 @@ Status CudaDevice::copyOut(void *to, DevicePtr from, int64_t bytes) {
     status = synchronize();
   if (!status)
     return status;
-  // All copies that were on their way have arrived.
+  // All queued copies have arrived, so the staging memory is free again.
   staged = 0;
   std::memcpy(to, piece, size);
   return status;
@@ -365,7 +368,8 @@ Status CudaDevice::copy(DevicePtr to, DevicePtr from, int64_t bytes) {
   Status status = enter();
   if (!status || bytes <= 0)
     return status;
-  // A kernel of our own can be made ready early.
+  // In contrast to the driver's copy, the runtime's own kernel can be made
+  // ready while earlier work runs.
   constexpr int64_t fewBytes = 1 << 20;
   if (doesOverlap() && bytes <= fewBytes)
     return copyRows({to, 0, bytes, 1}, from, 0);
@@ -403,8 +407,8 @@ static int64_t bytesOf(const DeviceRows &rows) {
   return rows.rowBytes * rows.rows * rows.outer;
 }
 
-/// By the driver, unless its pattern is too long. That takes a microsecond,
-/// however small the fill is.
+/// Fills by the driver, unless the pattern is too long for the driver. A call
+/// of the driver takes a microsecond, however small the fill is.
 Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
                         int64_t count) {
   Status status = enter();
@@ -441,7 +445,8 @@ Status CudaDevice::fill(DevicePtr to, const void *pattern, int patternBytes,
   return fillByKernel({&pairs});
 }
 
-/// A block on each multiprocessor leaves room for launches beside.
+/// In a branch of a graph, one block on each multiprocessor leaves room for
+/// concurrent launches.
 Status CudaDevice::fillByKernel(const std::vector<const DeviceFill *> &fills) {
   return kernels.fill(fills, doesOverlap(),
                       branch == Branch::Capturing ? most.multiprocessors : 0);
@@ -453,7 +458,8 @@ Status CudaDevice::fillRows(const DeviceRows &to, const void *pattern,
   return fillByKernel({&fill});
 }
 
-/// A large one is by itself: there is nothing to gain.
+/// A large fill is left to the driver: overlapping it with other launches gains
+/// nothing.
 Status CudaDevice::fillAlone(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
   bool byKernel = (doesOverlap() || branch == Branch::Capturing) &&
@@ -467,7 +473,8 @@ Status CudaDevice::fillAlone(const DeviceFill &fill) {
 Status CudaDevice::fillAll(const std::vector<DeviceFill> &fills) {
   if (fills.size() == 1)
     return fillAlone(fills.front());
-  // The others come last: later work is made ready while they run.
+  // The small fills are one kernel, which comes last: later work is made ready
+  // while that kernel runs.
   Status status;
   int64_t large = largeFillBytes();
   std::vector<const DeviceFill *> together;

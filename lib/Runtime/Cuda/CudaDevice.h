@@ -132,13 +132,14 @@ private:
       enteredLast = identity;
     return status;
   }
-  /// For launches, which make no call of the driver besides their own.
+  /// Enters the device without a call of the driver if this thread entered it
+  /// last; for launches.
   Status enterOnce() const {
     return __builtin_expect(enteredLast == identity, true) ? Status::success()
                                                            : enter();
   }
-  /// The device that this thread entered last. Addresses come again, so that
-  /// they do not tell devices apart.
+  /// The identity of the device that this thread entered last. Addresses do not
+  /// identify devices: a new device can have the address of an old one.
   static thread_local uint64_t enteredLast;
   const uint64_t identity = getNextIdentity();
   static uint64_t getNextIdentity();
@@ -180,13 +181,14 @@ private:
 
   CudaKernels kernels{*this};
 
-  /// The number of first launches in the captured graph that can be changed.
+  /// The number of launches at the front of the captured graph that can be
+  /// changed.
   size_t numChangeable = 0;
 
   /// Polls, with safepoints, until `query` is no longer "not ready".
   template <typename Query>
   Status waitUntilReady(const Query &query, Result &result);
-  /// Asks kernels with safepoints to stop, and waits briefly for that.
+  /// Asks kernels with safepoints to stop, and waits briefly for their end.
   template <typename Query> void stopLoops(const Query &query);
 
   /// The stop word in device memory, or 0; a separate stream to write it while
@@ -221,8 +223,8 @@ struct CudaGraph : DeviceGraph {
 
   CudaDevice &device;
   ExecutableGraph handle = nullptr;
-  /// The graph that it was instantiated from, which owns the node handles; null
-  /// if no node changes.
+  /// The graph from which `handle` was instantiated, which owns the node
+  /// handles; null if no node changes.
   Graph recorded = nullptr;
   std::vector<Node> nodes;
 };

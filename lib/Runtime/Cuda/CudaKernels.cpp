@@ -13,7 +13,7 @@ using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::cuda;
 
 namespace mlir::tai {
-// Made of Rows.cu when the project is built.
+// PTX of Rows.cu, compiled when the project is built.
 extern const unsigned char cudaRowKernels[];
 extern const unsigned long cudaRowKernelsSize;
 extern const unsigned char cudaOverlappedRowKernels[];
@@ -46,7 +46,7 @@ Status CudaKernels::load() {
 
 static constexpr uint64_t rowUnitBytes[] = {1, 4, 8, 16};
 
-/// The largest unit of which all of these are multiples.
+/// The index in rowUnitBytes of the largest unit that divides all numbers.
 static int findUnit(std::initializer_list<uint64_t> numbers) {
   int unit = 3;
   for (uint64_t number : numbers)
@@ -89,7 +89,7 @@ Status CudaKernels::runPairs(Kernel kernel, const DeviceRows &one,
 // Fills
 //===----------------------------------------------------------------------===//
 
-/// Fills on their way into one launch.
+/// Collects fills for a launch of the fill kernel.
 struct CudaKernels::Filling {
   CudaKernels &kernels;
   bool overlaps;
@@ -117,7 +117,7 @@ Status CudaKernels::Filling::run() {
       std::min<uint64_t>(table.entries[table.count - 1].end,
                          mostBlocks ? mostBlocks : kernels.fillBlocks));
   shape.overlaps = overlaps;
-  // One parameter, of all these words.
+  // The kernel has one parameter: the whole table.
   constexpr size_t words = sizeof(table) / sizeof(uint64_t);
   uint64_t slots[words];
   std::memcpy(slots, &table, sizeof(table));
@@ -125,8 +125,8 @@ Status CudaKernels::Filling::run() {
   return kernels.device.launch(*kernels.filler, shape, slots, words);
 }
 
-/// Adds it, or both halves of a fill too large for an entry. The entries of the
-/// table are queued if there is no room left.
+/// Adds a fill to the table, or both halves of a fill too large for an entry.
+/// If the table is full, its fills are launched first.
 Status CudaKernels::Filling::add(const DeviceFill &fill) {
   const DeviceRows &rows = fill.rows;
   if (bytesOf(rows) <= 0)

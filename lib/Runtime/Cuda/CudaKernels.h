@@ -25,7 +25,8 @@ public:
 
   explicit CudaKernels(Device &device) : device(device) {}
 
-  /// Loads them. Not done on first use, which may be during a graph capture.
+  /// Loads the kernels. Not done on first use, which may be during a graph
+  /// capture.
   Status load();
   /// Call while the device can still be used.
   void unload() { module.reset(); }
@@ -51,7 +52,7 @@ private:
   std::unique_ptr<DeviceModule> module;
   DeviceFunction *rows[kUnits][2] = {};
   DeviceFunction *filler = nullptr;
-  /// The number of its blocks that can be resident.
+  /// The number of blocks of `filler` that can be resident.
   unsigned fillBlocks = 1;
 };
 

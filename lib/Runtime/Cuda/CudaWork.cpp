@@ -163,7 +163,7 @@ unsigned CudaDevice::residentBlocks(const DeviceFunction &function,
 
 Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                           const uint64_t *slots, int count) {
-  // The most parameters that the driver takes: they fill 4096 bytes at most.
+  // The maximum number of parameters: the driver takes 4096 bytes of them.
   constexpr int mostParameters = 512;
   void *parameters[mostParameters];
   if (__builtin_expect(count > mostParameters, false))
@@ -182,8 +182,8 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                              : launchOverlapped(handle, shape, parameters);
   }
   isAfterKernel = true;
-  // The driver refuses a kernel from a thread without a context, but dies of a
-  // graph.
+  // For a thread without a context, the driver rejects a kernel, but crashes on
+  // a graph.
   if (Status status = enterOnce(); !status)
     return status;
   if (!capture.isOpen && !shape.cooperative &&
@@ -199,8 +199,8 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
                                  shape.sharedBytes, stream, parameters,
                                  nullptr);
   };
-  // Another library may have set another context since, which the driver
-  // refuses, so that no launch has to ask.
+  // Another library may have set another context meanwhile. The driver then
+  // rejects the launch, so that launches need not query the context first.
   Result result = launchOnce();
   if (__builtin_expect(result != kSuccess, false) && !isCurrent()) {
     Status status = enter();
@@ -208,7 +208,8 @@ Status CudaDevice::launch(DeviceFunction &function, const LaunchShape &shape,
       return status;
     result = launchOnce();
   }
-  // The limits of a function do not count what tools and other contexts take.
+  // The limits of a function do not count resources that tools and other
+  // contexts take: shrink the blocks until the driver accepts them.
   constexpr unsigned warp = 32;
   while (__builtin_expect(result == kLaunchOutOfResources, false) &&
          shape.canShrink && threads > warp) {
@@ -237,7 +238,8 @@ Status CudaDevice::launchCluster(Function handle, const LaunchShape &shape,
                "a kernel with a cluster of blocks cannot be launched");
 }
 
-/// After anything but a kernel it waits as all others do.
+/// Launches a kernel that can be made ready while the previous kernel runs.
+/// After work other than a kernel, the launch waits for the end of that work.
 Status CudaDevice::launchOverlapped(Function handle, const LaunchShape &shape,
                                     void **parameters) {
   LaunchAttribute early{kLaunchOverlapped};
@@ -397,26 +399,27 @@ template <typename Query> void CudaDevice::stopLoops(const Query &query) {
   std::lock_guard<std::mutex> lock(stopMutex);
   if (!stopWord)
     return;
-  // Zero and the number have a place each, since a copy may still read the
-  // other. The number goes past the kernels, on a stream of its own.
+  // Zero and the thread's number have separate places, since an earlier copy
+  // may still read one of them. The number is copied on a stream of its own, so
+  // that it overtakes the kernels.
   stopSource[0] = 0;
   stopSource[1] = safepoint::threadNumber();
   if (cu.memcpyHtoDAsync(stopWord, &stopSource[1], sizeof(uint32_t),
                          stopStream) != kSuccess)
     return;
-  // Kernels that are queued from now on shall go on. Zero is queued before
-  // them and behind all that shall end, however late that is: a GPU that other
-  // processes use, too, may not run it for seconds.
+  // Kernels that are queued from now on must not stop: zero is queued before
+  // them, and after all kernels that must stop. The copy of zero may be seconds
+  // late on a GPU that other processes use, too.
   (void)cu.memcpyHtoDAsync(stopWord, &stopSource[0], sizeof(uint32_t), stream);
-  // Kernels that see the number end soon. Other work is left to itself.
+  // Kernels that see the number end soon. Other work need not end in this time.
   constexpr std::chrono::milliseconds patience(500);
   auto end = std::chrono::steady_clock::now() + patience;
   while (query() == kNotReady && std::chrono::steady_clock::now() < end)
     sched_yield();
 }
 
-/// An interrupted wait ends kernels that look at its word. Other queued work
-/// stays: the next wait goes on.
+/// An interrupted wait ends kernels that poll the stop word. Other work stays
+/// in the queue, and the next wait waits for it.
 template <typename Query>
 Status CudaDevice::waitUntilReady(const Query &query, Result &result) {
   safepoint::Watch watch;
@@ -473,18 +476,18 @@ Status CudaDevice::synchronize() {
 //===----------------------------------------------------------------------===//
 
 // A launch that takes tensors of another library comes after the work that the
-// library has queued, and before its later work. That is asked for at every
-// such launch, so it takes two calls of the driver each way, and none for the
-// default stream.
+// library has queued, and before the library's later work. Every such launch
+// orders the streams again, which takes two calls of the driver each way, and
+// none for the default stream.
 
-/// Ours is a blocking stream: the driver itself keeps it in order with the
-/// default one.
+/// The device's own stream is a blocking stream: the driver itself keeps it in
+/// order with the default stream.
 static bool isDefault(uint64_t stream) {
   return stream == 0 || stream == kLegacyStream;
 }
 
 Status CudaDevice::waitForStream(uint64_t other) {
-  // A kernel must not start before the work in between.
+  // The next kernel must not start early, before the work of the other stream.
   isAfterKernel = false;
   return isDefault(other) ? Status::success()
                           : order(reinterpret_cast<Stream>(other), stream);
@@ -499,8 +502,8 @@ Status CudaDevice::order(Stream first, Stream second) {
   Status status = enter();
   if (!status)
     return status;
-  // A stream waits for the place where the event was when it was told to: the
-  // event can be used again at once.
+  // A wait refers to the last record of the event before the wait was queued:
+  // the event can be recorded again at once.
   std::lock_guard<std::mutex> lock(orderMutex);
   if (!orderEvent)
     status = check(cu.eventCreate(&orderEvent, kEventNoTiming),
@@ -518,8 +521,8 @@ Status CudaDevice::order(Stream first, Stream second) {
 // Beside other work
 //===----------------------------------------------------------------------===//
 
-/// In a branch of the graph: the work of another stream while this one is
-/// recorded.
+/// Runs the fills in a branch of the graph: a second stream records them while
+/// `stream` is recorded.
 Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
   if (!side || !capture.isOpen || branch != Branch::None)
     return fillAll(fills);
@@ -538,8 +541,8 @@ Status CudaDevice::fillAside(const std::vector<DeviceFill> &fills) {
   return status;
 }
 
-/// Later work does not wait for one kernel alone, so it waits for the end of
-/// both.
+/// Later work depends on two branches rather than on one kernel, so the next
+/// kernel does not start early.
 Status CudaDevice::joinAside() {
   if (branch == Branch::None)
     return Status::success();

@@ -15,7 +15,7 @@
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::cuda;
 
-/// The first driver that takes the PTX that is made here: of CUDA 12.0.
+/// The oldest driver that accepts the generated PTX: the driver of CUDA 12.0.
 static constexpr int oldestVersion = 12000;
 
 std::string Driver::describe(Result result) const {

@@ -66,14 +66,14 @@ constexpr int kMemoryPools = 115;
 constexpr int kConcurrentManagedAccess = 89;
 // Limits.
 constexpr int kLimitHeapBytes = 2;
-// Of functions.
+// Attributes of functions.
 constexpr int kFunctionMaxThreads = 0;
 constexpr int kFunctionSharedBytes = 1;
 constexpr int kFunctionConstantBytes = 2;
 constexpr int kFunctionLocalBytes = 3;
 constexpr int kFunctionRegisters = 4;
 constexpr int kFunctionAnyCluster = 14;
-// Of launches.
+// Attributes of launches.
 constexpr unsigned kLaunchCooperative = 2;
 constexpr unsigned kLaunchCluster = 4;
 constexpr unsigned kLaunchOverlapped = 6;
@@ -83,16 +83,16 @@ constexpr int kCaptureThreadLocal = 1;
 constexpr int kNodeKernel = 0;
 // Streams: no implicit order with the default stream.
 constexpr unsigned kStreamNonBlocking = 1;
-// Of events.
+// Flags of events.
 constexpr unsigned kEventDefault = 0;
 constexpr unsigned kEventNoTiming = 2;
 // The legacy default stream, which synchronises with all blocking streams.
 constexpr uintptr_t kLegacyStream = 1;
-// Of pools.
+// Attributes of pools.
 constexpr int kPoolReleaseThreshold = 4;
 // Managed memory: accessible from all streams.
 constexpr unsigned kAttachGlobal = 1;
-// Of addresses.
+// Attributes of addresses, and types of memory.
 constexpr int kAddressMemoryType = 2;
 constexpr unsigned kMemoryTypeDevice = 2;
 constexpr unsigned kMemoryTypeUnified = 4;

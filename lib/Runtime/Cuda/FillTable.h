@@ -27,7 +27,8 @@ typedef unsigned long long TaiFillSize;
 /// stores.
 enum { taiFillEntries = 16, taiFillThreads = 256, taiFillEach = 4 };
 
-/// The maximum of bytes in several rows: their units are counted in 32 bits.
+/// The maximum number of bytes of a fill of several rows: its units are counted
+/// in 32 bits.
 static const TaiFillSize taiFillMostBytes = 0xf0000000;
 
 /// Rows of units, with some bytes before and after them.
@@ -99,7 +100,8 @@ TAI_FILL_FUNCTION void taiFillAdd(TaiFillTable *table, TaiFillSize address,
   table->entries[table->count++] = entry;
 }
 
-/// The position of unit i, in units from the first, and `*at`, in its row.
+/// Returns the position of unit i, in units from the first unit; sets `*at` to
+/// its position in its row.
 TAI_FILL_FUNCTION TaiFillSize taiFillPlace(const TaiFillEntry *entry,
                                            TaiFillSize i, TaiFillSize *at) {
   *at = i;
@@ -138,7 +140,7 @@ typedef unsigned long long TaiFillQuad
           (value);                                                             \
     }
 
-/// The part of a tile for one thread of a block.
+/// Stores the part of a tile that belongs to one thread of a block.
 TAI_FILL_FUNCTION void taiFillTile(const TaiFillEntry *entry, TaiFillSize tile,
                                    unsigned thread) {
   TaiFillSize i = tile * (taiFillThreads * taiFillEach) + thread, at = 0;
@@ -164,7 +166,7 @@ TAI_FILL_FUNCTION void taiFillTile(const TaiFillEntry *entry, TaiFillSize tile,
   }
 }
 
-/// The part of all fills for one thread of a block.
+/// Stores the part of all fills that belongs to one thread of a block.
 TAI_FILL_FUNCTION void taiFillAll(const TaiFillTable *table, TaiFillSize block,
                                   TaiFillSize blocks, unsigned thread) {
   TaiFillSize all = table->entries[table->count - 1].end, first = 0;

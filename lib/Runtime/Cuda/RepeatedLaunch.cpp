@@ -11,7 +11,7 @@
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::cuda;
 
-/// Graphs that there are in the process.
+/// The number of graphs that all RepeatedLaunch objects hold.
 static std::atomic<int> numGraphs{0};
 
 void RepeatedLaunch::release() {
@@ -26,7 +26,8 @@ void RepeatedLaunch::release() {
   graph = nullptr;
 }
 
-/// Makes the graph, or gives it these parameters.
+/// Makes the graph of this launch, or changes the parameters of the present
+/// graph; false if the driver refuses.
 bool RepeatedLaunch::update(const KernelNodeParameters &kernel,
                             const LaunchShape &shape, const uint64_t *slots,
                             int count) {

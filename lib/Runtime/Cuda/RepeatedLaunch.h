@@ -48,7 +48,8 @@ private:
               const uint64_t *slots, int count);
   void release();
 
-  /// Thresholds, because a graph takes memory of the device.
+  /// A graph takes memory of the device: a function gets a graph after
+  /// `launchesBefore` launches, if the process has fewer than `mostGraphs`.
   static constexpr unsigned launchesBefore = 32;
   static constexpr int mostGraphs = 256;
 
