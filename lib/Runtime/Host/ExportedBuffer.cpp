@@ -28,7 +28,8 @@ ExportedBuffer::~ExportedBuffer() {
   count.fetch_sub(1, std::memory_order_relaxed);
 }
 
-/// The bytes of the tree that the field lies in, where it can be exported.
+/// Finds the bytes of the tree that the field spans; false if an index has no
+/// constant stride, so that the field cannot be exported.
 static bool findExtent(const Field &field, uint64_t &begin, uint64_t &end) {
   const FieldLayout &layout = field.layout();
   int64_t last = byteSize(field.scalar());

@@ -22,7 +22,7 @@
 
 using namespace mlir::tai::runtime;
 
-/// Bytes that one worker should have to do, to repay its fork.
+/// The number of bytes that a worker must copy to repay its fork.
 static constexpr int64_t bytesPerPart = 128 << 10;
 constexpr int64_t bytesPerSafepoint = FieldCopies::bytesPerSafepoint;
 
@@ -61,8 +61,8 @@ Status CopySafepoints::checkHandler() const {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Part of a row: element k is at base + offsets[k], or at base + k * step
-/// where offsets is null; it is element `first` + k of the host array.
+/// Part of a row: element k is at base + offsets[k], or at base + k * step if
+/// `offsets` is null. It corresponds to element `first` + k of the host array.
 template <typename Data> struct RowPart {
   Data *base;
   const int64_t *offsets;
@@ -94,14 +94,15 @@ bool FieldCopies::runParts(
       interrupts == Interrupts::Stop,
       {},
       {}};
-  // The clock may stand still; the first safepoint starts it.
+  // The clock of safepoints may have stopped; the first look starts it.
   if (job.isLong && !safepoint::look() && job.canStop)
     return false;
   workers.parallel(
       job.parts,
       [](void *context, int64_t part) {
         Job &job = *static_cast<Job *>(context);
-        // The thread that has called looks for all of them.
+        // Only the calling thread looks for interrupts, on behalf of all
+        // workers.
         if (job.isLong && !safepoint::isWorker())
           job.look();
         if (job.isStopped.load(std::memory_order_relaxed))
@@ -175,8 +176,8 @@ bool FieldCopies::forEachRow(const Field &field, Data *data,
     }
   };
 
-  // A handler may destroy the tree in the middle; its memory stays until the
-  // copy ends.
+  // A handler that a safepoint calls may destroy the tree during the copy; the
+  // tree's memory stays until the copy ends.
   std::shared_ptr<void> memory = field.tree().sharedMemory();
   return runParts(field.numElements(), field.hostBytes(), interrupts,
                   [&](int64_t begin, int64_t end) { visit(begin, end); });
@@ -193,7 +194,7 @@ static void alongRow(const RowPart<Data> &row, const Body &body) {
       body(row.base + k * row.step, row.first + k);
 }
 
-/// Calls body with the number of bytes as a constant where it is a usual one.
+/// Calls body with the number of bytes, as a constant for the usual numbers.
 template <typename Body> static void withSize(int64_t bytes, const Body &body) {
   switch (bytes) {
   case 1:
@@ -282,9 +283,9 @@ bool FieldCopies::copyIn(Field &field, const void *array,
   return forEachRow(field, field.writable(), interrupts, copyRow);
 }
 
-/// Elements at one distance throughout: the rows of a small object are too
-/// short to be filled one by one. False where there are none such, or too many
-/// for one thread.
+/// Fills elements that have one stride throughout the field: the rows of a
+/// small field are too short to be filled one by one. Returns false if the
+/// stride is not uniform, or if there are too many elements for one thread.
 static bool fillEvenly(const Field &field, char *data, const char *scalar,
                        bool isZero) {
   int64_t size = byteSize(field.scalar());

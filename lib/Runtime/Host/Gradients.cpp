@@ -26,8 +26,8 @@ void Gradients::owe(const FieldPtr &adjoint,
   if (!adjoint->valid() || !adjoint->dirty())
     return;
   adjoint->settleZeros();
-  // Tangents go along. Others look at the memory of a field that is lent as
-  // they like.
+  // In forward mode, adjoints and their tangents get the zeros now. Exported
+  // memory does, too: other libraries may read it at any time.
   bool forward = recordings.isForward();
   Field *dual = forward ? adjoint->dual() : nullptr;
   if (dual && dual->valid())
@@ -80,8 +80,8 @@ void Gradients::forget(const Tree &tree) {
 // Clearing
 //===----------------------------------------------------------------------===//
 
-/// Whether, in cells that they share, the elements of the second field follow
-/// those of the first.
+/// Whether the fields share cells in which the element of the second field
+/// directly follows the element of the first.
 static bool endsBeside(const Field &first, const Field &second) {
   int64_t bytes = first.numComponents() * byteSize(first.scalar());
   return &first.tree() == &second.tree() &&
@@ -104,8 +104,8 @@ Status Gradients::clear(const Recorder *tape) {
   bool forward = recordings.isForward();
   const Field *cleared = nullptr;
   for (const FieldPtr &field : store.fields()) {
-    // The writer is read once: another thread may be about to write to a clear
-    // field.
+    // The writer is read once: another thread may be about to write to a field
+    // that is still zero.
     uint64_t writer = field->dirtiedBy();
     if (tape && field->isAdjoint() && writer != 0 && writer != threadNumber() &&
         !tape->uses(field))
@@ -116,8 +116,9 @@ Status Gradients::clear(const Recorder *tape) {
     if (!field->isAdjoint())
       continue;
     int64_t bytes = bytesInUse(*field);
-    // On a device, rows with holes take longer than rows without: a clear field
-    // is cleared along with its neighbour.
+    // On a device, a fill with gaps takes longer than a contiguous fill: a
+    // field that is zero already is cleared together with the field in front of
+    // it.
     bool isAlong =
         cleared && cleared->tree().mirror() && endsBeside(*cleared, *field);
     bool isDirty = writer != 0 || field->tree().isExported();

@@ -28,7 +28,7 @@ struct HostWrite {
   const int64_t *index = nullptr;
   int64_t component = 0;
 
-  /// Whether it overwrites the whole field.
+  /// Whether the write overwrites the whole field.
   bool replacesAll() const {
     return what != What::Element ||
            field->numElements() * field->numComponents() == 1;

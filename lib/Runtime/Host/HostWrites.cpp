@@ -37,8 +37,8 @@ bool HostWrites::perform(const HostWrite &write,
   return isWhole;
 }
 
-/// Compares an array with the field, piece by piece. False too if the host has
-/// interrupted it.
+/// Compares an array with the field, piece by piece. Also returns false if the
+/// host has interrupted the comparison.
 static bool isEqual(const Field &field, const char *array) {
   Slabs slabs(field);
   std::shared_ptr<void> memory = field.tree().sharedMemory();
@@ -157,7 +157,8 @@ Status HostWrites::change(const HostWrite &write) {
     bool isWhole = perform(write, FieldCopies::Interrupts::Stop);
     return isWhole ? devices.takeFailure() : failAsInterrupted();
   };
-  // Gradients are no values that a program computes from.
+  // Programs compute no values from gradients, so tapes do not record this
+  // write.
   if (field.isAdjoint())
     return performNow();
   if (watcher && recordings.isForward() && write.replacesAll())
@@ -166,8 +167,8 @@ Status HostWrites::change(const HostWrite &write) {
     Status status = tape->write(write);
     return status ? devices.takeFailure() : std::move(status);
   }
-  // On a device the comparison would take a copy, and a wait; only tapes that
-  // need the former values want to know.
+  // On a device, the comparison would take a copy and a wait. Unless a tape
+  // needs the former values, the write counts as a change without a comparison.
   if ((devices.isThere() && !recordings.needsValues(field)) ||
       !changesNothing(write))
     field.countChange();
@@ -239,12 +240,12 @@ Status HostWrites::setActive(const TreePtr &tree, int64_t level, int64_t cell,
     return free;
   if (Recorder *tape = recordings.current())
     return tape->changeActivity(tree, change);
-  // Without tapes the result is not needed, and the host does not wait for a
-  // device.
+  // Only tapes need to know about removals; without tapes, the host does not
+  // wait for a device.
   SparseNode &node = *tree->sparseNodes()[level];
   uint64_t before = recordings.areThereTapes() ? node.lastRemoval() : 0;
   Status status = change();
-  // Inactive cells have become zero.
+  // Cells that were deactivated have become zero, which changes their fields.
   if (recordings.areThereTapes() && node.lastRemoval() != before)
     for (const FieldPtr &field : store.fields())
       if (field->sharedTree() == tree && field->sparseNode())

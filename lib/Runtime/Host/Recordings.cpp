@@ -138,7 +138,7 @@ static bool agree(HoldKind a, HoldKind b) {
   return a == b && a != HoldKind::Write;
 }
 
-/// "changes", for messages.
+/// The verb for messages, such as "changes".
 static const char *nameOf(HoldKind kind) {
   switch (kind) {
   case HoldKind::Read:

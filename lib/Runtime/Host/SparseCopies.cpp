@@ -19,7 +19,7 @@
 using namespace mlir::tai::runtime;
 
 /// Calls body(cell) for all active cells of the field, on the workers. False if
-/// the host has interrupted it.
+/// the host has interrupted the loop.
 template <typename Body>
 bool FieldCopies::forEachActiveCell(const Field &field, int64_t bytesOfCell,
                                     Interrupts interrupts,
@@ -27,8 +27,8 @@ bool FieldCopies::forEachActiveCell(const Field &field, int64_t bytesOfCell,
   ActiveListPtr list = field.sparseNode()->list();
   const std::vector<int64_t> &cells = list->cells;
   auto count = static_cast<int64_t>(cells.size());
-  // A handler may destroy the tree in the middle; its memory stays until the
-  // copy ends.
+  // A handler that a safepoint calls may destroy the tree during the copy; the
+  // tree's memory stays until the copy ends.
   std::shared_ptr<void> memory = field.tree().sharedMemory();
   return runParts(count, count * bytesOfCell, interrupts,
                   [&](int64_t begin, int64_t end) {

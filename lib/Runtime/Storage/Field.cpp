@@ -178,6 +178,6 @@ int64_t mlir::tai::runtime::findEvenStep(const FieldLayout &layout,
       return 0;
     expected *= shape[d];
   }
-  // One element follows on itself.
+  // The stride of a single element is its size.
   return first == 0 ? elementBytes : first;
 }

@@ -62,7 +62,7 @@ static uint16_t encode(double value, int exponentBits, int mantissaBits) {
   int exponent;
   std::frexp(magnitude, &exponent);
   exponent = std::max(exponent - 1, 1 - bias);
-  // In units of the last place, which is exact; then rounded once.
+  // The magnitude in units of the last place is exact; it is rounded once.
   double units = std::nearbyint(std::ldexp(magnitude, mantissaBits - exponent));
   if (exponent > bias)
     return static_cast<uint16_t>(sign | infinity);

@@ -23,8 +23,7 @@ using namespace mlir::tai::runtime;
 // Memory
 //===----------------------------------------------------------------------===//
 
-/// Bytes of the pages of a mapping that have been provided, of those that
-/// [begin, end) lies on.
+/// The bytes of the resident pages, among the pages that [begin, end) lies on.
 static int64_t usedBytes(const char *begin, const char *end) {
   static const int64_t page = sysconf(_SC_PAGESIZE);
   auto first = reinterpret_cast<intptr_t>(begin) / page * page;
@@ -89,7 +88,7 @@ void TreeStore::countMemory(SkipAmounts &amounts) const {
                                             byteSize(field->scalar());
     at(SkipCount::GradientBytesUsed) += bytesInUse(*field);
   }
-  // Gradients of one record lie between each other.
+  // Gradients in the same record are interleaved: merge spans that overlap.
   std::sort(spans.begin(), spans.end());
   for (size_t i = 0; i < spans.size();) {
     auto [begin, end] = spans[i];

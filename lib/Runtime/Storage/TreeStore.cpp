@@ -49,7 +49,7 @@ Status TreeStore::addTree(std::string name, int64_t bytes, TreePtr &tree,
                                " with all cells active, and " +
                                formatBytes(largestReservation) +
                                " is the most that can be addressed");
-  // The memory of a sparse tree is known when cells become active.
+  // The memory that a sparse tree needs is not known until cells become active.
   int64_t needed = sparse.empty() ? bytes : 0;
   if (needed > memory.left())
     return Status::failure(
@@ -61,7 +61,7 @@ Status TreeStore::addTree(std::string name, int64_t bytes, TreePtr &tree,
   size_t page = static_cast<size_t>(sysconf(_SC_PAGESIZE));
   // Trees start at different offsets in their pages: loops over several arrays
   // that share the low bits of their addresses stall on false dependences.
-  // The address of the tree stands in front of its base.
+  // The address of the Tree object is stored in front of the base.
   size_t stagger = 64 + (treesMade % 8) * 320;
   size_t mapped = (static_cast<size_t>(bytes) + stagger + page) / page * page;
   void *mapping = mmap(nullptr, mapped, PROT_READ | PROT_WRITE,
@@ -121,7 +121,7 @@ TreeStore::~TreeStore() {
 
 void TreeStore::setClosing(Tree &tree, bool isClosing) {
   tree.isClosing.store(isClosing, std::memory_order_release);
-  // Kernels look again.
+  // Makes kernels check their trees again.
   if (isClosing)
     state.storageChanged();
 }
@@ -137,7 +137,7 @@ Status TreeStore::destroyTree(const std::string &name) {
     auto isGone = [&](const FieldPtr &field) {
       if (&field->tree() != tree)
         return false;
-      // Adjoints elsewhere no longer have a primal that can reach them.
+      // An adjoint in another tree loses its primal.
       if (field->adjointField)
         field->adjointField->ofPrimal = false;
       forgetPartnerNames(*field);
@@ -153,7 +153,7 @@ Status TreeStore::destroyTree(const std::string &name) {
     bool losesDual = field->dualField && &field->dualField->tree() == tree;
     if (!losesAdjoint && !losesDual)
       continue;
-    // A field that takes their names later is another one.
+    // A later field with the name of a destroyed partner is not that partner.
     forgetPartnerNames(*field);
     if (losesAdjoint) {
       field->adjointField.reset();
@@ -200,8 +200,8 @@ Status TreeStore::addField(FieldInfo info, FieldPtr &result) {
       return badField(info.name, "has elements without components");
     field->components *= extent;
   }
-  // The compiler's word is checked here once, so that host access cannot leave
-  // the tree.
+  // The layout comes from the compiler. It is checked here once, so that host
+  // accesses cannot leave the tree.
   int64_t last = layout.placeOffset;
   bool inside = layout.placeOffset >= 0 && layout.componentStride >= scalar;
   for (const std::vector<LayoutLevel> &levels : layout.indices) {
