@@ -10,8 +10,8 @@
 using namespace mlir::tai::runtime;
 
 #if defined(__x86_64__)
-// The functions are defined in sources that are compiled for other processors,
-// with other types; only compiled code calls them.
+// The functions are defined, with their actual types, in sources that are
+// compiled for certain processors. Only compiled code calls them.
 extern "C" {
 #define TAI_WIDE_FUNCTION(name, arguments)                                     \
   void tai_wide_##name##_1();                                                  \

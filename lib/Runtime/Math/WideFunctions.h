@@ -54,7 +54,7 @@ template <int lanes> struct WideLanes {
   TAI_WIDE_INLINE F64 number(I64 x) { return __builtin_bit_cast(F64, x); }
   TAI_WIDE_INLINE bool all(I64 mask) { return __builtin_reduce_and(mask) != 0; }
 
-  /// `y` with the sign of `x`, that of a zero included.
+  /// `y` with the sign of `x`, even if `x` is zero.
   TAI_WIDE_INLINE F64 withSignOf(F64 x, F64 y) {
     const I64 sign = 1L << 63;
     return number((bits(x) & sign) | (bits(y) & ~sign));
@@ -68,7 +68,8 @@ template <int lanes> struct WideLanes {
     return sum;
   }
 
-  /// The integer nearest to x, for |x| < 2^51. `rounded`: as a float.
+  /// The integer nearest to x, in the low bits, for |x| < 2^51. `rounded`: the
+  /// integer as a float.
   TAI_WIDE_INLINE I64 round(F64 x, F64 &rounded) {
     const F64 shifter = 0x1.8p52;
     F64 shifted = x + shifter;
@@ -76,9 +77,10 @@ template <int lanes> struct WideLanes {
     return bits(shifted);
   }
 
-  /// sin(x + quarters pi / 2). `covered`: where the result holds.
+  /// sin(x + quarters pi / 2). `covered`: the lanes where the result is valid.
   TAI_WIDE_INLINE F64 sine(F64 x, long quarters, I64 &covered) {
-    // Up to here pi / 2 in two parts leaves a remainder that is right for f32.
+    // Below this bound, a reduction by pi / 2 in two parts leaves a remainder
+    // that is accurate enough for f32.
     covered = __builtin_elementwise_abs(x) < 0x1p32;
     F64 k;
     I64 turns = round(x * 0x1.45f306dc9c883p-1, k) + quarters;
@@ -95,7 +97,7 @@ template <int lanes> struct WideLanes {
     return number(result ^ ((turns & 2) << 62));
   }
 
-  /// The result as f32 where it is covered; that of libm where it is not.
+  /// The result as f32 in covered lanes, and the result of libm in the rest.
   template <typename Libm, typename... X>
   TAI_WIDE_INLINE F32 finish(F64 inF64, I64 covered, Libm libm, X... x) {
     F32 result = truncate(inF64);
@@ -117,15 +119,16 @@ template <int lanes> struct WideLanes {
     return finish(inF64, covered, cosf, x);
   }
 
-  /// The logarithm to base 2 of a positive normal f64, to 2^-44 of itself.
+  /// The logarithm to base 2 of a positive normal f64, with a relative error of
+  /// 2^-44.
   TAI_WIDE_INLINE F64 binaryLogarithm(F64 x) {
-    // Counted from sqrt(1/2), the bits of the exponent are those of e in
-    // x = 2^e m.
+    // The exponent bits of x, relative to sqrt(1/2), hold e in x = 2^e m, where
+    // m is between sqrt(1/2) and sqrt(2).
     const I64 rootHalf = 0x3fe6a09e667f3bcd;
     I64 above = bits(x) - rootHalf;
     F64 e = __builtin_convertvector(above >> 52, F64);
     F64 m = number((above & ((1L << 52) - 1)) + rootHalf);
-    // 2 artanh(s) / ln 2, of which the next term is below 2^-44.
+    // The series of 2 artanh(s) / ln 2, whose next term is below 2^-44.
     F64 s = (m - 1.) / (m + 1.);
     F64 z = s * s;
     const double scale = 0x1.71547652b82fep1;
@@ -134,8 +137,8 @@ template <int lanes> struct WideLanes {
     return fma(s, series, e);
   }
 
-  /// The logarithm of a positive finite number, to the base that makes log(2)
-  /// `ofTwo`.
+  /// The logarithm of a positive finite number, to the base for which the
+  /// logarithm of 2 is `ofTwo`.
   TAI_WIDE_INLINE F32 logarithm(F32 x, double ofTwo, float (*libm)(float)) {
     F64 inF64 = extend(x);
     I64 covered = (inF64 > 0.) & (inF64 < __builtin_inf());
@@ -159,8 +162,8 @@ template <int lanes> struct WideLanes {
     return finish(withSignOf(inF64, result), covered, log1pf, x);
   }
 
-  /// 2^x as scale + scale * minusOne for |x| < 1000, where minusOne is right to
-  /// 2^-37 of itself.
+  /// 2^x as scale + scale * minusOne for |x| < 1000, where minusOne has a
+  /// relative error of 2^-37.
   TAI_WIDE_INLINE F64 splitPower(F64 x, F64 &minusOne) {
     F64 k;
     I64 shifted = round(x, k);
@@ -180,7 +183,7 @@ template <int lanes> struct WideLanes {
   TAI_WIDE_INLINE F32 power(F32 x, double log, float (*libm)(float)) {
     F64 t = extend(x) * log;
     I64 covered = __builtin_elementwise_abs(t) < 126.;
-    // Lanes that are not covered do not overflow either.
+    // Lanes that are not covered compute 2^0, so that they do not overflow.
     return finish(powerOfTwo(number(bits(t) & covered)), covered, libm, x);
   }
   TAI_WIDE_INLINE F32 exp(F32 x) { return power(x, 0x1.71547652b82fep0, expf); }

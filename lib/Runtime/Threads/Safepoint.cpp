@@ -18,9 +18,10 @@ std::atomic<uint64_t> tai_rt_tick{1};
 std::atomic<unsigned> safepoint::runningHandlers{0};
 
 namespace {
-/// Counts while threads read it: its own thread ends when they do not, and a
-/// thread that sees the tick that it leaves behind starts another one. Never
-/// destroyed, since threads may look until the very end of the process.
+/// Counts ticks while threads look at them. If no thread has looked since the
+/// last tick, the clock's thread makes one more tick and ends; a thread that
+/// sees this tick starts a new one. Never destroyed, since threads may look
+/// until the very end of the process.
 class Clock {
 public:
   static Clock &get() {
@@ -28,7 +29,7 @@ public:
     return *clock;
   }
 
-  /// Called by all who have seen a new tick.
+  /// Called by each thread that has seen a new tick.
   void noteLook() {
     if (isLooked.exchange(true, std::memory_order_relaxed) &&
         isCounting.load(std::memory_order_acquire))
@@ -41,7 +42,7 @@ public:
       isCounting.store(false, std::memory_order_relaxed);
   }
 
-  /// Returns when there is no thread any more; there will be no other one.
+  /// Returns when the clock's thread has ended; no new one will be started.
   void stop() {
     {
       std::lock_guard<std::mutex> lock(mutex);
@@ -54,7 +55,7 @@ public:
 
 private:
   Clock() {
-    // A child has no thread, and starts its own.
+    // A forked child does not have the clock's thread, and starts its own.
     pthread_atfork([] { get().mutex.lock(); }, [] { get().mutex.unlock(); },
                    [] {
                      Clock &clock = get();
@@ -109,7 +110,7 @@ bool safepoint::look() {
     return true;
   ++handlersHere;
   runningHandlers.fetch_add(1, std::memory_order_relaxed);
-  // The handler's own work may be stopped.
+  // `Unstoppable` objects outside of the handler do not protect its own work.
   unsigned outer = std::exchange(unstoppable, 0);
   bool wasAsked = wasAskedToStop;
   bool goesOn = handler() != 0;

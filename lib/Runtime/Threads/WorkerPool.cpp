@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// See docs/decisions/parallel-loops.md for the measurements behind it.
+// See docs/decisions/parallel-loops.md for measurements of the pool.
 //
 //===----------------------------------------------------------------------===//
 
@@ -46,7 +46,7 @@ inline bool isEmpty(uint64_t range) {
   return (range & 0xffffffffu) >= (range >> 32);
 }
 
-/// Spins until `done()`; false if the time is over first.
+/// Spins until `done()`; false if `yieldUntil` has passed before.
 template <typename Done> bool spinUntil(const Done &done) {
   Clock::time_point start;
   for (unsigned round = 0;; ++round) {
@@ -117,7 +117,7 @@ WorkerPool::WorkerPool(int threads)
     : numThreads(std::max(1, threads)),
       shares(new Share[static_cast<size_t>(std::max(1, threads))]) {
   workers.reserve(static_cast<size_t>(numThreads - 1));
-  // Signals belong to the threads of the program.
+  // Workers block all signals, which the threads of the program handle.
   sigset_t all, old;
   sigfillset(&all);
   pthread_sigmask(SIG_SETMASK, &all, &old);
@@ -127,7 +127,7 @@ WorkerPool::WorkerPool(int threads)
       break;
     pthread_t thread;
     if (pthread_create(&thread, nullptr, &WorkerPool::workerMain, start) != 0) {
-      // The system gives no more threads; those that there are do the work.
+      // The system creates no more threads; the existing threads do the work.
       delete start;
       break;
     }

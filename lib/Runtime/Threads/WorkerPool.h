@@ -68,9 +68,9 @@ public:
   }
 
 private:
-  /// The remaining parts [next, end), packed so that one atomic addition takes
-  /// one: a late worker that adds to a share which has been refilled in the
-  /// meantime simply works on the new job.
+  /// The remaining parts [next, end), packed so that one atomic addition claims
+  /// a part. A late worker that adds to a share which has been refilled in the
+  /// meantime works on the new job.
   struct alignas(64) Share {
     std::atomic<uint64_t> range{0};
   };

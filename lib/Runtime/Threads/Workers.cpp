@@ -27,7 +27,7 @@ Workers::~Workers() {
 void Workers::leaveParent() {
   if (forkGuard->sameProcess())
     return;
-  // The object of the parent is left as it is: it may have been in the middle
+  // The child leaks the pool of the parent, which may have been in the middle
   // of a loop.
   (void)pool.release();
   forkGuard->rearm();
@@ -101,8 +101,9 @@ void Workers::parallel(int64_t parts, void (*task)(void *context, int64_t part),
 }
 
 int64_t Workers::partition(int64_t n, double cost, bool reduces) {
-  // Below `wakeNs` a fork does not pay where workers must be woken first. Loops
-  // between that and `leastNs`, if there are many, earn the waking.
+  // A loop below `wakeNs` does not repay a fork if workers must be woken first.
+  // Loops between `leastNs` and `wakeNs` repay it together: after `wakeCredit`
+  // nanoseconds of such loops, one of them forks.
   constexpr int64_t wakeNs = 50000, wakeCredit = 100000;
   if (n <= 1)
     return 1;
