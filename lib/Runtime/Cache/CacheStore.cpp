@@ -49,12 +49,13 @@ constexpr uint32_t formatVersion = 1;
 constexpr char suffix[] = ".tai";
 constexpr char temporaryPrefix[] = ".tmp-";
 constexpr char lockPrefix[] = ".lock-";
-/// The time of the last look through the folder, and a byte for each
-/// `journalUnit` bytes that were stored since: processes append without a lock.
+/// A file with the time of the last look through the folder, and a byte for
+/// each `journalUnit` bytes that were stored since: processes append to it
+/// without a lock.
 constexpr char journalName[] = ".stored";
 constexpr int64_t journalUnit = 4096;
 constexpr int64_t journalLife = 24 * 3600; // seconds
-/// More than any code; a file that says so is not one of ours.
+/// More than any code has; a file whose header says more is not an entry.
 constexpr uint64_t mostEntryBytes = uint64_t(1) << 31;
 /// Files that a killed process left behind are older than this (seconds).
 constexpr time_t temporaryLife = 3600;
@@ -116,7 +117,7 @@ bool writeAll(int file, const char *from, size_t size) {
   return true;
 }
 
-/// Makes the folder and those above it, for this user alone.
+/// Makes the folder and the folders above it, for this user alone.
 bool makeFolders(const std::string &path) {
   for (size_t at = 1; at != std::string::npos;) {
     at = path.find('/', at);
@@ -136,9 +137,8 @@ bool makeFolders(const std::string &path) {
   return true;
 }
 
-/// The first folder on the way to this one in which anybody may rename the
-/// files of others, if there is one. In a sticky folder, as /tmp is, this is
-/// not possible.
+/// The first folder on the path in which any user may rename the files of other
+/// users, or "". A sticky folder, such as /tmp, does not allow this.
 std::string findOpenFolder(const std::string &path) {
   char *real = realpath(path.c_str(), nullptr);
   if (!real)
@@ -205,7 +205,7 @@ int CacheStore::openFolder(std::string &reason) const {
     reason = std::strerror(errno);
     return -1;
   }
-  // A link of another user could be turned elsewhere at any time.
+  // Another user's link could be made to point elsewhere at any time.
   struct stat link;
   if (lstat(path.c_str(), &link) == 0 && S_ISLNK(link.st_mode) &&
       link.st_uid != geteuid()) {
@@ -264,7 +264,7 @@ std::optional<std::string> CacheStore::readEntry(const std::string &name,
       openat(folderDescriptor, name.c_str(),
              O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY));
   if (!file) {
-    // A link, or a socket.
+    // Opening failed on a link or a socket.
     broken = errno == ELOOP || errno == ENXIO;
     return std::nullopt;
   }
@@ -357,7 +357,8 @@ bool CacheStore::put(std::string_view key, std::string_view bytes) {
       return renameat(folderDescriptor, temporary.c_str(), folderDescriptor,
                       fileName(key).c_str()) == 0;
     };
-    // A folder of that name is none of ours; only an empty one makes way.
+    // A folder with the name of the entry is not ours; it is replaced if it is
+    // empty.
     if (good && !rename() &&
         (errno != EISDIR || !removeFrom(folderDescriptor, fileName(key)) ||
          !rename())) {
@@ -418,15 +419,16 @@ void CacheStore::beginJournal() {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// A locked file, which goes before the lock does. The lock is that of an open
-/// file: it ends with the process.
+/// A locked file, which is removed before the lock is released. The lock
+/// belongs to the open file, so it ends with the process.
 class LockedFile {
 public:
   LockedFile(int folder, std::string name, int file)
       : folder(folder), name(std::move(name)), file(file) {}
   ~LockedFile() {
     unlinkat(folder, name.c_str(), 0);
-    // A child that was forked meanwhile has the file open, too.
+    // Closing is not enough: a child that was forked meanwhile has the file
+    // open, too.
     flock(file, LOCK_UN);
     close(file);
     close(folder);
@@ -448,7 +450,7 @@ CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds,
   using Clock = std::chrono::steady_clock;
   auto end = Clock::now() + std::chrono::duration<double>(mostSeconds);
   std::string name = lockPrefix + fileName(key);
-  // Short at first: most code is there in a few milliseconds.
+  // Short at first: another process makes most code in a few milliseconds.
   auto pause = std::chrono::microseconds(500);
   while (true) {
     Descriptor file(openat(folderDescriptor, name.c_str(),
@@ -474,7 +476,8 @@ CacheStore::Claim CacheStore::claim(std::string_view key, double mostSeconds,
     }
     if (!isLocked || fstat(file.number, &info) != 0)
       return nullptr;
-    // The former owner has removed it: the next one is another file.
+    // The former owner has removed the file that is now locked: the next claim
+    // locks another file.
     if (info.st_nlink == 0) {
       if (Clock::now() >= end)
         return nullptr;
@@ -524,7 +527,8 @@ struct CacheStore::Writer {
 };
 
 CacheStore::Writer &CacheStore::currentWriter() {
-  // A forked child has no such thread, and the parent writes its own entries.
+  // A forked child does not have the writer's thread, and the parent writes the
+  // entries that it has queued.
   if (writer && writer->process != getpid())
     (void)writer.release();
   if (!writer)
@@ -545,7 +549,7 @@ void CacheStore::putLater(std::string key, std::string bytes) {
     current.running = true;
   }
   current.join();
-  // Signals belong to the threads of the program.
+  // The new thread blocks all signals, which the threads of the program handle.
   sigset_t all, old;
   sigfillset(&all);
   pthread_sigmask(SIG_SETMASK, &all, &old);

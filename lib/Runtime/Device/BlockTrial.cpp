@@ -10,12 +10,12 @@
 
 using namespace mlir::tai::runtime;
 
-/// The trials of each size, of which the quickest counts.
+/// The number of trials of each size; the quickest trial of a size counts.
 static constexpr size_t kRounds = 3;
-/// Launches between the last trial and the decision: the device has come there
-/// by then as a rule, so that no wait is needed.
+/// Launches between the last trial and the decision: as a rule, the device has
+/// finished the trials by then, so that no wait is needed.
 static constexpr size_t kLaunchesBetween = 8;
-/// The factor by which another size must beat the usual one.
+/// Another size is chosen if its time is below this share of the usual size's.
 static constexpr double kGain = 0.97;
 
 bool BlockTrial::hasEnded() {
@@ -93,8 +93,8 @@ Status BlockTrial::run(Device &device, int64_t iterations,
 // From one process to the next
 //===----------------------------------------------------------------------===//
 
-/// Independent of how many blocks of a size run at a time, which is the
-/// device's to say.
+/// Does not contain the number of blocks that can be resident, which depends on
+/// the device.
 static std::string describe(BlockTrial::Size size) {
   return std::to_string(size.threads) +
          (size.mostBlocks == BlockTrial::kAnyBlocks ? " any" : "");
@@ -110,7 +110,8 @@ std::optional<size_t> BlockTrials::parse(const std::string &bytes) const {
 std::unique_ptr<BlockTrial> BlockTrials::make(unsigned sizeClass) const {
   if (key.empty() || !kept.load || !kept.store)
     return std::make_unique<BlockTrial>(sizes);
-  // Other candidates may have another winner.
+  // The key contains the candidates: among other candidates, another size may
+  // win.
   std::string full = "block size\n" + key + "\n" + std::to_string(sizeClass);
   for (BlockTrial::Size size : sizes)
     full += "\n" + describe(size);

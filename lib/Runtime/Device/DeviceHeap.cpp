@@ -22,14 +22,14 @@ int64_t mlir::tai::runtime::deviceHeapBytes() {
   return heapBytes.load(std::memory_order_relaxed);
 }
 
-/// The size stands in front of the memory.
+/// The size of an allocation is stored in front of its memory.
 static constexpr int64_t headerBytes = 16;
 
 extern "C" void *tai_emu_allocate(uint64_t bytes) {
   constexpr int64_t usual = int64_t(4) << 30;
   int64_t limit = mlir::tai::runtime::deviceHeapBytes();
   auto size = static_cast<int64_t>(bytes);
-  // As the driver does, which gives no address for nothing.
+  // Like the driver's allocator, returns null for zero bytes.
   if (size <= 0 || used.fetch_add(size) + size > (limit ? limit : usual)) {
     if (size > 0)
       used.fetch_sub(size);

@@ -32,7 +32,7 @@ uint64_t mlir::tai::runtime::deviceOutputBytes(const TaiDeviceState &state) {
 }
 
 namespace {
-/// A record, taken apart.
+/// The fields of a record of the device, decoded.
 struct Record {
   TaiDeviceRecord header;
   std::vector<uint64_t> slots;
@@ -55,7 +55,7 @@ bool Record::parse(const char *bytes, uint64_t available) {
   if (header.bytes > available || header.bytes > TAI_DEVICE_RECORD_BYTES ||
       header.bytes % 8 || header.count < 0 || header.slots < 0)
     return false;
-  // Each is below the limit of a record, so that the sum cannot wrap.
+  // Each number is below the limit of a record, so that the sum cannot wrap.
   constexpr uint64_t most = TAI_DEVICE_RECORD_BYTES;
   auto count = static_cast<uint64_t>(header.count);
   auto slotCount = static_cast<uint64_t>(header.slots);
@@ -89,7 +89,8 @@ bool Record::parse(const char *bytes, uint64_t available) {
   return components == slotCount;
 }
 
-/// Only the first value of the library's own messages can be one.
+/// Puts a byte count into the text. Only the first value, in messages of the
+/// device library, can be a byte count.
 void Record::placeByteCounts() {
   if (kinds.empty() || kinds[0] != TAI_DEVICE_VALUE_BYTES || shapes[0] != 1)
     return;

@@ -5,12 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs the device functions of kernels where there is no GPU, for tests. Its
-// memory is separate from the host's, so that missing copies are detected, and
-// holds garbage until it is written. Blocks run one after another in an order
-// that changes from launch to launch. They have one thread, for which barriers
-// and shuffles are trivial, unless TAI_EMULATED_THREADS requests more; see
-// EmulatedThreads.h. Programs always have one.
+// Runs the device functions of kernels where there is no GPU, for tests. The
+// device's memory is separate from the host's, so that missing copies are
+// detected, and holds garbage until it is written. Blocks run one after another
+// in an order that changes from launch to launch. A block has one thread, for
+// which barriers and shuffles are trivial, unless TAI_EMULATED_THREADS requests
+// more (see EmulatedThreads.h); blocks of programs always have one thread.
 //
 //===----------------------------------------------------------------------===//
 
@@ -51,7 +51,7 @@ static thread_local struct {
 } group = {};
 
 extern "C" int32_t tai_emu_begin_group(void) {
-  // Odd steps reach each of a power of two once.
+  // With an odd step, each of `threads` numbers, a power of two, comes once.
   constexpr int32_t threads = 4;
   group.before = place;
   group.next = group.number++;
@@ -65,7 +65,7 @@ extern "C" void tai_emu_next_in_group(void) {
 }
 extern "C" void tai_emu_end_group(void) { place = group.before; }
 
-/// The word by which the kernel of this thread was told to end.
+/// The stop word that has told the kernel of this thread to end, or null.
 static thread_local uint32_t *stoppedAt = nullptr;
 
 extern "C" void tai_emu_look(uint32_t *stop) {
@@ -81,11 +81,11 @@ using ThreadFunction = void (*)(const uint64_t *slots);
 
 struct EmulatedFunction : DeviceFunction {
   ThreadFunction run = nullptr;
-  /// Code for several blocks runs as one thread.
+  /// Programs, whose code is for several blocks, run as one thread.
   unsigned mostThreads = 1;
 };
 
-/// Work is done when it has been queued.
+/// Work has ended when the call that queues it returns, so an event is a time.
 struct EmulatedEvent : DeviceEvent {
   std::chrono::steady_clock::time_point time;
 };
@@ -128,7 +128,8 @@ public:
                                                      formatBytes(bytes) +
                                                      " left");
     memory = reinterpret_cast<DevicePtr>(mapped);
-    // Nothing may count on zeros. In large memory, only the start is filled.
+    // Garbage, since no code may rely on zeros. In a large allocation, only the
+    // start is filled.
     std::memset(mapped, 0xa5,
                 static_cast<size_t>(std::min<int64_t>(bytes, 16 << 20)));
     allocations.emplace(memory, bytes);
@@ -186,7 +187,7 @@ public:
     Status status = check(to, bytes);
     if (status)
       status = check(from, bytes);
-    // Ranges that overlap are moved at once.
+    // Overlapping ranges are moved in one piece, without safepoints.
     bool isApart = to + static_cast<DevicePtr>(bytes) <= from ||
                    from + static_cast<DevicePtr>(bytes) <= to;
     if (!status)
@@ -246,7 +247,7 @@ public:
       status = checkRows({other, otherStep, one.rowBytes, one.rows});
     if (!status)
       return status;
-    // Half of an exchange is of no use.
+    // An exchange is not stopped halfway, which would leave both sides useless.
     return forEachPiece(
         one, /*canStop=*/false, [&](int64_t row, int64_t at, int64_t bytes) {
           char *mine = reinterpret_cast<char *>(rowOf(one, row)) + at;
@@ -322,11 +323,13 @@ public:
 
   Status launch(DeviceFunction &function, const LaunchShape &shape,
                 const uint64_t *slots, int) override {
-    // One block has all its grid at barriers over the grid.
+    // A cooperative launch runs as one block, so that barriers of the grid are
+    // barriers of this block.
     unsigned blocks = shape.cooperative ? 1 : shape.blocks;
     ThreadFunction run = static_cast<EmulatedFunction &>(function).run;
     uint64_t order = launches.fetch_add(1, std::memory_order_relaxed);
-    // Steps that share no divisor with the number of blocks reach each once.
+    // A step that has no divisor in common with the number of blocks reaches
+    // each block once.
     uint64_t step = 1 + order % blocks;
     while (std::gcd(step, uint64_t(blocks)) != 1)
       ++step;
@@ -388,8 +391,8 @@ private:
     return rows.address + static_cast<DevicePtr>(row * rows.step);
   }
 
-  /// In much memory, such as that of a sparse tree, whole pages are taken away:
-  /// they come back as zeros when they are used.
+  /// Zeroes memory. In a large range, such as the memory of a sparse tree,
+  /// whole pages are given back to the system, and read as zeros afterwards.
   static void zero(char *at, int64_t bytes) {
     constexpr int64_t large = 1 << 20;
     const int64_t page = sysconf(_SC_PAGESIZE);
@@ -417,7 +420,8 @@ private:
            static_cast<uint64_t>(found->second);
   }
 
-  /// A GPU would fault on memory of the host; here it must be looked for.
+  /// Fails for memory outside of the device's allocations, where a GPU would
+  /// fault.
   Status check(DevicePtr memory, int64_t bytes) const {
     if (contains(memory, bytes))
       return Status::success();
@@ -460,7 +464,8 @@ private:
   }
 
   static constexpr int64_t memoryBytes = int64_t(1) << 40;
-  /// Fills and copies that a GPU would do while the host waits.
+  /// The bytes that a fill or copy moves between two safepoints. A GPU would
+  /// move them while the host waits.
   static constexpr int64_t bytesPerSafepoint = 16 << 20;
   ObjectLinker linker;
   mutable std::mutex mutex;

@@ -32,14 +32,15 @@ enum class State { Ready, AtWarpBarrier, AtBlockBarrier, Ended };
 
 struct Thread {
   State state = State::Ready;
-  /// The values that the warp sees: a slot is free again after the next
-  /// exchange.
+  /// The values of the last two exchanges, which other threads of the warp
+  /// read. A slot is free again after the next exchange.
   uint64_t published[2] = {};
   unsigned exchanges = 0;
 };
 
-/// A stack that runs threads of one block after another. Once it is entered, it
-/// is left and come back to by jumps, which make no calls to the system.
+/// A stack on which a thread of one block runs, and then threads of later
+/// blocks. After the first entry, the fiber is left and entered by jumps, which
+/// make no system calls.
 class Fiber {
 public:
   Fiber() = default;
@@ -55,13 +56,14 @@ public:
                     MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
     return memory != MAP_FAILED;
   }
-  /// Goes on where the fiber has left, until it leaves again.
+  /// Resumes the fiber where it left, until it leaves again.
   void enter(std::jmp_buf &from, void (*start)());
   void leave(std::jmp_buf &to) {
     if (_setjmp(place) == 0)
       _longjmp(to, 1);
   }
-  /// The thread that it runs will never end.
+  /// Called if the thread on this fiber will never end; the next entry starts
+  /// anew.
   void abandon() { isStarted = false; }
 
 private:
@@ -77,7 +79,8 @@ public:
       : body(body), threads(threads) {}
 
   bool run(uint64_t order);
-  /// Leaves the thread that runs until all have come.
+  /// Suspends the running thread, in state `barrier`, until the scheduler
+  /// resumes it.
   void meet(State barrier);
   unsigned size() const { return static_cast<unsigned>(threads.size()); }
   uint64_t exchange(uint64_t value, uint32_t from);
@@ -102,7 +105,7 @@ private:
 
 static thread_local Block *current = nullptr;
 
-/// The fibers of finished blocks, which the next block uses again.
+/// The fibers of finished blocks, which the next block reuses.
 static thread_local std::vector<std::unique_ptr<Fiber>> fibers;
 
 void Fiber::enter(std::jmp_buf &from, void (*start)()) {
@@ -125,7 +128,8 @@ void Block::meet(State barrier) {
   fibers[running]->leave(scheduler);
 }
 
-/// Runs a thread of the present block, and after it those of the next ones.
+/// The start of a fiber: runs a thread of the current block, and then threads
+/// of later blocks.
 void Block::start() {
   for (;;) {
     current->body();
@@ -133,7 +137,7 @@ void Block::start() {
   }
 }
 
-/// Lets the warps go on that are complete.
+/// Resumes the warps of which every thread has come to a warp barrier or ended.
 bool Block::releaseWarps() {
   bool any = false;
   for (unsigned first = 0; first < size(); first += kEmulatedWarp) {
@@ -155,7 +159,7 @@ bool Block::releaseWarps() {
   return any;
 }
 
-/// Lets all go on if each of them has come to a barrier of the block or ended.
+/// Resumes all threads if each thread has come to a block barrier or ended.
 bool Block::releaseBlock() {
   for (const Thread &thread : threads)
     if (thread.state != State::AtBlockBarrier && thread.state != State::Ended)
@@ -195,7 +199,8 @@ bool Block::run(uint64_t order) {
   return allEnded;
 }
 
-/// Shows a value to the warp. Returns in which slots the others' are.
+/// Shows a value to the warp. Returns the slot of `published` in which all
+/// threads of the warp have their values.
 unsigned Block::publish(uint64_t value) {
   Thread &self = threads[running];
   unsigned slot = self.exchanges++ % 2;

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The side of the program in the binary interface between programs and tools of
-// version 3 of NVTX: the tool's library is given a function that finds tables,
-// and through these it stores the addresses of its functions, by number.
+// The program's side of the binary interface between programs and tools in NVTX
+// 3: the tool's library gets a function that finds tables, and stores the
+// addresses of its own functions in these tables, by number.
 //
 //===----------------------------------------------------------------------===//
 
@@ -29,11 +29,12 @@ using AnyFunction = void (*)();
 constexpr uint32_t callbackTable = 1, versionTable = 3;
 constexpr int coreModule = 1, numModules = 7;
 constexpr size_t pushNumber = 9, popNumber = 11;
-/// Functions of each module, the one that is none of number 0 included.
+/// Sizes of the tables of the modules. Entry 0 of a table has no function.
 constexpr unsigned moduleSizes[numModules] = {0, 16, 9, 15, 7, 16, 7};
 constexpr unsigned mostFunctions = 16;
 
-/// What tools store. They want a place for all that version 3 has.
+/// The addresses that tools store. Tools expect a place for every function of
+/// version 3.
 AnyFunction functions[numModules][mostFunctions];
 AnyFunction *places[numModules][mostFunctions + 1];
 

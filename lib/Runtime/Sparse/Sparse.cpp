@@ -34,7 +34,7 @@ SparseNode::SparseNode(CellMemory &memory, SparseInfo info, SparseNode *parent)
   cellsBelow = parent ? cells / parent->cells : cells;
   if (parent)
     parent->children.push_back(this);
-  // One bit for each 64 cells, or for each list, and one for each 64 of them.
+  // `marks` has a bit for each word of 64 cells, or for each list.
   int64_t groups = layout.isList ? cells / capacity() : (cells + 63) / 64;
   numMarks = (groups + 63) / 64;
   marks = static_cast<std::atomic<uint64_t> *>(
@@ -237,7 +237,7 @@ static void release(char *begin, int64_t bytes) {
     return;
   }
   std::memset(begin, 0, static_cast<size_t>(first - address));
-  // Reads as zero from then on.
+  // These pages read as zero from now on.
   madvise(reinterpret_cast<void *>(first), static_cast<size_t>(last - first),
           MADV_DONTNEED);
   std::memset(reinterpret_cast<void *>(last), 0,
@@ -363,7 +363,7 @@ void SparseNode::collectInto(std::vector<int64_t> &found, int64_t begin,
 #ifdef MADV_COLLAPSE
 constexpr int kCollapse = MADV_COLLAPSE;
 #else
-/// Linux 6.1; older ones refuse it, and pages stay small.
+/// Available from Linux 6.1 on; older kernels refuse, and pages stay small.
 constexpr int kCollapse = 25;
 #endif
 

@@ -70,8 +70,8 @@ static void appendValue(std::string &text, int32_t kind, uint64_t slot,
   text += "?";
 }
 
-/// The specification of a place for a value, "{}" or "{:...}", at `at`, and how
-/// many characters it takes: none where there is no such place.
+/// The specification of a placeholder, "{}" or "{:...}", at `at`, and its
+/// number of characters: 0 if there is no placeholder at `at`.
 static size_t parsePlace(const char *at, std::optional<FormatSpec> &spec) {
   spec.reset();
   if (at[0] != '{')

@@ -19,8 +19,8 @@ namespace mlir::tai::runtime {
 std::string formatValues(const char *format, int32_t count,
                          const int32_t *kinds, const int32_t *shapes,
                          const uint64_t *slots);
-/// The final form of a printed text: a newline follows, or TAI_SAME_LINE
-/// goes.
+/// The final form of a printed text: appends a newline, or removes a final
+/// TAI_SAME_LINE.
 std::string endPrinted(std::string text);
 std::string formatBytes(int64_t bytes);
 

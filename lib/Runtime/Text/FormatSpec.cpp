@@ -13,7 +13,7 @@
 
 using namespace mlir::tai::runtime;
 
-// More is no way to write a number, and would take memory.
+// The maximum width and precision: larger ones are of no use and take memory.
 static constexpr int kMost = 1000;
 
 static bool isOneOf(char c, std::string_view those) {
@@ -123,8 +123,9 @@ static std::string print(char kind, bool alternate, int precision,
   return text.data();
 }
 
-/// A precision and no type: as "g", but with a digit behind the point, and with
-/// an exponent where that digit would be one too many.
+/// Formats with a precision and without a type: as "g", but with a digit after
+/// the point, and with an exponent if the precision leaves no room for this
+/// digit.
 static std::string printGeneral(bool alternate, int precision, double value) {
   precision = std::max(precision, 1);
   std::string scientific = print('e', false, precision - 1, value);
