@@ -23,10 +23,10 @@ using namespace taipy;
 
 namespace {
 
-/// The class `ti.ndarray` makes.
+/// The class of the arrays that `ti.ndarray` makes.
 PyTypeObject *ndarrayType = nullptr;
 
-/// An array that launches of the tape have used, by the object that was given.
+/// An array that launches of the tape have used.
 struct TapedArray {
   py::object owner;
   uint64_t begin, end;
@@ -43,11 +43,12 @@ struct TapedArray {
 };
 /// The arrays of the tape that a thread records.
 struct TapedArrays {
-  /// Held: another one could come to lie there.
+  /// Kept alive: otherwise another tape could get its address.
   py::object tape;
   std::unordered_map<PyObject *, TapedArray> arrays;
 };
-/// Not an object itself: a thread ends without Python's lock.
+/// A pointer, since destructors at the end of a thread run without Python's
+/// lock.
 thread_local TapedArrays *taped = nullptr;
 
 TapedArray *findTaped(PyObject *object) {
@@ -137,16 +138,17 @@ Match HeldArrays::pack(const ArrayArg &arg, PyObject *object,
                                    : Match::Yes;
 }
 
-/// A launch that only reads arrays that earlier ones of the tape have used
-/// needs nothing to be kept. If its adjoint reads the array, the array must be
-/// unchanged since then; the launch reads the copy of it, if there is one.
+/// A launch that only reads an array which earlier launches of the tape have
+/// used needs no new copy of the array. If the launch's adjoint reads the
+/// array, the array must be unchanged since the earlier launches; the launch
+/// reads their copy of it, if there is one.
 Match HeldArrays::matchTaped(const Range &range, PyObject *object, Slots &slots,
                              size_t first) const {
   const ArrayArg &arg = *range.arg;
   const TapedArray *found = findTaped(object);
   if (arg.isWritten || !found)
     return Match::No;
-  // A copy: others may run while the adjoint is planned.
+  // Copied: other threads may change the entry while the adjoint is planned.
   const TapedArray known = *found;
   if (known.begin != range.begin || known.end != range.end)
     return Match::No;
@@ -202,7 +204,7 @@ Match HeldArrays::packBuffer(const ArrayArg &arg, PyObject *object,
   return Match::Yes;
 }
 
-/// A tensor gets a gradient of zeros. Null and a Python error if it cannot.
+/// Gives a tensor a gradient of zeros. Null and a Python error on failure.
 static PyObject *makeGradient(PyObject *tensor, PyObject *name) {
   static const Name shape("shape"), newZeros("new_zeros");
   py::object extents = take(PyObject_GetAttr(tensor, shape));
@@ -214,8 +216,9 @@ static PyObject *makeGradient(PyObject *tensor, PyObject *name) {
   return made;
 }
 
-/// The gradient behind an array: where the kernel only runs forward it does not
-/// look at it, and the array stands for it.
+/// Adds the slots of an array's gradient after the slots of the array. A kernel
+/// that only runs forward does not read the gradient, so the slots of the array
+/// are repeated.
 template <typename Packer>
 Match HeldArrays::packGradient(PyObject *owner, PyObject *name, Slots &slots,
                                size_t first, Packer pack) {
@@ -238,8 +241,9 @@ Match HeldArrays::packGradient(PyObject *owner, PyObject *name, Slots &slots,
   return addGradient(pack(gradient), slots, first);
 }
 
-/// Notes the slots of a gradient as those of an adjoint. They follow the slots
-/// of the array, which begin at \p first; \p match says whether they do.
+/// Notes the slots of a gradient as slots of an adjoint. They follow the slots
+/// of the array, which begin at \p first. \p match: whether the gradient was
+/// packed.
 Match HeldArrays::addGradient(Match match, Slots &slots, size_t first) {
   if (match != Match::Yes)
     return match;
@@ -343,7 +347,8 @@ Match HeldArrays::packTensor(const ArrayArg &arg, PyObject *object,
     return addGradient(packPlain(beside->gradient), slots, first);
   static const Name gradient("grad"), isLeaf("is_leaf");
   if (use != ArrayUse::Forward) {
-    // Python code says why a tensor that torch computed cannot be used.
+    // A tensor that torch computed cannot be used; Python code reports the
+    // error.
     py::object leaf = take(get(object, isLeaf));
     if (leaf && leaf.is(py::bool_(false)))
       return Match::No;
@@ -377,7 +382,7 @@ bool HeldArrays::mustNotOverlap(const Range &one, const Range &other) const {
   bool isRecorded = use != ArrayUse::Forward;
   if (isRecorded && (one.arg->hasGradient || other.arg->hasGradient))
     return true;
-  // Two arguments that are the same array are changed in place.
+  // Without a tape, one array may be two arguments: it is changed in place.
   return (one.arg->isWritten || other.arg->isWritten) &&
          (isRecorded || !one.isSame(other));
 }
@@ -412,7 +417,8 @@ bool HeldArrays::orderBefore() {
 bool HeldArrays::orderAfter() { return orderStreams(&taiContextLetStreamWait); }
 
 void taipy::setArrayTape(PyObject *tape) {
-  // While a function runs that is not recorded there is none.
+  // Without a tape, while a function runs that is not recorded, the arrays of
+  // the last tape stay.
   if (!tape || (taped && taped->tape.ptr() == tape))
     return;
   forgetArrays();
@@ -433,20 +439,20 @@ void taipy::bindArrayArguments(py::module_ &module) {
     entry->second.hasDigest = false;
     entry->second.hasSample = false;
   });
-  // Its adjoints read a copy, by its address.
+  // Notes that adjoints read a copy of the array, at this address.
   module.def("note_frozen_array", [](const py::object &array, uint64_t frozen) {
     if (TapedArray *found = findTaped(array.ptr()))
       found->frozen = frozen;
   });
-  // They read the array itself, which must go on to have this digest.
+  // Notes that adjoints read the array itself, which must keep this digest.
   module.def("note_array_digest", [](const py::object &array, uint64_t value) {
     if (TapedArray *found = findTaped(array.ptr())) {
       found->hasDigest = true;
       found->digest = value;
     }
   });
-  // They read the array, which kernels write: whether Python has, too, is seen
-  // by some of its elements.
+  // Notes a sample of an array that adjoints read and kernels write: if the
+  // sample changes, Python has written the array, too.
   module.def("note_array_sample", [](const py::object &array, uint64_t value) {
     if (TapedArray *found = findTaped(array.ptr())) {
       found->hasSample = true;

@@ -27,11 +27,12 @@ struct ArrayArg {
   std::string format;           // struct format of a number
   int rank = 0;                 // dimensions, the element's included
   std::vector<int64_t> element; // extents of the element
-  /// The kernel is differentiated with respect to it: its gradient is the next
-  /// argument.
+  /// The kernel is differentiated with respect to the array, whose gradient is
+  /// the next argument.
   bool hasGradient = false;
   /// The annotation specifies how many dimensions belong to the element.
-  /// Otherwise a `ti.ndarray` does, and for other arrays none do.
+  /// Otherwise a `ti.ndarray` specifies this, and elements of other arrays are
+  /// scalars.
   bool isElementFixed = false;
   bool isWritten = false;
   /// The launch reads the array, and stores values that depend on it where
@@ -46,12 +47,13 @@ enum class ArrayUse {
   Recorded  // a tape adds to them later
 };
 
-/// The gradient of a tensor, beside it.
+/// The gradient of a tensor, passed beside the tensor.
 struct Beside {
-  /// The tensor that it is added to; None for a tensor without a gradient.
+  /// The tensor to which the gradient is added; None for a tensor without a
+  /// gradient.
   PyObject *gradient;
-  /// Unless 0: contiguous memory of the size of the tensor, which is used in
-  /// its place, and holds its gradient, too.
+  /// If not 0, the address of contiguous memory of the tensor's size, which is
+  /// used in place of the tensor and of its gradient.
   uint64_t copy = 0;
 };
 
@@ -125,9 +127,10 @@ private:
   std::vector<uint64_t> streams;
 };
 
-/// A number that other bytes have not, but for one case in 2⁶⁴.
+/// A hash of the bytes: two different contents have the same hash in one case
+/// in 2⁶⁴.
 uint64_t digest(uint64_t address, uint64_t bytes);
-/// A digest of some of the bytes.
+/// A hash of some of the bytes.
 uint64_t sample(uint64_t address, uint64_t bytes);
 
 /// Sets the tape that is recording, or None.

@@ -150,7 +150,8 @@ public:
     return results(made);
   }
 
-  /// An `arith.constant` at the start of `block`, so that it dominates all.
+  /// An `arith.constant` at the start of `block`, so that it dominates all ops
+  /// there.
   Value constant(Block block, Type type, const py::object &value) {
     MlirOperationState state =
         mlirOperationStateGet(toRef(constantName), location);
@@ -164,7 +165,7 @@ public:
     return {mlirOperationGetResult(made, 0)};
   }
 
-  /// Moves all ops of `block` to the end of the current one.
+  /// Moves all ops of `block` to the end of the current block.
   void splice(Block block) {
     MlirOperation op = mlirBlockGetFirstOperation(block.handle);
     while (!mlirOperationIsNull(op)) {
@@ -202,7 +203,7 @@ public:
   bool verify() { return mlirOperationVerify(mlirModuleGetOperation(module)); }
 
   std::shared_ptr<Kernel> finish(const std::string &name) {
-    dropRegions(); // they may use values of the module, which goes its own way
+    dropRegions(); // they may use values of the module
     TaiKernel kernel = nullptr;
     MlirModule owned = module;
     module.ptr = nullptr; // the kernel owns it, also on failure

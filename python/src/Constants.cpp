@@ -15,8 +15,8 @@ using namespace taipy;
 
 namespace {
 
-/// Equal to the methods of one built-in type, whatever a subclass makes of
-/// `==`.
+/// Compares by the method of the built-in type `base`, even if the type of `a`
+/// overrides `==`.
 bool isEqual(PyTypeObject &base, PyObject *a, PyObject *b) {
   PyObject *answer = base.tp_richcompare(a, b, Py_EQ);
   if (!answer) {
@@ -35,7 +35,7 @@ PyTypeObject *plainBase(PyObject *value) {
   return nullptr;
 }
 
-/// The bits of a number, by which -0.0 is not 0.0 and NaN is itself.
+/// The bits of a number, which tell -0.0 from 0.0 and are equal for equal NaNs.
 uint64_t bitsOf(double number) {
   uint64_t bits;
   std::memcpy(&bits, &number, sizeof bits);
@@ -311,7 +311,7 @@ void Constant::clear() {
 }
 
 bool Read::holds() const {
-  // The attribute may be Python code, which may let go of its owner.
+  // Reading the attribute may run Python code, which may drop the owner.
   auto held = py::reinterpret_borrow<py::object>(getOwner());
   if (!held)
     return false;
@@ -332,7 +332,8 @@ int Read::traverse(visitproc visit, void *arg) const {
   return 0;
 }
 
-/// The dictionary of an object if its states have numbers, or null.
+/// The dictionary of an object if Python numbers the states of dictionaries, or
+/// null.
 static PyDictObject *numberedDict(PyObject *owner) {
 #if PY_VERSION_HEX < 0x030c0000
   PyObject **at = _PyObject_GetDictPtr(owner);

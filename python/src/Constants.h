@@ -30,9 +30,10 @@ inline PyObject *referent(PyObject *weak) {
 
 /// A snapshot of a Python value.
 ///
-/// Numbers, texts, containers, arrays, matrices and structs are the same if
-/// their types and contents are, bit by bit and in order; anything else if it
-/// is the same object, which a constant keeps alive unless it is made `weakly`.
+/// Numbers, texts, containers, arrays, matrices and structs match if their
+/// types and contents are equal, bit by bit and in order. Any other value
+/// matches only itself, by identity; a constant keeps the value alive unless it
+/// is made by `weakly`.
 class Constant {
 public:
   /// A snapshot of a value and its contents.
@@ -42,8 +43,8 @@ public:
 
   /// The object itself, compared by identity.
   static Constant identity(py::handle value);
-  /// The same without keeping the object alive. When it is gone, nothing
-  /// matches.
+  /// The object, compared by identity but not kept alive. When the object is
+  /// gone, nothing matches.
   static Constant weakly(py::handle value);
 
   bool matches(PyObject *given) const {
@@ -87,7 +88,7 @@ private:
   /// of the attribute of `Wrapped`.
   py::object object;
   std::vector<Constant> items;
-  /// If it is a buffer: its elements, its format and its extents.
+  /// For `Buffer`: the elements, the format and the extents.
   std::string bytes, format;
   std::vector<Py_ssize_t> shape;
 };
@@ -102,7 +103,7 @@ struct Read {
 
   /// Whether the attribute is unchanged.
   bool holds() const;
-  /// Null if it is gone.
+  /// Null if the owner is gone.
   PyObject *getOwner() const {
     return PyWeakref_Check(owner.ptr()) ? referent(owner.ptr()) : owner.ptr();
   }
@@ -117,9 +118,9 @@ struct Read {
 /// All attributes of template arguments that were read while a kernel was
 /// compiled.
 ///
-/// Checked at each launch. Python has version numbers of dictionaries: while
-/// that of an object's dictionary is unchanged, so are the attributes in it,
-/// unless their values are mutable.
+/// Checked at each launch. Before Python 3.12, dictionaries have version
+/// numbers: while the number of an object's dictionary is unchanged, so are the
+/// attributes in the dictionary, unless their values are mutable.
 class Reads {
 public:
   void add(const py::tuple &described);

@@ -36,7 +36,7 @@ inline void settle() {
   if (!afterCall())
     throw py::error_already_set();
 }
-/// Returns the result of such a call.
+/// Returns the result of a call of libtai after settle().
 template <typename Result> Result settled(Result result) {
   settle();
   return result;
@@ -56,8 +56,8 @@ struct Context {
   Context(const Context &) = delete;
   Context &operator=(const Context &) = delete;
 
-  /// Call with the status of each call as it returns. Throws the Python
-  /// exception for a failure.
+  /// To be called with the status of each call of libtai, as soon as the call
+  /// returns. Throws the Python exception for a failure.
   void check(TaiStatus status) const {
     if (!afterCall())
       throw py::error_already_set();

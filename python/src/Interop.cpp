@@ -44,7 +44,8 @@ template <typename M> struct Export {
 
 template <typename M> void deleteExport(M *managed) {
   auto *made = static_cast<Export<M> *>(managed->owner);
-  // Consumers let go from any thread, and some when the interpreter has gone.
+  // Consumers release tensors on any thread, and some after the interpreter has
+  // ended.
   if (Py_IsInitialized()) {
     PyGILState_STATE state = PyGILState_Ensure();
     Py_XDECREF(made->owner);
@@ -123,7 +124,8 @@ template <typename M> py::dict takeFrom(const py::object &capsule) {
   if constexpr (std::is_same_v<M, ManagedVersioned>)
     readOnly = managed->flags & kReadOnly;
   result["read_only"] = readOnly;
-  // Taken: under its new name, it cannot be taken again, and we end it.
+  // `owner` has the name of capsules whose tensor was taken: no consumer can
+  // take the tensor again, and destroyTaken releases it.
   PyObject *owner = PyCapsule_New(managed, usedNameOf<M>(), destroyTaken<M>);
   if (!owner)
     throw py::error_already_set();
@@ -133,7 +135,7 @@ template <typename M> py::dict takeFrom(const py::object &capsule) {
   return result;
 }
 
-/// Memory of the device that Python keeps copies of arrays in.
+/// Device memory in which Python keeps copies of arrays.
 struct DeviceMemory {
   DeviceMemory(ContextRef from, int64_t bytes)
       : context(std::move(from)), bytes(bytes) {

@@ -33,7 +33,7 @@ namespace {
 /// or `ti.reset` has replaced.
 uint64_t generation = 1;
 
-/// The number of threads that record, and whether this one does.
+/// The number of threads that record a tape, and whether this thread does.
 int recordingThreads = 0;
 thread_local bool isRecordingHere = false;
 inline bool isRecording() {
@@ -43,8 +43,8 @@ inline bool isRecording() {
 /// The class of numbers that have a gradient or a tangent.
 PyObject *trackedType = nullptr;
 
-/// Whether a thread launches kernels with their tangents, whether this one
-/// does, and how many it has launched since then.
+/// The number of threads that launch kernels with their tangents, whether this
+/// thread does, and how many kernels it has launched with tangents.
 int forwardThreads = 0;
 thread_local bool isForwardHere = false;
 thread_local uint64_t forwardLaunches = 0;
@@ -52,22 +52,22 @@ inline bool isForward() {
   return __builtin_expect(forwardThreads != 0, false) && isForwardHere;
 }
 
-/// Whether values with a history are about, so that Python looks once at each
-/// place that calls with plain numbers, on threads and on this one; and the
-/// places that it has looked at.
+/// While values with a history exist, Python code checks once each place that
+/// launches with plain numbers: the number of threads with such values, whether
+/// this thread has some, and the places that have been checked.
 int watchingThreads = 0;
 thread_local bool watchesNumbersHere = false;
 inline bool watchesNumbers() {
   return __builtin_expect(watchingThreads != 0, false) && watchesNumbersHere;
 }
 std::unordered_set<uint64_t> knownSites;
-/// Places where Python has looked at a launch that cuts a graph of torch.
+/// Places where Python code has checked a launch that cuts a graph of torch.
 std::unordered_set<uint64_t> knownGraphSites;
 
 /// The launcher of the current call.
 const PyObject *calledLauncher = nullptr;
 
-/// Sets the flag of a thread, and counts those that have it.
+/// Sets the flag of a thread, and counts the threads whose flag is set.
 void setFlag(bool &flag, int &threads, bool on) {
   threads += on - flag;
   flag = on;
@@ -122,8 +122,8 @@ struct Arg {
   int bits = 0; // Integer: width
   bool isUnsigned = false;
   py::object constant; // Constant: the `Constant`, as the Python object
-  const taipy::Constant *value = nullptr; // the same
-  ArrayArg array;                         // Array: which
+  const taipy::Constant *value = nullptr; // Constant: its C++ object
+  ArrayArg array;                         // Array: the parameter
 };
 
 struct Result {
@@ -134,10 +134,10 @@ struct Result {
 };
 
 struct Specialization {
-  // The generation that each launch compares.
+  // Each launch compares it with the current `generation`.
   uint64_t generation = 0;
-  /// Calls that look at it or run its kernel: other threads and Python code of
-  /// the arguments may go on meanwhile, and must not drop it.
+  /// The number of calls that use this specialisation: other threads, and
+  /// Python code of the arguments, may run during a call, and must not drop it.
   int users = 0;
   TaiKernel handle = nullptr;
   std::vector<Arg> args;
@@ -161,7 +161,7 @@ struct Specialization {
   }
 };
 
-/// A specialisation stays while there is one of these.
+/// Prevents that a specialisation is dropped.
 struct InUse {
   explicit InUse(Specialization &spec) : spec(spec) { ++spec.users; }
   ~InUse() { --spec.users; }
@@ -305,7 +305,7 @@ PyObject *launch(Specialization &spec, const uint64_t *slots, size_t numSlots) {
     ++forwardLaunches;
   int64_t count = static_cast<int64_t>(numSlots);
   bool hasResults = !spec.grad && spec.result.count;
-  // Up to a matrix of 4x4 costs no allocation.
+  // Results up to a matrix of 4x4 cost no allocation.
   constexpr int mostFew = 16;
   uint64_t few[mostFew];
   std::vector<uint64_t> many;
@@ -421,11 +421,11 @@ Match launchKnown(Launcher *self, PyObject *const *args,
       return Match::Yes;
     }
     if (match == Match::No) {
-      // Python code of the arguments may have dropped some.
+      // Python code of the arguments may have dropped some specialisations.
       i = std::min(i, all.size());
       continue;
     }
-    // Most recently used last, if other threads have left it where it was.
+    // The most recently used one goes last, unless other threads have moved it.
     if (i + 1 < all.size() && all[i].get() == spec)
       std::swap(all[i], all.back());
     return Match::Yes;
@@ -452,8 +452,8 @@ PyObject *launcherNew(PyTypeObject *type, PyObject *, PyObject *) {
   auto *self = reinterpret_cast<Launcher *>(type->tp_alloc(type, 0));
   if (!self)
     return nullptr;
-  // Classes made in Python do not inherit that they can be called without
-  // making tuples (before 3.12) and, as methods, without being bound.
+  // Classes made in Python do not inherit the flags by which calls make no
+  // tuples (before 3.12) and calls of methods make no bound methods.
   unsigned long flags = type->tp_flags;
   if (type->tp_call == PyVectorcall_Call)
     flags |= Py_TPFLAGS_HAVE_VECTORCALL;
@@ -663,7 +663,7 @@ void taipy::bindLauncher(py::module_ &module) {
                  throw py::error_already_set();
                return py::reinterpret_steal<py::object>(answer);
              });
-  // Drops those of one compiled kernel.
+  // Drops the specialisations of one compiled kernel.
   module.def("drop_specialization", [](const py::object &launcher,
                                        const std::shared_ptr<Kernel> &kernel) {
     auto &all = *toLauncher(launcher)->specializations;

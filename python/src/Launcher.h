@@ -13,14 +13,14 @@
 
 namespace taipy {
 
-/// Launches with gradients that lie beside the tensors, if code for such
-/// arguments has been compiled. `No` if none has, and `Error` with a Python
-/// error.
+/// Launches with gradients that are passed beside the tensors. `No` if no code
+/// for these arguments has been compiled; `Error`, with a Python error, on
+/// failure.
 Match launchBeside(PyObject *launcher, PyObject *const *args,
                    const Beside *gradients, size_t count);
 
-/// Runs the body of a function that Python calls, into which no exception of
-/// C++ may go.
+/// Runs the body of a function that Python calls, and turns C++ exceptions,
+/// which must not reach Python, into Python errors.
 template <typename Body> PyObject *runForPython(Body body) noexcept {
   try {
     return body();

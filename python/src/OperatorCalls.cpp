@@ -30,10 +30,10 @@ namespace {
 constexpr size_t mostParameters = 32;
 /// Larger tensors are cleared by torch, with its threads.
 constexpr int64_t mostBytesToClear = 1 << 18;
-/// Adjoints of outputs are copied to the stack up to here.
+/// The bytes of adjoints of outputs that are copied to the stack.
 constexpr size_t mostBytesOfSeeds = 4096;
 
-/// One object, or a tuple of several.
+/// Returns a single object itself, and several objects as a tuple.
 PyObject *pack(py::object *objects, size_t count) {
   if (count == 1)
     return objects[0].release().ptr();
@@ -43,7 +43,7 @@ PyObject *pack(py::object *objects, size_t count) {
   return all;
 }
 
-/// A call of an operator, as it was defined.
+/// The data of an operator that its calls use.
 struct OperatorCalls {
   struct Parameter {
     bool isInput;
@@ -54,11 +54,13 @@ struct OperatorCalls {
   std::vector<Parameter> parameters;
   size_t numInputs = 0, numOutputs = 0;
   std::vector<char> isTensor; // of the inputs
-  /// For each output: the input that it is like; empty if Python makes them.
+  /// For each output, the input for which `emptyLike` makes it; empty if Python
+  /// code makes the outputs.
   std::vector<size_t> likes;
   py::object emptyLike;
   std::vector<PyObject *> plainTypes;
-  /// Types of numbers of the input tensors with which a launch was checked.
+  /// The number types of the input tensors of each launch that Python code has
+  /// checked.
   std::vector<std::vector<PyObject *>> known;
 
   bool isLarge() const { return parameters.size() > mostParameters; }
@@ -76,7 +78,7 @@ bool OperatorCalls::isKnown(PyObject *const *inputs) const {
   for (size_t i = 0; i < numInputs; ++i) {
     if (!isTensor[i])
       continue;
-    // Torch keeps its types of numbers for as long as the process.
+    // Torch never frees a dtype, so the address identifies it.
     types[count] = take(get(inputs[i], name)).ptr();
     if (!types[count++])
       return false;
@@ -128,8 +130,9 @@ PyObject *OperatorCalls::runForward(PyObject *const *inputs) {
   return pack(made, numOutputs);
 }
 
-/// The gradients by the inputs that `needs` has True for, and None for others:
-/// one, or a tuple; or None.
+/// The gradients with respect to the inputs for which `needs` has True, and
+/// None for other inputs: one object, or a tuple. Returns None if Python code
+/// must handle the call.
 PyObject *OperatorCalls::runGradient(PyObject *inputs, PyObject *bars,
                                      PyObject *needs) {
   if (isLarge() || !PyTuple_Check(inputs) || !PyTuple_Check(bars) ||
@@ -138,8 +141,8 @@ PyObject *OperatorCalls::runGradient(PyObject *inputs, PyObject *bars,
       PyTuple_GET_SIZE(bars) != static_cast<Py_ssize_t>(numOutputs) ||
       PyTuple_GET_SIZE(needs) != static_cast<Py_ssize_t>(numInputs))
     Py_RETURN_NONE;
-  // The sweep uses the adjoints up, and takes any memory for the values of
-  // outputs.
+  // The sweep overwrites the adjoints of outputs, so it gets copies. It does
+  // not read the values of outputs, for which the copies stand, too.
   alignas(64) char memory[mostBytesOfSeeds];
   size_t used = 0;
   py::object seeds[mostParameters];
@@ -192,8 +195,8 @@ PyObject *OperatorCalls::runGradient(PyObject *inputs, PyObject *bars,
   return pack(found, numInputs);
 }
 
-/// 0: Python must look at the inputs; 1: they are plain tensors and numbers; 2:
-/// and torch follows one of them.
+/// Returns 0 if Python code must look at the inputs, 1 if they are plain
+/// tensors and numbers, and 2 if torch also differentiates one of them.
 int OperatorCalls::classify(PyObject *const *inputs) const {
   static const Name requiresGrad("requires_grad");
   int answer = 1;
@@ -214,7 +217,7 @@ int OperatorCalls::classify(PyObject *const *inputs) const {
   return answer;
 }
 
-// Functions of Python, whose `self` is a capsule with the calls.
+// Functions for Python, whose `self` is a capsule with the OperatorCalls.
 
 OperatorCalls &callsOf(PyObject *self) {
   return *static_cast<OperatorCalls *>(PyCapsule_GetPointer(self, nullptr));

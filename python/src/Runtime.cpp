@@ -209,7 +209,7 @@ struct ArrayView {
   Py_buffer view;
 };
 
-/// Numbers of f32, as bf16: the nearest one, and the even one of two.
+/// Rounds f32 numbers to the nearest bf16, ties to even.
 std::vector<uint16_t> toBfloats(const void *numbers, int64_t count) {
   std::vector<uint16_t> result(count);
   for (int64_t i = 0; i < count; ++i) {
@@ -257,7 +257,8 @@ TaiStatus callBack(void *pair, int which) {
   return TAI_OK;
 }
 
-/// A failed sweep is the exception of a callback, if one is set.
+/// Throws the exception that a callback has raised, if there is one, and
+/// otherwise the failure of the sweep.
 void checkSweep(Tape &tape, TaiStatus status) {
   (void)afterCall();
   if (PyErr_Occurred())
@@ -496,7 +497,7 @@ void bindField(py::module_ &module) {
            [](Field &f) { f.context->check(taiFieldNoteWrite(f.handle)); })
       .def("read_elements",
            [](Field &f, const py::buffer &indices, const py::buffer &values) {
-             // The caller sees to shapes and types.
+             // The caller has checked shapes and types.
              py::buffer_info at = indices.request();
              auto *places = static_cast<const int64_t *>(at.ptr);
              void *result = values.request(/*writable=*/true).ptr;
@@ -688,8 +689,8 @@ void taipy::bindRuntime(py::module_ &module) {
       .def(
           "tape",
           [](const ContextRef &c, const Field *loss, bool clear) {
-            // The object of Python first: where pybind11 has no memory for it,
-            // it frees a C++ object that was given to it twice.
+            // The Python object is made first: if pybind11 has no memory for
+            // it, pybind11 frees a C++ object that was passed to it twice.
             py::object made = py::type::of<Tape>()();
             Tape &tape = made.cast<Tape &>();
             tape.context = c;

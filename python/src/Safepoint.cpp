@@ -13,11 +13,11 @@ using namespace taipy;
 thread_local CallState taipy::callState;
 
 namespace {
-/// The only one that handles signals.
+/// Python's main thread, the only thread that handles signals.
 unsigned long mainThread = 0;
 
-/// Without the lock, the main thread takes it for its signals once in so many
-/// safepoints: while others run, it may have to wait for it.
+/// After the main thread has released the lock, it acquires the lock to handle
+/// signals at one of so many safepoints: it may have to wait for other threads.
 constexpr unsigned kSafepointsBetweenSignals = 4;
 
 /// Runs the handlers of signals that have come; false if one has raised.
@@ -34,7 +34,8 @@ int atSafepoint() {
   if (state.isInterrupted)
     return 0;
   if (!state.released) {
-    // Threads that are not Python's, and callbacks that have failed.
+    // Nothing is done on threads without Python's lock and after failed
+    // callbacks.
     if (!PyGILState_Check() || PyErr_Occurred())
       return 1;
     if (!state.isTeardown && !handleSignals())
@@ -115,7 +116,7 @@ bool isOfHandler(PyObject *trace) {
 } // namespace
 
 void taipy::forgetError() {
-  // Some callers have no error to forget, which the question may not meet.
+  // Some callers have no error to forget; PyErr_ExceptionMatches requires one.
   if (!PyErr_Occurred())
     return;
   if (PyErr_ExceptionMatches(PyExc_KeyboardInterrupt)) {
@@ -129,7 +130,7 @@ void taipy::forgetError() {
   if (isOfHandler(trace)) {
     PyException_SetTraceback(error, trace);
     if (Py_AddPendingCall(&raiseAgain, error) == 0)
-      error = nullptr; // which the call owns
+      error = nullptr; // owned by the pending call
   }
   Py_XDECREF(type);
   Py_XDECREF(error);
@@ -137,8 +138,9 @@ void taipy::forgetError() {
 }
 
 void taipy::bindSafepoints() {
-  // Modules may be imported by any thread, but this one is Python's own: the
-  // oldest. No Python code is asked, in which a signal handler might raise.
+  // Any thread may import this module, but the oldest thread is the main
+  // thread. No Python code is called for it, in which a signal handler might
+  // raise.
   PyThreadState *oldest =
       PyInterpreterState_ThreadHead(PyInterpreterState_Main());
   while (PyThreadState *older = PyThreadState_Next(oldest))

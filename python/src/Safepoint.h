@@ -27,9 +27,9 @@ struct CallState {
   PyThreadState *released = nullptr;
   /// A signal handler has raised an exception, which is set.
   bool isInterrupted = false;
-  /// Whether either of them has happened.
+  /// Whether the lock has been released or a handler has raised.
   bool isChanged = false;
-  /// The call ends an object: it raises nothing.
+  /// The call destroys an object, and must not raise.
   bool isTeardown = false;
 };
 

@@ -24,7 +24,7 @@ static const dlpack::ExchangeTable *findTable(PyTypeObject *type) {
     return nullptr;
   const dlpack::ExchangeTable *table = nullptr;
   if (PyCapsule_IsValid(capsule, dlpack::kTableName)) {
-    // It stays for as long as the process.
+    // The table is never freed.
     table = static_cast<const dlpack::ExchangeTable *>(
         PyCapsule_GetPointer(capsule, dlpack::kTableName));
     if (table->major != 1 || !table->view || !table->currentStream)
@@ -85,7 +85,7 @@ static char formatOf(const dlpack::Tensor &tensor) {
   return 0;
 }
 
-/// Returns false for memory that is not contiguous, too.
+/// Also returns false for memory that is not contiguous.
 static bool readByTable(const dlpack::ExchangeTable &table, PyObject *object,
                         TensorView &view) {
   dlpack::Tensor tensor;
@@ -112,7 +112,8 @@ static bool readByTable(const dlpack::ExchangeTable &table, PyObject *object,
   return isDense || step == 0;
 }
 
-/// NumPy's name of a type of numbers; kept by the type. Null where it has none.
+/// NumPy's character for a dtype, cached by dtype. Null if NumPy has no such
+/// type.
 static const char *readFormat(PyObject *dtype, int &itemBytes) {
   static PyObject *formats = PyDict_New();
   PyObject *found = PyDict_GetItemWithError(formats, dtype);

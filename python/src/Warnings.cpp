@@ -38,7 +38,7 @@ void taipy::keepWarning(const TaiWarning *warning, void *) {
 bool taipy::tellWarnings() {
   if (!warningsWait.load(std::memory_order_relaxed))
     return true;
-  // An exception that is on its way is not to be replaced.
+  // A warning must not replace a current exception.
   if (!PyGILState_Check() || PyErr_Occurred())
     return true;
   std::vector<KeptWarning> told;

@@ -26,7 +26,8 @@ struct View {
   bool isOnDevice;
   uint64_t digest = 0;
 
-  /// The pieces that are compared: all elements, or some all over the field.
+  /// The part that is compared: all elements, or a sample spread over the
+  /// field.
   View sampled() const {
     constexpr uint64_t bytes = 2048, alignment = 16;
     if (count * size <= bytes)
@@ -55,10 +56,10 @@ struct Watched {
   std::vector<View> views;
   bool looksAtAll;
   /// The length of the tape after the last launch: each write of Python is a
-  /// record. Negative before the first launch, because the values at which one
-  /// differentiates may come through a view.
+  /// record. Negative before the first launch, because the program may use a
+  /// view to set the values at which it differentiates.
   long long records = -1;
-  /// Copies of memory of the device.
+  /// A copy of the compared memory, if it is on a device or not dense.
   std::vector<char> copy;
 
   long long countRecords() const {
@@ -90,7 +91,9 @@ struct Watched {
   bool isComparable() const {
     return records >= 0 && records == countRecords();
   }
-  /// Whether memory has changed; the new digests replace the old ones.
+  /// Whether memory has changed. Unless `changed` is null, the numbers of
+  /// changed views are appended to it, and the new digests replace the old
+  /// ones.
   Changed compare(std::vector<size_t> *changed) {
     bool comparable = isComparable(), any = false;
     for (size_t i = 0; i < views.size(); ++i) {
@@ -134,7 +137,8 @@ private:
     return false;
   }
 };
-/// Not an object itself: a thread ends without Python's lock.
+/// A pointer, since destructors at the end of a thread run without Python's
+/// lock.
 thread_local Watched *watched = nullptr;
 
 } // namespace
@@ -150,9 +154,9 @@ bool taipy::renewViews() {
 }
 
 void taipy::bindWatchedViews(py::module_ &module) {
-  // The caller keeps the memory, until it calls this with no views. Each has an
-  // address, the bytes of an element and from one to the next, and a count.
-  // Some launches may have been recorded.
+  // The caller keeps the memory until it calls this function with no views. A
+  // view has an address, the bytes of an element, the bytes from one element to
+  // the next, and a count. `has_launched`: launches have already been recorded.
   module.def(
       "watch_views",
       [](const py::object &tape,
@@ -178,8 +182,8 @@ void taipy::bindWatchedViews(py::module_ &module) {
       },
       py::arg("tape"), py::arg("memory"), py::arg("looks_at_all"),
       py::arg("context").none(true), py::arg("has_launched"));
-  // The numbers of those that have changed. They count as unchanged from now
-  // on.
+  // The numbers of the views that have changed, which count as unchanged from
+  // now on.
   module.def("take_changed_views", [] {
     std::vector<size_t> changed;
     if (watched && watched->compare(&changed) == Changed::Error)

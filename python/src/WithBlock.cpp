@@ -11,8 +11,8 @@
 // `__exit__` written in Python, or between two lines of a `finally`. These
 // methods are therefore written in C++. They call
 //
-// - `_enter()`, which gives what `as` names: without one, the object.
-// - `_leave(kind, error, trace)` at the end of the block: without one, nothing.
+// - `_enter()`, which returns the target of `as`; by default, the object.
+// - `_leave(kind, error, trace)` at the end of the block; by default, nothing.
 // - `_end()`, which undoes what `_enter` and the block have done.
 //
 // `_end` is called at the end in any case, also if `_enter` or `_leave` raises,
@@ -71,11 +71,11 @@ bool callMethod(PyObject *object, const char *name) {
   return answer != nullptr;
 }
 
-/// Calls `_end` until it has come to its end. Exceptions in it are raised if
-/// there is no other.
+/// Calls `_end` until it returns without an exception. Exceptions of `_end` are
+/// raised unless another exception is being raised.
 void end(PyObject *object) {
   Raised raised;
-  // A second Ctrl-C, and a third, may come.
+  // Repeated Ctrl-C may interrupt `_end` several times.
   constexpr int mostTries = 8;
   for (int i = 0; i < mostTries && !callMethod(object, "_end"); ++i)
     raised.take();
@@ -104,7 +104,8 @@ PyObject *enter(PyObject *object, PyObject *) {
   } else {
     Py_XDECREF(lock);
   }
-  // An object whose block is open stays as it is if it refuses another one.
+  // If an object whose block is open refuses a second block, the first one
+  // stays open.
   bool wasOpen = std::exchange(self->isOpen, true);
   PyObject *answer = PyObject_CallMethod(object, "_enter", nullptr);
   if (!answer && !wasOpen)

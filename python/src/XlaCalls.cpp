@@ -27,7 +27,7 @@ namespace {
 /// at the end of the process.
 PyObject *callee = nullptr;
 
-/// The type of elements in NumPy's notation; null for others.
+/// The type of elements in NumPy's notation; null for unsupported types.
 const char *nameOf(int32_t type) {
   switch (type) {
   case kPred:
@@ -72,7 +72,7 @@ std::vector<py::ssize_t> shapeOf(const Buffer &buffer) {
 }
 
 py::object showOnHost(const Buffer &buffer, bool isCleared) {
-  // With a base, the array does not copy.
+  // Given a base object, the array does not copy the memory.
   py::array array(dtypeOf(buffer.type), shapeOf(buffer), buffer.data,
                   py::none());
   if (isCleared)
