@@ -27,8 +27,8 @@ int taiVersionNumber(void) { return TAI_VERSION_NUMBER; }
 
 const char *taiLLVMVersion(void) { return LLVM_VERSION_STRING; }
 
-/// LLVM's containers take memory by malloc, and would end the process where
-/// there is none.
+/// LLVM calls this function when its containers get no memory; by default it
+/// would end the process.
 static void throwBadAlloc(void *, const char *, bool) {
   throw std::bad_alloc();
 }
@@ -334,7 +334,7 @@ TaiStatus taiFieldGetAddress(TaiField handle, const int64_t *indices,
     const runtime::Tree &tree = handle->field->tree();
     int64_t offset = 0;
     runtime::Status status = handle->field->locate(indices, 0, offset);
-    // For kernels, so where they find it.
+    // Kernels use the address: with a device, it is an address of the device.
     if (status && tree.mirror())
       status =
           context.session.getRuntime().deviceAddress(tree, offset, *address);

@@ -57,7 +57,8 @@ struct TaiContextImpl {
   std::vector<TaiTraceEvent> traceEvents;
   std::vector<TaiSkipRow> skipRows;
   std::string lostTangents;
-  /// Rows of another size than ours, until the next call that gives some.
+  /// Copies of rows for callers whose rows have another size than this
+  /// library's, valid until the next such call.
   std::vector<uint64_t> sizedRows;
 
   /// The status of a call of the session.
@@ -66,9 +67,9 @@ struct TaiContextImpl {
       return TAI_OK;
     return static_cast<TaiStatus>(session.getFailure().kind);
   }
-  /// The status of a call of the runtime. A failure of a function that cannot
-  /// return it, such as one that gives memory back, is one of this call, unless
-  /// the call has failed before.
+  /// The status of a call of the runtime. If the call has not failed, a failure
+  /// that the runtime has noted in a function without a status, such as one
+  /// that frees memory, becomes the failure of the call.
   TaiStatus status(const mlir::tai::runtime::Status &result) {
     if (LLVM_LIKELY(result.ok() && !session.getRuntime().hasNotedFailure()))
       return TAI_OK;
@@ -100,8 +101,9 @@ private:
   std::unique_lock<std::recursive_timed_mutex> lock;
 };
 
-/// For calls that threads make side by side on the CPU. A device has one queue:
-/// a thread may wait for the work of another one.
+/// For calls that several threads can make at once on the CPU. With a device,
+/// locks the context: a device has one queue, and a thread may wait for another
+/// thread's work.
 class DeviceLock {
 public:
   DeviceLock(TaiContextImpl &context,
@@ -115,9 +117,10 @@ private:
   std::unique_lock<std::recursive_timed_mutex> lock;
 };
 
-/// Every C function with a context runs in one of these. Libraries of C++ throw
-/// when memory runs out (LLVM by the handler of taiContextCreate); no exception
-/// leaves the C API, and the locks of the call are released.
+/// Every C function with a context runs its body in callOr or in a function
+/// below. Libraries of C++ throw when memory runs out (LLVM by the handler of
+/// taiContextCreate); no exception leaves the C API, and the locks of the call
+/// are released.
 template <typename Result, typename Body>
 Result callOr(TaiContextImpl &context, Result otherwise,
               const Body &body) noexcept {
@@ -135,7 +138,8 @@ TaiStatus call(TaiContextImpl &context, const Body &body) noexcept {
   return callOr(context, TAI_ERROR_MEMORY, body);
 }
 
-/// For functions that cannot fail: what no memory is left for is left out.
+/// For functions that cannot fail: if memory runs out, the rest of `body` is
+/// left out.
 template <typename Body>
 void callQuietly(TaiContextImpl &context, const Body &body) noexcept {
   callOr(context, 0, [&] {
@@ -144,7 +148,7 @@ void callQuietly(TaiContextImpl &context, const Body &body) noexcept {
   });
 }
 
-/// With a DeviceLock.
+/// Runs `body` with a DeviceLock.
 template <typename Body>
 TaiStatus callInParallel(TaiContextImpl &context,
                          const mlir::tai::runtime::Runtime &runtime,
@@ -190,8 +194,9 @@ struct TaiTapeImpl {
   std::vector<TaiViolation> violations;
 };
 
-/// Calls back into the host's language; a failure there is the context's last
-/// error, or unknown and then `otherwise`.
+/// Calls back into the host's language. If the callback fails, its failure is
+/// the context's last error, or `otherwise` if the last error is of another
+/// kind.
 mlir::tai::runtime::Status callBack(TaiContextImpl &context,
                                     TaiStatus (*callback)(void *user),
                                     void *user, llvm::StringRef otherwise);

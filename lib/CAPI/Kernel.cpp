@@ -86,10 +86,11 @@ const char *taiKernelGetTree(TaiKernel kernel, int64_t number) {
   return trees[number]->name().c_str();
 }
 
-/// Without a lock.
+/// Compiles the kernel, without locking the context.
 static TaiStatus resolve(TaiKernelImpl &kernel) noexcept {
   try {
-    // Another thread's call may be noting a failure of its own.
+    // After a success, the context's failures are not read: another thread's
+    // call may be noting one.
     runtime::Status status = kernel.launched.resolve();
     return status ? TAI_OK : kernel.context.status(status);
   } catch (...) {
@@ -100,7 +101,8 @@ static TaiStatus resolve(TaiKernelImpl &kernel) noexcept {
 TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
                           uint64_t *results) {
   TaiContextImpl &context = kernel->context;
-  // Compilation takes long, and others may go on meanwhile.
+  // Compile before the lock: that takes long, and other threads may go on
+  // meanwhile.
   if (LLVM_UNLIKELY(kernel->runtime.getDevice() != nullptr) &&
       !kernel->launched.resolved())
     if (TaiStatus status = resolve(*kernel); status != TAI_OK)

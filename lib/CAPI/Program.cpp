@@ -235,7 +235,7 @@ TaiStatus taiTapeSave(TaiTape tape, const char *path, TaiField loss,
     auto module = saveTape(context.session, *tape->tape, *loss->field, wrt);
     if (failed(module))
       return context.status(failure());
-    // The file is whole, or not there.
+    // The file is written completely or not at all.
     llvm::Error error =
         llvm::writeToOutput(path, [&](llvm::raw_ostream &stream) {
           return succeeded(writeModule(**module, stream))

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A struct that grows keeps its former members where they are. The plain
-// functions then fill the struct of version 0.2, by a call of these.
+// A struct that gets new members keeps its old members where they are. The
+// plain functions then fill the struct of version 0.2, by calls of the
+// functions here.
 //
 //===----------------------------------------------------------------------===//
 
@@ -14,8 +15,8 @@
 #include <algorithm>
 #include <cstring>
 
-/// Writes the members that both sides know, and zero for those that the
-/// caller's struct has besides.
+/// Writes the members that both the library and the caller know, and zeroes the
+/// further members of the caller's struct.
 template <typename Struct>
 static void give(const Struct &known, void *to, size_t size) {
   size_t common = std::min(size, sizeof(Struct));
@@ -23,13 +24,13 @@ static void give(const Struct &known, void *to, size_t size) {
   std::memset(static_cast<char *>(to) + common, 0, size - common);
 }
 
-/// The same for an array, whose elements then stand `size` bytes apart.
+/// Replaces an array of rows by a copy whose rows have `size` bytes.
 template <typename Row>
 static TaiStatus give(TaiContextImpl &context, const Row **rows, int64_t count,
                       size_t size) {
   if (size == sizeof(Row))
     return TAI_OK;
-  // Rows lie at addresses that are good for their members.
+  // The size must keep rows aligned for their members.
   if (size < alignof(Row) || size % alignof(Row))
     return context.usage("a row cannot have " + llvm::Twine(size) + " bytes");
   std::vector<uint64_t> &memory = context.sizedRows;

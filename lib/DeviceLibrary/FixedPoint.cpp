@@ -5,14 +5,14 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Integers that are added up by atomics have the same sum in any order. The
-// unit of an element follows from the largest exponent of its terms: 2^-30 of
-// the power of two above the largest value of f32, and 2^-60 for f64, in two
-// integers of 30 bits. Each integer has 64 bits, so that 2^33 values cannot
-// overflow it.
+// Integers that are added by atomics have the same sum in any order. The unit
+// of an element's sum follows from the largest exponent of its terms: it is
+// 2^-30 for f32, or 2^-60 for f64 (in two integers of 30 bits each), of the
+// power of two above the largest term. Each integer has 64 bits, so that 2^33
+// terms cannot overflow it.
 //
 // If all lanes of a warp add to one element, they combine their terms first:
-// memory would do one after another.
+// atomic operations on one address run one after another.
 //
 //===----------------------------------------------------------------------===//
 
@@ -55,7 +55,7 @@ template <typename T> struct Parts {
 };
 } // namespace
 
-// The sum of an element to which infinities or NaN are added: a bit for each.
+// The sum of an element with infinite or NaN terms is a set of these bits.
 static constexpr uint64_t hasInfinity = 1, hasNegative = 2, hasNaN = 4;
 
 static constexpr unsigned limbBits = 30;
@@ -73,8 +73,8 @@ template <typename T> static void noteScale(uint32_t *scale, T value) {
     if (getLane() != 0)
       return;
   }
-  // If this load misses the store of another thread, the maximum is taken once
-  // more.
+  // If this load misses the store of another thread, an unnecessary maximum is
+  // taken.
   if (*scale < exponent)
     atomicMax(scale, exponent);
 }
@@ -127,7 +127,7 @@ static void addValue(const uint32_t *scale, uint64_t *sum, T value) {
   bool isTogether = isSameInWarp(reinterpret_cast<uint64_t>(scale));
   if (parts.significand == 0 && !isTogether)
     return;
-  // One to which zeros alone are added has none.
+  // An element to which only zeros are added has no scale.
   uint32_t exponent = *scale;
   if (exponent != Parts<T>::special) {
     uint64_t units = parts.significand != 0 ? toUnits(parts, exponent) : 0;
@@ -167,7 +167,8 @@ static void round(uint64_t *sum, uint32_t scale, float *element) {
     *element = static_cast<float>(double(*element) + getSum(*sum, scale));
 }
 
-/// The two integers as one of 128 bits, rounded once unless it is subnormal.
+/// Combines the two integers to one of 128 bits, and rounds it once, unless the
+/// result is subnormal.
 static void round(uint64_t *sum, uint32_t scale, double *element) {
   constexpr int unit = int(Format<double>::bias) - 1 + Format<double>::window;
   if (scale == Parts<double>::special) {
@@ -189,7 +190,7 @@ static void round(uint64_t *sum, uint32_t scale, double *element) {
     return;
   int exponent = static_cast<int>(scale) - unit;
   if (upper != 0) {
-    // The bits cut off decide a rest half way between two numbers.
+    // The lowest bit says whether bits were cut off, which decides ties.
     int shift = 64 - __builtin_clzll(upper);
     uint64_t rest = shift < 64 ? lower << (64 - shift) : lower;
     lower = (shift < 64 ? lower >> shift : 0) |

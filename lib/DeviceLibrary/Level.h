@@ -135,7 +135,7 @@ struct Level {
     return known;
   }
 
-  /// The number of cells that would become active with this one.
+  /// The number of inactive cells that activate(cell) would activate.
   int64_t countNew(int64_t cell) const {
     if (!node.isList)
       return !(atomicRead(words() + cell / 64) >> (cell % 64) & 1);
@@ -235,8 +235,8 @@ inline void zeroActive(const Level &level, int64_t first, int64_t count,
   }
 }
 
-/// The number of cells of a level below one cell of level `above`; 0 if that is
-/// not an ancestor.
+/// The number of cells of level `number` below one cell of level `above`; 0 if
+/// `above` is not an ancestor.
 inline int64_t cellsWithin(const TaiDeviceNode *nodes, int32_t number,
                            int32_t above) {
   int64_t span = 1;
@@ -245,8 +245,9 @@ inline int64_t cellsWithin(const TaiDeviceNode *nodes, int32_t number,
   return number == above ? span : 0;
 }
 
-/// Zeroes the contents of the cells [first, first + count); if they hold other
-/// cells alone, only active ones of those. This thread does its share.
+/// Zeroes the contents of the cells [first, first + count). If these cells hold
+/// only cells of other levels, zeroes the active ones of the latter. This
+/// thread does its share.
 inline void zeroContents(const Level &level, int32_t number, int64_t first,
                          int64_t count, int64_t thread, int64_t threads) {
   if (!level.node.holdsCellsAlone) {

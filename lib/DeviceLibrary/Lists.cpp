@@ -47,7 +47,7 @@ struct ListMaker {
     const TaiDeviceActivity &activity = *level.node.activity;
     return activity.isNew || header->version != activity.version;
   }
-  /// To be called by one thread when no other looks at that any more.
+  /// Called by one thread, after isOld() has returned on all threads.
   void finish(int64_t count) const {
     TaiDeviceActivity &activity = *level.node.activity;
     if (activity.isNew) {
@@ -72,7 +72,7 @@ struct ListMaker {
     return level.node.isList ? level.lengths()[unit]
                              : __builtin_popcountll(level.words()[unit]);
   }
-  /// The cell of a unit that has `before` others before it.
+  /// The active cell of a unit that follows `before` active cells of the unit.
   int64_t cellOf(int64_t unit, int64_t before) const {
     if (level.node.isList)
       return unit * level.node.capacity + before;
@@ -101,8 +101,8 @@ TAI_SHARED_VARIABLE static int64_t rows[2][tileUnits];
 namespace {
 class Sums {
 public:
-  /// Calls of(i) for each place of a tile. Yields the sums up to and with each
-  /// place, for all threads of the block, until they call `release`.
+  /// Calls of(i) for each index of a tile. Returns the inclusive prefix sums,
+  /// which all threads of the block can read until they call `release`.
   template <typename Of> const int64_t *make(const Of &of) {
     int64_t thread = threadId(), threads = numThreads();
 #ifndef __NVPTX__
@@ -136,7 +136,8 @@ static const int64_t *countTile(Sums &sums, const ListMaker &maker,
       [&](int64_t i) { return maker.count(tile * tileUnits + i); });
 }
 
-/// Writes the cells of a tile, of which these are the sums.
+/// Writes the active cells of a tile to `to`. `upTo`: the prefix sums of the
+/// tile.
 static void writeTile(const ListMaker &maker, int64_t tile, const int64_t *upTo,
                       int64_t *to) {
   int64_t total = upTo[tileUnits - 1];
@@ -207,7 +208,7 @@ void tai_dev_list_scan(uint64_t tree, uint64_t node, uint64_t list,
   if (!isOld)
     return;
   auto *counts = reinterpret_cast<int64_t *>(tileSums);
-  // Each thread takes some tiles in a row.
+  // Each thread takes consecutive tiles.
   int64_t threads = numThreads();
   int64_t some = (maker.tiles + threads - 1) / threads;
   auto forEach = [&](int64_t thread, auto body) {
@@ -275,11 +276,11 @@ void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list) {
 }
 
 //===----------------------------------------------------------------------===//
-// What has happened
+// Changes of activity
 //===----------------------------------------------------------------------===//
 
-/// Copies so many words of 32 bits and, if `forgets`, zeroes them; this thread
-/// does its share.
+/// Copies `words` words of 32 bits and, if `forgets`, zeroes the source; this
+/// thread does its share.
 static void copyWords(uint32_t *to, uint32_t *from, int64_t words,
                       bool forgets) {
   for (int64_t i = threadId(); i < words; i += numThreads()) {

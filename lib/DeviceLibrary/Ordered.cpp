@@ -17,9 +17,9 @@
 
 using namespace tai::device;
 
-// The plan of a lane: for each round, in a byte, the lane whose sum it takes,
-// and whether there is one; then the number of rounds of the warp, and whether
-// this lane writes.
+// The plan of a lane: a byte for each round, with the lane whose sum this lane
+// takes, and the bit `takes` if there is such a lane; then the number of rounds
+// of the warp, and the bit `writes` if this lane writes.
 static constexpr unsigned roundBits = 8, countShift = 48;
 static constexpr uint64_t takes = 32, writes = uint64_t(1) << 63;
 
@@ -42,12 +42,12 @@ uint64_t tai_dev_ordered_plan(const void *address) {
   if (tai_dev_block_dim() == 1)
     return address ? writes : 0;
 #endif
-  // All lanes read before one writes.
+  // Reads of all lanes before this point come before the write of any lane.
   syncWarp();
   auto bits = reinterpret_cast<uint64_t>(address);
   uint32_t same = matchAny(bits);
   auto lane = getLane();
-  // Lanes that add nothing have no next one.
+  // Lanes that add nothing take the sum of no other lane.
   uint32_t above = address ? same & ~((uint32_t(2) << lane) - 1) : 0;
   uint32_t next = above ? takes | __builtin_ctz(above) : lane;
   bool isLowest = address && !(same & ((uint32_t(1) << lane) - 1));
@@ -71,7 +71,7 @@ template <typename T> static void add(uint64_t plan, T *target, T value) {
   }
   if (plan & writes)
     *target += value;
-  // The next addition may be one to the same element, by another lane.
+  // In the next addition, another lane may write to the same element.
   syncWarp();
 }
 
@@ -84,18 +84,19 @@ void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value) {
 }
 
 //===----------------------------------------------------------------------===//
-// One after another
+// Sums in the order of lanes
 //===----------------------------------------------------------------------===//
 
-// The result for the lowest lane of an address: the other lanes with it, in the
-// low bits; the number of rounds of the warp; and whether this lane writes.
+// The result has the number of rounds of the warp. For the lowest lane of an
+// address, it also has the other lanes with this address, in the low bits, and
+// the bit `writes`.
 
 uint64_t tai_dev_ordered_turns(const void *address) {
 #ifndef __NVPTX__
   if (tai_dev_block_dim() == 1)
     return address ? writes : 0;
 #endif
-  // All lanes read before one writes.
+  // Reads of all lanes before this point come before the write of any lane.
   syncWarp();
   uint32_t same = matchAny(reinterpret_cast<uint64_t>(address));
   auto lane = getLane();
@@ -119,7 +120,7 @@ template <typename T> static void append(uint64_t turns, T *target, T value) {
   }
   if (turns & writes)
     *target = sum;
-  // The next addition may be one to the same element, by another lane.
+  // In the next addition, another lane may write to the same element.
   syncWarp();
 }
 

@@ -37,7 +37,8 @@ static void fillAs(uint64_t address, uint64_t word, uint64_t count) {
     to[i] = static_cast<T>(word);
 }
 
-/// The address, eight bytes of the pattern, its size, and how often.
+/// The slots are the address, eight bytes of the pattern, the size of the
+/// pattern, and the number of times that it is stored.
 static void fill(const uint64_t *slots) {
   uint64_t address = slots[0], word = slots[1], size = slots[2],
            count = slots[3];
@@ -69,8 +70,8 @@ static void copy(const uint64_t *slots) {
     copyAs<uint64_t>(slots[0], slots[1], slots[2]);
 }
 
-/// Calls move(offset of a row on one side, on the other, byte in the row) for
-/// the units of this thread.
+/// Calls move(offset of a row on one side, offset on the other side, byte in
+/// the row) for the units of this thread.
 template <typename T, typename Move>
 static void forEachUnit(const uint64_t *slots, uint64_t otherStep,
                         const Move &move) {
@@ -92,7 +93,7 @@ static void runRowsAs(uint64_t part, const uint64_t *slots) {
     forEachUnit<T>(slots, 1, [&](uint64_t, uint64_t row, uint64_t byte) {
       uint64_t group = slots[7] == 1 ? 0 : row / slots[3];
       uint64_t offset = group * slots[6] + (row - group * slots[3]) * slots[1];
-      // The pattern has a power of two of bytes.
+      // The number of bytes of the pattern is a power of two.
       *at(here + offset + byte) =
           static_cast<T>(there >> (byte & (slots[5] - 1)) * 8);
     });
@@ -140,7 +141,7 @@ __attribute__((
     address_space(3),
     loader_uninitialized)) static uint64_t rows[2][TAI_PROGRAM_STRIDE];
 
-/// Where the clock after each step goes, if anybody wants to know.
+/// The array that gets the clock after each step; null if steps are not timed.
 static uint64_t *getClocks(const uint32_t *header) {
   return *reinterpret_cast<uint64_t *const *>(
       reinterpret_cast<const char *>(header) + TAI_PROGRAM_CLOCKS);
@@ -166,7 +167,7 @@ static inline void runProgram(const uint64_t *table, uint64_t steps,
     auto *row = (const uint64_t *)rows[step & 1];
     const uint64_t *next = table + (step + 1) * stride;
     bool more = step + 1 < steps;
-    // Asked for now, and put down when the step is done.
+    // Loaded before the step, which hides the latency, and stored after it.
     uint64_t word = more && thread < stride ? next[thread] : 0;
     uint64_t part = row[0];
     runPart(part & (TAI_PART_APART - 1), row + 1);
@@ -228,8 +229,8 @@ void tai_dev_program_grid(const uint64_t *table, uint64_t steps,
 
 #else // the CPU, where threads run one after another
 
-/// Between barriers each thread runs as far as it can: steps that should have
-/// waited for each other show.
+/// Between barriers, each thread runs all steps before the next thread begins:
+/// a missing barrier between dependent steps changes the results.
 void tai_dev_program_block(const uint64_t *table, uint64_t steps,
                            uint64_t stride, uint32_t *, uint64_t) {
   for (uint64_t step = 0, end = 0; step < steps; step = end) {

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Within a warp by shuffles, between warps through shared memory, and one
-// atomic operation for the block.
+// Reductions over a block: by shuffles within a warp, through shared memory
+// between warps, and by one atomic operation for the block.
 //
 //===----------------------------------------------------------------------===//
 
@@ -68,7 +68,7 @@ template <typename To, typename From> static To bitCast(From from) {
   return __builtin_bit_cast(To, from);
 }
 
-/// Repeats until no other thread came between.
+/// Updates by compare-exchange, until no other thread has written in between.
 template <typename Op, typename T>
 static void updateInLoop(T *target, T value) {
   using Bits = typename BitsOf<sizeof(T)>::Type;
@@ -134,7 +134,8 @@ static uint64_t shuffleDown(uint32_t mask, uint64_t value, unsigned offset) {
   return high << 32 | low;
 }
 
-/// Lane 0 gets the combination of the first `count` lanes; all of `mask` call.
+/// Lane 0 gets the combination of the first `count` lanes. All lanes of `mask`
+/// must call this function together.
 template <typename Op, typename T>
 static T reduceWarp(uint32_t mask, unsigned lane, unsigned count, T value) {
   using Bits = typename BitsOf<sizeof(T)>::Type;
@@ -170,7 +171,7 @@ template <typename Op, typename T> static void reduce(T *target, T value) {
       value = slots[(lane < warps ? lane : 0) * stride];
       value = reduceWarp<Op>(wholeWarp, lane, warps, value);
     }
-    // The slots are free for the next one.
+    // The slots are free for the next reduction.
     syncBlock();
   }
   if (thread == 0)

@@ -45,7 +45,7 @@ static uint32_t lengthOf(const char *text) {
 
 static uint32_t least(uint32_t a, uint32_t b) { return a < b ? a : b; }
 
-/// A string with its zero.
+/// Writes a string with its terminating zero, and returns the end.
 static char *putText(char *to, const char *text, uint32_t length) {
   for (uint32_t i = 0; i < length; ++i)
     *to++ = text[i];
@@ -72,7 +72,7 @@ struct Content {
 /// then the text.
 TaiDeviceRecord Content::measure() const {
   uint32_t left = TAI_DEVICE_RECORD_BYTES - sizeof(TaiDeviceRecord) - 2;
-  // Some of the text is always there.
+  // The bytes that values leave for the place and the text.
   constexpr uint32_t textReserve = 256;
   TaiDeviceRecord header = {};
   header.kind = kind;
@@ -103,7 +103,7 @@ TaiDeviceRecord Content::measure() const {
 void Content::write(const TaiDeviceRecord &header, void *to) const {
   auto *record = static_cast<TaiDeviceRecord *>(to);
   *record = header;
-  // The padding of the last word is fetched with it.
+  // The host fetches whole words, so the padding of the last word is zeroed.
   reinterpret_cast<uint64_t *>(to)[header.bytes / 8 - 1] = 0;
   auto *slot = reinterpret_cast<uint64_t *>(record + 1);
   for (int32_t i = 0; i < header.slots; ++i)
@@ -147,8 +147,8 @@ TAI_RARE void tai_rt_print(TaiFrame *frame, const char *format, int32_t count,
     content.write(header, reinterpret_cast<char *>(&state + 1) + place);
     return;
   }
-  // One record at most begins before the end and does not fit: all that come
-  // after it begin later.
+  // At most one record begins before the end of the buffer and does not fit:
+  // all later records begin after the end.
   if (place <= state.outputCapacity)
     state.outputEnd = place;
   atomicAdd(&state.lostLines, uint32_t(1));
@@ -162,7 +162,7 @@ static char *inlineSlots(TaiStack *stack) {
   return reinterpret_cast<char *>(stack + 1);
 }
 
-/// Says that there is no memory, in the words of the compiler.
+/// Fails for lack of memory, with the message that the compiler has chosen.
 static TAI_RARE void failFor(TaiFrame *frame, uint64_t bytes, const char *text,
                              const char *where) {
   int32_t kind = TAI_DEVICE_VALUE_BYTES;
@@ -207,7 +207,7 @@ TAI_RARE void tai_rt_stack_free(TaiStack *stack) {
 // Memory of a thread
 //===----------------------------------------------------------------------===//
 
-/// Memory of no bytes has an address, too.
+/// The address of allocations of zero bytes, which is not null.
 static void *const noBytes = reinterpret_cast<void *>(alignof(uint64_t));
 
 __attribute__((noinline)) void *tai_rt_local_alloc(TaiFrame *frame,

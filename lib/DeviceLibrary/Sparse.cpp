@@ -20,7 +20,7 @@ using namespace tai::device;
 
 #define TAI_RARE __attribute__((noinline))
 
-/// True if there is such a cell; else the launch fails.
+/// Returns true if the level has this cell; otherwise fails the launch.
 static bool check(TaiFrame *frame, const Level &level, int64_t cell,
                   const char *where) {
   if (cell >= 0 && cell < level.node.cells)
@@ -39,8 +39,8 @@ static void failForRoom(TaiFrame *frame, const char *message, int64_t most,
   tai_rt_fail(frame, TAI_FAIL_MEMORY, message, where, 1, &kind, nullptr, &slot);
 }
 
-/// True if there is room for `added` more cells among those from `first` on;
-/// else the launch fails.
+/// Reserves memory for `added` more cells among the `count` cells from `first`
+/// on. Returns false and fails the launch if the limit is exceeded.
 static bool takeRoom(TaiFrame *frame, const Level &level, int64_t first,
                      int64_t count, int64_t added, const char *where) {
   if (!level.take(added)) {
@@ -97,8 +97,9 @@ TAI_RARE void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
       return;
     level.noteRemovedBits(cell / 64, bit);
   }
-  // A cell may be large, and one thread slow: those that have come here with a
-  // cell each do one cell after another.
+  // A cell may be large, and one thread slow: the threads of the warp that are
+  // here together zero their cells one after another, and share the work on
+  // each cell.
   uint64_t own[] = {reinterpret_cast<uint64_t>(tree), uint64_t(node),
                     uint64_t(cell), uint64_t(count), uint64_t(span)};
   forEachTogether(own, [](const uint64_t *values, const Together &all,
@@ -108,7 +109,7 @@ TAI_RARE void tai_rt_deactivate(TaiFrame *frame, void *tree, int32_t node,
     auto first = static_cast<int64_t>(values[2]);
     zeroContents(level, number, first, static_cast<int64_t>(values[3]), thread,
                  threads);
-    // All threads know the active cells below until then.
+    // All threads read the active cells below before clearBelow changes them.
     all.meet();
     clearBelow(level, number, first, static_cast<int64_t>(values[4]), thread,
                threads);
@@ -137,7 +138,8 @@ TAI_RARE int64_t tai_rt_append(TaiFrame *frame, void *tree, int32_t node,
                 nullptr, nullptr, nullptr);
     return -1;
   }
-  // If another thread has published a piece first, this one is not needed.
+  // Another thread has appended meanwhile: the cell that this thread gets may
+  // lie in another piece, which is reserved even beyond the limit.
   if (at != next)
     level.takePieces(first + at, 1, /*isSure=*/true);
   if (at == 0)

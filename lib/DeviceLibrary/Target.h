@@ -41,7 +41,8 @@ constexpr unsigned warpSize = 32;
 constexpr uint32_t wholeWarp = ~uint32_t(0);
 
 // Shared memory of a block, and barriers of blocks and warps. Blocks of the
-// emulated device run one after another, so a static variable serves all.
+// emulated device run one after another, so a static variable serves all
+// blocks.
 #ifdef __NVPTX__
 #define TAI_SHARED __attribute__((address_space(3)))
 #define TAI_SHARED_VARIABLE TAI_SHARED __attribute__((loader_uninitialized))
@@ -60,12 +61,13 @@ inline uint32_t shuffleDown(uint32_t mask, uint32_t value, unsigned offset) {
   return static_cast<uint32_t>(__nvvm_shfl_sync_down_i32(
       mask, static_cast<int>(value), static_cast<int>(offset), warpSize - 1));
 }
-/// The mask of lanes with the same value; whether any lane passes true.
+/// matchAny: the mask of lanes with the same value. voteAny: whether any lane
+/// passes true.
 inline uint32_t matchAny(uint64_t value) {
   return __nvvm_match_any_sync_i64(wholeWarp, value);
 }
 inline bool voteAny(bool mine) { return __nvvm_vote_any_sync(wholeWarp, mine); }
-/// True if all lanes of the warp are here, with the same value.
+/// True if all lanes of the warp are active and pass the same value.
 inline bool isSameInWarp(uint64_t value) {
   uint32_t active = __nvvm_activemask();
   int isSame = 0;
@@ -90,7 +92,7 @@ inline uint32_t matchAny(uint64_t value) { return tai_emu_match(value); }
 inline bool voteAny(bool mine) {
   return tai_emu_match(mine) != wholeWarp || mine;
 }
-/// Lanes of the emulated warp may be anywhere.
+/// Lanes of the emulated warp run apart, so that this is never known.
 inline bool isSameInWarp(uint64_t) { return false; }
 #endif
 
@@ -114,9 +116,9 @@ inline void *allocateBytes(uint64_t bytes) { return tai_emu_allocate(bytes); }
 inline void freeBytes(void *memory) { tai_emu_free(memory); }
 #endif
 
-/// For each converged thread of the warp, all of them run body(values, all,
-/// thread, threads) with the values of that one, as threads 0 to threads - 1.
-/// `all.meet()` is a barrier for them.
+/// For each converged thread of the warp in turn, all converged threads run
+/// body(values, all, thread, threads) with the values of that thread; `thread`
+/// numbers them from 0 to threads - 1. `all.meet()` is a barrier for them.
 #ifdef __NVPTX__
 struct Together {
   uint32_t mask;

@@ -60,9 +60,9 @@ static void relax() { sched_yield(); }
 
 #endif
 
-// The highest bit of the word flips when all have arrived: each block but the
-// first adds one, and the first block adds the difference. Nothing is to be set
-// back for the next time.
+// The highest bit of the word flips when all blocks have arrived: each block
+// but the first adds one, and the first block adds the difference. The word
+// need not be reset for the next barrier.
 static constexpr uint32_t turn = uint32_t(1) << 31;
 
 uint32_t tai_dev_grid_arrive(uint32_t *state, uint32_t blocks) {

@@ -5,13 +5,13 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A sum of f64 of narrower floats, or one of f64 with its rounding errors
-// beside it: an atomic addition returns the former value, from which its error
-// follows exactly (Knuth, TAOCP 4.2.2, theorem B). The errors add up in any
-// order.
+// Sums in f64 of narrower floats, and sums of f64 with their rounding errors in
+// a second f64. An atomic addition returns the former value, from which the
+// rounding error of the addition follows exactly (Knuth, TAOCP 4.2.2, theorem
+// B). The errors add up in any order.
 //
-// If all lanes of a warp add to one sum, they combine their terms first: memory
-// would do one after another.
+// If all lanes of a warp add to one sum, they combine their terms first: atomic
+// operations on one address run one after another.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,8 +20,8 @@
 
 using namespace tai::device;
 
-/// a + b, rounded. A compiler that finds a product in `a` or `b` makes one
-/// operation of both otherwise, while memory adds the rounded product.
+/// a + b, rounded. With a plain addition, the compiler could fuse a product in
+/// `a` or `b` into it, while atomics add the rounded product.
 static double add(double a, double b) {
 #ifdef __NVPTX__
   return __nvvm_add_rn_d(a, b);
@@ -70,6 +70,6 @@ double tai_dev_wide_take_f64(double *sums, double element) {
   double sum = sums[0], total = add(element, sum);
   double error = add(sums[1], getError(element, sum, total));
   sums[0] = sums[1] = 0;
-  // The error of a sum that is not finite is none.
+  // A sum that is not finite has no rounding error.
   return total - total == 0 ? add(total, error) : total;
 }
