@@ -112,7 +112,8 @@ static LogicalResult runCall(Run &run, Operation *op) {
 // Parallel loops
 //===----------------------------------------------------------------------===//
 
-/// Runs `iterate` for 0, 1, ..., or in the order of the seed.
+/// Calls iterate(0), iterate(1), ..., or, with a seed, in an order drawn from
+/// it.
 static LogicalResult forEach(Run &run, int64_t count, bool serial,
                              function_ref<LogicalResult(int64_t)> iterate) {
   if (serial || !run.program.getOptions().orderSeed) {
@@ -123,7 +124,7 @@ static LogicalResult forEach(Run &run, int64_t count, bool serial,
   }
   std::vector<int64_t> order(std::max<int64_t>(count, 0));
   std::iota(order.begin(), order.end(), 0);
-  // The same on every machine, which std::shuffle does not promise.
+  // Written out: std::shuffle may give another order on another machine.
   for (size_t i = order.size(); i > 1; --i)
     std::swap(order[i - 1], order[run.order() % i]);
   for (int64_t i : order)
@@ -132,8 +133,8 @@ static LogicalResult forEach(Run &run, int64_t count, bool serial,
   return success();
 }
 
-/// Loops over arrays promise no order, and reductions take the values in that
-/// of the iterations.
+/// scf.parallel promises no order of iterations; with reductions, iterations
+/// run in their order, and so do the reductions.
 static LogicalResult runScfParallel(Run &run, Operation *op) {
   auto loop = cast<scf::ParallelOp>(op);
   Data reduced;
@@ -225,7 +226,7 @@ static LogicalResult runStructFor(Run &run, ParallelForOp loop) {
       inner.push_back(&digit);
   if (!sparse && !loop.getLevel()) {
     // Random numbers count the elements in the order of memory: dimension by
-    // dimension, that with the largest stride first.
+    // dimension, the dimension with the largest stride first.
     SmallVector<uint64_t> strides(field.layout.shape.size(), UINT64_MAX);
     for (const IndexDigit &digit : field.storage.digits)
       strides[digit.dimension] =

@@ -144,8 +144,8 @@ mlir::tai::interpreter::decomposeSingular(ArrayRef<long double> matrix,
         parts.left[i * n + j] /= parts.values[j];
       continue;
     }
-    // Any direction at right angles to those before: the remainder of the axis
-    // that they leave most of.
+    // Any direction orthogonal to the columns before will do: take the
+    // coordinate axis whose part orthogonal to these columns is longest.
     Matrix best(n, 0);
     long double longest = 0;
     for (int64_t axis = 0; axis != n; ++axis) {

@@ -32,8 +32,8 @@ Interpreter::create(OwningOpRef<ModuleOp> module, StringRef function,
   return made;
 }
 
-/// A slot of eight bytes for each component, a pointer and extents for an
-/// array.
+/// Reads the arguments of a function: a slot of eight bytes for each component
+/// of a number, and a pointer and extents for an array.
 static Data readArguments(FunctionOpInterface function, const uint64_t *slot) {
   Data arguments;
   for (Type type : function.getArgumentTypes()) {

@@ -247,7 +247,8 @@ static LogicalResult checkIndices(Run &run, Operation *op,
                   TAI_FAIL_INDEX);
 }
 
-/// The cell of a level, counted row-major, level below level.
+/// The number of the cell with these indices in a level. Cells are numbered
+/// row-major within a cell of the level above, one such cell after another.
 static int64_t getCell(const FieldPlace &field, unsigned level,
                        ArrayRef<int64_t> indices) {
   int64_t cell = 0;
@@ -376,8 +377,9 @@ static LogicalResult runAtomic(Run &run, Operation *op) {
 // Topology
 //===----------------------------------------------------------------------===//
 
-/// The sparse level that a topology operation means, or null: that `up` levels
-/// up, 1 being the innermost, or the nearest above it.
+/// The sparse level to which a topology operation applies, or null: the level
+/// that is `up` levels up, where 1 is the innermost level, or the nearest
+/// sparse level above it.
 static const FieldStorage::SparseLevel *findLevel(const FieldPlace &field,
                                                   int64_t up) {
   int64_t level = static_cast<int64_t>(field.layout.path.levels.size()) - up;
@@ -432,7 +434,7 @@ static LogicalResult runVisitsAll(Run &run, Operation *op) {
   return success();
 }
 
-/// The list that `append` and `length` mean, and the number of its dimension.
+/// The list to which `append` and `length` apply, and the dimension along it.
 static FailureOr<FieldStorage::SparseLevel> findList(Run &run, Operation *op,
                                                      const FieldPlace &field,
                                                      unsigned &dimension) {
@@ -481,7 +483,7 @@ static LogicalResult runAppend(Run &run, Operation *op) {
                    field.nodes[list->node].type.getNumCells();
   int64_t at = tai_rt_append(run.frame, run.getTree(field), list->node, number,
                              describePlace(op->getLoc()).c_str());
-  // The launch has failed, and says so.
+  // tai_rt_append has already failed the launch.
   if (at < 0)
     return failure();
   given[dimension] += at;

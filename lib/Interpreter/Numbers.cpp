@@ -43,7 +43,7 @@ double interpreter::toDouble(const Number &number) {
 }
 
 Number interpreter::fromDouble(long double number, Type type) {
-  // A double rounds once to f32 and narrower; to f64 the host rounds.
+  // The host rounds to f64; for narrower types, the f64 is rounded once more.
   APFloat value(static_cast<double>(number));
   bool ignored;
   value.convert(cast<FloatType>(type).getFloatSemantics(), kNearest, &ignored);
@@ -175,8 +175,9 @@ static Outcome multiplyInts(Operation *op, Operands a, Type) {
   return wrapping(op, whole(a[0]) * whole(a[1]), asSigned, asUnsigned);
 }
 
-/// Divisions that have no result have that of NumPy: zero by zero, and the
-/// smallest integer, or no rest, where it is divided by -1.
+/// Divisions that have no result return the result of NumPy: a division by zero
+/// returns zero; the smallest integer divided by -1 returns itself, with
+/// remainder zero.
 template <APInt (*Divide)(const APInt &, const APInt &), bool isSigned,
           bool isRemainder = false>
 static Outcome divide(Operation *, Operands a, Type type) {
@@ -219,7 +220,8 @@ static APInt unsignedCeilQuotient(const APInt &a, const APInt &b) {
   return a.urem(b).isZero() ? a.udiv(b) : a.udiv(b) + 1;
 }
 
-/// A shift. Its result is undefined if the type has no more than `b` bits.
+/// A shift. Its result is undefined for shifts by the width of the type or
+/// more.
 template <APInt (*Shift)(const APInt &, unsigned)>
 static Outcome shift(Operation *op, Operands a, Type) {
   unsigned width = whole(a[0]).getBitWidth();
@@ -355,8 +357,8 @@ static Outcome toIntegral(Operation *, Operands a, Type) {
   return result;
 }
 
-/// A function of the host, in as many digits as it has. For narrow types the
-/// result of f64 is rounded once more.
+/// Calls a function of the host on long double. The result is rounded to f64,
+/// and for narrower types once more.
 template <long double (*Function)(long double)>
 static Outcome call(Operation *, Operands a, Type type) {
   return fromDouble(Function(toDouble(a[0])), type);
@@ -367,8 +369,9 @@ static Outcome call(Operation *, Operands a, Type type) {
 }
 
 static Outcome squareRoot(Operation *, Operands a, Type type) {
-  // The host rounds f64 correctly, too; a narrower type with at most half the
-  // digits is then rounded as if once.
+  // The host rounds square roots correctly to f64. For a type with at most half
+  // the digits, rounding once more gives the correctly rounded square root,
+  // too.
   return fromDouble(std::sqrt(toDouble(a[0])), type);
 }
 
@@ -388,7 +391,7 @@ static long double reciprocalRoot(long double x) { return 1 / std::sqrt(x); }
 // The table
 //===----------------------------------------------------------------------===//
 
-/// Operations that are the same for each component, by name.
+/// The functions of elementwise operations, by the name of the operation.
 static const llvm::StringMap<ScalarFunction> &getFunctions() {
   static const llvm::StringMap<ScalarFunction> functions = {
       {"arith.addi", addInts},

@@ -68,8 +68,8 @@ struct Outcome {
   }
 };
 
-/// Computes one component of an elementwise operation. `type` is that of the
-/// result's component.
+/// Computes one component of an elementwise operation. `type` is the type of
+/// the result's component.
 using ScalarFunction = Outcome (*)(Operation *op, ArrayRef<Number> operands,
                                    Type type);
 /// The function for operations of this name, or null.

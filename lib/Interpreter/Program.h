@@ -21,7 +21,7 @@ struct FieldPlace {
   FieldLayout layout;
   FieldStorage storage;
   SmallVector<SparseNode> nodes;
-  unsigned tree; // among those of the module
+  unsigned tree; // its number among the trees of the module
   Type scalar;
   SmallVector<int64_t> elementShape;
 };
@@ -34,7 +34,7 @@ using Handler = LogicalResult (*)(Run &run, Operation *op);
 /// A function with the handlers of its operations, and the fields it uses.
 class Program {
 public:
-  /// Null, with diagnostics, if an op in it is not supported.
+  /// Null, with diagnostics, if an op of the function is not supported.
   static std::unique_ptr<Program> create(ModuleOp module, StringRef function,
                                          const InterpreterOptions &options);
 

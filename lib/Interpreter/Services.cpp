@@ -42,7 +42,7 @@ static LogicalResult runRandom(Run &run, Operation *op) {
             Datum(Number(APInt(available, drawn).trunc(width))));
     return success();
   }
-  // The number of bits is that of the significand.
+  // A float gets a random bit for each bit of its significand.
   unsigned kept = APFloat::semanticsPrecision(floating.getFloatSemantics());
   run.set(
       draw.getValue(),
@@ -77,7 +77,7 @@ static LogicalResult runAssert(Run &run, Operation *op) {
   return success();
 }
 
-/// The operands of a value follow from the arguments of the kernel.
+/// Runs the operations that compute a value from the arguments of the kernel.
 static LogicalResult evaluate(Run &run, Value value) {
   Operation *op = value.getDefiningOp();
   if (!op || run.values.contains(value))

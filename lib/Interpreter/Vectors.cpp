@@ -63,7 +63,7 @@ static void setUndefined(Run &run, Datum &datum, size_t i, Undefined why) {
   datum.undefined->emplace(i, std::move(why));
 }
 
-/// True if a select may take another value instead of the result.
+/// True if a select may discard the result of the operation.
 static bool mayBeLeftAside(Run &run, Operation *op) {
   return !op->use_empty() && llvm::all_of(op->getUsers(), [&](Operation *user) {
     return isa<arith::SelectOp>(user) || run.program.getScalarFunction(user);
@@ -126,7 +126,7 @@ static LogicalResult runSelect(Run &run, Operation *op) {
   const Datum &ifFalse = run.get(select.getFalseValue());
   Datum result;
   if (condition.numbers.size() == 1) {
-    // A scalar decides for all, and for arrays and the like.
+    // A scalar condition selects all components, or a handle such as an array.
     result = isTrue(condition.numbers.front()) ? ifTrue : ifFalse;
   } else {
     for (auto [i, holds] : llvm::enumerate(condition.numbers)) {
@@ -180,7 +180,7 @@ static int64_t getOffset(VectorType type, ArrayRef<int64_t> position) {
   return offset;
 }
 
-/// The position of an extract or insert, with its numbers known now.
+/// The position of an extract or insert; `evaluate` gives its dynamic indices.
 template <typename Op>
 static SmallVector<int64_t> getPosition(Op op,
                                         function_ref<int64_t(Value)> evaluate) {
@@ -248,7 +248,7 @@ static LogicalResult runToElements(Run &run, Operation *op) {
   return success();
 }
 
-/// Rows of two vectors, by their numbers in the one behind the other.
+/// Selects rows of two vectors by their numbers in the concatenation of both.
 static LogicalResult runShuffle(Run &run, Operation *op) {
   auto shuffle = cast<vector::ShuffleOp>(op);
   Numbers both = run.get(shuffle.getV1()).numbers;
@@ -259,7 +259,7 @@ static LogicalResult runShuffle(Run &run, Operation *op) {
   Datum result;
   for (int64_t row : shuffle.getMask())
     for (int64_t i = 0; i != size; ++i) {
-      // -1 says that any number will do.
+      // -1 means that the component is undefined.
       if (row < 0)
         return run.fail(op, "the mask leaves a component undefined");
       result.numbers.push_back(both[row * size + i]);
@@ -317,7 +317,7 @@ static LogicalResult runReduction(Run &run, Operation *op) {
 // Matrices
 //===----------------------------------------------------------------------===//
 
-/// The sum of n products, from the first on.
+/// The sum of n products, added in their order.
 static Number
 sumProducts(int64_t n, function_ref<std::pair<Number, Number>(int64_t)> get) {
   std::optional<Number> sum;
@@ -408,8 +408,8 @@ static LogicalResult runTrace(Run &run, Operation *op) {
   return success();
 }
 
-// The algorithms below use as many digits as the host has, and round once: the
-// result is the nearest number but for the last place of f64.
+// The algorithms below compute in long double and round once: the result is the
+// nearest number, except for the last place of f64.
 
 static SmallVector<long double> widen(const Numbers &numbers) {
   SmallVector<long double> result;
