@@ -262,7 +262,7 @@ void tai_dev_deactivate_list(uint64_t tree, uint64_t node, uint64_t list) {
   for (int64_t i = tai_dev_block_id(); i < maker.header->count;
        i += tai_dev_grid_dim()) {
     int64_t cell = maker.cells()[i];
-    // Other contents belong to cells below, which have had their turn.
+    // Cells that hold only cells of other levels have been zeroed before.
     if (!level.node.holdsCellsAlone)
       zero(level.addressOf(cell), level.node.cellBytes, thread, threads);
     clearBelow(level, number, cell, 1, thread, threads);

@@ -16,8 +16,8 @@
 using namespace mlir;
 namespace fs = llvm::sys::fs;
 
-/// The temporary file while it exists. Drivers leave by `exit` on wrong options
-/// and where a disk is full.
+/// The name of the temporary file while the file exists. A global variable,
+/// because drivers call `exit` on wrong options and on a full disk.
 static std::string &getTemporary() {
   static std::string name;
   return name;
@@ -32,7 +32,7 @@ static void removeTemporary() {
   name.clear();
 }
 
-/// The arguments at which the name of the output begins and ends.
+/// The range of arguments that name the output, and the name; empty without -o.
 static std::pair<int, int> findOutput(int argc, char **argv, StringRef &name) {
   for (int i = 1; i < argc; ++i) {
     StringRef word(argv[i]);
@@ -54,8 +54,8 @@ static std::pair<int, int> findOutput(int argc, char **argv, StringRef &name) {
 }
 
 /// Makes the temporary file for `name`. Returns the file that it replaces, or
-/// nothing where `name` is written to directly: a device, or a file in a folder
-/// that takes no others.
+/// "" if `name` is written to directly: for a device, or in a folder where no
+/// other file can be made.
 static std::string makeTemporary(StringRef name) {
   SmallString<128> target(name);
   bool exists = fs::exists(name);

@@ -6,8 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // The upstream parts of MLIR that the tools register. With shared libraries,
-// everything. In the portable library, where that would include every dialect
-// and backend and triple its size, only those that tai's own lowerings use.
+// these are all parts. In the portable library, all parts would include every
+// dialect and backend and triple its size; it has only the parts that tai's own
+// lowerings use.
 //
 //===----------------------------------------------------------------------===//
 

@@ -17,7 +17,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Ends the text in `object` before what cannot be read.
+/// Cuts off the text in `object` at the first part that the parser cannot read.
 static void cut(llvm::json::Object *object) {
   if (!object)
     return;
@@ -30,9 +30,10 @@ static void cut(llvm::json::Object *object) {
   }
 }
 
-/// The message for the server, or nothing if it has none for it.
+/// Returns the message to pass on to the server; empty if the message is
+/// dropped.
 static std::string filter(StringRef message) {
-  // JSON is parsed by recursion as well.
+  // JSON is parsed by recursion as well: drop messages that nest too deeply.
   if (findTextProblem(message))
     return {};
   if (!message.contains("\"text\""))
@@ -75,7 +76,7 @@ static void passDelimited(std::FILE *input, std::FILE *output) {
   while (readLine(input, line)) {
     StringRef text = StringRef(line).ltrim();
     if (!text.starts_with("// -----")) {
-      // Comments are none of the message.
+      // Lines of comments are not part of the message.
       if (!text.starts_with("//"))
         message += line;
       continue;
@@ -125,7 +126,7 @@ void tai::filterStandardInput(bool isDelimited) {
       passDelimited(input, output);
     else
       passFramed(input, output);
-    // The server ends where its input does.
+    // The server ends when its input ends.
     std::fclose(output);
   }).detach();
 }

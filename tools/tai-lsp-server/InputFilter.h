@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The server of MLIR reads the standard input and parses documents by itself.
-// So a thread reads the messages before, and ends a document where it nests
-// deeper than the parser can follow: the server reports an error there.
+// The server of MLIR reads the standard input and parses documents itself. A
+// thread therefore reads the messages first, and cuts off a document where it
+// nests deeper than the parser can follow: the server then reports an error
+// there.
 //
 //===----------------------------------------------------------------------===//
 
@@ -16,8 +17,8 @@
 
 namespace mlir::tai {
 
-/// Puts a pipe in the place of the standard input. `isDelimited`: lines
-/// `// -----` stand between messages, as in tests, and no headers.
+/// Replaces the standard input by a pipe from this thread. `isDelimited`: lines
+/// `// -----` separate the messages, as in tests, instead of headers.
 void filterStandardInput(bool isDelimited);
 
 } // namespace mlir::tai

@@ -12,7 +12,7 @@
 #include "tai/InitAll.h"
 
 int main(int argc, char **argv) {
-  // As in tests; `--lit-test` sets it, too.
+  // In tests, lines separate the messages; `--lit-test` selects this, too.
   bool isDelimited = false;
   for (llvm::StringRef word : llvm::ArrayRef(argv + 1, argc - 1))
     isDelimited |= word.ends_with("lit-test") || word.ends_with("=delimited");

@@ -32,14 +32,15 @@ struct Contents {
   OperationFingerPrint print;
 };
 
-/// In the order in which they are met.
+/// A map by name, in the order of insertion.
 template <typename T>
 using ByName = llvm::MapVector<std::string, T, std::map<std::string, unsigned>>;
 
 /// The state when a pass begins.
 struct Step {
   ByName<Contents> before;
-  /// The functions that hold ops of a location; it finds those of a remark.
+  /// For each location, a function with ops there, to which remarks at this
+  /// location are assigned.
   DenseMap<Location, std::string> holders;
   std::unique_ptr<RemarkScope> remarks;
   bool ranOthers = false;
@@ -80,7 +81,7 @@ public:
   }
 
 private:
-  /// A pass that only hands ops to others.
+  /// Whether the pass only runs other passes.
   static bool isGroup(Pass *pass) { return pass->getArgument().empty(); }
 
   static void forEachFunction(
@@ -135,7 +136,7 @@ private:
       add(holder == step.holders.end() ? "module" : StringRef(holder->second),
           text);
     }
-    // Scopes end in the reverse of their order.
+    // Remark scopes must end in the reverse order of their beginnings.
     step.remarks.reset();
     llvm::StringSet<> left;
     forEachFunction(op, [&](StringRef name, FunctionOpInterface function) {

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Upstream's reductions erase ranges of ops in a region, so that what others
-// use stays. The edits here take a program of tai apart: kernels with their
-// launches, loops with their trips, layouts with their levels and places.
+// Upstream's reductions erase ranges of ops in a region, and keep ops that are
+// used by other ops. The edits here take a program of tai apart: kernels with
+// their launches, loops with their trips, layouts with their levels and places.
 //
 // Each edit is tried on a copy of the module. The copy replaces the module if
 // it verifies and the test says that it still fails, until no edit is left.
@@ -43,7 +43,7 @@ bool eraseWithZeros(Operation *op) {
   for (Value result : op->getResults()) {
     if (result.use_empty())
       continue;
-    // A value of this type that is there already makes the smaller program.
+    // An existing value of this type makes a smaller program than a constant.
     Value same;
     for (Value operand : op->getOperands())
       if (operand.getType() == result.getType())
@@ -84,7 +84,7 @@ bool dropSymbol(ModuleOp module, size_t number) {
       eraseWithZeros(user);
       continue;
     }
-    // Fields and kernels name those that hold their derivatives.
+    // Fields and kernels name the symbols that hold their derivatives.
     for (StringRef attribute : {"adjoint", "dual", "tangent", "stored_form"})
       if (user->getAttr(attribute) == FlatSymbolRefAttr::get(name))
         user->removeAttr(attribute);
@@ -92,8 +92,8 @@ bool dropSymbol(ModuleOp module, size_t number) {
   return true;
 }
 
-/// The ops in the bodies of functions, the last one first: the uses of an op go
-/// before it.
+/// The ops in the bodies of functions, last op first: users of an op come
+/// before the op.
 SmallVector<Operation *> collectBodies(ModuleOp module) {
   SmallVector<Operation *> ops;
   module.walk([&](Operation *op) {
@@ -117,13 +117,13 @@ bool dropOp(ModuleOp module, size_t number) {
   if (number >= ops.size())
     return false;
   Operation *op = ops[number];
-  // A constant stands in for another op already.
+  // A constant in use stays: it would only be replaced by another constant.
   if (!op->hasTrait<OpTrait::ConstantLike>() || op->use_empty())
     eraseWithZeros(op);
   return true;
 }
 
-/// Moves the ops of a block before `op`, and gives it their last values.
+/// Replaces `op` by the ops of a block, and its results by the block's results.
 void inlineBlock(Operation *op, Block &block, ValueRange arguments) {
   for (auto [argument, value] : llvm::zip(block.getArguments(), arguments))
     argument.replaceAllUsesWith(value);
@@ -137,8 +137,8 @@ void inlineBlock(Operation *op, Block &block, ValueRange arguments) {
   eraseWithZeros(op);
 }
 
-/// Puts the body of a loop or of a branch in its place; the numbers of a loop
-/// are those of its first iteration.
+/// Replaces a loop or a branch by its body; induction variables get their
+/// values in the first iteration.
 bool inlineBody(ModuleOp module, size_t number) {
   SmallVector<std::pair<Operation *, unsigned>> bodies;
   for (Operation *op : collectBodies(module)) {
@@ -268,7 +268,7 @@ Type resize(Type level, ArrayRef<int64_t> shape) {
       .Default(Type());
 }
 
-/// Leaves two cells along each axis of a level.
+/// Leaves at most two cells along each axis of a level.
 bool shrinkLevel(ModuleOp module, size_t number) {
   auto levels = collectLevels(module);
   if (number >= levels.size())
@@ -325,7 +325,7 @@ bool dropChild(ModuleOp module, size_t number) {
   return true;
 }
 
-/// Drops an argument of a kernel that nobody uses or launches.
+/// Drops an argument that its function does not use.
 bool dropArgument(ModuleOp module, size_t number) {
   SmallVector<std::pair<FunctionOpInterface, unsigned>> arguments;
   for (auto function : module.getOps<FunctionOpInterface>())
@@ -336,7 +336,8 @@ bool dropArgument(ModuleOp module, size_t number) {
   auto [function, index] = arguments[number];
   if (function.isExternal() || !function.getArgument(index).use_empty())
     return true;
-  // A caller with another number of operands does not verify.
+  // If a caller still passes the argument, the module does not verify, and the
+  // edit is rejected.
   (void)function.eraseArgument(index);
   return true;
 }
@@ -413,7 +414,7 @@ private:
     }
   }
 
-  /// Whether the program has not been seen before, is right, and still fails.
+  /// Whether the program is new, verifies, and still fails the test.
   bool isInteresting(ModuleOp copy, const Tester &tester) {
     ScopedDiagnosticHandler silence(&getContext(),
                                     [](Diagnostic &) { return success(); });

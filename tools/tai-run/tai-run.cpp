@@ -30,8 +30,8 @@ using namespace mlir::tai;
 namespace cl = llvm::cl;
 
 namespace {
-/// Made in main, once LLVM's own options are out of the way: some have the same
-/// names.
+/// Constructed in main, after LLVM's own options have been removed: some have
+/// the same names.
 struct Options {
   cl::opt<std::string> inputFile{cl::Positional, cl::init("-"),
                                  cl::desc("<file>")};
@@ -64,7 +64,7 @@ struct Options {
   cl::opt<bool> fastMath{"fast-math",
                          cl::desc("Reorder and approximate float math")};
   cl::opt<bool> strict{"strict", cl::desc("Round every operation by itself")};
-  // The words of a context, as in Python.
+  // Options of a context, with the values that they have in Python.
   cl::opt<std::string> precision{
       "precision", cl::init("default"),
       cl::desc("What kernels compute in: default, f64 or f32")};
@@ -189,7 +189,7 @@ static LogicalResult launchKernel(Session &session, const Program &program,
 static LogicalResult run(Session &session, const Options &given) {
   if (failed(setOptions(session, given)))
     return failure();
-  // Each library is both, if it can be.
+  // Load each library once: it may have been named as a plugin of both kinds.
   llvm::SetVector<StringRef> plugins;
   for (const std::string &plugin : given.dialectPlugins)
     plugins.insert(plugin);
@@ -237,7 +237,8 @@ int main(int argc, char **argv) {
   llvm::InitLLVM initialize(argc, argv);
   cl::ResetCommandLineParser();
   Options options;
-  // The help shows categories, and that of options without one is gone, too.
+  // The help lists options by category, and the category of options that have
+  // none has been removed, too.
   cl::OptionCategory category("Options of tai-run");
   for (auto &[name, option] : cl::getRegisteredOptions())
     if (llvm::is_contained(option->Categories, &cl::getGeneralCategory()))

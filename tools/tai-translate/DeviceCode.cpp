@@ -63,7 +63,7 @@ static LogicalResult translate(Operation *op, raw_ostream &output,
                                bool wantsPtx) {
   auto fail = [&](llvm::Error error) -> LogicalResult {
     std::string message = llvm::toString(std::move(error));
-    // A translation that failed has said why.
+    // Without a message, the translation has already reported its error.
     return message.empty() ? failure() : op->emitError(message);
   };
   auto module = dyn_cast<ModuleOp>(op);

@@ -6,8 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // `--mlir-to-llvmir` prints the LLVM IR of the output of `tai-opt
-// --tai-to-llvm`, `--tai-to-ptx` (in DeviceCode.cpp) that of its device code,
-// `--tai-to-bytecode` (in ModuleFiles.cpp) the file that programs load.
+// --tai-to-llvm`, `--tai-to-ptx` (in DeviceCode.cpp) prints the PTX of its
+// device code, and `--tai-to-bytecode` (in ModuleFiles.cpp) writes the file
+// that programs load.
 //
 //===----------------------------------------------------------------------===//
 

@@ -26,7 +26,7 @@ namespace mlir::tai::runtime {
 
 struct FormatSpec {
   char fill = ' ';
-  char align = '>'; // One of "<>^=", where '=' pads behind the sign.
+  char align = '>'; // One of "<>^=", where '=' pads after the sign.
   char sign = '-';  // One of "-+ ".
   bool alternate = false;
   int width = 0;
