@@ -27,8 +27,8 @@ int taiVersionNumber(void) { return TAI_VERSION_NUMBER; }
 
 const char *taiLLVMVersion(void) { return LLVM_VERSION_STRING; }
 
-/// LLVM calls this function when its containers get no memory; by default it
-/// would end the process.
+/// LLVM calls this function when its containers get no memory; LLVM would
+/// otherwise end the process.
 static void throwBadAlloc(void *, const char *, bool) {
   throw std::bad_alloc();
 }

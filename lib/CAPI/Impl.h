@@ -30,7 +30,7 @@ public:
     auto found = owned.find(handle);
     if (found == owned.end())
       return;
-    // Remove it from the map first: its destructor may drop others.
+    // Remove the handle from the map first: its destructor may remove others.
     std::unique_ptr<Impl> gone = std::move(found->second);
     owned.erase(found);
   }

@@ -101,8 +101,8 @@ static TaiStatus resolve(TaiKernelImpl &kernel) noexcept {
 TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args, int64_t slots,
                           uint64_t *results) {
   TaiContextImpl &context = kernel->context;
-  // Compile before the lock: that takes long, and other threads may go on
-  // meanwhile.
+  // Compile before locking the context: compilation takes long, and other
+  // threads may go on meanwhile.
   if (LLVM_UNLIKELY(kernel->runtime.getDevice() != nullptr) &&
       !kernel->launched.resolved())
     if (TaiStatus status = resolve(*kernel); status != TAI_OK)

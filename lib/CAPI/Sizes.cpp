@@ -42,7 +42,7 @@ static TaiStatus give(TaiContextImpl &context, const Row **rows, int64_t count,
   return TAI_OK;
 }
 
-/// Runs a call that fills a struct, and hands the struct over.
+/// Runs a call that fills a struct, and copies its members to the caller's.
 template <typename Struct, typename Call>
 static TaiStatus fill(Struct *to, size_t size, const Call &get) {
   Struct known = {};

@@ -90,9 +90,10 @@ struct Level {
         return false;
     return true;
   }
-  /// The bit of a piece is set after it has been reserved, not before: threads
-  /// that find it set continue. Several threads may reserve the same piece; all
-  /// but one undo it, so a thread that exceeds the limit tries again.
+  /// The bit of a piece is set after the piece has been reserved, not before:
+  /// threads that find the bit set continue. Several threads may reserve the
+  /// same piece; all but one of them give it back, so a thread that exceeds the
+  /// limit tries again.
   static bool takePiece(TaiDeviceAccount &account, uint64_t piece,
                         bool isSure) {
     uint64_t *word = account.pieces + piece / 64;
@@ -144,8 +145,8 @@ struct Level {
     return more < 0 ? 0 : more;
   }
 
-  /// Activates one cell of this level; in a list, also those before it. Returns
-  /// the number of cells that were inactive.
+  /// Activates one cell of this level; in a list, also the cells before it.
+  /// Returns the number of cells that were inactive.
   int64_t activate(int64_t cell) const {
     int64_t added = 1;
     if (node.isList) {
@@ -208,8 +209,9 @@ inline void zero(char *memory, int64_t bytes, int64_t thread, int64_t threads) {
     memory[i] = 0;
 }
 
-/// Zeroes the active cells among [first, first + count), which stay active;
-/// whole lists of them. This thread does its share of each cell.
+/// Zeroes the active cells among [first, first + count), which stay active. If
+/// the level has lists, the range must be whole lists. This thread does its
+/// share of each cell.
 inline void zeroActive(const Level &level, int64_t first, int64_t count,
                        int64_t thread, int64_t threads) {
   int64_t each = level.node.isList ? level.node.capacity : 64;

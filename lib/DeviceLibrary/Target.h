@@ -51,7 +51,7 @@ inline void syncWarp() { __nvvm_bar_warp_sync(wholeWarp); }
 inline uint32_t getLane() {
   return static_cast<uint32_t>(__nvvm_read_ptx_sreg_laneid());
 }
-/// The value of another lane; the lane's own where there is none.
+/// The value of lane `from`; the lane's own value if there is no such lane.
 inline uint32_t shuffle(uint32_t mask, uint32_t value, unsigned from) {
   return static_cast<uint32_t>(
       __nvvm_shfl_sync_idx_i32(mask, static_cast<int32_t>(value),
@@ -92,7 +92,7 @@ inline uint32_t matchAny(uint64_t value) { return tai_emu_match(value); }
 inline bool voteAny(bool mine) {
   return tai_emu_match(mine) != wholeWarp || mine;
 }
-/// Lanes of the emulated warp run apart, so that this is never known.
+/// Emulated lanes run one after another: whether all are here is not known.
 inline bool isSameInWarp(uint64_t) { return false; }
 #endif
 

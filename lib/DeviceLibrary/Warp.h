@@ -12,7 +12,7 @@
 
 namespace tai::device {
 
-/// The value of another lane; all lanes of the warp call it.
+/// The value of lane `from`. All lanes of the warp must call this together.
 inline uint32_t exchange(uint32_t value, unsigned from) {
   return shuffle(wholeWarp, value, from);
 }
@@ -33,7 +33,8 @@ inline double exchange(double value, unsigned from) {
       double, exchange(__builtin_bit_cast(uint64_t, value), from));
 }
 
-/// Combines the values of a whole warp; all lanes call it and have the result.
+/// Combines the values of a whole warp, for all lanes, which must call
+/// together.
 template <typename T, typename Combine>
 inline T combineInWarp(T value, Combine combine) {
 #pragma unroll

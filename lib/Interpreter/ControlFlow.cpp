@@ -200,8 +200,8 @@ static LogicalResult runBox(Run &run, ParallelForOp loop) {
   });
 }
 
-/// Goes over the active cells of the innermost sparse level that is looped over
-/// and, below each, over the digits of the dense levels.
+/// Visits the active cells of the innermost sparse level that the loop covers
+/// and, below each cell, all digits of the dense levels.
 static LogicalResult runStructFor(Run &run, ParallelForOp loop) {
   const FieldPlace &field = run.getField(loop);
   unsigned levels = field.layout.path.levels.size();
@@ -263,7 +263,7 @@ static LogicalResult runStructFor(Run &run, ParallelForOp loop) {
 
 static LogicalResult runParallelFor(Run &run, Operation *op) {
   auto loop = cast<ParallelForOp>(op);
-  // Draws outside the loop are counted apart from those within.
+  // Draws outside the loop are counted apart from draws in the loop.
   auto outer = std::exchange(run.draws.drawn, {});
   LogicalResult result =
       loop.isStructFor() ? runStructFor(run, loop) : runBox(run, loop);

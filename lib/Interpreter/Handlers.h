@@ -23,8 +23,8 @@ void addVectorHandlers(Handlers &handlers);
 
 /// Applies the scalar function of an operation to each component.
 LogicalResult runScalars(Run &run, Operation *op);
-/// Checks the preconditions of a function; fails the launch where one does not
-/// hold.
+/// Checks the preconditions of a function; fails the launch if a precondition
+/// does not hold.
 LogicalResult checkPreconditions(Run &run, Block &body);
 
 } // namespace mlir::tai::interpreter

@@ -221,8 +221,8 @@ static LogicalResult runArrayAtomic(Run &run, Operation *op) {
 // Fields
 //===----------------------------------------------------------------------===//
 
-/// Fails the launch unless the indices are in range; makes them count from
-/// zero.
+/// Fails the launch unless the indices are in range; subtracts the first index
+/// of each dimension, so that they count from zero.
 static LogicalResult checkIndices(Run &run, Operation *op,
                                   const FieldPlace &field,
                                   SmallVector<int64_t> &indices) {

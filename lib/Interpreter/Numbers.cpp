@@ -145,7 +145,8 @@ Number interpreter::combine(AtomicKind kind, const Number &a, const Number &b) {
 // Integers
 //===----------------------------------------------------------------------===//
 
-/// The flags of an operation promise that it does not overflow.
+/// Returns the result, or that it is undefined: it overflows, although the
+/// flags of the operation promise that it does not.
 static Outcome wrapping(Operation *op, const APInt &result, bool asSigned,
                         bool asUnsigned) {
   auto flagged = dyn_cast<arith::ArithIntegerOverflowFlagsInterface>(op);

@@ -382,7 +382,8 @@ bool HeldArrays::mustNotOverlap(const Range &one, const Range &other) const {
   bool isRecorded = use != ArrayUse::Forward;
   if (isRecorded && (one.arg->hasGradient || other.arg->hasGradient))
     return true;
-  // Without a tape, one array may be two arguments: it is changed in place.
+  // A launch that only runs forward may get one array twice, and changes it in
+  // place.
   return (one.arg->isWritten || other.arg->isWritten) &&
          (isRecorded || !one.isSame(other));
 }

@@ -68,14 +68,15 @@ public:
   HeldArrays(const HeldArrays &) = delete;
   HeldArrays &operator=(const HeldArrays &) = delete;
 
-  /// Adds the slots of an array. `No` means that Python code must handle it.
+  /// Adds the slots of an array. `No` means that Python code must handle the
+  /// array.
   ///
   /// \p beside is null if the array has its gradient itself.
   Match pack(const ArrayArg &arg, PyObject *object, const Beside *beside,
              Slots &slots);
   /// Call when all arguments have been packed: appends the gradients, as
-  /// adjoints. `No` for forbidden overlaps: one of two overlapping arrays is
-  /// written, and they are not identical, or one has a gradient.
+  /// adjoints. `No` for forbidden overlaps: of two overlapping arrays, one has
+  /// a gradient, or one is written and the arrays are not identical.
   Match finish(Slots &slots);
 
   /// Order the launch after the queued work of the arrays' libraries, and their

@@ -214,7 +214,8 @@ public:
 
 private:
   /// Destroys the regions that no op took: the front end did not need them, or
-  /// reported an error. Inner ones use values of outer ones, so they go first.
+  /// reported an error. Inner regions use values of outer regions, and go
+  /// first.
   void dropRegions() {
     for (auto region = regions.rbegin(); region != regions.rend(); ++region)
       if ((*region)->handle.ptr)

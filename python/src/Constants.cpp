@@ -352,7 +352,7 @@ static uint64_t stateOf([[maybe_unused]] const PyDictObject *dict) {
 }
 
 bool Reads::Stored::isAsSeen() const {
-  // Another object may have the address of one that is gone.
+  // If the owner is gone, another object may have its address.
   if (reads.front().getOwner() != owner)
     return false;
   const PyDictObject *dict = numberedDict(owner);

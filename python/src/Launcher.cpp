@@ -134,7 +134,7 @@ struct Result {
 };
 
 struct Specialization {
-  // Each launch compares it with the current `generation`.
+  // Each launch compares this with the global `generation`.
   uint64_t generation = 0;
   /// The number of calls that use this specialisation: other threads, and
   /// Python code of the arguments, may run during a call, and must not drop it.
@@ -425,7 +425,8 @@ Match launchKnown(Launcher *self, PyObject *const *args,
       i = std::min(i, all.size());
       continue;
     }
-    // The most recently used one goes last, unless other threads have moved it.
+    // The specialisation used last goes to the end, unless other threads moved
+    // it.
     if (i + 1 < all.size() && all[i].get() == spec)
       std::swap(all[i], all.back());
     return Match::Yes;

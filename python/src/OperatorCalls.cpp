@@ -88,8 +88,8 @@ bool OperatorCalls::isKnown(PyObject *const *inputs) const {
   });
 }
 
-/// A tensor of zeros like another one, without its graph. False and a Python
-/// error on failure.
+/// Makes a tensor of zeros like `like`, outside of its autograd graph. False
+/// and a Python error on failure.
 bool OperatorCalls::makeZeros(PyObject *like, py::object &made) const {
   made = take(PyObject_CallOneArg(emptyLike.ptr(), like));
   if (!made)

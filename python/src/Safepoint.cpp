@@ -16,11 +16,11 @@ namespace {
 /// Python's main thread, the only thread that handles signals.
 unsigned long mainThread = 0;
 
-/// After the main thread has released the lock, it acquires the lock to handle
-/// signals at one of so many safepoints: it may have to wait for other threads.
+/// After releasing the lock, the main thread acquires it for signals at only
+/// one in this number of safepoints: it may have to wait for other threads.
 constexpr unsigned kSafepointsBetweenSignals = 4;
 
-/// Runs the handlers of signals that have come; false if one has raised.
+/// Runs the handlers of pending signals; false if a handler has raised.
 bool handleSignals() {
   if (PyErr_CheckSignals() == 0)
     return true;
@@ -138,9 +138,8 @@ void taipy::forgetError() {
 }
 
 void taipy::bindSafepoints() {
-  // Any thread may import this module, but the oldest thread is the main
-  // thread. No Python code is called for it, in which a signal handler might
-  // raise.
+  // Any thread may import this module; the main thread is the oldest one.
+  // Python code is not asked for it, since a signal handler might raise there.
   PyThreadState *oldest =
       PyInterpreterState_ThreadHead(PyInterpreterState_Main());
   while (PyThreadState *older = PyThreadState_Next(oldest))

@@ -14,8 +14,8 @@
 
 namespace taipy {
 
-/// The slots of a launch, on the stack unless there are many: a launch may call
-/// Python back, which may launch.
+/// The slots of a launch, on the stack unless there are many. Not static: a
+/// launch may call Python code, which may launch in turn.
 class Slots {
 public:
   Slots() = default;

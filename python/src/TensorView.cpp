@@ -55,7 +55,7 @@ TensorType taipy::findTensorType(PyObject *object) {
   return entry;
 }
 
-/// The format in NumPy's notation; 0 for one that kernels do not know.
+/// The format in NumPy's notation; 0 for a type that kernels do not support.
 static char formatOf(const dlpack::Tensor &tensor) {
   if (tensor.lanes != 1)
     return 0;

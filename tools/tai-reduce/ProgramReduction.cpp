@@ -258,7 +258,7 @@ bool makeDense(ModuleOp module, size_t number) {
 }
 
 /// The level with these extents, or null for a kind that the tool does not
-/// know.
+/// support.
 Type resize(Type level, ArrayRef<int64_t> shape) {
   return llvm::TypeSwitch<Type, Type>(level)
       .Case<DenseType, PointerType, BitmaskedType, HashType>([&](auto own) {
@@ -384,7 +384,7 @@ struct ProgramReduction
     llvm::raw_string_ostream os(text);
     getOperation().print(os);
     seen.insert(text);
-    // The edits that take most come first.
+    // Edits that remove most come first.
     constexpr Edit edits[] = {dropSymbol,   dropOp,       inlineBody,
                               cutTrips,     dropOp,       dropLevel,
                               makeDense,    dropChild,    shrinkLevel,

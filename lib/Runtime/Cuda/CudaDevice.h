@@ -168,7 +168,7 @@ private:
   bool isAfterKernel = false;
   /// A second stream, for a branch of a graph, or null.
   Stream side = nullptr;
-  /// The branch that has not been joined yet.
+  /// The state of the branch that has not been joined to the graph yet.
   enum class Branch { None, Capturing, Captured };
   Branch branch = Branch::None;
   Pool pool = nullptr;

@@ -306,7 +306,7 @@ void CudaGraph::findNodes(size_t count) {
   Node node = nullptr;
   size_t found = 1;
   int kind = 0;
-  // A stream records a chain: one root, and one node after each.
+  // A stream records a chain: one root, and one dependent node for each node.
   if (cu.graphGetRootNodes(recorded, nullptr, &found) != kSuccess ||
       found != 1 || cu.graphGetRootNodes(recorded, &node, &found) != kSuccess)
     return;

@@ -51,7 +51,7 @@ static thread_local struct {
 } group = {};
 
 extern "C" int32_t tai_emu_begin_group(void) {
-  // With an odd step, each of `threads` numbers, a power of two, comes once.
+  // `threads` is a power of two, so an odd step reaches each thread once.
   constexpr int32_t threads = 4;
   group.before = place;
   group.next = group.number++;

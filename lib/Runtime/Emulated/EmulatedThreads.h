@@ -26,7 +26,7 @@ constexpr unsigned kEmulatedWarp = 32;
 unsigned emulatedThreads();
 
 /// Calls body() as each of `threads` threads of a block. Returns false on a
-/// deadlock: some wait at a barrier that others never reach.
+/// deadlock: threads wait at a barrier that other threads never reach.
 bool runEmulatedBlock(unsigned threads, uint64_t order,
                       const std::function<void()> &body);
 

@@ -99,8 +99,9 @@ static void addFew(Target *target, const char *buffers, int64_t count,
   }
 }
 
-/// Adds elements [begin, end) of all buffers. The sum of the buffers is formed
-/// first, in their order, in blocks that stay in the first-level cache.
+/// Adds elements [begin, end) of all buffers to the target. The sum of the
+/// buffers is formed first, in their order, in blocks that stay in the
+/// first-level cache.
 template <typename Target, typename T>
 __attribute__((always_inline)) static inline void
 addBuffers(void *targetBytes, char *buffers, int64_t begin, int64_t end,
@@ -195,7 +196,7 @@ static int64_t sizeOfSums(int32_t kind) {
   }
 }
 
-// Variants for AVX2, chosen at run time; they compute the same sums.
+// Variants for AVX2, chosen at run time; all variants compute the same sums.
 #if defined(__x86_64__)
 #define TAI_ADD_BUFFERS(name, target_type, type, unit)                         \
   __attribute__((target(unit))) static void name(                              \
@@ -284,8 +285,8 @@ static AddBuffers chooseAdd(int32_t kind) {
 }
 
 /// Marks buffers that moveBlock has filled with zeros, so that the next launch
-/// need not zero them. With shadows they stay dirty: allocating dirty memory
-/// also discards its shadows.
+/// need not zero them. With shadows, the buffers stay dirty: allocating dirty
+/// memory also discards its shadows.
 static void left(Launch &launch, const void *buffers, int64_t bytes) {
   if (!launch.owner().options().instruments.shadow && !areFew(bytes))
     launch.arena.markZero(static_cast<const char *>(buffers), bytes);
@@ -336,7 +337,7 @@ struct StridedCombining {
 };
 } // namespace
 
-/// Adds the cells of one cut, summed over all buffers in order.
+/// Adds the cells of partition `cut`, summed over all buffers in their order.
 template <typename Target, typename T>
 static void addStrided(void *context, int64_t cut) {
   const auto &c = *static_cast<StridedCombining *>(context);

@@ -70,7 +70,7 @@ public:
 
 private:
   struct State {
-    /// For a field with a dual: it may have a tangent.
+    /// For a field with a dual: whether the field may have a tangent.
     bool isActive = false;
     CutSet cuts;
 

@@ -152,7 +152,7 @@ const AdjointPlan &Kernel::plan() {
   if (adjointPlan && (!adjointPlan->provisional || lock.isAgain()))
     return *adjointPlan;
   // `isAgain`: a handler that interrupted this work asks for the plan. The
-  // handler cannot launch the adjoint: see checkHandler.
+  // handler cannot launch kernels: see checkHandler.
   static const AdjointPlan unknown;
   if (lock.isAgain())
     return unknown;

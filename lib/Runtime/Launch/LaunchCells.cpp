@@ -88,8 +88,8 @@ const std::vector<int64_t> &Launch::cellsFor(SparseNode &node) {
 // adjoints of all cells are compared with zero: reading a few bytes of each
 // cell costs little compared with the loop's body.
 
-/// True if cells of the level are numbered for both fields by the same digits
-/// of the same indices.
+/// True if both fields number the cells of the level by the same digits of the
+/// same indices.
 static bool numbersAlike(const Field &a, const Field &b) {
   auto digits = [](const std::vector<LayoutLevel> &levels) {
     std::vector<std::array<int64_t, 3>> result;

@@ -13,8 +13,8 @@
 
 namespace mlir::tai::runtime {
 
-/// The functions that VectorMath.def lists as those of the runtime, by name.
-/// The functions that code may call depend on the processor it is made for.
+/// The runtime's own functions in VectorMath.def, with their names. The target
+/// processor of code determines the functions that the code may call.
 std::vector<std::pair<const char *, void *>> vectorMathSymbols();
 
 } // namespace mlir::tai::runtime

@@ -29,7 +29,8 @@ uint16_t bfloatFromDouble(double value);
 double doubleFromHalf(uint16_t bits);
 double doubleFromBfloat(uint16_t bits);
 
-/// Appends the conversion functions of these types that compiled code calls.
+/// Appends the functions of LibraryCalls.cpp, such as conversions of these
+/// types.
 void appendLibraryCalls(std::vector<RuntimeSymbol> &symbols);
 
 /// The stride of elements along an index; false if it is not uniform.

@@ -255,8 +255,8 @@ static bool sameElements(const Field &a, const Field &b) {
          isFloat(a.scalar()) == isFloat(b.scalar());
 }
 
-/// Adjoints and tangents never make cells active: where they lie below a sparse
-/// level, their primals do that for them.
+/// Adjoints and tangents never make cells active: if they lie below a sparse
+/// level, their primals activate the cells.
 static bool sharesActivity(const Field &primal, const Field &partner) {
   return !partner.sparseNode() ||
          (partner.sparseNode() == primal.sparseNode() &&

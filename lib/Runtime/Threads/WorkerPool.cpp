@@ -25,8 +25,8 @@ using namespace mlir::tai::runtime;
 namespace {
 using Clock = std::chrono::steady_clock;
 
-/// An idle worker spins this long (first pausing, then giving way to others
-/// that want the core) before it sleeps. Waking it costs the caller some 15 us
+/// An idle worker spins this long (first pausing, then yielding its core to
+/// other threads) before it sleeps. Waking a worker costs the caller some 15 us
 /// on a virtual machine, a hundred times a fork to a worker that spins.
 constexpr auto pauseFor = std::chrono::microseconds(50);
 constexpr auto yieldUntil = std::chrono::microseconds(500);
@@ -166,8 +166,8 @@ bool WorkerPool::awaitJob(uint32_t &seen) {
   auto arrived = [&] { return epoch.load(std::memory_order_acquire) != seen; };
   if (!spinUntil(arrived)) {
     std::unique_lock<std::mutex> lock(sleepMutex);
-    // Ordered against the caller, which raises the epoch and then looks for
-    // sleepers: one of the two sees the other.
+    // The caller increments `epoch` and then reads `sleepers`: either this
+    // worker sees the new epoch, or the caller sees that the worker sleeps.
     sleepers.fetch_add(1);
     bool slept = false;
     while (epoch.load() == seen) {
@@ -245,8 +245,8 @@ int mlir::tai::runtime::availableThreads() {
     count = CPU_COUNT(&mask);
   if (count <= 0)
     count = static_cast<int>(sysconf(_SC_NPROCESSORS_ONLN));
-  // A container with a quota has fewer cores than it sees; spinning on the
-  // others would use the quota up.
+  // A container with a quota may use fewer cores than it sees; threads that
+  // spin on the remaining cores would use the quota up.
   if (FILE *file = std::fopen("/sys/fs/cgroup/cpu.max", "re")) {
     long long quota = 0, period = 0;
     if (std::fscanf(file, "%lld %lld", &quota, &period) == 2 && quota > 0 &&

@@ -53,10 +53,10 @@ public:
   using Task = void (*)(void *context, int64_t part);
 
   /// Calls task(context, p) once for each p in [0, parts) and returns when all
-  /// have returned. Returns false, with nothing done, if the workers are busy
-  /// with another call (a nested loop, or another thread). While the caller
-  /// waits for workers, it calls `look`, unless null, at each tick of the
-  /// safepoint clock.
+  /// calls have returned. Returns false, with nothing done, if the workers are
+  /// busy with another call (a nested loop, or another thread). While the
+  /// caller waits for workers, it calls `look`, unless null, at each tick of
+  /// the safepoint clock.
   bool tryRun(Task task, void *context, int64_t parts,
               void (*look)(void *context) = nullptr);
 
