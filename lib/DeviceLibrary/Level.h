@@ -210,8 +210,8 @@ inline void zero(char *memory, int64_t bytes, int64_t thread, int64_t threads) {
 }
 
 /// Zeroes the active cells among [first, first + count), which stay active. If
-/// the level has lists, the range must be whole lists. This thread does its
-/// share of each cell.
+/// the level has lists, zeroes whole lists. This thread does its share of each
+/// cell.
 inline void zeroActive(const Level &level, int64_t first, int64_t count,
                        int64_t thread, int64_t threads) {
   int64_t each = level.node.isList ? level.node.capacity : 64;

@@ -162,7 +162,7 @@ static char *inlineSlots(TaiStack *stack) {
   return reinterpret_cast<char *>(stack + 1);
 }
 
-/// Fails for lack of memory, with the message that the compiler has chosen.
+/// Fails for lack of memory, with the message `text`, which names `bytes`.
 static TAI_RARE void failFor(TaiFrame *frame, uint64_t bytes, const char *text,
                              const char *where) {
   int32_t kind = TAI_DEVICE_VALUE_BYTES;
