@@ -38,8 +38,8 @@ static void failAt(TaiFrame *frame, StatusCode code, std::string message,
 }
 
 /// Returns true if the node has this cell; otherwise fails the launch. Without
-/// checks of indices, some indices out of range yield the number of an existing
-/// cell, which pass unnoticed here.
+/// checks of indices, an index out of range may yield the number of an existing
+/// cell, which passes this check.
 static bool checkCell(TaiFrame *frame, const SparseNode &node, int64_t cell,
                       const char *where) {
   if (cell >= 0 && cell < node.numCells())
