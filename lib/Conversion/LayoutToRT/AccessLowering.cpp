@@ -54,7 +54,7 @@ Value AccessLowering::emitActivation(OpBuilder &builder, Location loc,
   return branch.getResult(0);
 }
 
-/// The casts of floats that an index is made of.
+/// The casts from floats to integers that the indices are computed from.
 static SmallVector<Operation *> findCasts(ValueRange indices) {
   llvm::SetVector<Value> pending(indices.begin(), indices.end());
   SmallVector<Operation *> casts;
@@ -70,8 +70,9 @@ static SmallVector<Operation *> findCasts(ValueRange indices) {
   return casts;
 }
 
-/// An assertion that the floats in the indices stand for integers: of others
-/// casts make some number, which may lie in range. Null where there are none.
+/// Emits an assertion that every float cast to an integer for an index is in
+/// the integer's range: a cast of any other float yields an arbitrary number,
+/// which may be a valid index. Null where the indices contain no casts.
 Value AccessLowering::checkCasts(OpBuilder &builder, Location loc,
                                  ValueRange indices, const Twine &what,
                                  ValueRange whatShows) {
@@ -81,8 +82,8 @@ Value AccessLowering::checkCasts(OpBuilder &builder, Location loc,
     auto type = cast<FloatType>(value.getType());
     unsigned width = op->getResult(0).getType().getIntOrFloatBitWidth();
     bool isSigned = isa<arith::FPToSIOp>(op);
-    // Powers of two, which floats have: one too many on both sides, and numbers
-    // in between round towards zero.
+    // The bounds of integer types are zero or powers of two, which floats
+    // represent exactly; bounds above the float's range round towards zero.
     auto limit = [&](double number) -> Value {
       APFloat bound(number);
       bool ignored;
@@ -119,7 +120,7 @@ Value AccessLowering::checkRange(Operation *op, ValueRange zeroBased,
     return {};
   OpBuilder builder(op);
   Location loc = op->getLoc();
-  // `what` shows the extents of an array that the launch decides.
+  // `what` shows the extents of an array that become known only at the launch.
   SmallVector<Value> whatShows;
   for (OpFoldResult extent : extents)
     if (Value value = dyn_cast<Value>(extent))

@@ -21,9 +21,9 @@
 
 namespace mlir::tai {
 
-/// Access groups of loops with independent iterations. Each is a distinct
-/// attribute, which a context never frees (with 4 KiB for the first of each
-/// thread); so the groups of one module are reused for the next.
+/// Access groups of loops with independent iterations. Each group is a distinct
+/// attribute, which the MLIR context never frees (and each thread's first takes
+/// 4 KiB); so the groups of one module are reused for the next.
 class AccessGroups {
 public:
   /// Makes all groups available again.
@@ -34,8 +34,8 @@ public:
   }
 
   /// The group of the independent loop around an access, if there is one.
-  /// Arrays may alias each other, but iterations do not communicate through
-  /// them either.
+  /// Accesses to arrays, which may alias each other, belong to it too:
+  /// iterations do not communicate through arrays either.
   ArrayAttr get(Operation *op) {
     auto loop = op->getParentOfType<ParallelForOp>();
     if (!loop || !loop->hasAttr(kIndependentAttrName) ||
@@ -93,23 +93,25 @@ public:
   Value getFieldBase(const FieldInfo &field);
   Value getTreeBase(const FieldInfo &field);
 
-  /// Activates the cell of an element, or, in a kernel that must not change
-  /// activity, only tests it. Returns an i1: whether the cell is active
-  /// afterwards.
+  /// Activates the cell of an element or, in a kernel that must not change
+  /// activity, only tests whether the cell is active. Returns an i1: whether
+  /// the cell is active afterwards.
   Value emitActivation(OpBuilder &builder, Location loc, const FieldInfo &field,
                        ValueRange zeroBased);
 
-  /// Replaces `op` by the ops that `access` emits, under `inRange` (always, if
-  /// null); its results become their value, or zero.
+  /// Replaces `op` by the ops that `access` emits, under the condition
+  /// `inRange` (unconditionally, if null). The results of `op` become the value
+  /// that `access` returns, or zero where `inRange` is false.
   void replaceGuarded(PatternRewriter &rewriter, Operation *op, Value inRange,
                       function_ref<Value(OpBuilder &)> access);
 
   /// Emits before `op` an assertion that each index is in its range, and
-  /// returns the condition; null if unchecked.
+  /// returns the condition; null if the access is not to be checked.
   Value checkRange(Operation *op, ValueRange zeroBased,
                    ArrayRef<OpFoldResult> extents, const Twine &what,
                    ValueRange shown);
-  /// The same for the element of a field, and the components in it.
+  /// Like checkRange, for the indices of an element of a field and the indices
+  /// of its components.
   Value checkElement(FieldAccessOpInterface op, const FieldInfo &field,
                      ValueRange zeroBased);
 

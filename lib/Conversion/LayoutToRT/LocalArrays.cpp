@@ -62,8 +62,9 @@ public:
     if (isa<memref::AllocaOp>(alloc) && !type.hasStaticShape())
       return alloc->emitOpError("cannot be lowered here; use 'memref.alloc'");
     isOnStack = isa<memref::AllocaOp>(alloc) && !(onDevice && isInLoop);
-    // A thread of a device runs several iterations in a loop, in which its
-    // stack would grow. See ToNVVM/LocalMemory.cpp.
+    // On a device, a thread runs several iterations in a loop, in which its
+    // stack would grow: the array is allocated and freed instead. See
+    // ToNVVM/LocalMemory.cpp.
     if (isa<memref::AllocaOp>(alloc) && !isOnStack) {
       OpBuilder end(alloc->getBlock()->getTerminator());
       memref::DeallocOp::create(end, alloc->getLoc(), array);
@@ -90,9 +91,9 @@ private:
     }
     auto pointer = LLVM::LLVMPointerType::get(builder.getContext());
     if (isOnStack) {
-      // Once for the kernel, wherever it stands: the stack does not grow. That
-      // of an iteration of a parallel loop becomes one of the loop's function,
-      // where its other local variables are.
+      // Allocate at the top of the kernel, wherever `alloc` is, so that the
+      // stack does not grow. An array of an iteration of a parallel loop
+      // becomes a local variable of the loop's function instead.
       if (!alloc->getParentOfType<ParallelForOp>())
         builder.setInsertionPointToStart(&function.getFunctionBody().front());
       Value size = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(),
@@ -108,7 +109,7 @@ private:
                .getResult();
   }
 
-  /// A constant where the shape is one.
+  /// The size of the array in bytes: a constant where its shape is static.
   Value getBytes(OpBuilder &builder, Location loc, Value count) {
     Type i64 = builder.getI64Type();
     if (type.hasStaticShape()) {
@@ -170,7 +171,8 @@ private:
       atomic.getResult().replaceAllUsesWith(old);
       return;
     }
-    // The loop sums in a register; the address is wanted behind it.
+    // The loop accumulates in a register and needs the element's address after
+    // its end: compute the address at the array's definition.
     OpBuilder start(builder.getContext());
     start.setInsertionPointAfterValue(base);
     IndexMath math(start, loc);

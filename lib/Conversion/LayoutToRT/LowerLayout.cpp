@@ -65,8 +65,9 @@ private:
 //===----------------------------------------------------------------------===//
 
 /// The digits of the address of an access, for later analyses; null if the
-/// program computes an index from digits of its own that could be taken for
-/// those of the field. From each index `peeled` has been taken away.
+/// program multiplies parts of an index by factors that could be taken for
+/// strides of the field's digits. `peeled` are the constants that were
+/// subtracted from the indices.
 static DenseI64ArrayAttr getDigits(MLIRContext *context, const FieldInfo &field,
                                    ValueRange indices,
                                    ArrayRef<int64_t> peeled) {
@@ -123,7 +124,8 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
 
     SmallVector<Value> zeroBased = emitZeroBased(rewriter, loc, field, indices);
     Value inRange = lowering.checkElement(op, field, zeroBased);
-    // The remaining op is guarded all the same.
+    // The loop does this update itself; the op remains, and must be guarded
+    // too.
     if (isDoneByLoop(op)) {
       if (inRange) {
         auto branch = scf::IfOp::create(rewriter, loc, inRange);
@@ -152,7 +154,7 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
                     emitElementOffset(b, loc, field, zeroBased, components));
       return emitAccess(b, op, pointer, scopes);
     };
-    // Memory of inactive cells is zero, so that reads need not ask.
+    // Reads need no test of activity: the memory of inactive cells is zero.
     bool asks = !field.sparse.empty() && !isa<LoadOp>(op) &&
                 !op->hasAttr(kActiveAttrName);
     lowering.replaceGuarded(rewriter, op, inRange, [&](OpBuilder &b) {
@@ -170,8 +172,9 @@ template <typename Op> struct LowerElement final : FieldPattern<Op> {
 // Cells of sparse levels
 //===----------------------------------------------------------------------===//
 
-/// The sparse level of the path that a topology op means: that `up` levels up,
-/// 1 being the innermost, or the nearest above it. Null where all cells exist.
+/// The sparse level that a topology op refers to: the level `up` levels up, 1
+/// being the innermost, or the nearest sparse level above that. Null where all
+/// cells exist.
 static const SparseInfo *findSparse(const FieldInfo &field, int64_t up) {
   int64_t level = int64_t(field.layout.path.levels.size()) - up;
   for (const SparseInfo &sparse : llvm::reverse(field.sparse))
@@ -180,7 +183,8 @@ static const SparseInfo *findSparse(const FieldInfo &field, int64_t up) {
   return nullptr;
 }
 
-/// Emits that each index is in the range of the field; null if unchecked.
+/// Emits a test that each index is in the range of the field; null if
+/// unchecked.
 static Value checkIndices(OpBuilder &builder, AccessLowering &lowering,
                           Operation *op, const FieldInfo &field,
                           ValueRange zeroBased, ValueRange shown) {
@@ -395,8 +399,8 @@ template <typename Op> struct LowerArrayElement final : AccessPattern<Op> {
 // The pass
 //===----------------------------------------------------------------------===//
 
-/// True for arrays like those that kernels take. Others can only be those of a
-/// function that is not tai's, and stay as they are.
+/// True for arrays with the layout of kernel arguments. Arrays of any other
+/// layout belong to functions outside tai, and are not lowered.
 static bool isRowMajor(Value array) {
   auto type = cast<MemRefType>(array.getType());
   Type element = type.getElementType();
@@ -474,8 +478,8 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
     if (!table)
       return;
     FieldTable fields(table);
-    // Functions of one module may be inlined into one another: they need groups
-    // of their own, which only a run over all of them can give.
+    // Functions of one module may be inlined into one another, so their groups
+    // must differ; only a run over the whole module can ensure that.
     if (isa<ModuleOp>(getOperation()))
       groups.reuse();
     else
@@ -484,10 +488,10 @@ struct LowerLayout : tai::impl::LowerLayoutBase<LowerLayout> {
       if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function) ||
           !isTaiCode(function))
         return WalkResult::skip();
-      // Accesses of a host function are those of plain memory from here on.
+      // From here on, accesses in a host function are plain memory accesses.
       if (isa<func::FuncOp>(function))
         markLowered(function);
-      // A host program has few accesses, and nobody else looks at its indices.
+      // A host program has few accesses, and no other check of its indices.
       bool isChecked = boundsCheck || isa<func::FuncOp>(function);
       AccessLowering lowering(function, fields, groups, isChecked, onDevice);
       return failed(lowerAccesses(function, fields, lowering, onDevice))

@@ -36,7 +36,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The dimensions of a field, that with the largest stride first.
+/// The dimensions of a field, the dimension with the largest stride first.
 static SmallVector<unsigned> getMemoryOrder(const FieldInfo &field) {
   SmallVector<uint64_t> smallest(field.layout.shape.size(),
                                  std::numeric_limits<uint64_t>::max());
@@ -83,8 +83,9 @@ getDigits(const FieldInfo &field, unsigned first, unsigned last) {
 }
 
 /// Replaces a loop over a sparse field, or over the cells of one of its levels,
-/// by the box form. `last` is the number of levels that are looped over; unless
-/// `hoists`, every element finds its cell for itself.
+/// by the box form. `last` is the number of levels that are looped over. With
+/// `hoists`, the cell is located once for all its elements, otherwise for each
+/// element.
 static void lowerByDigits(ParallelForOp loop, const FieldInfo &field,
                           unsigned last, bool hoists) {
   double cost = estimateNanoseconds(loop.getBody().front());

@@ -20,11 +20,11 @@ using namespace mlir::tai;
 namespace {
 struct ElementAccess {
   Operation *op;
-  /// The field; null for arrays, any two of which may be the same.
+  /// The field; null for arrays, any two of which may alias.
   const FieldInfo *field;
   ValueRange indices, components;
   bool stores;
-  /// The innermost serial loop around it, within the parallel one.
+  /// The innermost serial loop around `op` that is inside the parallel loop.
   Operation *loop = nullptr;
   bool isStrided = true;
 };
@@ -49,8 +49,8 @@ bool isStrided(const ElementAccess &access, Value iv) {
   for (auto [number, index] : llvm::enumerate(access.indices)) {
     bool isLast = number + 1 == access.indices.size();
     for (const auto &[atom, factor] : getIndexExpr(index).terms) {
-      // Another value may be made of the index in its own way. The indices of
-      // the other dimensions stay as they are in the innermost loop.
+      // A value computed from `iv` need not be linear in it. Induction
+      // variables of the other dimensions are constant in the innermost loop.
       bool isIndex = atom.getValue() == iv;
       bool isOther = !atom.allOf([&](Value value) {
         auto argument = dyn_cast<BlockArgument>(value);
@@ -65,7 +65,7 @@ bool isStrided(const ElementAccess &access, Value iv) {
   return false;
 }
 
-/// Whether two accesses of one storage may be of the same element.
+/// Whether two accesses may reach the same element of the same storage.
 bool mayAlias(const ElementAccess &a, const ElementAccess &b) {
   if ((a.field ? a.field->scope : nullptr) !=
       (b.field ? b.field->scope : nullptr))
@@ -83,8 +83,8 @@ bool mayAlias(const ElementAccess &a, const ElementAccess &b) {
   return true;
 }
 
-/// Whether each round of the serial loop around it is of another element: its
-/// index is part of a sum.
+/// Whether each iteration of the serial loop around the access reaches another
+/// element: its induction variable is a term of an index.
 bool variesWithRounds(const ElementAccess &access) {
   return llvm::any_of(access.indices, [&](Value index) {
     return llvm::any_of(getIndexExpr(index).terms, [&](const auto &term) {
@@ -96,7 +96,8 @@ bool variesWithRounds(const ElementAccess &access) {
   });
 }
 
-/// Whether a later round of `other` may be of the element of `store`.
+/// Whether a later iteration of the serial loop may access through `other` the
+/// element that `store` writes.
 bool mayAliasAcrossIterations(const ElementAccess &store,
                               const ElementAccess &other) {
   if (!store.loop || !other.loop)
@@ -105,9 +106,9 @@ bool mayAliasAcrossIterations(const ElementAccess &store,
          !areProvablyEqual(store.indices, other.indices);
 }
 
-/// Whether an iteration of `loop` makes one of the two accesses at most: they
-/// are in different arms of a branch that it comes to once, such as its
-/// interior and its border.
+/// Whether an iteration of `loop` executes at most one of the two accesses:
+/// they are in different arms of a branch that each iteration executes once,
+/// such as the branch between interior and border.
 bool excludeEachOther(const ElementAccess &a, const ElementAccess &b,
                       ParallelForOp loop) {
   for (Operation *op = a.op; op != loop; op = op->getParentOp()) {
@@ -139,7 +140,7 @@ SmallVector<ElementAccess> collectAccesses(ParallelForOp loop,
       add(op, store.getFieldAttr(), store.getIndices(), store.getComponents(),
           true);
     else if (auto atomic = dyn_cast<AtomicOp>(op); atomic && !isDoneByLoop(op))
-      // The others add to partial sums of their own.
+      // Updates that the loop does itself go to private partial sums.
       add(op, atomic.getFieldAttr(), atomic.getIndices(),
           atomic.getComponents(), true);
     else if (auto load = dyn_cast<memref::LoadOp>(op))
@@ -171,7 +172,8 @@ bool tai::needsOrderWithin(ParallelForOp loop, FieldTable &fields) {
       continue;
     for (size_t j = 0; j < accesses.size(); ++j) {
       const ElementAccess &other = accesses[j];
-      // Loops inside may be unrolled: their next round comes after.
+      // Inner loops may be unrolled: an access of a later iteration then
+      // follows the store, even if it comes before the store in the body.
       bool isAfter = j > i || mayAliasAcrossIterations(store, other);
       if (isAfter && j != i && (store.isStrided || other.isStrided) &&
           mayAlias(store, other) && !excludeEachOther(store, other, loop))

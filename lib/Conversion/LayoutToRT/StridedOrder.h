@@ -16,12 +16,12 @@ namespace mlir::tai {
 /// told so.
 constexpr llvm::StringLiteral kKeepsOrderAttrName = "tai.keeps_order";
 
-/// Whether an iteration of the loop stores something and then accesses an
+/// Whether an iteration of the loop stores to an element and then accesses an
 /// element that may be the same, if LLVM could combine accesses of several
-/// iterations into strided (interleaved) groups. LLVM's vectoriser does not
-/// look for dependences in a loop that is annotated as parallel, those within
-/// an iteration included, and moves such groups past one another. All fields of
-/// the loop are in the table.
+/// iterations into strided (interleaved) groups. In a loop annotated as
+/// parallel, LLVM's vectoriser looks for no dependences at all, not even within
+/// an iteration, and moves such groups past one another. `fields` must contain
+/// all fields of the loop.
 bool needsOrderWithin(ParallelForOp loop, FieldTable &fields);
 
 } // namespace mlir::tai

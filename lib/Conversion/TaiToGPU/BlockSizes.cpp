@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A loop may specify its block size on a GPU. The function of the loop carries
-// the number to the runtime, and as a limit to the driver's assembler, which
-// then limits the registers of a thread so that a whole block fits.
+// A loop may specify its block size on a GPU. The function of the loop passes
+// the size to the runtime, and as a limit to the driver's assembler, which then
+// limits the registers of a thread so that a whole block fits.
 //
 //===----------------------------------------------------------------------===//
 

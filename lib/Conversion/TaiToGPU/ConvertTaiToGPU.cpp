@@ -28,7 +28,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// True if something is written through an address that comes from this one.
+/// True if code writes through an address derived from `address`.
 static bool isWritten(Value address) {
   SmallVector<Value> work{address};
   llvm::DenseSet<Value> seen;
@@ -71,7 +71,7 @@ private:
 };
 } // namespace
 
-/// Names of device functions are identifiers of PTX.
+/// The name of a device function, made an identifier of PTX.
 static std::string getFunctionName(StringRef kernel, size_t number) {
   std::string name = kernel.str();
   for (char &c : name)
@@ -97,7 +97,7 @@ LogicalResult KernelOffload::prepareLoops() {
   return success();
 }
 
-/// The addresses of trees come from the frame of the host, once for each.
+/// Loads the address of each tree once from the frame of the host.
 void KernelOffload::replaceTreeBases() {
   RuntimeCalls &runtime = lowering.host.runtime;
   SmallVector<TreeBaseOp> ops;
@@ -181,11 +181,12 @@ LogicalResult KernelOffload::run() {
       bytes = math.mul(bytes, extent);
     for (int64_t d = extents.size(); d != type.getRank(); ++d)
       bytes = math.mul(bytes, type.getDimSize(d));
-    // Whether it is written is known when its uses stand.
+    // Assume that the kernel writes the array; its uses, replaced later, tell.
     return runtime.tai_rt_device_array(
         b, loc, frame, address, math.toI64(bytes), runtime.i32(b, loc, 1));
   };
-  // Behind this, extents of arrays look like arguments.
+  // Determine this first: once arguments are replaced, extents of arrays look
+  // like integer arguments.
   lowering.countless.clear();
   kernel.walk([&](ParallelForOp loop) {
     if (mayBeCountless(loop))
@@ -198,8 +199,8 @@ LogicalResult KernelOffload::run() {
   auto start = LLVM::ZeroOp::create(builder, loc, runtime.getPointerType());
   entry->getOperations().splice(entry->end(), body.getOperations());
   for (LLVM::CallOp array : arrays) {
-    // Unused arrays are not copied: a kernel that does nothing has no device
-    // code either.
+    // Unused arrays are not copied: a kernel without effects has no device code
+    // either.
     if (array.use_empty()) {
       array.erase();
     } else if (!isWritten(array.getResult())) {
@@ -281,7 +282,7 @@ struct ConvertTaiToGPU : tai::impl::ConvertTaiToGPUBase<ConvertTaiToGPU> {
         known.insert(function);
       if (failed(KernelOffload(kernel, lowering).run()))
         return signalPassFailure();
-      // Functions that were made for it get its modes.
+      // Functions created from here on get the modes of the kernel.
       for (LLVM::LLVMFuncOp function : functions())
         if (!function.isExternal() && !known.contains(function))
           modes.setOn(function);

@@ -11,10 +11,10 @@
 // Loops known to be short do not poll, nor do loops with a data-dependent trip
 // count and a short body, such as those over a particle's neighbours, unless
 // they are run by a single thread. The loop over the iterations of a thread
-// polls where their number is one of 64 bits: others end while the grid has
-// some ten thousand threads.
+// polls where there may be too many (mayBeCountless): a grid of some ten
+// thousand threads ends soon enough with fewer iterations.
 //
-// The poll uses the device state, which such a kernel gets as an argument.
+// The poll uses the device state, which kernels with polls get as an argument.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,13 +28,15 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Operations that one thread does in some tens of milliseconds.
+/// A loop with at most this many operations, some tens of milliseconds of one
+/// thread, does not poll.
 static constexpr uint64_t kLongLoop = 20000000;
-/// The number of operations between two polls, if there are so many iterations.
+/// The number of operations between two polls, if the loop runs that long.
 static constexpr uint64_t kBetween = 4096;
-/// And at most as many iterations, if their lengths are not known.
+/// The number of iterations between two polls, where the length of an iteration
+/// is unknown.
 static constexpr uint64_t kIterationsBetween = 16;
-/// The cost of loops that may be long, in the body of another one.
+/// The cost of a loop that may be long, as part of the body of another loop.
 static constexpr uint64_t kUnknown = UINT64_MAX;
 
 namespace {
@@ -43,7 +45,7 @@ public:
   LoopPolls(LLVM::LLVMFuncOp function, bool runsAlone, RuntimeCalls &runtime)
       : function(function), runsAlone(runsAlone), runtime(runtime) {}
 
-  /// The operations that one run of the block takes, at most.
+  /// The largest number of operations that one run of the block executes.
   uint64_t visit(Block &block);
   /// Visits the loop over the iterations of a thread.
   void visitIterations(scf::ForOp loop, bool areCountless);
@@ -59,7 +61,7 @@ private:
 } // namespace
 
 void LoopPolls::poll(Block &body, Location loc, uint64_t perIteration) {
-  // An iteration that may be long asks by itself.
+  // If an iteration may be long, a loop inside it polls as well.
   uint64_t every =
       perIteration == kUnknown
           ? kIterationsBetween
@@ -80,7 +82,7 @@ uint64_t LoopPolls::visitLoop(scf::ForOp loop) {
       return all;
   } else if (!runsAlone && (perIteration != kUnknown ||
                             (count && count->ule(kIterationsBetween)))) {
-    // A loop around this one asks, or one inside.
+    // A loop around this loop, or a loop inside it, polls.
     return kUnknown;
   }
   poll(*loop.getBody(), loop.getLoc(), perIteration);
@@ -116,7 +118,7 @@ void LoopPolls::visitIterations(scf::ForOp loop, bool areCountless) {
     poll(*loop.getBody(), loop.getLoc(), perIteration);
 }
 
-/// Whether a bound comes from more than 32 bits.
+/// Whether a bound is a 64-bit integer that was not extended from fewer bits.
 static bool isLong(Value bound) {
   auto cast = bound.getDefiningOp<arith::IndexCastOp>();
   if (!cast || !cast.getIn().getType().isInteger(64))
@@ -126,7 +128,7 @@ static bool isLong(Value bound) {
 }
 
 bool tai::mayBeCountless(ParallelForOp loop) {
-  // Hours for a whole device.
+  // More iterations than a whole device runs in hours.
   constexpr uint64_t kCountless = uint64_t(1) << 40;
   uint64_t known = 1;
   for (auto [lower, upper] :

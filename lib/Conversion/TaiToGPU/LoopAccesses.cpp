@@ -25,7 +25,7 @@ using namespace mlir;
 using namespace mlir::tai;
 using runtime::DeviceAccess;
 
-/// The analysis of a longer list would take too long.
+/// The analysis of more accesses than this would take too long.
 static constexpr size_t kMostAccesses = 96;
 
 static int64_t getSize(Type type) {
@@ -36,7 +36,7 @@ static int64_t getSize(Type type) {
 
 LoopAccesses::LoopAccesses(ParallelForOp loop)
     : loop(loop), expressions(loop), box(getConstantBox(loop)) {
-  // Numbers of iterations are counted from there on.
+  // The bounds of a box that offsets are computed from must lie within this.
   constexpr int64_t most = int64_t(1) << 31;
   if (box)
     for (auto [from, to] : llvm::zip(box->lower, box->upper))
@@ -61,7 +61,7 @@ void LoopAccesses::addSlot(Value value) {
 void LoopAccesses::visit(Operation *op) {
   for (Value operand : op->getOperands())
     addSlot(operand);
-  // Sums are said by those who know where they go.
+  // The code that determines the target of a sum records it with addSum.
   if (isDoneByLoop(op))
     return;
   auto digits = op->getAttrOfType<DenseI64ArrayAttr>(kDigitsAttrName);
@@ -99,7 +99,7 @@ void LoopAccesses::visit(Operation *op) {
     isKnown = false;
 }
 
-/// Somewhere in `count` places, `step` bytes from one to the next.
+/// Widens the access to `count` places, `step` bytes from one to the next.
 void LoopAccesses::widen(Address &address, int64_t count, int64_t step) {
   if (count <= 1 || step == 0)
     return;
@@ -109,7 +109,8 @@ void LoopAccesses::widen(Address &address, int64_t count, int64_t step) {
   access.step = std::gcd(access.step, std::abs(step));
 }
 
-/// The number of trips and the first index of a serial loop, by its index.
+/// The number of trips and the first index of a serial loop, given its
+/// induction variable `iv`.
 static std::optional<std::pair<int64_t, int64_t>> getTrips(BlockArgument iv,
                                                            int64_t &step) {
   Operation *parent = iv.getOwner()->getParentOp();
@@ -174,7 +175,7 @@ bool LoopAccesses::addTerms(Address &address, Value value, int64_t scale) {
       access.offset += stride * trips->second;
       widen(address, trips->first, stride * step);
     } else if (term == value || !addTerms(address, term, stride)) {
-      // Others are sums that may wrap, which the program extends.
+      // Any other term is a narrow sum that may wrap before it is extended.
       return false;
     }
   }
@@ -188,9 +189,9 @@ bool LoopAccesses::addIndex(Address &address, Value index, int64_t size,
     address = std::move(attempt);
     return true;
   }
-  // For each digit that is no sum of the known, only its range is known.
-  // Digits of larger strides are products; the remainder is the digit of the
-  // smallest.
+  // A digit that is not a sum of known terms can take any value in its range.
+  // Digits of larger strides are summands multiplied by their strides; the sum
+  // of the remaining summands is the digit of the smallest stride.
   SmallVector<int64_t> strides, extents, begins;
   for (size_t i = 0; i + 2 < digits.size(); i += 3) {
     strides.push_back(digits[i]);
@@ -294,8 +295,9 @@ void LoopAccesses::add(Value pointer, Type type, DeviceAccess::Kind kind,
   isKnown = addresses.size() <= kMostAccesses;
 }
 
-/// Accesses that differ by a constant and leave nothing between them become one
-/// of a larger window: a row of weights that is written out, say.
+/// Merges accesses of one base that differ by a constant offset and leave no
+/// gap between them into one access with a larger window: an unrolled sum over
+/// a row of weights, say.
 void LoopAccesses::mergeNeighbours() {
   SmallVector<std::pair<int64_t, size_t>> order;
   for (auto [i, address] : llvm::enumerate(addresses))
@@ -325,8 +327,8 @@ void LoopAccesses::mergeNeighbours() {
   addresses = std::move(merged);
 }
 
-/// Replaces each access by the range of all iterations, without the cells of
-/// each: columns of weights that are written out lie side by side then.
+/// Replaces the cells that each iteration accesses by the range that all
+/// iterations access together: unrolled columns of weights are then adjacent.
 void LoopAccesses::foldIterations() {
   for (Address &address : addresses)
     for (auto [stride, lower, upper] :
@@ -346,14 +348,15 @@ void LoopAccesses::addSum(Value target, Type type, bool isAddition,
                    ? DeviceAccess::Sum
                    : DeviceAccess::Write,
                {});
-  // The iterations of each number of a fixed one are then of one thread.
+  // Partial sums belong to a fixed number of virtual threads; a thread of the
+  // launch runs all iterations of a virtual thread.
   isGridStride = false;
   add(target, storage, DeviceAccess::Write, {});
   if (isKnown)
     widen(addresses.back(), threads, getSize(storage));
 }
 
-/// Names the parameters that the address comes from.
+/// Replaces captured values of the address by the numbers of their parameters.
 bool LoopAccesses::complete(Address &address, ParameterFinder getParameter) {
   DeviceAccess &access = address.access;
   auto slot = getParameter(address.base);
@@ -366,7 +369,7 @@ bool LoopAccesses::complete(Address &address, ParameterFinder getParameter) {
     if (!term)
       return false;
     Type type = value.getType();
-    // A truth value is not extended by its sign.
+    // An i1 is not sign-extended, as `terms` assumes.
     int64_t bits = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
     if (bits == 1 || bits > 64)
       return false;
@@ -380,7 +383,7 @@ DenseI64ArrayAttr LoopAccesses::encode(ParameterFinder getParameter) {
     return {};
   runtime::FunctionAccesses result;
   result.isGridStride = isGridStride;
-  // A warp that meets in front of the loop and behind it is like one thread.
+  // A warp that synchronises before and after the loop is like one thread.
   bool inWarp = loop.getInWarp();
   bool isSingle = inWarp && box && effects != Effects::Sums;
   if (isSingle)

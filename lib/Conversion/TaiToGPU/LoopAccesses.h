@@ -22,11 +22,11 @@ class RuntimeCalls;
 /// On a device function: its accesses, as FunctionAccesses encodes them.
 constexpr llvm::StringLiteral kAccessesAttrName = "tai.accesses";
 
-/// On one that can run in tiles: lower bounds of the loop and its sites, as
-/// FunctionAccesses::encodeSites encodes them.
+/// On a device function that can run in tiles: lower bounds of the loop and its
+/// sites, as FunctionAccesses::encodeSites encodes them.
 constexpr llvm::StringLiteral kTilesAttrName = "tai.tiles";
 
-/// On a load or store in the body of such a loop: its number.
+/// On a load or store in the body of a loop that can run in tiles: its number.
 constexpr llvm::StringLiteral kSiteAttrName = "tai.site";
 
 /// Collects the addresses in a loop whose accesses have been lowered to memory,
@@ -36,26 +36,27 @@ class LoopAccesses {
 public:
   explicit LoopAccesses(ParallelForOp loop);
 
-  /// Adds a sum over all iterations that goes to this address, or whose
-  /// `threads` partial sums are stored from there on.
+  /// Adds a sum over all iterations that goes to the address `target`, or whose
+  /// `threads` partial sums are stored from `target` on.
   void addSum(Value target, Type type, bool isAddition, int64_t threads);
 
-  /// Maps a captured value to the number of the parameter it has become, and
-  /// the offset of an address from that parameter.
+  /// Maps a captured value to the number of the parameter that holds it, and an
+  /// address to a parameter and its offset from that parameter.
   using ParameterFinder =
       llvm::function_ref<std::optional<std::pair<int64_t, int64_t>>(Value)>;
 
-  /// The list, with captured values by the numbers of their parameters; null
-  /// where not all accesses are known.
+  /// The encoded accesses, with captured values by the numbers of their
+  /// parameters; null where not all accesses are known.
   DenseI64ArrayAttr encode(ParameterFinder getParameter);
 
   /// Whether iterations access memory by loads and stores alone, so that they
-  /// can be repeated in overlapping tiles. Numbers these accesses if so.
+  /// can be repeated in overlapping tiles. If so, numbers these loads and
+  /// stores.
   bool canRunInTiles();
   DenseI64ArrayAttr encodeSites(ParameterFinder getParameter);
 
 private:
-  /// An address with captured values, which have no numbers yet.
+  /// An address in terms of captured values, which are not yet parameters.
   struct Address {
     runtime::DeviceAccess access;
     Value base;
@@ -90,23 +91,24 @@ private:
   std::optional<LoopBox> box;
   bool isKnown = true;
   bool isGridStride = true;
-  /// Everything but loads and stores rules out tiles, which repeat iterations.
+  /// Tiles repeat iterations, so only loads and stores allow them.
   enum class Effects { LoadsAndStores, Other, Sums };
   Effects effects = Effects::LoadsAndStores;
   SmallVector<Address> addresses;
   std::vector<Site> sites;
 };
 
-/// Makes the function of one iteration, with the indices as additional last
-/// parameters, from that of all, whose loop is `iterations`. The address of
-/// each site goes through a call of `tai_tile_site`, by which programs redirect
-/// it to an overlay. Null where the uses of the indices cannot be separated.
+/// Makes the function of one iteration from `function`, which runs all
+/// iterations in the loop `iterations`; the indices become its last parameters.
+/// The address of each site goes through a call of `tai_tile_site`, by which
+/// programs redirect it to an overlay. Null where the uses of the indices
+/// cannot be separated.
 LLVM::LLVMFuncOp makeTileFunction(LLVM::LLVMFuncOp function,
                                   scf::ForOp iterations,
                                   ArrayRef<Value> indices, RuntimeCalls &calls);
 
-/// Removes the unused device state from the parameters of `tile`, and sets its
-/// sites; without sites, erases it.
+/// Removes the unused device state from the parameters of `tile` and attaches
+/// `sites` to it; erases `tile` if `sites` is null.
 void finishTileFunction(LLVM::LLVMFuncOp tile, LLVM::LLVMFuncOp function,
                         DenseI64ArrayAttr sites);
 

@@ -33,12 +33,12 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The limit of a size: sums of a few sizes do not leave the range of i32.
+/// The limit of a size in bytes: sums of a few sizes fit i32.
 static constexpr int64_t kMostBytes = int64_t(1) << 30;
 
-/// Limits of the first index of a field, and of the excess of a pure index over
-/// the range of i32: a truncated index is further from every element than this
-/// before and after.
+/// How far the first index of a field may be from zero, and an index that is
+/// used only as a subscript from the range of i32: an index that 32 bits
+/// truncate is then out of bounds both before and after truncation.
 static constexpr int64_t kMostShift = int64_t(1) << 28;
 
 static ConstantIntRanges getRange(int64_t low, int64_t high) {
@@ -52,7 +52,7 @@ static ConstantIntRanges getRangeOfI32() {
                   std::numeric_limits<int32_t>::max());
 }
 
-/// True for the address of one of the numbers of cells that a list holds.
+/// True for the address of an entry of a list of active cells.
 static bool isInList(Value address) {
   while (auto element = address.getDefiningOp<LLVM::GEPOp>())
     address = element.getBase();
@@ -78,7 +78,7 @@ private:
   bool fits(scf::ForOp loop);
   bool fits(ParallelForOp loop);
 
-  /// False, and says so where remarks are wanted.
+  /// Returns false, and emits a remark with the reason if remarks are wanted.
   bool fail(Operation *op, StringRef reason) {
     if (remarks)
       op->emitRemark("indices have 64 bits: ") << reason;
@@ -91,7 +91,7 @@ private:
 };
 } // namespace
 
-/// The conditions that all hold where `condition` does.
+/// Collects comparisons whose conjunction `condition` implies.
 static void collectConditions(Value condition,
                               SmallVectorImpl<arith::CmpIOp> &conditions) {
   if (auto both = condition.getDefiningOp<arith::AndIOp>()) {
@@ -102,8 +102,9 @@ static void collectConditions(Value condition,
   }
 }
 
-/// The body of a loop runs while its condition holds: a counter that it is
-/// given is below the end there, and may be added to.
+/// The range of an argument of a while loop. The body runs only while the
+/// condition holds: a counter compared with an end is below that end there, and
+/// may be incremented.
 ConstantIntRanges Proof::getWhileRange(scf::WhileOp loop,
                                        BlockArgument argument) {
   ConstantIntRanges range = getRangeOfI32();
@@ -123,12 +124,12 @@ ConstantIntRanges Proof::getWhileRange(scf::WhileOp loop,
   return range;
 }
 
-/// The known range of a value if all indices before it fitted.
+/// The range of a value, assuming that all indices computed earlier fit.
 std::optional<ConstantIntRanges> Proof::getInductiveRange(Value value) {
   if (!value.getType().isIntOrIndex())
     return std::nullopt;
   Operation *op = value.getDefiningOp();
-  // The cells of a tree are not more than its bytes.
+  // A tree has no more cells than bytes.
   if (isa_and_present<ActiveCellsOp, LengthOp, AppendOp>(op))
     return value.getType().isIndex() ? std::optional(getRange(0, kMostBytes))
                                      : std::nullopt;
@@ -152,8 +153,8 @@ std::optional<ConstantIntRanges> Proof::getInductiveRange(Value value) {
   return std::nullopt;
 }
 
-/// True if all cells have small numbers, and indices that count from elsewhere
-/// are not far from zero.
+/// True if the field has few enough cells, and its first indices are not far
+/// from zero.
 bool Proof::fits(FieldOp field) {
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout))
@@ -185,8 +186,7 @@ bool Proof::fits(Value index) {
          isSubscript(index);
 }
 
-/// True for a sum or difference that says where to read or write, and nothing
-/// else.
+/// True for a sum or difference that is used only as an index of accesses.
 bool Proof::isSubscript(Value index) {
   if (!isa_and_present<arith::AddIOp, arith::SubIOp>(index.getDefiningOp()))
     return false;
@@ -197,7 +197,7 @@ bool Proof::isSubscript(Value index) {
       return isSubscript(user->getResult(0));
     if (auto load = dyn_cast<LoadOp>(user))
       return number < load.getIndices().size();
-    // The first operand is the value.
+    // Operand 0 is the stored value; the indices follow.
     if (auto store = dyn_cast<StoreOp>(user))
       return number != 0 && number <= store.getIndices().size();
     if (auto atomic = dyn_cast<AtomicOp>(user))
@@ -206,8 +206,8 @@ bool Proof::isSubscript(Value index) {
   });
 }
 
-/// True if the operation may look at bits of an index that 32 have not: the
-/// high ones of a negative number that is taken as one without sign.
+/// True if the operation may depend on bits of an index above the low 32: the
+/// high bits of a negative index that is read as unsigned, say.
 bool Proof::readsAllBits(Operation *op) {
   auto isNegative = [&](Value value) {
     return getElementTypeOrSelf(value).isIndex() &&
@@ -230,7 +230,7 @@ bool Proof::fits(scf::ForOp loop) {
     return true;
   if (loop.getUnsignedCmp())
     return false;
-  // The last index is at most one less than the bound, and is added to.
+  // The last index is at most the bound minus one; the step is added to it.
   ConstantIntRanges upper = ranges.get(loop.getUpperBound());
   ConstantIntRanges step = ranges.get(loop.getStep());
   return step.smin().isStrictlyPositive() &&
@@ -268,7 +268,7 @@ bool Proof::run() {
     return llvm::all_of(values, [&](Value value) { return fits(value); });
   };
   for (auto kernel : module.getOps<KernelOp>()) {
-    // The sizes of arrays are known at the launch.
+    // The sizes of arrays are known only at the launch.
     if (llvm::any_of(kernel.getArgumentTypes(), llvm::IsaPred<MemRefType>))
       return fail(kernel, "how large an array is, its launch says");
     WalkResult result = kernel->walk([&](Operation *op) {
@@ -299,7 +299,7 @@ struct NarrowIndices : tai::impl::NarrowIndicesBase<NarrowIndices> {
 
   void runOnOperation() override {
     ModuleOp module = getOperation();
-    // A module without kernels is not ours.
+    // Leave modules without kernels alone.
     if (module.getOps<KernelOp>().empty())
       return;
     if (Proof(module, remarks).run())

@@ -74,8 +74,8 @@ void fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
 LogicalResult splitFixedPointLoops(LLVM::LLVMFuncOp host, Value frame,
                                    DeviceLowering &lowering);
 
-/// Replaces additions that have private buffers by such to sums of f64, with a
-/// loop behind theirs that adds the sums to the field.
+/// Replaces additions that have private buffers by additions to sums of f64,
+/// and inserts after their loop a loop that adds the sums to the field.
 LogicalResult splitWideScatters(LLVM::LLVMFuncOp host, Value frame,
                                 DeviceLowering &lowering);
 
@@ -84,7 +84,7 @@ LogicalResult splitWideScatters(LLVM::LLVMFuncOp host, Value frame,
 LogicalResult prepareSums(ParallelForOp loop, Value frame,
                           DeviceLowering &lowering);
 
-/// Moves a loop to a function of its own and launches that in its place.
+/// Moves a loop to a function of its own and launches the function instead.
 LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                           DeviceLowering &lowering);
 
@@ -92,18 +92,18 @@ LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
 LogicalResult checkBlockSize(ParallelForOp loop);
 
 /// Sets the block size on the function of a loop, if the loop specifies one,
-/// and whether iterations are few.
+/// and marks functions of loops with few iterations.
 void noteSizes(ParallelForOp loop, LLVM::LLVMFuncOp function);
 
 /// Limits registers so that a block of the function's size fits, if it has one.
 void limitRegisters(LLVM::LLVMFuncOp function);
 
-/// Whether the number of iterations may be more than a device runs in hours.
+/// Whether the iterations may be too many for a device to run within hours.
 bool mayBeCountless(ParallelForOp loop);
 
 /// Inserts safepoints into loops that may run long inside the iterations of a
-/// device function, whose first argument is the device state; and into the loop
-/// over the iterations of a thread, if there may be countless ones.
+/// device function, whose first argument is the device state; and, if
+/// `areCountless`, into the loop over the iterations of a thread.
 void pollLongLoops(LLVM::LLVMFuncOp function, scf::ForOp iterations,
                    bool runsAlone, bool areCountless, RuntimeCalls &runtime);
 

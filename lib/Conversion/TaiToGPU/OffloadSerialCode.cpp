@@ -28,12 +28,12 @@ bool tai::isDeviceLoop(Operation *op) {
          !loop->getParentOfType<ParallelForOp>();
 }
 
-/// Lists of active cells are asked for by the host, and it refuses launches.
+/// Only the host requests lists of active cells and refuses launches.
 static bool isHostOp(Operation *op) {
   return isa<ActiveCellsOp, ListIsCurrentOp, PreconditionOp>(op);
 }
 
-/// True if a loop of the device or an op of the host stands below `op`.
+/// True if `op` contains a device loop or a host op.
 static bool staysOnHost(Operation *op) {
   return op
       ->walk<WalkOrder::PreOrder>([](Operation *inner) {
@@ -43,8 +43,8 @@ static bool staysOnHost(Operation *op) {
       .wasInterrupted();
 }
 
-/// Lists that are asked for inside of a loop are made before it, which is the
-/// same unless the loop changes them.
+/// Moves requests for lists of active cells out of loops. This is correct
+/// unless the loop changes which cells are active.
 static LogicalResult hoistLists(LLVM::LLVMFuncOp host) {
   SmallVector<Operation *> inside;
   host.walk([&](Operation *op) {
@@ -73,7 +73,7 @@ static LogicalResult hoistLists(LLVM::LLVMFuncOp host) {
   return success();
 }
 
-/// Memory of the device for this launch.
+/// Allocates device memory for this launch.
 static Value createScratch(OpBuilder &builder, Location loc, Value frame,
                            RuntimeCalls &runtime, int64_t bytes) {
   return runtime.tai_rt_device_scratch(builder, loc, frame,
@@ -91,9 +91,9 @@ public:
   SerialOffload(Value frame, DeviceLowering &lowering)
       : frame(frame), lowering(lowering) {}
 
-  /// Decides for the ops of a block, which are given in order.
+  /// Assigns the ops of a block, given in order, to groups.
   void assign(ArrayRef<Operation *> ops);
-  /// Makes a loop of each group.
+  /// Wraps each group into a loop of one iteration.
   LogicalResult emit();
 
 private:
@@ -105,14 +105,15 @@ private:
   Value frame;
   DeviceLowering &lowering;
   std::vector<std::unique_ptr<Group>> groups;
-  /// The group that each op of the device belongs to.
+  /// The group of each op that runs on the device.
   llvm::DenseMap<Operation *, Group *> groupOf;
-  /// The one to which more can be added.
+  /// The last group, while further ops can join it.
   Group *open = nullptr;
 };
 } // namespace
 
-/// Something else is done than arithmetic. The host's own calls do not count.
+/// True if `op` does more than arithmetic. Calls of the host for device memory
+/// do not count.
 static bool hasEffects(Operation *op) {
   if (auto call = dyn_cast<LLVM::CallOp>(op))
     if (call.getCallee() && call.getCallee()->starts_with("tai_rt_device_"))
@@ -134,8 +135,8 @@ bool SerialOffload::runsOnDevice(Operation *op) {
       .wasInterrupted();
 }
 
-/// A group before other code to which arithmetic on its values can be added:
-/// less to launch.
+/// An earlier group that `op`, if it is arithmetic on values of that group, can
+/// join, which saves a launch.
 Group *SerialOffload::findEarlier(Operation *op) {
   if (hasEffects(op) || op->getNumRegions() != 0)
     return nullptr;
@@ -252,8 +253,8 @@ LogicalResult SerialOffload::emit() {
   return success();
 }
 
-/// True if the size of a value is known: a data layout ends the process when it
-/// is asked for another's.
+/// True if the size of `type` is known. A data layout ends the process when it
+/// is asked for the size of any other type.
 static bool hasFixedSize(Type type) {
   if (auto vector = dyn_cast<VectorType>(type))
     return !vector.isScalable() && hasFixedSize(vector.getElementType());
@@ -265,7 +266,7 @@ static bool hasFixedSize(Type type) {
   return type.isIntOrIndexOrFloat() || isa<LLVM::LLVMPointerType>(type);
 }
 
-/// The bytes of an array that parts of a kernel share.
+/// The size in bytes of an array that several parts of a kernel share.
 static FailureOr<int64_t> getSharedBytes(LLVM::AllocaOp array,
                                          const DataLayout &layout) {
   if (!hasFixedSize(array.getElemType()))
@@ -286,8 +287,8 @@ static FailureOr<int64_t> getSharedBytes(LLVM::AllocaOp array,
   return *bytes;
 }
 
-/// Memory that several parts of a kernel use cannot be on the stack of one of
-/// them.
+/// Moves variables that several parts of a kernel use to device memory: they
+/// cannot be on the stack of a single part.
 static LogicalResult shareLocals(LLVM::LLVMFuncOp host, Value frame,
                                  DeviceLowering &lowering) {
   RuntimeCalls &runtime = lowering.host.runtime;
@@ -313,7 +314,8 @@ static LogicalResult shareLocals(LLVM::LLVMFuncOp host, Value frame,
     array.erase();
   }
   for (AllocaOp local : locals) {
-    // Below serial code it is a variable of the thread that runs that.
+    // A local inside serial code is a variable of the thread that runs the
+    // code.
     Operation *outer = local->getParentOp();
     if (outer != host && !staysOnHost(outer))
       continue;
@@ -380,7 +382,7 @@ void tai::fetchHostValues(LLVM::LLVMFuncOp host, Value frame,
   });
   for (UnrealizedConversionCastOp value : values) {
     if (!value->use_empty()) {
-      // As late as possible, since a wait for it is one for all work before.
+      // Fetch as late as possible: a fetch waits for all work queued before it.
       Operation *first = nullptr;
       for (Operation *user : value->getUsers()) {
         Operation *here = value->getBlock()->findAncestorOpInBlock(*user);

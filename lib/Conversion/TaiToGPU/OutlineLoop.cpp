@@ -27,7 +27,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Threads of a block, as named in the launch in the IR; the runtime may take
+/// Threads of a block, as given in the launch in the IR; the runtime may choose
 /// another number.
 constexpr int64_t kBlockDim = 256;
 
@@ -35,7 +35,7 @@ constexpr int64_t kBlockDim = 256;
 // Iterations
 //===----------------------------------------------------------------------===//
 
-/// The number of this thread among all, and the number of all.
+/// The number of this thread in the grid, and the number of threads.
 static std::pair<Value, Value> emitThread(OpBuilder &builder, Location loc) {
   IndexMath math(builder, loc);
   auto x = gpu::Dimension::x;
@@ -54,8 +54,9 @@ struct Iterations {
 };
 } // namespace
 
-/// Emits the loop over the iterations of this thread and moves the body in.
-/// Programs count on which they are: see FunctionAccesses::isGridStride.
+/// Emits the loop over the iterations of this thread and moves the body into
+/// it. Fused programs rely on which iterations a thread runs: see
+/// FunctionAccesses::isGridStride.
 static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
                                  MutableArrayRef<Sum> sums,
                                  DeviceLowering &lowering) {
@@ -64,7 +65,7 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   IndexMath math(builder, loc);
   SmallVector<Value> extents;
   Value count = math.constant(1);
-  // Constants are in reach here: others are captured later.
+  // Recreate constants in the function; other values are captured later.
   auto inside = [&](Value value) -> Value {
     if (auto constant = getConstantIntValue(value))
       return math.constant(*constant);
@@ -85,8 +86,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
     thread = warp.first;
     threads = warp.step;
   } else if (llvm::any_of(sums, [](const Sum &sum) { return sum.isPartial; })) {
-    // The order of these sums needs a fixed number of threads. A thread of the
-    // launch does the work of one or more of them.
+    // The order of these sums needs a fixed number of virtual threads. A thread
+    // of the launch does the work of one or several virtual threads.
     auto standIns = scf::ForOp::create(
         builder, loc, thread, math.constant(getSumThreads(loop)), threads);
     builder.setInsertionPointToStart(standIns.getBody());
@@ -96,8 +97,8 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
                       arith::ConstantOp::create(
                           builder, loc, getLaneStart(sum.kind, sum.kept)),
                       sum.slot);
-    // The thread is a lane of a chunk of iterations. A chunk behind the last is
-    // empty.
+    // The virtual thread is a lane of a chunk of iterations. Chunks beyond the
+    // last one are empty.
     IndexMath in(builder, loc);
     Value number = standIns.getInductionVar();
     Value length = emitChunkLength(builder, loc, count);
@@ -125,8 +126,9 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
   if (warp.lane)
     emitWarpBarrier(builder, loc, warp, runtime);
   auto iterations = scf::ForOp::create(builder, loc, thread, end, threads);
-  // The number of iterations may be close to the largest index: behind it there
-  // is room for the stride of the grid if the comparison has no sign.
+  // The induction variable exceeds the number of iterations by up to the stride
+  // of the grid. That number may be close to the largest index, so the
+  // comparison must be unsigned.
   if (extents.size() == 1 && !getConstantIntValue(count) && !warp.lane)
     iterations.setUnsignedCmp(true);
   if (warp.lane)
@@ -165,7 +167,7 @@ static Iterations emitIterations(OpBuilder &builder, ParallelForOp loop,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Makes parameters of the values of the host's part that a function uses.
+/// Turns the values of the host part that a function uses into parameters.
 class Parameters {
 public:
   Parameters(LLVM::LLVMFuncOp function, Operation *launch,
@@ -174,8 +176,8 @@ public:
         entry(function.getContext()) {}
 
   LogicalResult capture();
-  /// The number of the parameter that a value from outside has become, and for
-  /// an address how far behind that of the parameter it is.
+  /// The number of the parameter that holds a captured value; for an address,
+  /// also its offset from the address that the parameter holds.
   std::optional<std::pair<int64_t, int64_t>> find(Value outer) const {
     int64_t distance = 0;
     for (auto next = near.find(outer); next != near.end();
@@ -188,7 +190,7 @@ public:
       return std::nullopt;
     return std::pair(found->second, distance);
   }
-  /// The operands to pass, as values of the host's part.
+  /// The operands to pass, as values of the host part.
   ArrayRef<Value> getOperands() const { return operands; }
 
 private:
@@ -204,8 +206,8 @@ private:
   SmallVector<Value> operands;
   llvm::DenseMap<Value, Value> known;
   llvm::DenseMap<Value, int64_t> numbers;
-  /// All addresses from outside, by where they come from and their distance
-  /// from there; and those that are a little behind another.
+  /// `addresses` maps the origin of captured addresses to their distances from
+  /// it; `near` maps an address to a lower one close by and the distance.
   llvm::MapVector<Value, SmallVector<std::pair<int64_t, Value>>> addresses;
   llvm::DenseMap<Value, std::pair<Value, int64_t>> near;
 };
@@ -238,8 +240,8 @@ Value Parameters::addParameter(Value outer) {
   return parameter;
 }
 
-/// The address of the host's part that is the origin of an address, and the
-/// constant distance between them.
+/// The address in the host part that `address` is derived from, and the
+/// constant distance between the two.
 static std::pair<Value, int64_t> getOrigin(Value address) {
   int64_t distance = 0;
   while (auto element = address.getDefiningOp<LLVM::GEPOp>()) {
@@ -258,7 +260,7 @@ static std::pair<Value, int64_t> getOrigin(Value address) {
   return {address, distance};
 }
 
-/// The known alignment of an address of the host's part.
+/// The known alignment of an address in the host part.
 static int64_t getAddressAlignment(Value address) {
   auto [origin, distance] = getOrigin(address);
   Operation *definition = origin.getDefiningOp();
@@ -275,8 +277,8 @@ void Parameters::collectAddress(Value outer) {
   addresses[origin].push_back({distance, outer});
 }
 
-/// The first address that is close before this one: fields of one cell share a
-/// parameter, so that it is known that they are neighbours.
+/// The first address that is at most 128 bytes before `outer`: addresses of
+/// fields in one cell share a parameter, so that LLVM knows their distance.
 Value Parameters::findNeighbour(Value outer) {
   constexpr int64_t close = 128;
   auto [origin, distance] = getOrigin(outer);
@@ -344,8 +346,8 @@ LogicalResult Parameters::capture() {
       [&](Value outer) { return get(outer); });
 }
 
-/// Loads of places that the function does not write go past the caches of
-/// writes.
+/// Marks loads from memory that the function does not write as invariant, so
+/// that they use the read-only cache.
 static void markInvariantLoads(LLVM::LLVMFuncOp function, ArrayRef<Sum> sums) {
   llvm::DenseSet<Attribute> written;
   bool writesUnknown = false;
@@ -383,7 +385,7 @@ static void markInvariantLoads(LLVM::LLVMFuncOp function, ArrayRef<Sum> sums) {
 // Launches
 //===----------------------------------------------------------------------===//
 
-/// The number of iterations where the host knows it, or may guess.
+/// The number of iterations if the host knows or can predict it, else null.
 static Value emitCount(OpBuilder &builder, ParallelForOp loop) {
   IndexMath math(builder, loop.getLoc());
   Value count = math.constant(1);
@@ -408,11 +410,11 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
   Location loc = loop.getLoc();
   IndexMath math(builder, loc);
   Value one = math.constant(1);
-  // The function of a block for one warp tells its size.
+  // The function of a loop in one warp specifies its own block size.
   bool inWarp = loop.getInWarp();
   Value threads =
       inWarp ? one : math.constant(loop.getBlockDim().value_or(kBlockDim));
-  // No blocks stand for a number that the device alone knows.
+  // A launch with zero blocks stands for a number that only the device knows.
   Value blocks = math.constant(0);
   if (inWarp) {
     blocks = one;
@@ -423,7 +425,7 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
     int64_t size = *getConstantIntValue(threads);
     blocks = math.div(math.add(count, math.constant(size - 1)), size);
     if (!constant)
-      // An empty loop is not one of unknown length.
+      // An empty loop must not look like a loop of unknown length.
       blocks = math.max(blocks, one);
   }
   auto kernel =
@@ -435,8 +437,8 @@ static void emitLaunch(ParallelForOp loop, LLVM::LLVMFuncOp function,
                             /*dynamicSharedMemorySize=*/Value(), operands);
 }
 
-/// The trees in which code below `op` makes cells active or inactive, and
-/// whether there is the latter.
+/// The trees in which code below `op` activates or deactivates cells, and
+/// whether it deactivates any.
 static llvm::MapVector<Value, bool> findActivated(Operation *op) {
   llvm::MapVector<Value, bool> trees;
   op->walk([&](Operation *inner) {
@@ -446,7 +448,7 @@ static llvm::MapVector<Value, bool> findActivated(Operation *op) {
   return trees;
 }
 
-/// Whether one thread runs all of it.
+/// Whether one thread runs the whole loop.
 static bool runsAlone(ParallelForOp loop) {
   for (auto [lower, upper] :
        llvm::zip(loop.getLowerBounds(), loop.getUpperBounds())) {
@@ -472,7 +474,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                     sum.kind == AtomicKind::Add,
                     sum.isPartial ? getSumThreads(loop) : 0);
 
-  // Loops inside are serial.
+  // Loops inside this loop run serially within a thread.
   SmallVector<ParallelForOp> inner;
   loop.getBody().walk([&](ParallelForOp other) { inner.push_back(other); });
   for (ParallelForOp other : inner)
@@ -486,11 +488,11 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
       builder, loc, name, LLVM::LLVMFunctionType::get(voidType, {}));
   function.setNoUnwind(true);
   markLowered(function);
-  // Threads meet in it, so that a call must not become several.
+  // Threads synchronise in the function, so its calls must not be duplicated.
   if (loop.getInWarp())
     function.setConvergent(true);
   Block *entry = function.addEntryBlock(builder);
-  // Stands for the state of the device until it is known whether it is used.
+  // A placeholder for the device state until its uses are known.
   Value state = entry->addArgument(runtime.getPointerType(), loc);
   builder.setInsertionPointToEnd(entry);
   auto ret = LLVM::ReturnOp::create(builder, loc, ValueRange());
@@ -523,7 +525,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   if (failed(lowerLeafOps(function, lowering.device)) ||
       (tile && failed(lowerLeafOps(tile, lowering.device))))
     return failure();
-  // Where threads meet inside of loops, none of them may end alone.
+  // Where threads synchronise inside loops, no thread may exit alone.
   if (!loop.getInWarp())
     pollLongLoops(function, iterations.loop, runsAlone(loop),
                   lowering.countless.contains(loop), runtime);
@@ -531,8 +533,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
 
   SmallVector<Value> operands(parameters.getOperands());
   bool usesState = !state.use_empty();
-  // The list counts parameters from the state of the device on, if the function
-  // has it.
+  // Numbers of parameters start with the device state if the function uses it.
   auto getParameter = [&](Value outer) {
     auto number = parameters.find(outer);
     if (number)
@@ -542,7 +543,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   DenseI64ArrayAttr list = accesses.encode(getParameter);
   if (list)
     function->setAttr(kAccessesAttrName, list);
-  // Code that may print or fail is not run again.
+  // Code that may print or fail must not be repeated in tiles.
   if (tile)
     finishTileFunction(tile, function,
                        list && !usesState && tile.getArgument(0).use_empty()
@@ -558,7 +559,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
   }
   function.setFunctionType(LLVM::LLVMFunctionType::get(
       voidType, llvm::to_vector(entry->getArgumentTypes())));
-  // Neighbours in memory are then read and written at once.
+  // With known alignment, neighbouring elements are accessed together.
   for (auto [i, operand] : llvm::enumerate(operands))
     if (isa<LLVM::LLVMPointerType>(operand.getType()))
       if (int64_t alignment = getAddressAlignment(operand); alignment > 1)
@@ -569,7 +570,7 @@ LogicalResult tai::outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                     UnitAttr::get(context));
   noteSizes(loop, function);
   emitLaunch(loop, function, operands, lowering);
-  // The host's record of activity is then out of date.
+  // The launch makes the host's record of active cells out of date.
   OpBuilder after(loop);
   RuntimeCalls &hostCalls = lowering.host.runtime;
   for (auto [tree, removes] : activated)

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Finds loads and stores of the element at the iteration's index shifted along
-// each dimension, of which programs can keep copies in shared memory: see
-// docs/decisions/0012-fused-launches.md. Other accesses are allowed; they use
-// global memory.
+// Finds loads and stores whose index in each dimension is the index of the
+// iteration plus a constant. Programs can keep copies of the accessed elements
+// in shared memory: see docs/decisions/0012-fused-launches.md. Other accesses
+// are allowed; they use global memory.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,7 +27,7 @@ using runtime::TileSite;
 
 /// A loop with more accesses than this is not taken for a stencil.
 static constexpr size_t kMostSites = 64;
-/// Tiles have at most so many dimensions.
+/// Tiles have at most this many dimensions.
 static constexpr size_t kMostDimensions = 3;
 
 bool LoopAccesses::canRunInTiles() {
@@ -82,12 +82,11 @@ void LoopAccesses::addSite(Operation *op, const Address &address, Value pointer,
   sites.push_back(std::move(site));
 }
 
-/// Follows an index that is a sum of digits times their strides, of which at
-/// most one goes along with each index of the loop.
+/// Analyses an index that is a sum of digits times their strides. At most one
+/// digit may follow each index of the loop.
 bool LoopAccesses::addRegularIndex(Site &site, Value index, int64_t size,
                                    ArrayRef<int64_t> digits) {
-  // Digits that have been met; those that say more than that they are constant
-  // must come once.
+  // Digits seen so far; a digit that varies may occur only once.
   llvm::SmallDenseSet<size_t> seen;
   for (auto [part, digit, factor] : getSummands(index)) {
     int64_t stride = factor * size;
@@ -115,7 +114,7 @@ bool LoopAccesses::addRegularIndex(Site &site, Value index, int64_t size,
         getIndexShift(digit, *variable, lower, upper);
     if (!shift || found.stride != 0)
       return false;
-    // The part taken out of the index stands in the address.
+    // `peeled`, subtracted from the index, is part of the address already.
     int64_t extent = digits[at + 1], peeled = -digits[at + 2];
     found = {stride, extent, shift->offset + peeled, shift->wraps};
     site.address.access.offset -= peeled * stride;
@@ -165,7 +164,7 @@ LLVM::LLVMFuncOp tai::makeTileFunction(LLVM::LLVMFuncOp function,
                                               builder.getIndexType(), argument);
     mapping.lookup(index).replaceAllUsesWith(number);
   }
-  // Other users of the iteration's number are no longer used.
+  // The remaining users of the induction variable have no uses themselves.
   loop.getInductionVar().replaceAllUsesWith(loop.getLowerBound());
   Block *body = loop.getBody();
   body->getTerminator()->erase();

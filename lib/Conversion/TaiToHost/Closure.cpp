@@ -26,7 +26,7 @@ LLVM::LLVMFuncOp tai::createFunction(ModuleOp module, Location loc,
   auto function = LLVM::LLVMFuncOp::create(
       builder, loc, name, LLVM::LLVMFunctionType::get(returned, arguments),
       isInternal ? LLVM::Linkage::Internal : LLVM::Linkage::External);
-  // Nothing here throws; unwind tables would only cost time to make.
+  // Lowered code throws nothing; unwind tables would only cost compile time.
   function.setNoUnwind(true);
   markLowered(function);
   function.addEntryBlock(builder);
@@ -59,7 +59,8 @@ static bool isVectorOfScalars(Operation *op) {
          op->getNumRegions() == 0 && isMemoryEffectFree(op);
 }
 
-/// The address of an array is replaced later, where it is used.
+/// Whether `op` adds or casts integers, other than the address of an array,
+/// which is replaced later, at its uses.
 static bool isIntegerSum(Operation *op) {
   return isa<arith::AddIOp, arith::SubIOp, arith::IndexCastOp, arith::ExtSIOp>(
              op) &&
@@ -84,8 +85,8 @@ FailureOr<Value> Closure::get(Value outer) {
     value = entry.clone(*definition)->getResult(0);
     return value;
   }
-  // Vectors of scalars from outside are made again, and so are sums of
-  // integers: LLVM must see the distance of the slots `t` and `t + 1`.
+  // Recompute vectors of captured scalars, and sums of integers: LLVM must see
+  // the constant distance of slots such as `t` and `t + 1`.
   if (definition &&
       (isVectorOfScalars(definition) || isIntegerSum(definition))) {
     IRMapping operands;
@@ -148,8 +149,8 @@ Value Closure::emit(RuntimeCalls &runtime) {
 // Arguments and results
 //===----------------------------------------------------------------------===//
 
-/// Replaces an array argument by its address and extents, the remains of it
-/// after tai-lower-layout.
+/// Replaces an array argument by its address and extents: after
+/// tai-lower-layout, the array has only uses that ask for these.
 static LogicalResult replaceArray(BlockArgument array, Value address,
                                   ArrayRef<Value> extents) {
   for (OpOperand &use : llvm::make_early_inc_range(array.getUses())) {
@@ -204,7 +205,8 @@ LogicalResult tai::replaceArguments(FunctionOpInterface function, Value frame,
     if (auto memref = dyn_cast<MemRefType>(type)) {
       Value address = loadNext(runtime.getPointerType());
       SmallVector<Value> extents;
-      // The dimensions of an element are not the caller's; see tai-scalarize.
+      // Callers pass no extents for the dimensions of an element; see
+      // tai-scalarize.
       auto elementRank = function.getArgAttrOfType<IntegerAttr>(
           argument.getArgNumber(), "tai.element_rank");
       int64_t rank =

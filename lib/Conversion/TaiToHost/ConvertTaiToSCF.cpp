@@ -41,7 +41,8 @@ ModuleLowering::ModuleLowering(ModuleOp module, bool debug, Operation *table)
   addCallees(module, functions);
 }
 
-/// True if the launch can fail in this function or in one that it runs.
+/// True if the launch can fail in one of the functions or in a function that
+/// the runtime runs for it.
 static bool canFail(ArrayRef<LLVM::LLVMFuncOp> functions) {
   for (LLVM::LLVMFuncOp function : functions) {
     WalkResult result = function.walk([](LLVM::CallOp call) {
@@ -112,7 +113,7 @@ LogicalResult tai::finishModule(ModuleLowering &lowering) {
     if (lowering.functions.contains(function) &&
         failed(lowerHostFunction(function, lowering)))
       return failure();
-  // Storage is the runtime's from here on.
+  // From here on, the runtime owns the storage of fields.
   WalkResult accesses = module.walk([](Operation *op) {
     if (!isa_and_present<TaiDialect>(op->getDialect()) ||
         !op->getAttrOfType<FlatSymbolRefAttr>("field"))

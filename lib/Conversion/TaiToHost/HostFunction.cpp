@@ -85,7 +85,7 @@ static LogicalResult lowerLaunch(LaunchOp op, Value frame,
   return success();
 }
 
-/// tape_begin, the launches, tape_end.
+/// Lowers a tape to a call of tape_begin, the launches and a call of tape_end.
 static void lowerTape(TapeOp op, Value frame, RuntimeCalls &runtime) {
   OpBuilder builder(op);
   Location loc = op.getLoc();
@@ -105,8 +105,8 @@ static void lowerTape(TapeOp op, Value frame, RuntimeCalls &runtime) {
   op.erase();
 }
 
-/// |actual - expected| <= tolerance * max(1, |expected|), or a failure. Written
-/// so that NaN fails.
+/// Emits a check that |actual - expected| <= tolerance * max(1, |expected|),
+/// written so that it fails for NaN.
 static void lowerCheckClose(CheckCloseOp op, Value frame,
                             RuntimeCalls &runtime) {
   OpBuilder builder(op);
@@ -143,8 +143,8 @@ static void lowerCheckClose(CheckCloseOp op, Value frame,
   op.erase();
 }
 
-/// The launches become a function, which the runtime runs as often as the
-/// differences need.
+/// Moves the launches into a function, which the runtime calls as often as the
+/// finite differences require.
 static LogicalResult lowerCheckGradient(CheckGradientOp op, StringRef name,
                                         Value frame, ModuleLowering &lowering) {
   OpBuilder builder(op);
@@ -186,14 +186,15 @@ static LogicalResult lowerCheckGradient(CheckGradientOp op, StringRef name,
 LogicalResult tai::lowerHostFunction(func::FuncOp function,
                                      ModuleLowering &lowering) {
   if (function.isPrivate()) {
-    // A helper, which was inlined where it is used.
+    // A private function is a helper, which was inlined into its callers.
     auto uses = SymbolTable::getSymbolUses(function, lowering.module);
     if (uses && uses->empty()) {
       function.erase();
       return success();
     }
     if (uses) {
-      // The call that makes it recursive says more than that from outside.
+      // Report the recursive call, if there is one, rather than a call from
+      // outside.
       Operation *user = uses->begin()->getUser();
       for (SymbolTable::SymbolUse use : *uses)
         if (function->isProperAncestor(use.getUser()))
@@ -237,8 +238,8 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
   replaceReturn(ret, loc, frame, builder, runtime);
 
   upgradeFormerChecks(host);
-  // Before parts of the program become functions of their own: addresses and
-  // locals are pointers then, which these functions get.
+  // Lower these first, while the program is one function: addresses and locals
+  // are then pointers, which the functions split off below can capture.
   if (failed(lowerLeafOps(host, lowering)))
     return failure();
   SmallVector<Operation *> ops;
@@ -247,7 +248,7 @@ LogicalResult tai::lowerHostFunction(func::FuncOp function,
             ParallelForOp, func::CallOp>(op))
       ops.push_back(op);
   });
-  // Innermost first: a walk is in post-order.
+  // Lower inner ops first: the walk above collected them in post-order.
   unsigned numRegions = 0;
   for (Operation *op : ops) {
     LogicalResult result =

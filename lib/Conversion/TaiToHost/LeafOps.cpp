@@ -49,9 +49,9 @@ template <typename Op> struct LeafPattern : OpRewritePattern<Op> {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// A local lives on the stack of the function, where LLVM finds and promotes
-/// it; it is set to zero where the program makes it. Its loads and stores go
-/// with it.
+/// Puts a local on the stack of the function, where LLVM promotes it to a
+/// register; sets it to zero where the program creates it. Lowers the loads and
+/// stores of the local as well.
 struct LowerLocal final : LeafPattern<AllocaOp> {
   using LeafPattern::LeafPattern;
 
@@ -83,7 +83,7 @@ struct LowerLocal final : LeafPattern<AllocaOp> {
   }
 };
 
-/// The same for a stack.
+/// Lowers a stack with its pushes and pops.
 struct LowerStack final : LeafPattern<StackCreateOp> {
   using LeafPattern::LeafPattern;
 
@@ -116,7 +116,7 @@ struct LowerDraw final : LeafPattern<UnrealizedConversionCastOp> {
 // Checks and output
 //===----------------------------------------------------------------------===//
 
-/// Numbers of components of the arguments, which tai-scalarize took apart.
+/// The numbers of components of the arguments that tai-scalarize split.
 static ArrayRef<int32_t> getShapes(std::optional<ArrayRef<int32_t>> shapes) {
   return shapes.value_or(ArrayRef<int32_t>());
 }
@@ -285,7 +285,7 @@ template <typename Op> struct LowerCells final : LeafPattern<Op> {
 };
 } // namespace
 
-/// Makes room on the stack once for all iterations of a loop.
+/// Moves allocations to the function's entry, once for all iterations of loops.
 static void hoistArrays(LLVM::LLVMFuncOp function) {
   Block *entry = &function.getBody().front();
   function.walk([&](LLVM::AllocaOp op) {

@@ -29,8 +29,9 @@ struct ModuleLowering {
   bool debug;
   /// Position of each tree in TaiFrame::trees.
   llvm::DenseMap<StringAttr, int64_t> treeIndex;
-  /// The functions that are lowered, with the helpers that could not be
-  /// inlined, which are refused. Others of the module stay as they are.
+  /// The functions that are lowered, including helpers that could not be
+  /// inlined, which are rejected. Other functions of the module are not
+  /// changed.
   llvm::SetVector<Operation *> functions;
 };
 
@@ -43,7 +44,7 @@ public:
   /// first two arguments.
   Closure(LLVM::LLVMFuncOp inner, Value frame, Operation *call);
 
-  /// The value inside for a value outside.
+  /// The value in the inner function for a value in the outer function.
   FailureOr<Value> get(Value outer);
 
   /// Replaces the values that `region`, which was moved into the inner
@@ -114,7 +115,8 @@ LogicalResult lowerStack(StackCreateOp op, Value frame, RuntimeCalls &runtime);
 void numberDraws(Operation *root, ParallelForOp loop);
 /// Whether the cast is the placeholder of a random number that is numbered.
 bool isDraw(UnrealizedConversionCastOp op);
-/// The number: all bits are random for an integer, in [0, 1) for a float.
+/// The random number: for an integer, all bits are random; a float is in [0,
+/// 1).
 Value emitDraw(UnrealizedConversionCastOp op, Value frame, OpBuilder &builder,
                RuntimeCalls &runtime);
 

@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // The body of a parallel loop becomes a function that runs a range of the
-// linearised iterations. Whatever the rank, its innermost loop is a plain
-// counted loop over the last dimension, which LLVM vectorises: where there are
-// many rows, the range counts whole rows; else its first and last rows may be
-// partial.
+// linearised iterations. A row is the iterations along the last dimension: the
+// innermost loop is a plain counted loop over a row or a part of it, which LLVM
+// vectorises. With many rows, the range counts whole rows; otherwise the first
+// and last rows of the range may be partial.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,11 +28,11 @@ using namespace mlir::tai;
 /// even distribution over the cores of a large machine.
 constexpr int64_t kManyRows = 64;
 
-/// Rows that are shorter are no block.
+/// Rows shorter than this do not end a block of a sum.
 constexpr int64_t kShortRow = 32;
 
 namespace {
-/// The box of a loop. Values are valid where the loop stands.
+/// The box of a loop. The values are defined at the loop.
 struct Box {
   SmallVector<Value> lower, upper, extent;
 
@@ -74,7 +74,7 @@ static void moveBody(ParallelForOp loop, scf::ForOp innermost, ValueRange ivs) {
   body.getTerminator()->erase();
   block->getOperations().splice(block->getTerminator()->getIterator(),
                                 body.getOperations());
-  // The loop says that accesses of this group do not depend on one another.
+  // Annotate the loop: accesses of this group do not depend on one another.
   auto group = loop->getAttrOfType<LLVM::AccessGroupAttr>(kAccessGroupAttrName);
   if (!group)
     return;
@@ -130,9 +130,9 @@ static SmallVector<Value> delinearize(OpBuilder &builder, Location loc,
   return indices;
 }
 
-/// Emits the loops of a partition and moves the body into them. `byRows`: the
-/// range counts rows. Sums end a block with each row, or after the iterations
-/// of a block.
+/// Emits the loops of a partition and moves the body into them. With `byRows`,
+/// the range counts rows. A block of a sum ends after each row, or after the
+/// maximum number of iterations of a block.
 static void emitPartition(OpBuilder &builder, ParallelForOp loop,
                           const Box &box, Value begin, Value end, bool byRows,
                           Accumulators &accumulators) {
@@ -155,8 +155,8 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
         scf::ForOp::create(builder, loc, from, to, math.constant(most));
     builder.setInsertionPointToStart(blocks.getBody());
     from = blocks.getInductionVar();
-    // The minimum tells LLVM the greatest length of a block, which needs no
-    // safepoint then.
+    // The minimum tells LLVM the maximum length of a block; such a short loop
+    // needs no safepoint.
     to = math.add(from, math.min(math.constant(most), math.sub(to, from)));
   };
   if (box.rank() == 1) {
@@ -170,10 +170,10 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
       endBlock(inner);
     return;
   }
-  // Rows are blocks of their own, however long, unless terms are kept.
+  // Each row is a block, however long, unless the block's terms are stored.
   bool cutsRows = inBlocks && accumulators.storesTerms();
 
-  // One loop for each dimension: the partition counts the first.
+  // One loop for each dimension: the partition's range is over the first.
   if (loop.getOuterDims()) {
     SmallVector<Value> ivs;
     scf::ForOp inner;
@@ -214,9 +214,10 @@ static void emitPartition(OpBuilder &builder, ParallelForOp loop,
   endBlock(inner);
 }
 
-/// The same for a range of chunks of `length` out of `count` iterations, with
-/// sums in the order of all targets. Rows and lanes cut a chunk into pieces in
-/// which neighbours belong to neighbouring lanes.
+/// Like emitPartition, for a range of chunks of `length` out of `count`
+/// iterations, with sums in the order of all targets. Rows and lanes cut a
+/// chunk into pieces in which consecutive iterations belong to consecutive
+/// lanes.
 static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
                        Value count, Value length, Value begin, Value end,
                        Accumulators &accumulators) {
@@ -227,7 +228,7 @@ static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
   Value chunk = chunks.getInductionVar();
   accumulators.emitChunkStart(builder, loc);
   Value first = math.mul(chunk, length);
-  // As a sum behind `first`, which is in range whatever the length.
+  // Add to `first`, which is in range, so that no length can overflow.
   Value last = math.add(first, math.min(length, math.sub(count, first)));
   OpBuilder atEnd(chunks.getBody()->getTerminator());
 
@@ -242,7 +243,7 @@ static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
     ivs = delinearize(builder, loc, box, rows.getInductionVar());
     start = math.mul(rows.getInductionVar(), extent);
   }
-  // The iterations of this row in this chunk, by their numbers.
+  // The iterations of this row in this chunk, by their linear numbers.
   Value from = math.max(start, first);
   Value to = math.min(math.add(start, extent), last);
   auto pieces =
@@ -253,7 +254,7 @@ static void emitChunks(OpBuilder &builder, ParallelForOp loop, const Box &box,
   Value piece = math.mul(pieces.getInductionVar(), SumOrder::kLanes);
   from = math.max(from, piece);
   to = math.min(to, math.add(piece, math.constant(SumOrder::kLanes)));
-  // Index of an iteration, less its number.
+  // The index of an iteration minus its linear number.
   Value shift = math.sub(lower, start);
   Value firstLane = math.add(piece, shift);
   auto inner =
@@ -288,12 +289,12 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
   if (failed(accumulators))
     return failure();
 
-  // The units of a partition.
+  // The units that a partition counts: rows or iterations.
   std::optional<int64_t> rows = box.constantCount(box.rank() - 1);
   std::optional<int64_t> rowLength = getConstantIntValue(box.extent.back());
   bool byRows = box.rank() > 1 && rows && *rows >= kManyRows && rowLength;
-  // If the partition decides the order of sums, which must not change, it does
-  // not use results that a pass may drop.
+  // If the number of partitions determines the bits of a sum, which are fixed,
+  // the estimate must not use analysis results that a pass may drop.
   bool isFixed = loop.getOrder().has_value();
   bool reduces = !accumulators->empty();
   double cost = estimateIteration(
@@ -329,7 +330,7 @@ tai::lowerParallelFor(ParallelForOp loop, Value frame, StringRef name,
                                  /*isInternal=*/true);
   functions.push_back(function);
 
-  // An empty box runs nothing: a row of no length cannot be counted.
+  // Skip an empty box: rows of length zero would be a division by zero.
   if (!total) {
     Value zero = runtime.i64(builder, loc, 0);
     Value some = arith::CmpIOp::create(builder, loc, arith::CmpIPredicate::sgt,

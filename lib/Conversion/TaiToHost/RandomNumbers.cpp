@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // A random number is a function of its position alone: seed, launch, iteration,
-// place in the program and how many it has drawn before (tai/Support/Philox.h).
-// Code of the host computes it in place, ten rounds of two products, so that
-// loops around it become vectors; code of a device calls its library, which is
-// linked into it.
+// op, and how many numbers the op has drawn before in this iteration
+// (tai/Support/Philox.h). Host code computes the number in place, in ten rounds
+// of two products, so that loops around it can be vectorised; device code calls
+// the device library, which is linked into it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,8 +24,8 @@ using namespace mlir::tai;
 // Positions
 //===----------------------------------------------------------------------===//
 
-/// Operand names would need an op of its own; the numbers travel as operands of
-/// this placeholder: (iteration, sequence[, seed, launch]) -> bits.
+/// On the placeholder of a draw, (iteration, sequence[, seed, launch]) -> bits:
+/// the number of its stream. Named operands would need an op of their own.
 static constexpr llvm::StringLiteral kStreamAttrName = "stream";
 
 bool tai::isDraw(UnrealizedConversionCastOp op) {
@@ -44,7 +44,7 @@ void tai::numberDraws(Operation *root, ParallelForOp loop) {
   if (draws.empty())
     return;
 
-  // The number of the iteration: the position in the box, row-major.
+  // The number of the iteration: its row-major position in the box.
   OpBuilder builder(root->getContext());
   Value iteration;
   Block *start = loop ? &loop.getBody().front() : &root->getRegion(0).front();
@@ -90,7 +90,7 @@ void tai::numberDraws(Operation *root, ParallelForOp loop) {
                                          constant(isDouble ? 2 : 1));
       LocalStoreOp::create(builder, draw.getLoc(), next, counter);
     }
-    // Handed over as operands, which closures capture like all others.
+    // The numbers are operands, which closures capture like any other operand.
     auto carrier = UnrealizedConversionCastOp::create(
         builder, draw.getLoc(), draw.getValue().getType(),
         ValueRange{iteration, sequence});
@@ -105,13 +105,14 @@ void tai::numberDraws(Operation *root, ParallelForOp loop) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The functions of tai/Support/Philox.h, in the order of their statements.
+/// Emits the functions of tai/Support/Philox.h, in the order of their
+/// statements.
 class PhiloxEmitter {
 public:
   PhiloxEmitter(OpBuilder &builder, Location loc)
       : b(loc, builder), i32(b.getI32Type()), i64(b.getI64Type()) {}
 
-  /// The two words of the key of a launch.
+  /// The two words of the key that belongs to a launch.
   std::array<Value, 2> getKey(Value seed, Value launch) {
     Value key = arith::AddIOp::create(b, seed, word(0x9E3779B97F4A7C15u));
     key = arith::MulIOp::create(b, fold(key, 30), word(0xBF58476D1CE4E5B9u));
@@ -166,15 +167,16 @@ private:
 };
 } // namespace
 
-/// The numbers at `sequence` and, if `count` is two, behind it: two are drawn
-/// at even numbers alone.
+/// The number at `sequence` and, if `count` is two, the next number: pairs are
+/// drawn only at even positions.
 static std::array<Value, 2> emitBits(UnrealizedConversionCastOp op,
                                      unsigned count, Value frame,
                                      OpBuilder &builder,
                                      RuntimeCalls &runtime) {
   Location loc = op.getLoc();
   Value iteration = op.getOperand(0), sequence = op.getOperand(1);
-  // A device function is given them, the host's has them in its frame.
+  // A device function gets seed and launch as operands; a host function loads
+  // them from its frame.
   auto key = [&](unsigned number, size_t offset) {
     return op->getNumOperands() > 2
                ? op.getOperand(2 + number)
@@ -245,9 +247,9 @@ Value tai::emitDraw(UnrealizedConversionCastOp op, Value frame,
     return width < 32 ? arith::TruncIOp::create(builder, loc, type, bits)
                       : bits;
 
-  // The number of bits is that of the significand, so that 1 is never reached
-  // by rounding. They are fewer than the integer has: signed numbers convert in
-  // one instruction of vectors that few processors have for unsigned ones.
+  // Use as many bits as the significand has, so that rounding never yields 1.
+  // This leaves the sign bit zero: vectors of signed integers convert to floats
+  // in one instruction, for unsigned integers few processors have one.
   auto floatType = cast<FloatType>(type);
   unsigned kept =
       llvm::APFloat::semanticsPrecision(floatType.getFloatSemantics());

@@ -63,9 +63,9 @@ public:
   }
 #include "tai/ABI/Abi.def"
 
-  /// Calls another function, of the device library for example; a null `result`
-  /// stands for void. `pure` functions neither read nor write memory that the
-  /// kernel accesses.
+  /// Calls a function that is not in Abi.def, such as one of the device
+  /// library; a null `result` stands for void. `pure` functions neither read
+  /// nor write memory that the kernel accesses.
   Value call(OpBuilder &builder, Location loc, StringRef name, Type result,
              ValueRange arguments, bool pure = false);
 
@@ -114,7 +114,7 @@ Value emitStackSlots(OpBuilder &builder, Location loc, int64_t count);
 /// The address of slot `index`.
 Value emitSlot(OpBuilder &builder, Location loc, Value slots, int64_t index);
 
-/// Stores a scalar at the start of a slot in its own type, or loads it.
+/// Stores a scalar at the start of a slot in its own type, or loads a scalar.
 void emitSlotStore(OpBuilder &builder, Location loc, Value value, Value slot);
 Value emitSlotLoad(OpBuilder &builder, Location loc, Type type, Value slot);
 

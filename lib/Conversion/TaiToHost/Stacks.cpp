@@ -46,7 +46,8 @@ public:
   }
 
   Value pop(Type type) {
-    // Not below the ground, where a failure to grow has emptied the stack.
+    // A stack that failed to grow is empty: keep its size from becoming
+    // negative.
     Value size = arith::MaxSIOp::create(builder, loc, add(loadSize(), -1),
                                         runtime.i64(builder, loc, 0));
     store(size, 1);

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The errors of the libraries' f32 functions are up to two units in the last
-// place. Errors of the f64 functions, rounded to f32, are hardly more than half
-// a unit. The exponential, the logarithm and the hyperbolic tangent of f32 are
-// arithmetic in f64 already; see WideMath.cpp. f64 functions for which the
-// library's error exceeds one unit are computed in a wider float.
+// The f32 functions of libraries have errors of up to two units in the last
+// place. The f64 functions, rounded to f32, have errors of hardly more than
+// half a unit. Exponential, logarithm and hyperbolic tangent of f32 are
+// arithmetic in f64 already; see WideMath.cpp. f64 functions whose library
+// version is off by more than one unit are computed in a wider float.
 //
 //===----------------------------------------------------------------------===//
 
@@ -57,7 +57,7 @@ template <typename Op> struct ComputeInF64 : OpRewritePattern<Op> {
     return success();
   }
 };
-/// A float that is wider than f64: 80 bits on x86-64, else 128 by a library.
+/// A float that is wider than f64: f80 on x86-64, elsewhere f128 in software.
 FloatType getExtendedType(MLIRContext *context) {
 #if defined(__x86_64__)
   return Float80Type::get(context);
@@ -66,7 +66,7 @@ FloatType getExtendedType(MLIRContext *context) {
 #endif
 }
 
-/// A function of one f64, by way of a wider float.
+/// Computes a function of one f64 in a wider float.
 template <typename Op> struct ComputeExtended : OpRewritePattern<Op> {
   using OpRewritePattern<Op>::OpRewritePattern;
   LogicalResult matchAndRewrite(Op op,
@@ -85,7 +85,7 @@ template <typename Op> struct ComputeExtended : OpRewritePattern<Op> {
                         Value x) const = 0;
 };
 
-/// 1 / sqrt(x) is rounded twice in f64: 1.5 units.
+/// In f64, 1 / sqrt(x) is rounded twice, with an error of up to 1.5 units.
 struct ExtendedRsqrt : ComputeExtended<math::RsqrtOp> {
   using ComputeExtended::ComputeExtended;
   Value compute(PatternRewriter &rewriter, Location loc,
@@ -98,8 +98,8 @@ struct ExtendedRsqrt : ComputeExtended<math::RsqrtOp> {
   }
 };
 
-/// A function of libm that is off by more than one unit: tanh by 1.7, log10 by
-/// 1.5, cbrt by 3.
+/// A function of libm with an error of more than one unit: tanh 1.7, log10 1.5,
+/// cbrt 3 units.
 template <typename Op> struct ExtendedCall : ComputeExtended<Op> {
   ExtendedCall(MLIRContext *context, PatternBenefit benefit, StringRef name)
       : ComputeExtended<Op>(context, benefit), name(name) {}

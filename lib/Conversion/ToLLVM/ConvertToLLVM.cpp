@@ -55,8 +55,8 @@ void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
             FastMathFlags::arcp | FastMathFlags::contract | FastMathFlags::afn;
   root->walk([&](Operation *op) {
     auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
-    // Comparisons and selects gain nothing, and must keep their decisions;
-    // conversions have no such flags in LLVM.
+    // Flags do not speed up comparisons and selects, and must not change their
+    // results; LLVM has no such flags for conversions.
     if (!arithmetic ||
         isa<arith::CmpFOp, arith::SelectOp, arith::ExtFOp, arith::TruncFOp>(op))
       return;
@@ -68,7 +68,7 @@ void tai::setFloatOptions(Operation *root, bool fastMath, bool contract) {
   });
 }
 
-/// A float of the type, or a vector of it.
+/// A constant of a float type, or a vector with this constant in each lane.
 static Value emitFloat(OpBuilder &builder, Location loc, Type type,
                        const APFloat &value) {
   TypedAttr attr = builder.getFloatAttr(getElementTypeOrSelf(type), value);
@@ -83,7 +83,7 @@ static const llvm::fltSemantics &getSemantics(Type type) {
 
 namespace {
 /// clampf %x to [%lo, %hi]  ->  minimumf (maximumf %x, %lo), %hi
-/// Upstream's expansion takes the bounds the wrong way round.
+/// Upstream's expansion swaps the bounds.
 struct ExpandClamp : OpRewritePattern<math::ClampFOp> {
   using OpRewritePattern::OpRewritePattern;
   LogicalResult matchAndRewrite(math::ClampFOp op,
@@ -96,8 +96,8 @@ struct ExpandClamp : OpRewritePattern<math::ClampFOp> {
   }
 };
 
-/// isinf %x  ->  |x| == infinity. Upstream lowers it as a class of floats
-/// nowhere but in a pass of its own.
+/// isinf %x  ->  |x| == infinity. Upstream lowers isinf to a test of float
+/// classes only in a pass of its own.
 struct ExpandIsInf : OpRewritePattern<math::IsInfOp> {
   using OpRewritePattern::OpRewritePattern;
   LogicalResult matchAndRewrite(math::IsInfOp op,
@@ -135,8 +135,8 @@ struct ExpandIsNormal : OpRewritePattern<math::IsNormalOp> {
   }
 };
 
-/// scf.index_switch  ->  cf.switch of i64. Upstream's has 32 bits of the index
-/// and of the cases, so that 2^32 is 0.
+/// scf.index_switch  ->  cf.switch of i64. Upstream truncates index and cases
+/// to 32 bits, so that 2^32 matches case 0.
 struct LowerIndexSwitch : OpRewritePattern<scf::IndexSwitchOp> {
   using OpRewritePattern::OpRewritePattern;
   LogicalResult matchAndRewrite(scf::IndexSwitchOp op,
@@ -173,9 +173,9 @@ struct LowerIndexSwitch : OpRewritePattern<scf::IndexSwitchOp> {
   }
 };
 
-/// Casts a float to an integer as the hardware does, also where none stands for
-/// it: LLVM takes the result to be whatever suits it then, a different number
-/// each time it is used.
+/// Casts a float to an integer like the hardware, also if the float is out of
+/// the integer's range: LLVM's cast then yields poison, which may be a
+/// different number at each use; freezing makes it one number.
 template <typename FromT, typename ToT>
 struct CastFloat : OpConversionPattern<FromT> {
   using OpConversionPattern<FromT>::OpConversionPattern;
@@ -192,7 +192,7 @@ struct CastFloat : OpConversionPattern<FromT> {
 };
 } // namespace
 
-/// A constant of the type of `like`, f32 or vectors of it.
+/// A constant of the type of `like`, which is f32 or a vector of f32.
 static Value createF32(OpBuilder &builder, Location loc, Value like,
                        double number) {
   TypedAttr value = builder.getF32FloatAttr(number);
@@ -202,12 +202,12 @@ static Value createF32(OpBuilder &builder, Location loc, Value like,
 }
 
 namespace {
-/// The polynomials take denormal operands for the least normal number, and have
-/// no denormal results. In these cases,
+/// The polynomials take the smallest normal number for denormal operands, and
+/// have no denormal results. For these arguments,
 /// exp %x  ->  exp (%x + 32 ln 2) 2^-32
 /// log %x  ->  log (%x 2^32) - 32 ln 2
-/// The op that is made is one for the polynomials: no pattern of a conversion
-/// is applied to its own results.
+/// The created op is left to the polynomials: a conversion does not apply a
+/// pattern to the pattern's own results.
 template <typename Op> struct KeepDenormals : OpRewritePattern<Op> {
   using OpRewritePattern<Op>::OpRewritePattern;
   LogicalResult matchAndRewrite(Op op,
@@ -245,12 +245,12 @@ template <typename Op> struct KeepDenormals : OpRewritePattern<Op> {
 };
 } // namespace
 
-/// Expansions for which upstream has none, or a wrong one.
+/// Adds expansions that upstream lacks or gets wrong.
 static void populateExpansionFixes(RewritePatternSet &patterns) {
   // LLVM 22 crashes when it vectorises a loop with the intrinsic for sine and
   // cosine together; it finds the pair by itself.
   math::populateExpansionPatterns(patterns, {"sincos"});
-  // Upstream makes e^x - 1 of it, of which nothing is left for small x.
+  // Upstream expands expm1 to e^x - 1, which cancels for small x.
   llvm::erase_if(patterns.getNativePatterns(), [](const auto &pattern) {
     std::optional<OperationName> root = pattern->getRootKind();
     return root && root->getStringRef() == math::ExpM1Op::getOperationName() &&
@@ -276,9 +276,9 @@ void tai::populateSharedToLLVM(const LLVMTypeConverter &converter,
       converter, patterns.getContext(), /*benefit=*/2);
 }
 
-/// Lets elementary functions be contracted, so that VectorMath.h may call
-/// others than libm's. Arithmetic is not affected: their bits do not depend on
-/// fusion.
+/// Allows contraction of elementary functions, so that VectorMath.h may call
+/// functions of other libraries than libm. Arithmetic keeps its flags: its bits
+/// must not depend on fusion.
 static void relaxMathOps(Operation *root) {
   root->walk([](Operation *op) {
     auto arithmetic = dyn_cast<arith::ArithFastMathInterface>(op);
@@ -296,7 +296,7 @@ static void relaxMathOps(Operation *root) {
 /// Calls of libm get the properties of intrinsics: they access no memory (errno
 /// is not used), and may be contracted.
 static void relaxMathCalls(LLVM::LLVMFuncOp function, bool contract) {
-  // Functions without an intrinsic.
+  // Functions of libm for which LLVM has no intrinsic.
   static const llvm::StringSet<> names{"expm1", "expm1f", "log1p", "log1pf",
                                        "cbrt",  "cbrtf",  "erf",   "erff",
                                        "erfc",  "erfcf",  "asinh", "asinhf",
@@ -329,7 +329,7 @@ static LogicalResult
 checkLowered(ModuleOp module,
              llvm::function_ref<LogicalResult(Operation *)> check) {
   for (Operation *root : collectWithCallees(module)) {
-    // From the outside: an op is named before the ops that it holds.
+    // In pre-order: an op is reported before the ops inside it.
     WalkResult result = root->walk<WalkOrder::PreOrder>(
         [&](Operation *op) { return WalkResult(check(op)); });
     if (result.wasInterrupted())
@@ -346,8 +346,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     ModuleOp module = getOperation();
     MLIRContext *context = &getContext();
     llvm::SetVector<Operation *> lowered = collectWithCallees(module);
-    // An op of tai with regions must be gone: its regions have one block, and
-    // lowering a loop inside makes several.
+    // Ops of tai with regions must be gone: their regions have a single block,
+    // and lowering a loop inside would create several.
     WalkResult result = module.walk([](Operation *op) {
       if (op->getNumRegions() == 0 ||
           !isa_and_present<TaiDialect>(op->getDialect()))
@@ -362,7 +362,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
       if (failed(verifyPassedModes(op)))
         return signalPassFailure();
       std::optional<MathMode> own = Modes::of(op).math;
-      // The bits of vector forms do not depend on where a loop ends.
+      // Vector versions of functions yield the same bits in the remainder of a
+      // vectorised loop as in its vectors.
       if (own != MathMode::Strict && hasFixedBits(op))
         relaxMathOps(op);
       setFloatOptions(op, own ? own == MathMode::Fast : fastMath,
@@ -372,8 +373,8 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
     LLVMTypeConverter converter(context);
     RewritePatternSet patterns(context);
     populateSharedToLLVM(converter, patterns);
-    // In f32, polynomials that are right to some units in the last place: they
-    // vectorise, which calls of libm do not.
+    // f32 polynomials with errors of some units in the last place: loops with
+    // them can be vectorised, loops with calls of libm cannot.
     if (fastMath) {
       patterns.add<KeepDenormals<math::ExpOp>, KeepDenormals<math::LogOp>>(
           context, /*benefit=*/3);
@@ -405,7 +406,7 @@ struct ConvertToLLVM : tai::impl::ConvertToLLVMBase<ConvertToLLVM> {
       if (!function)
         continue;
       relaxMathCalls(function, Modes::of(function).math != MathMode::Strict);
-      // The conversions carry annotations of loops along without knowing them.
+      // The conversions keep loop annotations only as discardable attributes.
       function.walk([](LLVM::BrOp branch) {
         if (auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
                 branch->removeDiscardableAttr("llvm.loop_annotation")))
@@ -423,8 +424,8 @@ bool isLowered(StringRef dialect) {
                             dialect);
 }
 
-/// The remedy for an op of such a dialect that is not lowered, or for one of a
-/// device; otherwise empty.
+/// The remedy for an op of a supported dialect that is not lowered, or for an
+/// op of a GPU dialect; otherwise empty.
 StringRef findRemedy(Operation *op) {
   if (isa<scf::ParallelOp, scf::ForallOp>(op))
     return "write 'tai.parallel_for' at the top level of a kernel for "
@@ -453,7 +454,7 @@ StringRef findRemedy(Operation *op) {
   return {};
 }
 
-/// The first type of a result that no number of tai has, or null.
+/// The first float type among the results that tai does not support, or null.
 Type findUnknownFloat(Operation *op) {
   for (Type type : op->getResultTypes()) {
     Type element = getElementTypeOrSelf(type);
@@ -466,7 +467,7 @@ Type findUnknownFloat(Operation *op) {
 }
 
 LogicalResult checkLowerable(Operation *op) {
-  // Code of a device, made of kernels before.
+  // Device code, which was generated from kernels.
   bool isOnDevice =
       isa<gpu::GPUModuleOp>(op) || op->getParentOfType<gpu::GPUModuleOp>();
   StringRef remedy = findRemedy(op);
@@ -512,7 +513,7 @@ struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
         return success();
       return op->emitOpError("was not lowered to the LLVM dialect");
     };
-    // The op that needs a cast tells more than the cast.
+    // Report the op that needs a cast first: it tells more than the cast.
     auto checkOthers = [&](Operation *op) {
       return isa<UnrealizedConversionCastOp>(op) ? success() : check(op);
     };
@@ -527,7 +528,7 @@ struct VerifyLLVM : tai::impl::VerifyLLVMBase<VerifyLLVM> {
         succeeded(checkAll(checkOthers)) && succeeded(checkAll(check));
     if (!isLowered)
       return signalPassFailure();
-    // The last pass: nothing asks any more.
+    // This is the last pass: no later pass needs the mark.
     for (Operation *op : collectWithCallees(getOperation()))
       op->walk([](LLVM::LLVMFuncOp function) { unmarkLowered(function); });
     markAllAnalysesPreserved();

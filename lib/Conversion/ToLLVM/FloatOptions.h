@@ -17,13 +17,13 @@ class LLVMTypeConverter;
 
 namespace mlir::tai {
 
-/// Sets fast-math flags on all arithmetic below `root` that has none yet.
+/// Sets fast-math flags on all arithmetic below `root` that has no flags yet.
 void setFloatOptions(Operation *root, bool fastMath, bool contract);
 
 /// Adds the patterns shared by hosts and devices: upstream's conversions of
 /// control flow and arithmetic, expansions of operations for which upstream has
-/// none or a wrong one, and float-to-integer casts that are defined for every
-/// float.
+/// no expansion or a wrong one, and float-to-integer casts that are defined for
+/// every float.
 void populateSharedToLLVM(const LLVMTypeConverter &converter,
                           RewritePatternSet &patterns);
 
@@ -31,7 +31,7 @@ void populateSharedToLLVM(const LLVMTypeConverter &converter,
 /// of f32 to arithmetic in f64, which vectorises.
 void populateWideMath(RewritePatternSet &patterns, PatternBenefit benefit);
 
-/// Adds expansions of elementary functions that keep them within one unit in
+/// Adds expansions of elementary functions with errors of at most one unit in
 /// the last place, in functions of kernels that are `accurate`. Devices have no
 /// floats wider than f64.
 void populateAccurateMath(RewritePatternSet &patterns, PatternBenefit benefit,

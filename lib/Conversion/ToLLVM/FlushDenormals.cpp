@@ -22,11 +22,11 @@ using namespace mlir;
 using namespace mlir::tai;
 
 #if defined(__x86_64__)
-// Bits of MXCSR: denormal operands are zero, denormal results become it.
+// Bits of MXCSR: denormal operands and denormal results become zero.
 constexpr int32_t kFlushBits = 0x8040;
 constexpr bool kCanFlush = true;
 #elif defined(__aarch64__)
-// The bit of FPCR: both at once.
+// The bit of FPCR for operands and results.
 constexpr int64_t kFlushBits = 1 << 24;
 constexpr bool kCanFlush = true;
 #else
@@ -40,7 +40,7 @@ class ControlWord {
 public:
   ControlWord(OpBuilder &builder, Location loc) : builder(builder), loc(loc) {}
 
-  /// Yields the word as it was.
+  /// Sets the flush bits and returns the previous control word.
   Value setFlushing() {
 #if defined(__x86_64__)
     Type word = builder.getI32Type();
@@ -88,12 +88,12 @@ private:
 };
 } // namespace
 
-/// Keeps LLVM from changing the arguments of a function that only one place
-/// calls: polls, which are inserted late, know functions by their type, and the
-/// frame by its place.
+/// Keeps LLVM from changing the parameters of a function with a single caller:
+/// polls are inserted later, into functions recognised by their type, and use
+/// the frame, which must remain the first parameter.
 static void keepArguments(LLVM::LLVMFuncOp function) {
   OpBuilder builder = OpBuilder::atBlockBegin(&function.getBody().front());
-  // One after another: there may be more of them than registers.
+  // One asm for each argument: there may be more arguments than registers.
   for (Value argument : function.getBody().getArguments())
     if (isa<LLVM::LLVMPointerType, IntegerType>(argument.getType()))
       LLVM::InlineAsmOp::create(
@@ -104,7 +104,7 @@ static void keepArguments(LLVM::LLVMFuncOp function) {
           /*operand_attrs=*/ArrayAttr());
 }
 
-/// Zero of the same sign for a denormal number, else the number.
+/// A zero with the sign of `x` if `x` is denormal, otherwise `x`.
 static Value createFlushed(OpBuilder &builder, Location loc, Value x) {
   Type type = x.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(type));
@@ -124,8 +124,8 @@ static Value createFlushed(OpBuilder &builder, Location loc, Value x) {
   return LLVM::SelectOp::create(builder, loc, isDenormal, zero, x);
 }
 
-/// Whether a library computes the function, and not an instruction that knows
-/// the mode.
+/// Whether a library computes the function, rather than an instruction, which
+/// would follow the control word.
 static bool isOfLibrary(Operation *op) {
   if (isa<LLVM::ATan2Op, LLVM::LogOp, LLVM::Log2Op, LLVM::Log10Op, LLVM::PowOp,
           LLVM::SinOp, LLVM::TanOp, LLVM::ASinOp, LLVM::ATanOp, LLVM::SinhOp,
@@ -140,9 +140,10 @@ static bool isOfLibrary(Operation *op) {
          llvm::all_of(call.getOperandTypes(), llvm::IsaPred<FloatType>);
 }
 
-/// Library functions look at the bits of a denormal number and multiply it by a
-/// power of two, which is zero then: a logarithm is off, and no longer that of
-/// any number. Others, such as sines, return it as it is.
+/// Flushes the operands of library functions. Such functions scale a denormal
+/// number by a power of two, which yields zero in this mode: a logarithm is
+/// then wrong for any argument. Sines, for example, return a denormal argument
+/// unchanged.
 static void flushOperands(LLVM::LLVMFuncOp function) {
   function.walk([](Operation *op) {
     if (!isOfLibrary(op))
@@ -156,7 +157,7 @@ static void flushOperands(LLVM::LLVMFuncOp function) {
   });
 }
 
-/// Moves the body of the function into another, and calls that.
+/// Moves the body of the function into a new function, and calls that.
 static void wrap(LLVM::LLVMFuncOp function) {
   Location loc = function.getLoc();
   OpBuilder builder(function);
@@ -179,7 +180,7 @@ static void wrap(LLVM::LLVMFuncOp function) {
 
 LogicalResult tai::flushDenormals(Operation *root) {
   SmallVector<LLVM::LLVMFuncOp> functions;
-  // Functions of a device in the module are converted by themselves.
+  // Device functions in the module are converted separately.
   for (auto function : root->getRegion(0).getOps<LLVM::LLVMFuncOp>())
     if (!function.isExternal() && Modes::of(function).flushes())
       functions.push_back(function);

@@ -5,14 +5,15 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The last pass before LLVM IR: every float is a value of the LLVM dialect
-// here, whatever it was lowered from, and still has its source location.
-// Shadows are values too; each float block argument gets a block argument for
-// its shadow.
+// The last pass before LLVM IR: here, every float is a value of the LLVM
+// dialect, whatever op it was lowered from, and has a source location. Shadows
+// are values too; each float block argument gets a block argument for its
+// shadow.
 //
-// Adjoints that have lost digits pass them on: many results are off because
-// their operands are. So the branch only reports, and the tests of operands,
-// most of which are those of other results, stand before it.
+// Operands that have lost digits make most results computed from them wrong as
+// well. So a result is reported only if its operands are right: these tests,
+// mostly shared with the tests of earlier results, are outside the branch that
+// reports.
 //
 //===----------------------------------------------------------------------===//
 
@@ -37,7 +38,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 static constexpr StringLiteral kTable = "tai_rt_shadows";
-/// The number of silent results for each reported one.
+/// Branch weight: results that are not reported for each reported result.
 static constexpr uint32_t kRightToWrong = 100;
 
 static bool isFloat(Type type) {
@@ -68,10 +69,11 @@ public:
   void run();
 
 private:
-  /// An operation that is compared.
+  /// An operation whose result is compared with its shadow.
   struct Site {
     Operation *op;
-    /// Whether there may be something to report.
+    /// A boolean, or one for each lane: whether there may be an error to
+    /// report.
     Value fires;
     Value a, b;
     /// The result, or null for comparisons and conversions.
@@ -82,17 +84,18 @@ private:
     Type element = getElementTypeOrSelf(type);
     return withElement(type, element.isF64() ? largest : Type(b.getF64Type()));
   }
-  /// Bits of a number of the type.
+  /// The number of significand bits of a float type.
   static unsigned getPrecision(Type type) {
     return APFloat::semanticsPrecision(
         cast<FloatType>(getElementTypeOrSelf(type)).getFloatSemantics());
   }
-  /// The number of bits that a value of the type can have right. If f32 are
-  /// extended, results in f64 have no more bits than they have.
+  /// The number of bits that a value of the type can have right: if the program
+  /// extends narrower floats to f64, results in f64 have no more correct bits
+  /// than those floats.
   unsigned getMeasure(Type type) {
     return std::min(getPrecision(type), mostPrecision);
   }
-  /// A constant of a type of shadows, exact where it is one of f64.
+  /// A constant of a shadow type.
   Value constant(Type type, const APFloat &value);
   Value constant(Type type, double value) {
     return constant(type, APFloat(value));
@@ -105,7 +108,7 @@ private:
     return convert(value, shadowType(value.getType()));
   }
   Value getShadow(Value value);
-  /// The distance of the shadow above the value, in the type of shadows.
+  /// The shadow minus the value, in the shadow's type.
   Value getError(Value value) {
     return LLVM::FSubOp::create(b, getShadow(value), extend(value));
   }
@@ -134,12 +137,12 @@ private:
   LLVM::LLVMFuncOp function;
   RuntimeCalls &runtime;
   ShadowReports reports;
-  /// The type of shadows of f64.
+  /// The type of the shadows of f64: f80 or f128.
   Type largest;
   unsigned mostPrecision;
   Value table;
   DenseMap<Value, Value> shadows, off, tainted;
-  /// The shadows of loaded values, less the values.
+  /// For loaded values: the shadow minus the value.
   DenseMap<Value, Value> parts;
   SmallVector<Site> sites;
 };
@@ -166,7 +169,7 @@ Value Shadows::convert(Value value, Type type) {
   return LLVM::FPTruncOp::create(b, type, value);
 }
 
-/// Where a value is not computed with shadows, it is its own.
+/// The shadow of a value. A value without a computed shadow is its own shadow.
 Value Shadows::getShadow(Value value) {
   Value &shadow = shadows[value];
   if (shadow)
@@ -180,13 +183,13 @@ Value Shadows::getShadow(Value value) {
   return shadows[value] = made;
 }
 
-/// Emits whether less than half of the bits are right:
-/// |s - v| > 2^-p/2 |s| + least. NaN are off.
+/// Emits whether less than half of the bits of a value v with shadow s are
+/// right: |s - v| > 2^-p/2 |s| + least. True for NaN.
 Value Shadows::emitIsOff(Value value) {
   Value shadow = getShadow(value);
   Type type = shadow.getType();
   auto element = cast<FloatType>(getElementTypeOrSelf(value.getType()));
-  // A loaded value has its error beside it.
+  // A loaded value has its error in `parts`.
   Value error = parts.lookup(value);
   error = LLVM::FAbsOp::create(b, error ? error : getError(value));
   Value most = LLVM::FMulAddOp::create(
@@ -197,7 +200,7 @@ Value Shadows::emitIsOff(Value value) {
   return LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::ugt, error, most);
 }
 
-/// The number that all lanes of a value are, if it is known.
+/// The scalar that all lanes of a value equal, if it is known.
 static Value getSplat(Value value) {
   auto lanes = value.getDefiningOp<LLVM::ShuffleVectorOp>();
   auto first =
@@ -210,8 +213,8 @@ static Value getSplat(Value value) {
   return first.getValue();
 }
 
-/// Whether the operands that a value is rounded from are off, where a report is
-/// made; null where they cannot be.
+/// Whether operands that the value was computed from, by rounding alone, are
+/// off at the current point; null if they cannot be.
 Value Shadows::emitIsTainted(Value value) {
   if (auto known = tainted.find(value); known != tainted.end())
     return known->second;
@@ -339,7 +342,7 @@ static std::optional<int32_t> getUpdate(LLVM::AtomicBinOp kind) {
   }
 }
 
-/// The runtime updates the float and its shadow. The sum is compared here.
+/// Lets the runtime update the float and its shadow, and compares the sum here.
 Value Shadows::makeAtomic(LLVM::AtomicRMWOp op) {
   Value value = op.getVal();
   Type type = value.getType();
@@ -380,8 +383,8 @@ Value Shadows::makeAtomic(LLVM::AtomicRMWOp op) {
   return exact;
 }
 
-/// LLVM 22 has no code for these on f80: their expansions compare integers of
-/// 80 bits.
+/// LLVM 22 cannot compile these operations on f80, whose expansions compare
+/// 80-bit integers: choose the shadow by the result in f64.
 Value Shadows::makeWideChoice(Operation *op) {
   if (op->getNumOperands() != 2 ||
       !getElementTypeOrSelf(op->getResult(0).getType()).isF64())
@@ -389,8 +392,8 @@ Value Shadows::makeWideChoice(Operation *op) {
   Value a = op->getOperand(0), other = op->getOperand(1);
   bool isMin = isa<LLVM::MinNumOp, LLVM::MinimumOp>(op);
   if (isMin || isa<LLVM::MaxNumOp, LLVM::MaximumOp>(op)) {
-    // The shadow is that of the operand that is taken. If both are equal,
-    // either will do.
+    // The shadow is the shadow of the chosen operand. If both operands are
+    // equal, either shadow is right.
     Value takesA =
         LLVM::FCmpOp::create(b, LLVM::FCmpPredicate::oeq, op->getResult(0), a);
     return LLVM::SelectOp::create(b, takesA, getShadow(a), getShadow(other));
@@ -402,7 +405,8 @@ Value Shadows::makeWideChoice(Operation *op) {
                               extend(one));
 }
 
-/// The shadow of the result of an operation that yields a float, or null.
+/// The shadow of the result of an operation that yields a float; null if it
+/// cannot be computed.
 Value Shadows::makeShadow(Operation *op) {
   Value result = op->getResult(0);
   Type type = shadowType(result.getType());
@@ -451,8 +455,8 @@ Value Shadows::makeShadow(Operation *op) {
     auto none =
         LLVM::FastmathFlagsAttr::get(b.getContext(), LLVM::FastmathFlags::none);
     clone->setAttr(flags.getFastmathAttrName(), none);
-    // The float keeps the order of the program, too: the compared value is the
-    // computed one.
+    // The op itself gets no fast-math flags either: the value that is compared
+    // must be the value that is computed.
     op->setAttr(flags.getFastmathAttrName(), none);
   }
   return clone->getResult(0);
@@ -473,7 +477,7 @@ void Shadows::addSite(Operation *op, Value a, Value other) {
   sites.push_back({op, isOff, a, other, result});
 }
 
-/// Whether the site has something to say, for each lane.
+/// Whether the site has an error to report, for each lane.
 Value Shadows::emitFires(const Site &site) {
   if (!site.result)
     return site.fires;
@@ -490,7 +494,8 @@ Value Shadows::emitFires(const Site &site) {
                              LLVM::XOrOp::create(b, before, yes));
 }
 
-/// Comparisons and conversions to integers.
+/// Adds a site for a comparison or a conversion to an integer, whose result may
+/// differ for the shadows.
 void Shadows::addFlip(Operation *op) {
   Value a = op->getOperand(0), other;
   IRMapping mapping;
@@ -501,7 +506,7 @@ void Shadows::addFlip(Operation *op) {
     other = op->getOperand(1);
     exact = b.clone(*op, mapping)->getResult(0);
   } else {
-    // Also where no integer stands for it.
+    // Freeze: the shadow may be out of the integer's range.
     exact = b.clone(*op, mapping)->getResult(0);
     exact = LLVM::FreezeOp::create(b, exact);
   }
@@ -580,7 +585,7 @@ void Shadows::report(const Site &site) {
     auto pick = [&](Value value) -> Value {
       return LLVM::ExtractElementOp::create(b, value, integer(32, lane));
     };
-    // Lanes that do not differ report nothing.
+    // Lanes whose results do not differ report nothing.
     Block *here = b.getInsertionBlock();
     Block *rest = here->splitBlock(b.getInsertionPoint());
     Block *told = b.createBlock(rest);
@@ -598,7 +603,7 @@ void Shadows::report(const Site &site) {
   }
 }
 
-/// A branch for each site that is waiting.
+/// Emits a branch with a report for each pending site.
 void Shadows::flush(Operation *before) {
   b.setInsertionPoint(before);
   for (Site &site : sites) {
@@ -640,7 +645,7 @@ void Shadows::run() {
   base.setInvariant(true);
   table = base;
 
-  // The arguments that a block had.
+  // The positions of the float arguments that each block had.
   DenseMap<Block *, SmallVector<unsigned>> passed;
   for (Block *block : order) {
     if (block == entry)
@@ -665,7 +670,7 @@ void Shadows::run() {
       flush(next);
     }
   }
-  // All shadows are there now.
+  // All shadows have been computed: pass them to the successors.
   for (SmallVector<Operation *> &ops : operations) {
     auto branch = dyn_cast<BranchOpInterface>(ops.back());
     if (!branch)

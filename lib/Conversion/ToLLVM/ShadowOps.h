@@ -28,8 +28,8 @@ bool onlyRounds(Operation *op);
 /// True for an operation that copies values without computing.
 bool onlyMoves(Operation *op);
 
-/// A vector of the shape of `like` whose lanes are `value`; if `like` is no
-/// vector, that.
+/// A vector of the shape of `like` with `value` in each lane; `value` itself if
+/// `like` is not a vector.
 Value emitSplat(ImplicitLocOpBuilder &b, Value value, Type like);
 
 } // namespace mlir::tai

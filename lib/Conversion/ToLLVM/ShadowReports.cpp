@@ -11,16 +11,17 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The number of tests without a call for each one with a call. Registers are
-/// to be saved at the calls, and not before the tests.
+/// Branch weight: tests that do not call the runtime for each test that does.
+/// It makes LLVM save registers at the calls rather than before the tests.
 static constexpr uint32_t kSilentToTold = 1000;
-/// Sites of a function that have counts of their own; 64 KiB of its stack.
+/// The number of sites of a function with counts of their own, which take 64
+/// KiB of its stack.
 static constexpr size_t kMostCounts = 2048;
 static constexpr int64_t kMostLanes = 64;
 
-/// "operation\nkernel\nplace"
+/// Returns the address of "operation\nkernel\nplace".
 Value ShadowReports::describe(Operation *op) {
-  // Loops are functions of their own: k.loop0.
+  // Functions of loops are named like k.loop0.
   StringRef kernel = function.getName();
   if (size_t end = kernel.rfind(".loop"); end != StringRef::npos)
     kernel = kernel.take_front(end);
@@ -54,7 +55,7 @@ std::optional<int32_t> ShadowReports::getCount(Value site) {
   if (!counts) {
     OpBuilder::InsertionGuard guard(b);
     b.setInsertionPointToStart(&function.getBody().front());
-    // The size is known in the end.
+    // finish() sets the size.
     counts = LLVM::AllocaOp::create(b, runtime.getPointerType(), b.getI8Type(),
                                     integer(64, 0), /*alignment=*/64);
   }
@@ -93,8 +94,8 @@ void ShadowReports::emitIf(Value condition, bool isRare,
   b.setInsertionPointToStart(rest);
 }
 
-/// Whether the result is finite, and not the worst of its site. Not so of NaN
-/// and infinities, whose errors are such, too.
+/// Whether the error is finite and smaller than the worst error of the site so
+/// far. False for NaN and infinities, whose errors are not finite.
 Value ShadowReports::emitIsCommon(int32_t count, const Numbers &numbers) {
   Value reach = LLVM::LoadOp::create(
       b, b.getF64Type(), emitMember(count, offsetof(TaiShadowCount, reach)));
@@ -147,7 +148,7 @@ void ShadowReports::emitResult(Operation *op, unsigned precision, Value fires,
   emitIf(LLVM::XOrOp::create(b, isCommon, yes), /*isRare=*/true, call);
 }
 
-/// Lanes as the bits of an i64.
+/// The boolean lanes as the bits of an i64.
 static Value emitMask(ImplicitLocOpBuilder &b, Value lanes) {
   auto type = cast<VectorType>(lanes.getType());
   Value bits = LLVM::BitcastOp::create(
@@ -259,7 +260,7 @@ void ShadowReports::finish() {
 void ShadowReports::restrictEffects(ModuleOp module) {
   MLIRContext *context = module.getContext();
   auto none = LLVM::ModRefInfo::NoModRef, both = LLVM::ModRefInfo::ModRef;
-  // Memory behind the frame belongs to the runtime.
+  // Memory reached through the frame belongs to the runtime.
   auto effects = LLVM::MemoryEffectsAttr::get(
       context, {none, both, both, none, none, none});
   for (StringRef name : {"tai_rt_shadow_site", "tai_rt_shadow_lanes",

@@ -6,9 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Reports from code that `tai-shadow-execution` instruments. A function counts
-// its results with errors in its stack frame, and the runtime adds the counts
-// when it returns. The runtime is called for a result that may be the worst of
-// its site so far, and for the first one of each site in a run of the function.
+// its results with errors in its stack frame, and the runtime adds up the
+// counts when the function returns. The runtime is called for a result that may
+// be the worst of its site so far, and for the first result of each site in a
+// run of the function.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,7 +23,7 @@ namespace mlir::tai {
 
 class ShadowReports {
 public:
-  /// The descriptions of sites in a module, by their text.
+  /// The descriptions of sites in a module, keyed by their text.
   using Texts = llvm::StringMap<LLVM::GlobalOp>;
 
   ShadowReports(ImplicitLocOpBuilder &b, LLVM::LLVMFuncOp function,
@@ -30,23 +31,23 @@ public:
       : b(b), function(function), runtime(runtime), texts(texts) {}
 
   /// The operands and the result of an operation in f64, each with the
-  /// difference of its shadow to it, and the shadow of the result. Scalars or
-  /// vectors.
+  /// difference between its shadow and itself, and the shadow of the result.
+  /// Scalars or vectors.
   struct Numbers {
     Value a, errorOfA, b, errorOfB, result, error, exact;
     bool isUnary;
   };
 
-  /// Counts the result where `fires` holds, which it is known to do if it is
-  /// not a vector. Splits the block at the insertion point, and continues
-  /// behind.
+  /// Counts the result where `fires` holds; a scalar `fires` is known to hold.
+  /// Splits the block at the insertion point, and continues in the block that
+  /// follows.
   void emitResult(Operation *op, unsigned precision, Value fires,
                   const Numbers &numbers);
-  /// Reports a comparison or a conversion, of scalars.
+  /// Reports a scalar comparison or conversion.
   void emitFlip(Operation *op, unsigned precision, const Numbers &numbers);
 
-  /// When all reports have been emitted: the counts at the entry and at
-  /// returns.
+  /// Call after the last report: initialises the counts at the entry, and
+  /// passes them to the runtime at returns.
   void finish();
 
   /// Declares the memory that the runtime's functions for reports access.
@@ -57,14 +58,14 @@ private:
     return LLVM::ConstantOp::create(b, b.getIntegerType(bits), value);
   }
   Value describe(Operation *op);
-  /// The number of the count for a site, or nothing if there are too many.
+  /// The number of a site's count, or nothing if there are too many sites.
   std::optional<int32_t> getCount(Value site);
   Value emitMember(int32_t count, size_t offset);
   void emitAdd(int32_t count, size_t offset, Value more);
   void emitLanes(Value site, std::optional<int32_t> count, Value precision,
                  Value fires, const Numbers &numbers);
-  /// Continues behind a block that runs if the condition holds, which `emit`
-  /// fills.
+  /// Lets `emit` fill a block that runs if the condition holds, and continues
+  /// in the block that follows.
   void emitIf(Value condition, bool isRare, llvm::function_ref<void()> emit);
   Value emitIsCommon(int32_t count, const Numbers &numbers);
   Value emitCancels(const Numbers &numbers);
@@ -73,8 +74,8 @@ private:
   LLVM::LLVMFuncOp function;
   RuntimeCalls &runtime;
   Texts &texts;
-  /// The counts in the stack frame, and room for numbers of lanes; null until
-  /// used.
+  /// The counts in the stack frame, and space for the numbers of the lanes;
+  /// null until used.
   LLVM::AllocaOp counts, lanes;
   int64_t mostLanes = 0;
   llvm::DenseMap<StringAttr, int32_t> numbersOfSites;

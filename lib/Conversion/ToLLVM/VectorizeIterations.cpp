@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// LLVM vectorises no loop with the branches and calls of shadow execution. As
-// vectors of the IR, the lanes of a result have one test of their errors, and
-// shadows that are loaded and stored together.
+// LLVM cannot vectorise loops with the branches and calls of shadow execution.
+// So this pass makes vectors of the floats of several iterations: the lanes of
+// a result then share a test of their errors, and their shadows are loaded and
+// stored together.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,18 +31,18 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Shadows of so many f32 are a register of AVX-512, or two of AVX.
+/// The f64 shadows of this many f32 are one register of AVX-512, or two of AVX.
 static constexpr int64_t kLanes = 8;
 
 namespace {
-/// One loop whose iterations may become lanes.
+/// A loop whose iterations may become lanes.
 class Lanes {
 public:
   explicit Lanes(scf::ForOp loop)
       : loop(loop), builder(loop),
         type(VectorType::get({kLanes}, builder.getF32Type())) {}
 
-  /// Whether each operation has a form for vectors, and no iteration depends on
+  /// Whether each operation has a vector form, and no iteration depends on
   /// another.
   bool check();
   void vectorize();
@@ -59,17 +60,17 @@ private:
   Value getVector(Value value);
   Value getScalar(Value value) { return scalars.lookupOrDefault(value); }
 
-  /// The loop, and the one over vectors that is put before it.
+  /// The loop, and the loop over vectors that precedes it.
   scf::ForOp loop, vectorLoop;
   OpBuilder builder;
   VectorType type;
   ArrayRef<LLVM::AccessGroupAttr> groups;
   bool hasVectors = false;
-  /// By how much integers and addresses grow with each iteration, addresses in
-  /// bytes. Nothing if it varies, and for floats.
+  /// By how much an integer or an address (in bytes) grows with each iteration.
+  /// Nothing if this varies, and for floats.
   DenseMap<Value, std::optional<int64_t>> strides;
   IndexBuilder expressions;
-  /// Values of the first lane, and of all.
+  /// The values in the first lane, and the vectors of all lanes.
   IRMapping scalars;
   DenseMap<Value, Value> vectors;
 };
@@ -111,7 +112,7 @@ std::optional<int64_t> Lanes::computeStride(Operation *op) {
   if (llvm::all_of(op->getOperands(),
                    [&](Value operand) { return getStride(operand) == 0; }))
     return 0;
-  // Base and one index.
+  // An address with a base and one index.
   if (auto address = dyn_cast<LLVM::GEPOp>(op)) {
     if (!address.getElemType().isF32() || op->getNumOperands() != 2)
       return std::nullopt;
@@ -125,7 +126,7 @@ std::optional<int64_t> Lanes::computeStride(Operation *op) {
   }
   if (!op->getResult(0).getType().isIntOrIndex())
     return std::nullopt;
-  // Indices that leave 32 bits are out of range.
+  // Assume no overflow in 32 bits: such indices are out of range.
   IndexExpr expr = expressions.get(op->getResult(0));
   Value iv = loop.getInductionVar();
   bool isLinear = llvm::all_of(expr.terms, [&](const auto &term) {
@@ -181,8 +182,8 @@ bool Lanes::check(Operation &op) {
            select.getCondition().getDefiningOp<arith::CmpFOp>();
   if (matchPattern(&op, m_Constant()))
     return true;
-  // For varying values, the first lane is computed, without a user: requests
-  // for more are refused.
+  // For a value that is not linear in the iteration, only the first lane is
+  // computed, and unused: check() rejects users that need the other lanes.
   return (isPlainIntegerOp(op) || isa<LLVM::GEPOp>(op)) &&
          llvm::all_of(op.getOperands(), [&](Value operand) {
            Operation *source = operand.getDefiningOp();
@@ -209,7 +210,7 @@ bool Lanes::check() {
   return !groups.empty() && check(*loop.getBody()) && hasVectors;
 }
 
-/// All lanes of a float, or of an answer.
+/// The vector of a float or a boolean for all lanes.
 Value Lanes::getVector(Value value) {
   Value &vector = vectors[value];
   if (vector)
@@ -232,7 +233,7 @@ Value Lanes::getVector(Value value) {
              builder, loc, first, none, SmallVector<int32_t>(kLanes, 0));
 }
 
-/// Copies the alias information of an access of one lane to an access of all.
+/// Copies the alias information of a scalar access to a vector access.
 static void copyAliases(Operation *from, Operation *to) {
   cast<LLVM::AccessGroupOpInterface>(to).setAccessGroups(
       cast<LLVM::AccessGroupOpInterface>(from).getAccessGroupsOrNull());
@@ -255,7 +256,7 @@ void Lanes::emit(Operation &op) {
       if (from.empty())
         continue;
       OpBuilder::InsertionGuard guard(builder);
-      // Splats are not shared by the two.
+      // The two arms do not share splats.
       DenseMap<Value, Value> before = vectors;
       if (!to.front().empty())
         to.front().back().erase();

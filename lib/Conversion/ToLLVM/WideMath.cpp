@@ -5,12 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A call into libm keeps a loop from being vectorised, and its function works
-// on one number at a time. In f64 exponentials and logarithms that are
-// accurate for f32 need no table and no branch: the error of a short polynomial
-// is 2^-35, so that the error after rounding to f32 is hardly more than half a
-// unit in the last place (libm: up to 1, and 2 for tanh). Results are the same
-// for scalars and vectors.
+// A call into libm prevents vectorisation, and computes one number at a time.
+// In f64, exponentials and logarithms that are accurate for f32 need no table
+// and no branch: the error of a short polynomial is 2^-35, so that the error
+// after rounding to f32 is hardly more than half a unit in the last place
+// (libm: up to 1, and 2 for tanh). Results are the same for scalars and
+// vectors.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,10 +23,10 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Arithmetic on f64, or vectors of it, that may be contracted.
+/// Builds arithmetic on f64 or vectors of f64, which may be contracted.
 class F64Builder {
 public:
-  /// `type`: f32, or a vector of it.
+  /// `type` is f32 or a vector of f32.
   F64Builder(OpBuilder &builder, Location loc, Type type)
       : builder(builder), loc(loc), narrowType(type),
         wideType(withElement(builder.getF64Type())),
@@ -88,7 +88,7 @@ public:
     return arith::SelectOp::create(builder, loc, holds, yes, no);
   }
 
-  /// c[0] + c[1] x + ... + c[7] x^7, in few steps one after another.
+  /// c[0] + c[1] x + ... + c[7] x^7, with few dependent steps.
   Value polynomial(Value x, const std::array<double, 8> &c) {
     Value square = mul(x, x);
     Value fourth = mul(square, square);
@@ -153,8 +153,8 @@ private:
 
 using Predicate = arith::CmpFPredicate;
 
-/// A power of which `split` gives two factors. Beyond `lowest` and `highest`
-/// f32 knows zero and infinity alone. NaN stays.
+/// Computes a power from the two factors that `split` returns. Beyond `lowest`
+/// and `highest`, the f32 result is zero or infinity. NaN remains NaN.
 Value expandPower(F64Builder &inF64, Value x, double lowest, double highest,
                   std::pair<Value, Value> (F64Builder::*split)(Value)) {
   Value most = inF64.constant(highest), least = inF64.constant(lowest);
@@ -172,7 +172,7 @@ Value expandExp2(F64Builder &inF64, Value x) {
   return expandPower(inF64, x, -160, 130, &F64Builder::splitExp2);
 }
 
-/// t / (t + 2) with t = e^2x - 1, of which nothing cancels.
+/// Computes tanh x as t / (t + 2) with t = e^2x - 1, without cancellation.
 Value expandTanh(F64Builder &inF64, Value x) {
   // From 9.1 on the result is 1.
   Value most = inF64.constant(20);
@@ -185,12 +185,13 @@ Value expandTanh(F64Builder &inF64, Value x) {
   return inF64.truncate(inF64.div(t, inF64.add(t, inF64.constant(2))));
 }
 
-/// e ln 2 + ln m, where x = 2^e m, by the series of artanh((m - 1) / (m + 1)).
-/// To another base, ln 2 is `ofTwo`, and ln m is multiplied by `scale`.
+/// Computes log x as e ln 2 + ln m, where x = 2^e m, by the series of artanh((m
+/// - 1) / (m + 1)). For another base, `ofTwo` replaces ln 2, and ln m is
+/// multiplied by `scale`.
 Value expandLog(F64Builder &inF64, Value narrow, double ofTwo, double scale) {
   Value x = inF64.extend(narrow);
-  // Every f32 but 0 is a normal f64. Counted from sqrt(1/2), the bits of the
-  // exponent are those of e.
+  // Every f32 except 0 is a normal f64. After the bits of sqrt(1/2) are
+  // subtracted, the exponent bits are e.
   constexpr auto rootHalf = int64_t(0x3fe6a09e667f3bcd);
   Value above = inF64.subBits(inF64.toBits(x), inF64.bits(rootHalf));
   Value e = inF64.toFloat(inF64.shiftRight(above, 52));
@@ -236,7 +237,7 @@ struct ExpandWide : OpRewritePattern<Op> {
     Location loc = op.getLoc();
     F64Builder inF64(rewriter, loc, type);
     Value x = op.getOperand();
-    // Zeros have signs too.
+    // Preserves the sign of zero.
     if constexpr (isOdd)
       x = math::AbsFOp::create(rewriter, loc, x);
     Value result = expand(inF64, x);

@@ -30,7 +30,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// gpu.thread_id x  ->  a call of the device library, on the CPU.
+/// On an emulated device: gpu.thread_id x  ->  a call of the device library.
 template <typename OpT> struct AskForNumber : OpRewritePattern<OpT> {
   AskForNumber(MLIRContext *context, StringRef callee)
       : OpRewritePattern<OpT>(context), callee(callee) {}
@@ -59,8 +59,8 @@ template <typename OpT> struct AskForNumber : OpRewritePattern<OpT> {
   StringRef callee;
 };
 
-/// Fails at a function of f64 for which CUDA's library allows more than one
-/// unit in the last place.
+/// Fails if the function computes an f64 function for which CUDA's library
+/// allows errors of more than one unit in the last place.
 LogicalResult checkAccurate(Operation *function) {
   WalkResult result = function->walk([](Operation *op) {
     if (!isa<math::AcosOp, math::AcoshOp, math::AsinOp, math::AsinhOp,
@@ -120,7 +120,8 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
       configureGpuToNVVMTypeConverter(converter);
       // These patterns take precedence over calls of libdevice.
       populateFastDeviceMath(patterns, /*benefit=*/15);
-      // Before the intrinsics of LLVM, which the backend cannot select.
+      // These patterns precede LLVM's intrinsics, which the backend cannot
+      // select.
       populateGpuToNVVMConversionPatterns(converter, patterns, /*benefit=*/10);
     }
 
@@ -132,9 +133,9 @@ struct ConvertToNVVM : tai::impl::ConvertToNVVMBase<ConvertToNVVM> {
     if (failed(applyPartialConversion(kernels, target, std::move(patterns))) ||
         (emulated && failed(flushDenormals(kernels))))
       return failure();
-    // Annotations of loops are for the vectoriser, which a GPU has not, but for
-    // those that keep a loop as it is.
-    // scf.for hands its annotation to the branch as a discardable attribute.
+    // Loop annotations are for the vectoriser, which is not used for a GPU;
+    // keep only annotations about unrolling. scf.for passes its annotation to
+    // the branch as a discardable attribute.
     kernels.walk([](LLVM::BrOp branch) {
       auto annotation = dyn_cast_if_present<LLVM::LoopAnnotationAttr>(
           branch->removeDiscardableAttr("llvm.loop_annotation"));

@@ -18,12 +18,12 @@ namespace mlir::tai {
 
 /// Adds patterns for approximate functions of f32 where the instructions of a
 /// GPU are wrong for some arguments: sine and cosine far from zero, powers of
-/// numbers that are not positive, quotients by numbers above 2^126.
+/// numbers that are not positive, quotients with divisors above 2^126.
 void populateFastDeviceMath(RewritePatternSet &patterns, unsigned benefit);
 
-/// Makes a function of a GPU flush denormals to zero: f32 by an attribute,
-/// which selects instructions that do, and f64, for which there are none, and
-/// results of the math library by comparisons.
+/// Makes a function of a GPU flush denormals to zero: f32 by an attribute that
+/// selects flushing instructions; f64, for which there are none, and results of
+/// the math library by comparisons.
 void flushOnDevice(LLVM::LLVMFuncOp function);
 
 } // namespace mlir::tai

@@ -9,7 +9,7 @@
 // arguments only (CUDA programming guide, "Intrinsic Functions"): sin.approx
 // and cos.approx between -pi and pi, div.approx for divisors up to 2^126, and
 // 2^(y log2 x) is NaN for negative x and for 0^0. The patterns here cost a few
-// additions, and make them right to some units for all arguments in use.
+// additions; their errors are some units for all arguments in use.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,14 +22,14 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Whether the operation is of one f32 and may be approximated.
+/// Whether the operation computes a single f32 and may be approximated.
 template <typename Op> bool isApproximate(Op op) {
   return op.getType().isF32() &&
          bitEnumContainsAll(op.getFastmath(), arith::FastMathFlags::afn);
 }
 
-/// Creates arithmetic without leave to change it: the code relies on the order
-/// of roundings.
+/// Creates arithmetic without fast-math flags: the code relies on the order of
+/// roundings.
 class Exact {
 public:
   Exact(OpBuilder &builder, Location loc) : builder(builder), loc(loc) {}
@@ -80,14 +80,14 @@ struct ReduceFirst : OpRewritePattern<Op> {
                                         periods.getType(), periods);
     for (float part : {6.28125f, 1.9350051879882812e-3f, 3.0199160e-7f})
       x = exact.fma(periods, exact.constant(-part), x);
-    // For which the backend selects the approximate instruction.
+    // For this flag, the backend selects the approximate instruction.
     rewriter.replaceOp(op, Intrinsic::create(rewriter, op.getLoc(), x,
                                              LLVM::FastmathFlags::afn));
     return success();
   }
 };
 
-/// powf %x, %y  ->  2^(%y log2 |%x|), with the sign and the ones of IEEE 754
+/// powf %x, %y  ->  2^(%y log2 |%x|), with IEEE 754's signs and special cases
 struct PowerOfAny : OpRewritePattern<math::PowFOp> {
   using OpRewritePattern::OpRewritePattern;
   LogicalResult matchAndRewrite(math::PowFOp op,
@@ -101,7 +101,7 @@ struct PowerOfAny : OpRewritePattern<math::PowFOp> {
     Value size = LLVM::FAbsOp::create(rewriter, loc, x.getType(), x);
     Value log = exact.call("llvm.nvvm.lg2.approx.f", size);
     Value power = exact.call("llvm.nvvm.ex2.approx", exact.mul(y, log));
-    // A negative base: only whole powers, and odd ones are negative.
+    // A negative base has real powers only for integers; odd ones are negative.
     auto isWhole = [&](Value value) {
       Value whole = math::TruncOp::create(rewriter, loc, value);
       return exact.compare(arith::CmpFPredicate::OEQ, whole, value);
@@ -116,7 +116,7 @@ struct PowerOfAny : OpRewritePattern<math::PowFOp> {
     Value ofNegative = exact.select(isWhole(y), signed_, nan);
     Value isNegative = exact.compare(arith::CmpFPredicate::OLT, x, zero);
     Value result = exact.select(isNegative, ofNegative, power);
-    // 0 * inf in the exponent, and x^0 of a NaN.
+    // 1^y and x^0 are 1, also where the exponent is 0 * inf or x is NaN.
     Value isOne = arith::OrIOp::create(
         rewriter, loc, exact.compare(arith::CmpFPredicate::OEQ, x, one),
         exact.compare(arith::CmpFPredicate::OEQ, y, zero));
@@ -125,11 +125,11 @@ struct PowerOfAny : OpRewritePattern<math::PowFOp> {
   }
 };
 
-/// divf %x, %y  ->  div.full, right to two units for all %y
+/// divf %x, %y  ->  div.full, with an error of two units for all %y
 ///
-/// Several quotients by one number are left to the backend, which makes them
-/// products with its reciprocal; so are reciprocals, for which it has an
-/// instruction, and quotients by constants.
+/// Several quotients with one divisor are left to the backend, which multiplies
+/// by the reciprocal of the divisor; so are reciprocals, for which it has an
+/// instruction, and quotients of or by constants.
 struct FullQuotient : OpRewritePattern<arith::DivFOp> {
   using OpRewritePattern::OpRewritePattern;
   LogicalResult matchAndRewrite(arith::DivFOp op,

@@ -11,9 +11,9 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether an operation computes on floats, so that a processor that flushes
-/// denormals flushes its operands and results. Moves of bits and changes of the
-/// sign alone keep them.
+/// Whether an operation computes on floats, so that a processor in flushing
+/// mode flushes its operands and results. Operations that only move bits or
+/// change the sign keep denormals.
 static bool computes(Operation *op) {
   return isa<LLVM::FAddOp, LLVM::FSubOp, LLVM::FMulOp, LLVM::FDivOp,
              LLVM::FRemOp, LLVM::FCmpOp, LLVM::FPExtOp, LLVM::FPTruncOp,
@@ -21,8 +21,8 @@ static bool computes(Operation *op) {
              LLVM::MaxNumOp, LLVM::MinimumOp, LLVM::MaximumOp>(op);
 }
 
-/// Functions of the math library and instructions chosen by name are those that
-/// keep denormals.
+/// True for functions of the math library and instructions chosen by name,
+/// which keep denormals.
 static bool isLibraryCall(Operation *op) {
   if (isa<LLVM::CallIntrinsicOp>(op))
     return true;
@@ -79,7 +79,7 @@ void tai::flushOnDevice(LLVM::LLVMFuncOp function) {
       if (!isDouble(result) && !isLibrarys)
         continue;
       Value flushed = flush(at, op->getLoc(), result);
-      // The flush itself reads the result.
+      // The ops of the flush itself, up to `flushed`, still read the result.
       result.replaceUsesWithIf(flushed, [&](OpOperand &use) {
         Operation *user = use.getOwner();
         return user->getBlock() != op->getBlock() ||

@@ -36,7 +36,7 @@ class ThreadMemory {
 public:
   explicit ThreadMemory(LLVM::LLVMFuncOp function) : function(function) {}
 
-  /// The address of as many bytes, or null if the function has too many.
+  /// The address of `bytes` bytes, or null if the function would need too many.
   Value reserve(int64_t bytes) {
     if (bytes > free)
       return {};
@@ -51,7 +51,7 @@ public:
         builder.getI8Type(), size, kAlignment);
   }
 
-  /// The bytes for an array whose size is known at run time.
+  /// The number of bytes reserved for an array whose size is known at run time.
   static constexpr int64_t kRunTimeBytes = 1024;
 
 private:
@@ -67,8 +67,8 @@ static bool isFree(Operation *op) {
   return call && call.getCallee() == "free";
 }
 
-/// Whether memory is read and written alone, in the iteration that frees it: no
-/// other code has its address.
+/// Whether memory is only read, written and freed, the latter in the iteration
+/// that allocates it: its address does not escape.
 static bool isPrivate(Value address, Block *block, bool &isFreed) {
   return llvm::all_of(address.getUsers(), [&](Operation *user) {
     if (isFree(user)) {
@@ -83,7 +83,8 @@ static bool isPrivate(Value address, Block *block, bool &isFreed) {
   });
 }
 
-/// Puts short memory into that of the thread; the call allocates longer memory.
+/// Puts short arrays into the thread's local memory; `call` allocates longer
+/// arrays.
 static void keepInThread(LLVM::CallOp call, ThreadMemory &own) {
   bool isFreed = false;
   if (!isPrivate(call.getResult(), call->getBlock(), isFreed) || !isFreed)
@@ -103,7 +104,7 @@ static void keepInThread(LLVM::CallOp call, ThreadMemory &own) {
     call.erase();
     return;
   }
-  // An allocation of no bytes does nothing.
+  // For a short array, allocate zero bytes, which does nothing.
   OpBuilder builder(call);
   Location loc = call.getLoc();
   auto constant = [&](int64_t value) -> Value {

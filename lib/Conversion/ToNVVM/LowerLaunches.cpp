@@ -21,7 +21,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The number of a device function: its position among those of its module.
+/// The number of a device function: its position in its module.
 static FailureOr<int64_t> getNumber(gpu::LaunchFuncOp launch, ModuleOp module) {
   auto kernels =
       module.lookupSymbol<gpu::GPUModuleOp>(launch.getKernelModuleName());
@@ -62,7 +62,7 @@ struct LowerLaunch final : OpRewritePattern<gpu::LaunchFuncOp> {
       slots = emitStackSlots(rewriter, loc, operands.size());
     for (auto [i, operand] : llvm::enumerate(operands))
       emitSlotStore(rewriter, loc, operand, emitSlot(rewriter, loc, slots, i));
-    // No blocks: the device alone knows how many iterations there are.
+    // Zero blocks: only the device knows how many iterations there are.
     Value blocks = launch.getGridSizeX(), threads = launch.getBlockSizeX();
     Value iterations = getConstantIntValue(blocks) == 0
                            ? math.constant(-1)

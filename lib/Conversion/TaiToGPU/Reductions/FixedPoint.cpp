@@ -5,12 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// In deterministic mode, float additions to elements that the data chooses are
-// done in integers (lib/DeviceLibrary/FixedPoint.cpp), whose unit depends on
-// the largest value of an element. So the loop runs twice for its values alone,
-// without its other effects, to find the units and to add up. Then the sums are
-// added to the field: by a loop over the elements, or, if the loop has other
-// effects or reaches few of the elements, by the loop itself.
+// In deterministic mode, float additions to data-dependent elements are done in
+// integers (lib/DeviceLibrary/FixedPoint.cpp), whose unit depends on the
+// largest value added to an element. So copies of the loop without its other
+// effects run twice, to find the units and to add up. Then the sums are added
+// to the field: by a loop over the elements, or, if the loop has other effects
+// or reaches few of the elements, by the loop itself.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,21 +23,21 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The sums of one group of additions, in one or two integers for each, and
-/// their scales.
+/// The sums of one group of additions, of one or two integers each, and their
+/// scales.
 struct Accumulators : ScatterBuffer {
   using ScatterBuffer::ScatterBuffer;
   Value scales;
 
   int64_t getNumIntegers() const { return field->scalarType.isF64() ? 2 : 1; }
-  /// 16-bit floats are added up as f32.
+  /// Whether the field has 16-bit floats, which are added up as f32.
   bool isOfHalves() const {
     return field->scalarType.getIntOrFloatBitWidth() == 16;
   }
 };
 
-/// One of the three passes, of which the last takes the sum by itself for
-/// elements of 16 bits.
+/// The three passes Scale, Add and Round; for elements of 16 bits, Take
+/// replaces Round and only returns the sum.
 enum class Pass { Scale, Add, Round, Take };
 
 class Splitter {
@@ -63,7 +63,7 @@ private:
 };
 } // namespace
 
-/// True for memory of one iteration.
+/// True for memory that is private to one iteration.
 static bool isPrivate(ParallelForOp loop, Value pointer) {
   while (auto element = pointer.getDefiningOp<LLVM::GEPOp>())
     pointer = element.getBase();
@@ -75,8 +75,8 @@ static bool isFixed(Operation *op) {
   return isInBuffer(op, ReductionForm::Fixed);
 }
 
-/// True for an op that others can see the effect of, besides additions in
-/// fixed point.
+/// True for an op with an effect visible outside its iteration, other than an
+/// addition in fixed point.
 static bool isSeen(ParallelForOp loop, Operation *op) {
   if (isFixed(op))
     return false;
@@ -87,7 +87,7 @@ static bool isSeen(ParallelForOp loop, Operation *op) {
   return isa<AtomicOp, AssertOp, LLVM::AtomicCmpXchgOp>(op);
 }
 
-/// Leaves the operands of the values.
+/// Removes the ops with visible effects but keeps their operands.
 static void removeEffects(ParallelForOp loop) {
   SmallVector<Operation *> seen;
   loop.getBody().walk([&](Operation *op) {
@@ -98,11 +98,11 @@ static void removeEffects(ParallelForOp loop) {
     op->erase();
 }
 
-/// Removes ops that only removed ops used.
+/// Removes ops whose results are unused.
 static void removeDeadOps(ParallelForOp loop) {
   SmallVector<Operation *> ops;
-  // Backwards, users come before their operands, and operations inside an op
-  // before the op itself, with which they would be freed.
+  // In reverse order, users come before their operands, and operations inside
+  // an op before the op itself, whose removal would free them.
   loop.getBody().walk<WalkOrder::PreOrder>(
       [&](Operation *op) { ops.push_back(op); });
   for (Operation *op : llvm::reverse(ops))
@@ -137,7 +137,7 @@ void Splitter::emitSum(OpBuilder &builder, const Accumulators &from,
   emitRoundedAddition(builder, loc, from.field->scalarType, sum, element);
 }
 
-/// `operand` is the value, or the address of the element.
+/// `operand` is the term, or the address of the element.
 Value Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
                          const Accumulators &to, Value number, Value operand) {
   IndexMath math(builder, loc);
@@ -159,7 +159,8 @@ Value Splitter::emitCall(OpBuilder &builder, Location loc, Pass pass,
                                       result, operands);
 }
 
-/// Replaces the additions of a copy of the loop.
+/// Replaces the fixed-point additions of `in`, a copy of the loop, by calls for
+/// `pass`.
 void Splitter::emitPass(ParallelForOp in, Pass pass) {
   SmallVector<AtomicOp> atomics;
   in.walk([&](AtomicOp atomic) {
@@ -198,8 +199,8 @@ bool Splitter::hasEffects() {
       .wasInterrupted();
 }
 
-/// True if a loop over the elements adds the sums: these are few against the
-/// additions, or the field is of 16-bit floats.
+/// True if a loop over the elements adds the sums: there are few elements
+/// compared with the additions, or the field has 16-bit floats.
 bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups,
                                bool hasEffects) {
   if (llvm::any_of(all, [](const Accumulators &to) { return to.isOfHalves(); }))
@@ -212,7 +213,8 @@ bool Splitter::isWorthVisiting(ArrayRef<AccumulationGroup> groups,
     for (AtomicOp atomic : group.atomics)
       updates += estimateRuns(atomic, loop);
   }
-  // A visit in order costs less than one by an index.
+  // A visit of all elements in order costs less per element than an indexed
+  // one.
   constexpr double isCheaper = 8, guessedIterations = 1 << 17;
   std::optional<int64_t> iterations = getNumIterations(loop);
   return elements <= isCheaper * updates *

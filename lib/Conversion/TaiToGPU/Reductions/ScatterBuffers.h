@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Additions to elements that data choose, of which `tai-relax-atomics` says
-// that they have a buffer: they add to scratch memory with a sum for each
-// element, which a loop over the elements then adds to the field.
+// Additions to data-dependent elements for which `tai-relax-atomics` chose a
+// buffer: they go to scratch memory with a sum for each element, and a loop
+// over the elements then adds the sums to the field.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,7 +28,7 @@ struct ScatterBuffer {
   const FieldInfo *field;
   /// For each dimension, the index that all additions share, or null.
   SmallVector<Value> fixed;
-  /// The number of elements that the others reach, times components.
+  /// The number of elements that the other dimensions span, times components.
   int64_t count;
   Value fieldBase, sums;
 };
@@ -36,25 +36,25 @@ struct ScatterBuffer {
 bool isInBuffer(Operation *op, ReductionForm form);
 
 /// Calls `split` for each loop of a host function with additions of this form.
-/// Fails at one that a GPU cannot do.
+/// Fails at an addition that a GPU does not support.
 LogicalResult splitBufferedLoops(
     LLVM::LLVMFuncOp host, ReductionForm form,
     function_ref<LogicalResult(ParallelForOp, ArrayRef<AtomicOp>)> split);
 
-/// The term of an addition, with the sign.
+/// The term of an addition, negated for a subtraction.
 Value emitTerm(OpBuilder &builder, AtomicOp atomic);
 
 /// The number of the sum to which an addition goes.
 Value emitSumNumber(OpBuilder &builder, AtomicOp atomic,
                     const ScatterBuffer &buffer);
 
-/// Emits a loop over the elements; `emit` gets the number of a sum and the
-/// address of the element.
+/// Emits a loop over the elements. `emit` gets the number of a sum and the
+/// address of its element.
 void emitElementLoop(
     OpBuilder &builder, Location loc, const ScatterBuffer &buffer,
     function_ref<void(OpBuilder &, Value number, Value element)> emit);
 
-/// Adds a sum of f64 to an element of a narrower type.
+/// Adds an f64 sum to an element of a narrower type, rounding once.
 void emitRoundedAddition(OpBuilder &builder, Location loc, Type scalar,
                          Value sum, Value element);
 

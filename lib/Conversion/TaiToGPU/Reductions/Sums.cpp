@@ -21,8 +21,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The number of sums that are added up one after another in the end, in a loop
-/// that one warp runs: its threads have parts of their own.
+/// The number of chunks whose sums are added one after another at the end. A
+/// loop that one warp runs has a single chunk, with a part for each thread.
 static int64_t getNumChunks(ParallelForOp loop) {
   if (loop.getInWarp())
     return 1;
@@ -41,8 +41,9 @@ static Type getKeptType(AtomicKind kind, Type type) {
   return isa<FloatType>(type) ? getLaneType(kind, type) : type;
 }
 
-/// Loops behind `loop` that add up the partial sums of its threads, which are
-/// the lanes of its chunks. Yields the address of the first.
+/// Emits loops after `loop` that add up the partial sums of its virtual
+/// threads, which are the lanes of its chunks. Returns the address of the first
+/// partial sum.
 static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
                              Type type, Value target, RuntimeCalls &runtime) {
   OpBuilder builder(loop);
@@ -66,7 +67,7 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   Value own = math.rem(group, SumOrder::kGroups);
   Value lanes =
       emitPointer(b, loc, storage, partials, math.mul(chunk, SumOrder::kLanes));
-  // The ranges of chunks and lanes, for programs: see LoopAccesses.
+  // The strides and extents of chunks and lanes, for LoopAccesses.
   int64_t bytes = llvm::divideCeil(kept.getIntOrFloatBitWidth(), 8);
   AliasScopes inChunks;
   inChunks.digits =
@@ -97,8 +98,9 @@ static Value emitPartialSums(ParallelForOp loop, Value frame, AtomicKind kind,
   return partials;
 }
 
-/// A loop of one iteration behind `loop` that adds the sum of its blocks to
-/// the target. Yields the address of that sum, which is zero between launches.
+/// Emits a loop of one iteration after `loop` that adds the sum of all blocks
+/// to the target. Returns the address of that sum, which is zero between
+/// launches.
 static Value emitWideSum(ParallelForOp loop, Value frame, Type type,
                          Value target, RuntimeCalls &runtime) {
   OpBuilder builder(loop);
@@ -112,7 +114,7 @@ static Value emitWideSum(ParallelForOp loop, Value frame, Type type,
                                     outside.constant(1));
   OpBuilder b = OpBuilder::atBlockBegin(&once.getBody().front());
   Value found = emitLoad(b, loc, wide, sum, AliasScopes());
-  // A replay begins with the results of the last one.
+  // Reset the sum: a replay of the launch does not clear scratch memory.
   emitStore(
       b, loc,
       arith::ConstantOp::create(b, loc, getIdentity(AtomicKind::Add, wide)),
@@ -234,7 +236,7 @@ SmallVector<Sum> tai::collectSums(ParallelForOp loop, FieldTable &fields) {
   return sums;
 }
 
-/// The function of the device library that adds up over a block, or none.
+/// The function of the device library that reduces over a block, or "".
 static std::string getBlockFunction(AtomicKind kind, Type type) {
   bool isFloat = type.isF32() || type.isF64();
   if (!isFloat && !type.isInteger(32) && !type.isInteger(64))

@@ -20,10 +20,10 @@ struct Sum {
   Type type;
   /// The accumulator type of a thread: f64 for sums of f32.
   Type kept;
-  /// The target address, or that of the first partial sum.
+  /// The address of the target, or of the first partial sum.
   Value target;
   bool isPartial = false;
-  /// Blocks add to an f64, and a later loop adds that to the element of f32.
+  /// Whether blocks add to an f64, which a later loop adds to the f32 element.
   bool isWide = false;
   ArrayAttr scope;
   Value slot;

@@ -5,12 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Iteration 32 * k + n is of thread n of the first warp, for k = 0, 1, ...: the
+// Thread n of the first warp runs the iterations 32 * k + n, k = 0, 1, ...: the
 // threads execute additions to memory together, in an order fixed by their
-// numbers (lib/DeviceLibrary/Ordered.cpp). All of them must reach each
+// numbers (lib/DeviceLibrary/Ordered.cpp). All threads must reach each
 // addition. So additions are moved out of branches, which then yield an
 // address, or null, and a value; and in the last batch, threads without an
-// iteration repeat the last one, without its effects.
+// iteration repeat the last iteration without its effects.
 //
 //===----------------------------------------------------------------------===//
 
@@ -31,7 +31,7 @@ using namespace mlir::tai;
 // Operations of the loop
 //===----------------------------------------------------------------------===//
 
-/// True for memory of one iteration.
+/// True for memory that is private to one iteration.
 static bool isPrivate(Value pointer) {
   while (auto element = pointer.getDefiningOp<LLVM::GEPOp>())
     pointer = element.getBase();
@@ -59,7 +59,7 @@ static bool containsAddition(Operation *op) {
       .wasInterrupted();
 }
 
-/// False for operations that may end the thread, and for unknown ones.
+/// False for operations that may end the thread, and for unknown operations.
 static bool isKnown(Operation *op) {
   auto canBeYielded = [](Type type) {
     return type.isIntOrIndexOrFloat() || isa<LLVM::LLVMPointerType>(type);
@@ -68,7 +68,7 @@ static bool isKnown(Operation *op) {
     return true;
   if (!llvm::all_of(op->getResultTypes(), canBeYielded))
     return false;
-  // Sums in registers are not lowered yet.
+  // Sums kept in registers are lowered later.
   if (isa<AtomicOp>(op))
     return isDoneByLoop(op);
   if (isa<LLVM::LoadOp, LLVM::StoreOp, LLVM::AtomicRMWOp, LLVM::AtomicCmpXchgOp,
@@ -78,8 +78,8 @@ static bool isKnown(Operation *op) {
   return op->getNumRegions() == 0 && isMemoryEffectFree(op);
 }
 
-/// Lowering may have put something into the loop that was not there before: the
-/// test of an index, say, which ends in a failure.
+/// Whether all threads can reach the additions together. Earlier lowerings may
+/// have inserted code that prevents this, such as a bounds check that fails.
 static bool canComeTogether(ParallelForOp loop) {
   WalkResult result = loop.getBody().walk([](Operation *op) {
     return isKnown(op) ? WalkResult::advance() : WalkResult::interrupt();
@@ -88,7 +88,7 @@ static bool canComeTogether(ParallelForOp loop) {
 }
 
 void tai::prepareWarpLoop(ParallelForOp loop) {
-  // Values known to be one address are computed once.
+  // Compute equal addresses once, so that equal addresses are one value.
   IRRewriter rewriter(loop.getContext());
   DominanceInfo dominance(loop);
   eliminateCommonSubExpressions(rewriter, dominance, loop);
@@ -129,8 +129,8 @@ void tai::emitWarpBarrier(OpBuilder &builder, Location loc,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// An addition to the element that is so many bytes behind the base, which is
-/// null where there is none.
+/// An addition to the element `offset` bytes after `base`, which is null in
+/// threads that do not add.
 struct Addition {
   Location loc;
   Value base;
@@ -146,8 +146,8 @@ public:
   void process(Block *block);
 
 private:
-  /// The varying parts of an address: its base, its index and the size of a
-  /// step. Addresses that differ in a constant are equal in the same threads.
+  /// The varying parts of an address: its base, its index and the width of an
+  /// element. Addresses with equal keys differ by a constant.
   using Key = std::tuple<Value, Value, int64_t>;
   using Plans = llvm::SmallDenseMap<Value, Value>;
   static Key getKey(Value base, int64_t &distance);
@@ -160,7 +160,7 @@ private:
 
   Block *body;
   Value isActive;
-  /// Whether values are added to memory one after another.
+  /// Whether threads add to memory one after another.
   bool inTurn;
   /// Operations that threads without an iteration execute as well.
   llvm::DenseSet<Operation *> forAll;
@@ -168,7 +168,7 @@ private:
 };
 } // namespace
 
-/// A null address or a zero.
+/// A null pointer or a zero.
 static Value emitZero(OpBuilder &builder, Location loc, Type type) {
   if (isa<LLVM::LLVMPointerType>(type))
     return LLVM::ZeroOp::create(builder, loc, type);
@@ -199,8 +199,8 @@ static std::pair<Value, int64_t> splitAddress(Value address) {
   return {address, offset};
 }
 
-/// `distance` is the distance of the address from the one that its key stands
-/// for.
+/// The key of an address; `distance` becomes the constant distance of the
+/// address from its varying parts.
 AdditionOrder::Key AdditionOrder::getKey(Value base, int64_t &distance) {
   distance = 0;
   auto element = base.getDefiningOp<LLVM::GEPOp>();
@@ -227,7 +227,7 @@ Addition AdditionOrder::take(LLVM::AtomicRMWOp update) {
   return addition;
 }
 
-/// Takes the additions out of a block, in their order.
+/// Removes the additions from a block and returns them in their order.
 SmallVector<Addition> AdditionOrder::takeFrom(Block *block) {
   SmallVector<Addition> additions;
   for (Operation &op : llvm::make_early_inc_range(*block)) {
@@ -241,7 +241,8 @@ SmallVector<Addition> AdditionOrder::takeFrom(Block *block) {
   return additions;
 }
 
-/// Lets the branch yield the terms of its additions, one way and the other.
+/// Makes the branch yield the terms of the additions in both of its arms, and
+/// returns the additions, now of these results.
 SmallVector<Addition> AdditionOrder::takeOut(scf::IfOp &branch) {
   SmallVector<Addition> additions = takeFrom(branch.thenBlock());
   size_t numThen = additions.size();
@@ -250,7 +251,8 @@ SmallVector<Addition> AdditionOrder::takeOut(scf::IfOp &branch) {
 
   OpBuilder builder(branch);
   SmallVector<Type> types(branch.getResultTypes());
-  /// The results that hold them; bases come once.
+  /// The results that hold base and value of each addition; equal bases share a
+  /// result.
   SmallVector<std::pair<size_t, size_t>> results;
   SmallVector<Value> yielded;
   SmallVector<bool> isThen;
@@ -261,7 +263,7 @@ SmallVector<Addition> AdditionOrder::takeOut(scf::IfOp &branch) {
     return types.size() - 1;
   };
   for (bool inThen : {true, false}) {
-    /// The result, and how far behind the start of its key it is.
+    /// The result for a key, and the distance of its address from the key.
     llvm::SmallDenseMap<Key, std::pair<size_t, int64_t>> known;
     for (size_t i = inThen ? 0 : numThen,
                 end = inThen ? numThen : additions.size();
@@ -340,7 +342,7 @@ void AdditionOrder::emit(OpBuilder &builder, const Addition &addition,
                                            : Attribute(builder.getUnitAttr()));
 }
 
-/// True if the additions cannot come out of it.
+/// True if `op` contains a loop with additions, which cannot be moved out.
 static bool isRepeated(Operation *op) {
   return op
       ->walk([](scf::ForOp inner) {
@@ -350,8 +352,8 @@ static bool isRepeated(Operation *op) {
       .wasInterrupted();
 }
 
-/// True for values that follow from the number of an iteration alone: all
-/// threads have one. Bounds of loops are among it.
+/// True for values that follow from the number of an iteration alone and so
+/// exist in all threads. Induction variables of inner loops are among them.
 bool AdditionOrder::isForAll(Value value) {
   if (Operation *op = value.getDefiningOp())
     return forAll.contains(op) || !body->getParentOp()->isAncestor(op);
@@ -361,8 +363,8 @@ bool AdditionOrder::isForAll(Value value) {
          (loop && loop.getInductionVar() == argument);
 }
 
-/// Lets only threads that have an iteration do these neighbours, and all do the
-/// additions in them.
+/// Lets only threads that have an iteration execute the consecutive operations
+/// `part`, and all threads the additions in them.
 void AdditionOrder::processPart(ArrayRef<Operation *> part) {
   llvm::SmallPtrSet<Operation *, 16> inside;
   SmallVector<Operation *> moved;
@@ -381,7 +383,7 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
   }
   if (moved.empty())
     return;
-  // Results that other code uses.
+  // Results that code outside the part uses.
   SmallVector<Value> used;
   for (Operation *op : moved)
     for (Value result : op->getResults())
@@ -406,7 +408,7 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
     op->moveBefore(active, active->end());
   OpBuilder end = OpBuilder::atBlockEnd(active);
   scf::YieldOp::create(end, loc, used);
-  // The results of the other threads are not used.
+  // Threads without an iteration do not use the results.
   OpBuilder none = OpBuilder::atBlockEnd(branch.elseBlock());
   SmallVector<Value> zeros;
   for (Value value : used)
@@ -422,7 +424,7 @@ void AdditionOrder::processPart(ArrayRef<Operation *> part) {
     emit(builder, addition, plans);
 }
 
-/// All threads of the warp run the block.
+/// Processes a block that all threads of the warp run.
 void AdditionOrder::process(Block *block) {
   SmallVector<SmallVector<Operation *>> parts(1);
   SmallVector<Operation *> together;

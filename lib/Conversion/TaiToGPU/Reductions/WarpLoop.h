@@ -12,7 +12,7 @@
 
 namespace mlir::tai {
 
-/// Threads in the block of such a loop.
+/// The number of threads in the block of a loop that runs in one warp.
 constexpr int64_t kWarpSize = 32;
 
 /// On a call of an ordered addition: the alias scopes of the updated memory, or
@@ -21,14 +21,13 @@ constexpr llvm::StringLiteral kOrderedScopeAttrName = "tai.ordered_scope";
 
 /// The share of a thread in a loop that tai-relax-atomics assigned to a warp.
 struct WarpPart {
-  /// The warp runs batches of iterations; the batches start at the numbers from
-  /// `first` on, in steps of `step`.
+  /// The warp runs batches of iterations, which start at the iterations
+  /// `first`, `first` + `step`, ...
   Value first, step;
   /// An i1: whether this thread belongs to the warp.
   Value isHere;
   /// The number of the thread in the warp; null where one thread runs all
-  /// iterations, because the others might not reach the additions together with
-  /// it.
+  /// iterations, because threads might not reach the additions together.
   Value lane;
 };
 
@@ -45,8 +44,8 @@ void emitWarpBarrier(OpBuilder &builder, Location loc, const WarpPart &part,
                      RuntimeCalls &runtime);
 
 /// Replaces the additions in `body`, which all threads of the warp run
-/// together, by ordered ones, or with `inTurn` by one lane after the other.
-/// Threads without an iteration (`isActive` is false) run with the number of
+/// together, by ordered additions, or with `inTurn` by additions of one lane
+/// after the other. Threads without an iteration (`isActive` is false) repeat
 /// another iteration and have no other effect.
 void orderAdditions(Block *body, Value isActive, bool inTurn,
                     RuntimeCalls &runtime);

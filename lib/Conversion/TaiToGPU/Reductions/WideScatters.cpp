@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Additions of 16-bit floats, those of f32 that are many for each element, and
-// those of kernels with compensated sums go to sums of f64 beside the field
-// (lib/DeviceLibrary/WideSums.cpp). A loop over the elements adds them to it.
+// Additions of 16-bit floats, additions of many f32 terms to each element, and
+// additions in kernels with compensated sums go to sums of f64 beside the field
+// (lib/DeviceLibrary/WideSums.cpp). A loop over the elements adds the sums to
+// it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,7 +36,7 @@ private:
 };
 } // namespace
 
-/// Sums of f64 have their errors beside them.
+/// The number of f64 in a sum: f64 terms need a second one for the error.
 static int64_t getNumParts(const ScatterBuffer &buffer) {
   return buffer.field->scalarType.isF64() ? 2 : 1;
 }
@@ -62,7 +63,7 @@ void WideScatter::emitAddition(AtomicOp atomic, const ScatterBuffer &to) {
   atomic.erase();
 }
 
-/// Adds a sum to its element. A replay begins with zeros.
+/// Adds a sum to its element and resets the sum to zero for a replay.
 void WideScatter::emitResult(OpBuilder &builder, const ScatterBuffer &from,
                              Value number, Value element) {
   Location loc = loop.getLoc();

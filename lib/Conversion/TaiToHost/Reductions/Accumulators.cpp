@@ -13,10 +13,11 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Partial sums of two partitions do not share a cache line.
+/// Partial sums of two partitions must not share a cache line.
 constexpr int64_t kCacheLine = 64;
 
-/// The given indices as values before the loop; constants inside are copied.
+/// The given indices as values before the loop; constants defined inside the
+/// loop are copied.
 static SmallVector<Value> getOutside(ValueRange values, ParallelForOp loop) {
   OpBuilder builder(loop);
   return llvm::map_to_vector(values, [&](Value value) -> Value {
@@ -99,7 +100,8 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
   }
   if (buffers.empty())
     return parts;
-  // Each partition costs its elements, and saves the updates.
+  // A partition costs time for each of its elements, and saves time for each of
+  // its updates.
   double partsPerCount =
       updates * iterationsPerCount * kElementsPerUpdate / elements;
   RuntimeCalls &runtime = lowering->runtime;
@@ -117,7 +119,7 @@ Value Accumulators::limitParts(OpBuilder &builder, Location loc, Value parts,
   return arith::MinSIOp::create(builder, loc, parts, limit);
 }
 
-/// The slot at which the numbers of register `i` begin.
+/// The slot at which the partial sum of register `i` begins.
 int64_t Accumulators::getPartialSlot(size_t i) const {
   int64_t slot = 0;
   for (const Register &sum : ArrayRef(registers).take_front(i))
@@ -248,13 +250,13 @@ void Accumulators::emitEntry(OpBuilder &builder, Location loc, Value part) {
     buffer.emitEntry(builder, loc, part);
 }
 
-/// Moves an update behind the branches that it stands in; where it would not
-/// run it adds a neutral value. LLVM vectorises the sum then, which it does not
-/// do for one that only some iterations change.
+/// Moves an update out of the branches around it; where a branch is not taken,
+/// the update adds a neutral value. LLVM then vectorises the sum; it does not
+/// vectorise sums that only some iterations update.
 static void moveBehindBranches(Operation *update, OpOperand &updated,
                                AtomicKind kind) {
   while (auto branch = dyn_cast<scf::IfOp>(update->getParentOp())) {
-    // tai-split-index-sets takes this branch out of the loop.
+    // tai-split-index-sets will move this branch out of the loop.
     if (branch->hasAttr("tai.interior"))
       return;
     Location loc = branch.getLoc();

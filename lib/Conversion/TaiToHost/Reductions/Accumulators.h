@@ -36,34 +36,34 @@ public:
   Value limitParts(OpBuilder &builder, Location loc, Value parts, Value count,
                    double iterationsPerCount);
 
-  /// In the kernel, before the loop: allocates partial sums.
+  /// Emitted in the kernel before the loop: allocates partial sums.
   void emitBefore(OpBuilder &builder, Location loc, Value frame, Value parts);
 
-  /// In the outlined function, before its loops, where the partition is known.
+  /// Emitted at the entry of the loop's function, where the partition is known.
   void emitEntry(OpBuilder &builder, Location loc, Value part);
   /// Replaces the updates, after they have been moved into the function.
   void rewriteUpdates();
   /// The maximum number of iterations in a block of the innermost loop, or 0 if
   /// no sum needs blocks.
   int64_t getBlockLength() const;
-  /// Whether that limit is strict, in loops over rows, too.
+  /// Whether getBlockLength is a strict limit, which cuts rows as well.
   bool storesTerms() const;
-  /// After each block of iterations, run by `loop`: adds its sums to the
-  /// totals.
+  /// Emitted after each block of iterations, run by `loop`: adds the block's
+  /// sums to the totals.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
-  /// After the loops.
+  /// Emitted at the end of the loop's function.
   void emitExit(OpBuilder &builder, Location loc);
 
-  /// In the function of a loop that is cut into chunks, because of sums in the
-  /// order of all targets: around the iterations of a chunk.
+  /// For a loop whose iterations are cut into chunks, so that its sums have the
+  /// order of all targets: emitted before and after the iterations of a chunk.
   void emitChunkStart(OpBuilder &builder, Location loc);
   void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk);
   /// Iteration i of `loop` belongs to lane i - `base` of these sums.
   void setLanes(scf::ForOp loop, Value base) { innermost = {loop, base}; }
 
-  /// In the kernel, after the loop: adds the partial sums to the fields.
+  /// Emitted in the kernel after the loop: adds the partial sums to the fields.
   void emitAfter(OpBuilder &builder, Location loc, Value frame, Value parts);
-  /// The same for the groups of `chunks`.
+  /// Like emitAfter, for the partial sums of `chunks` chunks.
   void emitAfterChunks(OpBuilder &builder, Location loc, Value chunks);
 
 private:
@@ -75,8 +75,9 @@ private:
     const FieldInfo *field;
     Total updates;
     std::unique_ptr<TotalForm> form;
-    // In the kernel: the place in a field, or the address in an array. The
-    // operands of the updates change when their loop becomes a function.
+    // Valid in the kernel: the place in a field, or the address in an array.
+    // Not taken from the updates, whose operands change when the loop becomes a
+    // function.
     SmallVector<Value> indices, components;
     Value address;
   };
@@ -90,14 +91,14 @@ private:
   ModuleLowering *lowering;
   std::vector<Register> registers;
   std::vector<BufferSums> buffers;
-  /// The innermost loop, in the function.
+  /// The innermost loop in the loop's function.
   TotalForm::Place innermost;
   /// Memory for the register sums of all partitions, in the kernel.
   Value partials;
   Value insidePartials;
 };
 
-/// Lowers an update in serial code, without an atomic.
+/// Lowers an update in serial code to a load and a store.
 LogicalResult lowerNonAtomic(AtomicOp atomic, FieldTable &fields);
 
 } // namespace mlir::tai

@@ -15,7 +15,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Partial sums of two partitions do not share a cache line.
+/// Partial sums of two partitions must not share a cache line.
 constexpr int64_t kCacheLine = 64;
 
 FailureOr<BufferSums> BufferSums::create(AccumulationGroup group,
@@ -66,7 +66,7 @@ Value BufferSums::emitTarget(OpBuilder &builder, Location loc) {
   for (const IndexDigit &digit : field.storage.digits) {
     if (!slice.fixed[digit.dimension] || digit.extent == 1)
       continue;
-    // The indices of free dimensions are not looked at.
+    // Indices of free dimensions stay null: emitDigit does not use them here.
     SmallVector<Value> zeroBased(field.layout.shape.size());
     zeroBased[digit.dimension] = math.sub(group.fixed[digit.dimension],
                                           field.layout.offset[digit.dimension]);
@@ -89,7 +89,7 @@ void BufferSums::emitBefore(OpBuilder &builder, Location loc,
                                     runtime.i64(builder, loc, bytes), parts);
     return;
   }
-  // One partition has the field to itself.
+  // A single partition adds to the field itself.
   auto choice = scf::IfOp::create(builder, loc,
                                   TypeRange{runtime.getPointerType()}, single,
                                   /*addThenBlock=*/true, /*addElseBlock=*/true);
@@ -113,8 +113,8 @@ void BufferSums::emitEntry(OpBuilder &builder, Location loc, Value part) {
 
 void BufferSums::rewriteUpdates(ModuleLowering &lowering) {
   const FieldInfo &field = *group.field;
-  // A buffer stands for its field: accesses that do not reach the one do not
-  // reach the other.
+  // A buffer takes the alias scopes of its field: an access that cannot reach
+  // the field cannot reach the buffer.
   AliasScopes scopes = lowering.fields.getScopes(field);
   for (AtomicOp atomic : group.atomics) {
     OpBuilder builder(atomic);
@@ -144,7 +144,7 @@ void BufferSums::rewriteUpdates(ModuleLowering &lowering) {
       cell = math.add(cell, emitComponent(builder, loc, field.elementShape,
                                           atomic.getComponents()));
     if (digits == SumDigits::Pair) {
-      // Errors follow all sums, so that neighbours are neighbours in memory.
+      // The errors come after all sums, so that neighbouring sums are adjacent.
       address = emitPointer(builder, loc, storage, address, cell);
       Value restAt = emitPointer(builder, loc, storage, address,
                                  math.constant(getNumElements()));

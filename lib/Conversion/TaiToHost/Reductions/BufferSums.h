@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Each partition has a copy of the updated part of the field, in the digits
-// that the plan chose, and the runtime adds the copies to the field. A sum in
-// the field's own digits that has a single partition goes to the field itself.
+// Each partition has a copy of the updated part of the field, with the digits
+// that the plan chose, and the runtime adds the copies to the field. With the
+// field's own digits, a single partition adds to the field itself.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,7 @@ namespace mlir::tai {
 
 class BufferSums {
 public:
-  /// Fails after an error at a part that is not evenly spaced in memory.
+  /// Fails with an error if the part is not evenly spaced in memory.
   static FailureOr<BufferSums> create(AccumulationGroup group,
                                       ParallelForOp loop);
 
@@ -30,14 +30,14 @@ public:
     return slice.numCells * group.field->numComponents;
   }
 
-  /// In the kernel, before the loop. `single`: there is one partition.
+  /// Emitted in the kernel before the loop. `single`: there is one partition.
   void emitBefore(OpBuilder &builder, Location loc, ModuleLowering &lowering,
                   Value frame, Value parts, Value single);
-  /// In the function of the loop: at its entry, and in place of the updates.
+  /// Emitted in the loop's function: at its entry, and in place of the updates.
   void emitEntry(OpBuilder &builder, Location loc, Value part);
   void rewriteUpdates(ModuleLowering &lowering);
-  /// In the kernel, after the loop: `whereSeveral` is a place that only several
-  /// partitions reach.
+  /// Emitted in the kernel after the loop. `whereSeveral` inserts at a point
+  /// that is reached only if there are several partitions.
   void emitAfter(OpBuilder &builder, OpBuilder &whereSeveral, Location loc,
                  ModuleLowering &lowering, Value frame, Value parts);
 
@@ -45,8 +45,8 @@ private:
   BufferSums(AccumulationGroup group, FieldSlice slice)
       : group(std::move(group)), slice(std::move(slice)) {}
   int64_t getScalarBytes() const;
-  /// Whether every partition has a buffer, so that none updates the field
-  /// itself.
+  /// Whether every partition has a buffer, so that no partition updates the
+  /// field itself.
   bool isApart() const { return digits != SumDigits::Own; }
   int64_t getCompactStride() const {
     return group.field->numComponents * group.field->scalarSize;
@@ -59,9 +59,9 @@ private:
   FieldSlice slice;
   double updatesPerIteration = 0;
   SumDigits digits = SumDigits::Own;
-  // In the kernel:
+  // Valid in the kernel:
   Value target, memory, partStride, cellStride;
-  // In the function of the loop:
+  // Valid in the loop's function:
   Value base;
 };
 

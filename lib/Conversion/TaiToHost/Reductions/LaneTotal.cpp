@@ -27,9 +27,9 @@ public:
       : TotalForm(sum), kind(sum.kind),
         type(getLaneType(sum.kind, sum.termType)) {}
 
-  /// The chunks leave their sums in memory.
+  /// Chunks leave their sums in `groups`, not in slots of a partition.
   unsigned getNumSlots() const override { return 0; }
-  /// Makes room for the groups of all chunks.
+  /// Allocates memory for the groups of all chunks.
   void emitBefore(OpBuilder &builder, Location loc) override;
   void emitEntry(OpBuilder &builder, Location loc) override;
   void emitTerm(OpBuilder &builder, Location loc, size_t number,

@@ -17,7 +17,7 @@
 
 namespace mlir::tai {
 
-/// A sum of f64, and the sum of its rounding errors; or vectors of them.
+/// A sum of f64 and the sum of its rounding errors, or vectors of these.
 struct Pair {
   Value sum, rest;
 };
@@ -25,7 +25,7 @@ struct Pair {
 /// Adds `x` to the pair (two-sum). The operations have no fast-math flags.
 Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x);
 
-/// The pair as one number.
+/// The sum of the pair's two numbers, rounded.
 Value emitRounded(OpBuilder &builder, Location loc, Pair pair);
 
 } // namespace mlir::tai

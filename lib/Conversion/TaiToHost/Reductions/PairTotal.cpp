@@ -21,7 +21,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// A number of which LLVM does not see where it comes from.
+/// Hides the computation of `x` from LLVM's optimisations.
 static Value emitFenced(OpBuilder &builder, Location loc, Value x) {
   auto name = builder.getStringAttr("llvm.arithmetic.fence");
   return LLVM::CallIntrinsicOp::create(builder, loc, x.getType(), name,
@@ -29,9 +29,10 @@ static Value emitFenced(OpBuilder &builder, Location loc, Value x) {
       .getResult(0);
 }
 
-// Where the term is a product, fusing it into one of its two uses alone would
-// make the error that of another term. CPUs fuse products that have one use, so
-// no fence is needed, which would keep the loop from being vectorised.
+// If the term is a product, fusing the product into only one of its two uses
+// would make the error that of a different term. CPU backends fuse only
+// products with one use, so no fence is needed here, which would prevent
+// vectorisation.
 Pair tai::emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x) {
   auto add = [&](Value a, Value b) -> Value {
     return LLVM::FAddOp::create(builder, loc, a, b);
@@ -56,9 +57,9 @@ Value tai::emitRounded(OpBuilder &builder, Location loc, Pair pair) {
   return LLVM::FAddOp::create(builder, loc, pair.sum, rest);
 }
 
-/// Adds to pairs in lanes. Where additions and fused operations are done by two
-/// kinds of units, each has half of the work; a product with a one or its
-/// opposite, which LLVM does not see, rounds nothing.
+/// Adds to pairs in lanes. Half of the operations are fused, for processors
+/// with separate units for additions and fused operations. The products by one
+/// and minus one are exact; LLVM does not see that these factors are constants.
 static Pair emitPairSum(OpBuilder &builder, Location loc, Pair pair, Value x,
                         Value one, Value minusOne) {
   auto fused = [&](Value a, Value b, Value c) -> Value {
@@ -77,17 +78,17 @@ namespace {
 /// A pair for each vector lane, and the terms of a block of iterations.
 class PairLanes {
 public:
-  /// At the entry of a function, for `updates` updates in each of the `block`
-  /// iterations of a block.
+  /// Emitted at the entry of a function, for `updates` updates in each of the
+  /// `block` iterations of a block.
   PairLanes(OpBuilder &builder, Location loc, size_t updates, int64_t block);
 
-  /// At update number `update`, in the innermost loop: stores its term. Must
-  /// run in every iteration; the term of a skipped update is zero.
+  /// Emitted at update number `update`, in the innermost loop: stores its term.
+  /// Must run in every iteration; the term of a skipped update is zero.
   void emitTerm(OpBuilder &builder, Location loc, size_t update,
                 scf::ForOp loop, Value term);
-  /// After that loop: sums its terms.
+  /// Emitted after the innermost loop: sums the terms of the block.
   void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop);
-  /// The sum over all lanes.
+  /// The sum over all lanes of `sums`, with its error.
   Pair emitTotal(OpBuilder &builder, Location loc);
 
 private:
@@ -95,7 +96,7 @@ private:
   static constexpr int64_t kVectors = 2;
 
   VectorType type;
-  /// The buffer of terms of each update.
+  /// For each update, the buffer of its terms.
   SmallVector<Value> terms;
   SmallVector<Value> sums, rests;
 };
@@ -126,7 +127,7 @@ private:
 };
 } // namespace
 
-/// Memory for so many vectors, at the entry of the function.
+/// Allocates `count` vectors at the entry of the function.
 static Value emitRoom(OpBuilder &builder, Location loc, VectorType type,
                       int64_t count) {
   Value size = LLVM::ConstantOp::create(builder, loc, builder.getI64Type(),
@@ -142,7 +143,7 @@ PairLanes::PairLanes(OpBuilder &builder, Location loc, size_t updates,
   auto function =
       cast<LLVM::LLVMFuncOp>(builder.getInsertionBlock()->getParentOp());
   OpBuilder entry = OpBuilder::atBlockBegin(&function.getBody().front());
-  // Zeros follow the last terms, up to whole vectors.
+  // Zeros follow the last terms, to fill whole vectors.
   for (size_t i = 0; i < updates; ++i)
     terms.push_back(emitRoom(entry, loc, type, block / kLanes + kVectors));
   Value zero =
@@ -277,7 +278,7 @@ SmallVector<Value> PairTotal::emitCombined(OpBuilder &builder, Location loc,
 
 void PairTotal::emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
                            Value address, AliasScopes scopes) {
-  // Rounds once.
+  // Adds the old value to the pair, to round only once.
   Value old = emitLoad(builder, loc, sum.termType, address, scopes);
   Pair next = emitPairSum(builder, loc, {total[0], total[1]}, old);
   emitStore(builder, loc, emitRounded(builder, loc, next), address, scopes);

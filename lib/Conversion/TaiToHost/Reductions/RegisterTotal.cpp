@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A register in the type of the terms, or in f64 (`wide`). A sum of n numbers
-// one after another is off by about n roundings; in blocks of m it is off by
-// the square root of m n of them, and adding the blocks up in f64 costs
-// nothing.
+// A register in the type of the terms, or in f64 (`wide`). A sum of n numbers,
+// added one after another, has an error of about n roundings; in blocks of m
+// numbers, the error is about sqrt(m n) roundings, and adding the blocks in f64
+// costs almost nothing.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,8 +21,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The type of partial sums: f32 for 16-bit floats, since those stop growing at
-/// 2048 of their terms; f64 for sums with more digits.
+/// The type of partial sums: f32 for 16-bit floats, whose sums of equal terms
+/// stop growing at 2048 terms; f64 for sums with more digits.
 static Type getSumType(const TotalUpdates &sum) {
   Type type = sum.termType;
   if (!isa<FloatType>(type) || sum.kind != AtomicKind::Add)
@@ -33,8 +33,8 @@ static Type getSumType(const TotalUpdates &sum) {
   return isNarrow ? Float32Type::get(type.getContext()) : type;
 }
 
-/// a (kind) b, in an op to which no float options are added: its order is part
-/// of the result in every mode.
+/// Emits a (kind) b as an op that gets no fast-math flags: its order is part of
+/// the result in every mode.
 static Value emitInOrder(OpBuilder &builder, Location loc, AtomicKind kind,
                          Value a, Value b) {
   if (isa<FloatType>(a.getType()))
@@ -53,8 +53,8 @@ static Value emitInOrder(OpBuilder &builder, Location loc, AtomicKind kind,
   return emitCombination(builder, loc, kind, a, b);
 }
 
-/// Lets LLVM reorder a sum over iterations, which is ours to choose: it needs
-/// to know to vectorise it. Marks the function for `WidenSums`.
+/// Lets LLVM reorder a sum over iterations, as its vectoriser requires; the
+/// order is unspecified here. Marks the function for `WidenSums`.
 static void freeOrder(Operation *addition) {
   using arith::FastMathFlags;
   Builder builder(addition->getContext());
@@ -97,7 +97,7 @@ private:
     return arith::ConstantOp::create(builder, loc, getIdentity(sum.kind, of));
   }
 
-  /// The type of a sum over a block, and that of the totals over blocks and
+  /// The type of a sum over a block, and of the total over blocks and
   /// partitions.
   Type type, totalType;
   /// The sum of the block, and the total of earlier blocks.
@@ -161,7 +161,7 @@ void RegisterTotal::emitUpdate(OpBuilder &builder, Location loc,
     return void(emitPlainUpdate(
         builder, loc, sum.kind,
         emitNarrowed(builder, loc, result, sum.termType), address, scopes));
-  // Rounds once.
+  // Adds the old value in the type of the total, to round only once.
   Value old = emitLoad(builder, loc, sum.termType, address, scopes);
   Value next = LLVM::FAddOp::create(
       builder, loc, emitWidened(builder, loc, old, result.getType()), result);

@@ -5,10 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A form says how a partition keeps a sum that all iterations share, and how
-// the kernel combines those of the partitions. Each form is one source here;
-// those with more digits have a row in tai/Analysis/Reductions/Forms.def. A
-// form reads the reduction that the plan wrote to the update, and no mode.
+// A form defines how a partition accumulates a sum over all iterations, and how
+// the kernel combines the sums of the partitions. Each form has a source file
+// here; forms with more digits have an entry in
+// tai/Analysis/Reductions/Forms.def. A form depends on the reduction that the
+// plan wrote to the update, and on no mode.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +22,7 @@
 
 namespace mlir::tai {
 
-/// The updates of one element, and how the loop does them.
+/// The updates of one element, and how the loop accumulates them.
 struct TotalUpdates {
   explicit TotalUpdates(const Total &updates);
 
@@ -40,42 +41,44 @@ public:
   explicit TotalForm(const TotalUpdates &sum) : sum(sum) {}
   virtual ~TotalForm() = default;
 
-  /// The maximum number of iterations in a block, or 0. `storesTerms`: that
-  /// limit is strict, in loops over rows, too.
+  /// The maximum number of iterations in a block, or 0. With `storesTerms`,
+  /// that limit is strict and cuts rows as well.
   int64_t getBlockLength() const { return sum.reduction.getBlock(); }
   virtual bool storesTerms() const { return false; }
 
-  // In the kernel, before the loop.
+  // Emitted in the kernel before the loop.
   virtual void emitBefore(OpBuilder &builder, Location loc) {}
 
-  // In the function of the loop: at its entry, at an update, after a block of
-  // iterations of `loop`, and at its end.
+  // Emitted in the loop's function: at its entry, at an update, after a block
+  // of iterations of `loop`, and at its end.
   virtual void emitEntry(OpBuilder &builder, Location loc) = 0;
-  /// The innermost loop, and its iteration of the first lane.
+  /// The innermost loop, and the iteration that belongs to its first lane.
   struct Place {
     scf::ForOp loop;
     Value firstLane;
   };
-  /// At update `number` of the element, which adds or subtracts, say.
+  /// At update `number` of the element; `update` is its kind, such as Add or
+  /// Sub.
   virtual void emitTerm(OpBuilder &builder, Location loc, size_t number,
                         AtomicKind update, Value term, Place place) = 0;
   virtual void emitBlockEnd(OpBuilder &builder, Location loc, scf::ForOp loop) {
   }
-  /// Returns the numbers that the partition leaves: none for a sum in chunks.
+  /// Returns the partial sum of the partition: nothing for a sum in chunks.
   virtual SmallVector<Value> emitPartial(OpBuilder &builder, Location loc) {
     return {};
   }
 
-  // Around the iterations of a chunk, for a sum in the order of all targets.
+  // Emitted around the iterations of a chunk, for sums in the order of all
+  // targets.
   virtual void emitChunkStart(OpBuilder &builder, Location loc) {}
   virtual void emitChunkEnd(OpBuilder &builder, Location loc, Value chunk) {}
 
-  // In the kernel, after the loop.
-  /// The numbers of a sum of no terms.
+  // Emitted in the kernel after the loop.
+  /// The partial sum of no terms.
   virtual SmallVector<Value> emitNone(OpBuilder &builder, Location loc) {
     return {};
   }
-  /// The numbers of two partial sums together.
+  /// Combines two partial sums.
   virtual SmallVector<Value> emitCombined(OpBuilder &builder, Location loc,
                                           ValueRange sums, ValueRange partial) {
     return {};
@@ -89,16 +92,16 @@ public:
   virtual void emitUpdate(OpBuilder &builder, Location loc, ValueRange total,
                           Value address, AliasScopes scopes) = 0;
 
-  /// The number of numbers that a partition leaves.
+  /// The number of slots of a partial sum.
   virtual unsigned getNumSlots() const { return 1; }
 
 protected:
   TotalUpdates sum;
 };
 
-/// A number in a wider type of floats, or as it is.
+/// The number, extended to a wider float type if `type` is one.
 Value emitWidened(OpBuilder &builder, Location loc, Value value, Type type);
-/// A sum of such numbers, in the type of the field.
+/// A sum computed in a wider type, rounded to the type of the field.
 Value emitNarrowed(OpBuilder &builder, Location loc, Value sum, Type type);
 
 // The forms.
