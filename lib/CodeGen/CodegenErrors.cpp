@@ -18,7 +18,8 @@ using namespace llvm;
 using namespace mlir::tai;
 
 namespace {
-/// Where a fatal error of LLVM returns to, on a thread that runs LLVM.
+/// The target of the long jump for a fatal error of LLVM, on a thread that runs
+/// LLVM.
 struct FatalTarget {
   std::jmp_buf place;
   std::string message;
@@ -32,12 +33,13 @@ static void onFatalError(void *, const char *message, bool) {
     fatalTarget->message = message;
     std::longjmp(fatalTarget->place, 1);
   }
-  // An error on another thread, of other code: as if there were no handler.
+  // The error is on a thread outside guardFatalErrors: act like LLVM does
+  // without a handler.
   errs() << "LLVM ERROR: " << message << '\n';
 }
 
-/// Leaves by a long jump, as LLVM's own crash recovery does, but without taking
-/// over the process's signals.
+/// Leaves `task` by a long jump, as LLVM's own crash recovery does, but does
+/// not change the process's signal handlers.
 Error mlir::tai::guardFatalErrors(bool &broken, StringRef place,
                                   function_ref<void()> task) {
   static std::mutex mutex;

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// LLVM reports some errors to a handler of the context, and ends the process
-// where its code generator cannot go on. A compiler inside a user's process
-// must turn both into llvm::Error.
+// LLVM reports some errors to a handler of the context, and for others its code
+// generator ends the process. A compiler inside a user's process must turn both
+// kinds into llvm::Error.
 //
 //===----------------------------------------------------------------------===//
 

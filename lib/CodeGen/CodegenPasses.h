@@ -17,11 +17,12 @@
 
 namespace mlir::tai {
 
-/// The code generator's passes without strength reduction. On a CPU that pass
+/// The code generator's passes without strength reduction. On a CPU, that pass
 /// takes half of the time of code generation, because loops over many arrays
-/// have many formulas to compare, and the addressing modes of the machine
-/// already bring its gains. On a GPU it splits the counter of a grid-stride
-/// loop into several, each with its own division into indices.
+/// have many formulas to compare, and the machine's addressing modes already
+/// avoid most of the additions. On a GPU, it splits the counter of a
+/// grid-stride loop into several counters, each with its own division into
+/// indices.
 class CodegenPasses : public llvm::legacy::PassManager {
 public:
   void add(llvm::Pass *pass) override {
@@ -38,7 +39,7 @@ public:
     llvm::legacy::PassManager::add(pass);
   }
 
-  /// Creates a pass to run before loads and stores are vectorised, when
+  /// Creates a pass that runs before loads and stores are vectorised, when
   /// addresses have their final form.
   std::function<llvm::Pass *()> beforeVectorizer;
 };

@@ -14,12 +14,13 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-// The magic, the symbol, the code, the demands of the adjoint, the places, the
-// counts, the loop levels, the warnings (the lines and columns of all, then the
-// texts of each), the image of the device (its kind and the number of its
-// functions, or nothing; its bytes, its machine code, its bitcode, the
-// functions' names and accesses, their block sizes and their places), and the
-// trees up to the end; each string as its length in eight bytes and its bytes.
+// The format: the magic, the symbol, the code, the demands of the adjoint, the
+// places, the counts, the loop levels, the warnings (the lines and columns of
+// all warnings, then the texts of each), the image of the device (its kind and
+// the number of its functions, or nothing; its bytes, its machine code, its
+// bitcode, the functions' names and accesses, their block sizes and their
+// places), and the trees up to the end. Each string is its length in eight
+// bytes and its bytes.
 static constexpr StringLiteral magic = "TAIOBJ11\n";
 
 static void append(std::string &bytes, StringRef string) {
@@ -41,7 +42,7 @@ static std::optional<StringRef> consume(StringRef &bytes) {
   return string;
 }
 
-/// Numbers, as a string of eight bytes for each.
+/// Appends numbers as one string, with eight bytes for each number.
 static void append(std::string &bytes, ArrayRef<int64_t> numbers) {
   std::string string(8 * numbers.size(), '\0');
   for (auto [i, number] : enumerate(numbers))
@@ -80,7 +81,7 @@ static void append(std::string &bytes,
   append(bytes, StringRef(llvm::join(image->places, "\n")));
 }
 
-/// False where there is something else.
+/// Parses an optional device image; false if `bytes` does not start with one.
 static bool consumeImage(StringRef &bytes,
                          std::optional<runtime::DeviceImage> &image) {
   auto header = consumeNumbers(bytes);
@@ -143,7 +144,7 @@ static void append(std::string &bytes, ArrayRef<Warning> warnings) {
       append(bytes, text);
 }
 
-/// False where there is something else.
+/// Parses the warnings; false if `bytes` does not start with them.
 static bool consumeWarnings(StringRef &bytes, std::vector<Warning> &warnings) {
   auto places = consumeNumbers(bytes);
   if (!places || places->size() % 2)

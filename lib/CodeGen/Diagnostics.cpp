@@ -27,7 +27,7 @@ Failure Failure::get(FailureKind kind, const llvm::Twine &message) {
   return failure;
 }
 
-/// Appends the line of the source and a caret below the column.
+/// Appends the line of the source, and a caret below the column.
 static void appendSourceLine(std::string &text, StringRef file, unsigned number,
                              unsigned column) {
   auto buffer = llvm::MemoryBuffer::getFile(file);
@@ -42,7 +42,7 @@ static void appendSourceLine(std::string &text, StringRef file, unsigned number,
   text += (line + "\n").str();
   if (column == 0 || column > line.size() + 1)
     return;
-  // Tabs keep the caret in place.
+  // Copy tabs, so that the caret is below its column.
   for (char c : line.take_front(column - 1))
     text += c == '\t' ? '\t' : ' ';
   text += "^\n";
@@ -72,7 +72,7 @@ static std::string formatAt(FileLineColLoc place, StringRef kind,
 static void appendDiagnostic(std::string &text, Location location,
                              StringRef kind, StringRef message) {
   text += formatAt(findFileLocation(location), kind, message);
-  // The place of the call of inlined code.
+  // For inlined code, report the place of the call.
   location->walk([&](Location inner) {
     if (auto call = dyn_cast<CallSiteLoc>(inner))
       if (FileLineColLoc caller = findFileLocation(call.getCaller()))
@@ -129,7 +129,7 @@ void mlir::tai::printWarning(const Warning &warning) {
 //===----------------------------------------------------------------------===//
 
 LogicalResult DiagnosticCollector::handle(Diagnostic &diagnostic) {
-  // Other threads compile in the same context.
+  // Ignore diagnostics of other threads that compile in the same context.
   if (llvm::get_threadid() != thread)
     return failure();
   if (diagnostic.getSeverity() == DiagnosticSeverity::Warning) {

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// For tests of how internal errors of the compiler are reported.
+// Makes the compiler fail on purpose, to test how internal errors are reported.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,8 +27,8 @@ inline bool injectsFailure(llvm::StringRef place) {
   return given && place == given;
 }
 
-/// Adds a pass that fails: for "place" without a diagnostic, for
-/// "place-invalid" by leaving invalid IR.
+/// Adds a pass that fails if TAI_INJECT_FAILURE is `place` (without a
+/// diagnostic) or `place` followed by "-invalid" (by leaving invalid IR).
 void injectFailingPass(OpPassManager &manager, llvm::StringRef place);
 
 } // namespace mlir::tai

@@ -23,7 +23,7 @@ using namespace mlir::tai;
 Linker::Linker() = default;
 
 Linker::~Linker() {
-  // Ends the session first: that frees the linked code, through the layer.
+  // End the session first: it frees the linked code through the layer.
   if (session)
     consumeError(session->endSession());
   layer.reset();
@@ -32,13 +32,14 @@ Linker::~Linker() {
 Expected<std::unique_ptr<Linker>>
 Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
   std::unique_ptr<Linker> linker(new Linker());
-  // Linking happens on the calling thread: the compiler has its own threads.
+  // Link on the calling thread: the compiler has threads of its own.
   auto control = SelfExecutorProcessControl::Create(
       nullptr, std::make_unique<InPlaceTaskDispatcher>());
   if (!control)
     return control.takeError();
   linker->session = std::make_unique<ExecutionSession>(std::move(*control));
-  // Nothing is printed. Errors returned by the calls do not have the reason.
+  // Collect the reasons of errors, which the returned errors lack, and print
+  // nothing.
   linker->session->setErrorReporter([linker = linker.get()](Error error) {
     std::lock_guard<std::mutex> lock(linker->mutex);
     linker->reasons +=
@@ -55,7 +56,8 @@ Linker::create(ArrayRef<runtime::RuntimeSymbol> runtime) {
         JITSymbolFlags::Exported | JITSymbolFlags::Callable};
   if (Error error = library.define(absoluteSymbols(std::move(symbols))))
     return error;
-  // The math libraries by name: the process may hold them privately only.
+  // Load the math libraries by name: the process may have loaded them without
+  // making their symbols visible.
   SmallVector<StringRef> names{"libm.so.6"};
   append_range(names, getVectorLibraries());
   for (StringRef name : names) {
@@ -109,7 +111,7 @@ Expected<Linker::Linked> Linker::link(ArrayRef<char> object,
 void Linker::unload(Library *library) {
   consumeError(session->removeJITDylib(*library));
   linked.fetch_sub(1, std::memory_order_relaxed);
-  // Unused names are kept until the next clean-up.
+  // Unused symbol names are kept until the next clean-up.
   constexpr uint64_t often = 256;
   if (unloaded.fetch_add(1, std::memory_order_relaxed) % often == often - 1)
     session->getSymbolStringPool()->clearDeadEntries();

@@ -107,7 +107,7 @@ ObjectCompiler::create(const CodegenOptions &options) {
       CodeGenOptLevel::None, CodeGenOptLevel::Less, CodeGenOptLevel::Default,
       CodeGenOptLevel::Aggressive};
   std::unique_ptr<ObjectCompiler> compiler(new ObjectCompiler(options));
-  // Position-independent code in the small model: the linker may place it
+  // Position-independent code in the small model: the linker may place the code
   // anywhere, and reaches the runtime through its own table.
   compiler->machine.reset(target->createTargetMachine(
       triple, cpu->name, cpu->features, targetOptions, Reloc::PIC_,
@@ -151,12 +151,13 @@ Error ObjectCompiler::optimize(Module &module) {
   return guardFatalErrors(broken, "optimize", [&] { runPasses(module); });
 }
 
-/// Whether straight code is to be vectorised. Its time grows with the square of
-/// a block, and unrolled programs make blocks that would take seconds. Blocks
-/// of compensated sums are longer for the same work, and gain more.
+/// Whether straight-line code is vectorised. The vectoriser's time grows with
+/// the square of a block's size, and unrolled programs have blocks that would
+/// take seconds. Blocks of compensated sums are longer for the same work, and
+/// gain more.
 static bool hasBlocksForVectors(const Module &module) {
   for (const Function &function : module) {
-    // The modes of its kernel, by Modes.h.
+    // The modes of the function's kernel, as Modes.h writes them.
     StringRef modes = function.getFnAttribute("tai.modes").getValueAsString();
     size_t most = modes.contains("sums=compensated") ? 5000 : 2000;
     for (const BasicBlock &block : function)
@@ -195,9 +196,9 @@ void ObjectCompiler::runPasses(Module &module) {
       continue;
     function.setDoesNotThrow();
     function.addFnAttr("no-trapping-math", "true");
-    // Newton's step from an estimate of 1 / 0 or 1 / infinity is NaN, which
-    // the flags of arithmetic give no leave for: those of one kernel may be
-    // fast.
+    // A Newton step from an estimate of 1 / 0 or 1 / infinity yields NaN, which
+    // the fast-math flags of arithmetic, which kernels in fast mode have, do
+    // not permit.
     function.addFnAttr("reciprocal-estimates", "none");
     if (options.sanitizeAddress)
       function.addFnAttr(llvm::Attribute::SanitizeAddress);
@@ -212,8 +213,8 @@ void ObjectCompiler::runPasses(Module &module) {
   CGSCCAnalysisManager sccs;
   ModuleAnalysisManager modules;
   TargetLibraryInfoImpl libraryInfo(machine->getTargetTriple());
-  // A power of 2^n would become exp2 of n times the exponent: that product is
-  // rounded, and the error grows with it.
+  // Otherwise pow(2^n, x) becomes exp2(n x): the product is rounded, and the
+  // error grows with it.
   if (!options.fastMath)
     for (LibFunc function : {LibFunc_exp2, LibFunc_exp2f, LibFunc_exp2l})
       libraryInfo.setUnavailable(function);
@@ -223,8 +224,8 @@ void ObjectCompiler::runPasses(Module &module) {
     libraryInfo.addVectorizableFunctionsFromVecLib(VectorLibrary::LIBMVEC,
                                                    machine->getTargetTriple());
   functions.registerPass([&] { return TargetLibraryAnalysis(libraryInfo); });
-  // The pipeline's own value numbering and vectoriser make way for ours, which
-  // is all that an option of the pipeline could do, if it had one.
+  // StencilGVN and VectorizeLoops replace the pipeline's own value numbering
+  // and loop vectoriser, which no option of the pipeline disables alone.
   PassInstrumentationCallbacks callbacks;
   bool isDivided = divideManyLoops(module);
   callbacks.registerShouldRunOptionalPassCallback(
@@ -245,10 +246,10 @@ void ObjectCompiler::runPasses(Module &module) {
         if (level == OptimizationLevel::O0)
           return;
         // Registers the functions that have vector forms. The pipeline's own
-        // comes after this place.
+        // such pass runs too late.
         early.addPass(InjectTLIMappings());
-        // With fast_math, loops call the vector functions of glibc where there
-        // are any, which are shorter.
+        // With fast_math, loops call the vector functions of glibc where these
+        // exist, since they are shorter.
         early.addPass(NameVectorMath(*vectorMath,
                                      /*besideOthers=*/options.fastMath));
         early.addPass(VectorizeLoops(LoopVectorizeOptions(
@@ -258,9 +259,9 @@ void ObjectCompiler::runPasses(Module &module) {
       [&](FunctionPassManager &late, OptimizationLevel level) {
         late.addPass(TransposeColumns());
         late.addPass(WidenSums());
-        // Where nothing is fused, calls that may be contracted are those of
-        // deterministic kernels. Whether a loop is vectorised depends on the
-        // work that is skipped in it, on which their results must not depend.
+        // Without contraction, calls that may be contracted belong to
+        // deterministic kernels. Their results must not depend on whether a
+        // loop is vectorised, which depends on the work that passes removed.
         if (!options.fastMath && level != OptimizationLevel::O0)
           late.addPass(
               MatchScalarMath(*vectorMath, /*everywhere=*/!options.contract));
@@ -272,7 +273,8 @@ void ObjectCompiler::runPasses(Module &module) {
   if (options.sanitizeAddress)
     builder.registerOptimizerLastEPCallback(
         [](ModulePassManager &last, OptimizationLevel, ThinOrFullLTOPhase) {
-          // Code comes and goes without constructors and destructors.
+          // Object code is loaded and unloaded without constructors and
+          // destructors.
           last.addPass(AddressSanitizerPass(
               AddressSanitizerOptions(), /*UseGlobalGC=*/false,
               /*UseOdrIndicator=*/false, AsanDtorKind::None,

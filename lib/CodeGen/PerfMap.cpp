@@ -28,8 +28,9 @@ public:
 
   void modifyPassConfig(MaterializationResponsibility &, jitlink::LinkGraph &,
                         jitlink::PassConfiguration &passes) override {
-    // Symbols that nothing refers to are dropped, though their code stays: the
-    // assembler refers to local functions by their section.
+    // Record functions before pruning: unreferenced symbols are dropped
+    // although their code stays, because the assembler refers to local
+    // functions by their section.
     auto functions = std::make_shared<std::vector<Function>>();
     passes.PrePrunePasses.push_back([functions](jitlink::LinkGraph &graph) {
       for (jitlink::Symbol *symbol : graph.defined_symbols())

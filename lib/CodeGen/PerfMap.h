@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The profiler of Linux finds the names of functions that no file holds in
-// /tmp/perf-<process>.map. With TAI_PERF_MAP=1 the linker writes it.
+// Linux's profiler finds the names of functions that are in no file in
+// /tmp/perf-<process>.map. With TAI_PERF_MAP=1, the linker writes this file.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,7 @@ class LinkGraphLinkingLayer;
 
 namespace mlir::tai {
 
-/// Lets a layer note the functions that it links, if the environment asks.
+/// Makes the layer record the functions that it links, if TAI_PERF_MAP is set.
 void addPerfMap(llvm::orc::LinkGraphLinkingLayer &layer);
 
 } // namespace mlir::tai

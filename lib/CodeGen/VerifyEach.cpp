@@ -21,7 +21,7 @@ bool mlir::tai::verifiesEach() {
   return given && StringRef(given) == "1";
 }
 
-/// Passes of ours have their namespace in their names.
+/// The names of tai's own passes contain their namespace.
 static bool isOurs(StringRef pass) {
   return pass.contains("tai::") || pass.contains("StencilGVN");
 }

@@ -94,8 +94,8 @@ Expected<Operation *> mlir::tai::findDeviceModule(ModuleOp module) {
 // The target
 //===----------------------------------------------------------------------===//
 
-/// The number of an architecture that the code generator knows, and the oldest
-/// version of PTX that has it and the instructions of the device library.
+/// The architectures that the code generator supports, each with the oldest
+/// version of PTX that supports it and the instructions of the device library.
 static constexpr struct {
   unsigned architecture, ptxVersion;
 } architectures[] = {{70, 70},  {72, 70},  {75, 70}, {80, 70},
@@ -168,7 +168,8 @@ DeviceCompiler::create(const DeviceTarget &target,
     return createStringError("no code generator for NVIDIA GPUs: %s",
                              message.c_str());
   llvm::TargetOptions targetOptions;
-  // PTX repeats it for each operation, since ptxas would fuse by itself.
+  // In PTX, each operation says whether it is fused: ptxas would fuse by
+  // default.
   targetOptions.AllowFPOpFusion = options.contract || options.fastMath
                                       ? llvm::FPOpFusion::Fast
                                       : llvm::FPOpFusion::Strict;
@@ -185,9 +186,8 @@ DeviceCompiler::create(const DeviceTarget &target,
 // Libraries
 //===----------------------------------------------------------------------===//
 
-/// Links the used functions of a library, without its compiler's attributes of
-/// the processor: attributes that differ from the caller's keep functions from
-/// being inlined.
+/// Links the used functions of a library, without the processor attributes of
+/// its compiler: attributes that differ from the caller's prevent inlining.
 static Error linkNeeded(llvm::Module &module, llvm::MemoryBufferRef bitcode) {
   auto library = llvm::getLazyBitcodeModule(bitcode, module.getContext());
   if (!library)
@@ -212,7 +212,7 @@ static Error linkNeeded(llvm::Module &module, llvm::MemoryBufferRef bitcode) {
   return Error::success();
 }
 
-/// The functions that use the missing function.
+/// The names of the functions that use the missing function.
 static std::string getUsers(const llvm::Function &missing) {
   llvm::StringSet<> names;
   for (const llvm::User *user : missing.users())
@@ -224,8 +224,9 @@ static std::string getUsers(const llvm::Function &missing) {
                         : "'" + llvm::join(sorted, "', '") + "'";
 }
 
-/// Answers a question that libdevice asks its compiler. LLVM itself answers
-/// questions about denormal numbers and the processor.
+/// Replaces calls of __nvvm_reflect, by which libdevice asks its compiler
+/// `question`, by `answer`. LLVM itself answers the questions about denormals
+/// and about the processor.
 static void answerReflection(llvm::Module &module, StringRef question,
                              unsigned answer) {
   llvm::Function *reflect = module.getFunction("__nvvm_reflect");
@@ -299,7 +300,7 @@ llvm::Function *mlir::tai::addSlotsFunction(llvm::Function &kernel) {
     llvm::Value *slot = builder.CreateConstInBoundsGEP1_64(
         builder.getInt64Ty(), wrapper->getArg(0), parameter.getArgNo());
     llvm::Type *type = parameter.getType();
-    // A truth value is a byte.
+    // An i1 is passed as a byte.
     if (type->isIntegerTy(1))
       arguments.push_back(builder.CreateTrunc(
           builder.CreateAlignedLoad(builder.getInt8Ty(), slot, llvm::Align(8)),
@@ -313,7 +314,7 @@ llvm::Function *mlir::tai::addSlotsFunction(llvm::Function &kernel) {
   return wrapper;
 }
 
-/// The parameters of a kernel come in slots of eight bytes.
+/// Checks that each parameter of a kernel fits a slot of eight bytes.
 static Error checkParameters(const llvm::Function &kernel) {
   if (!kernel.getReturnType()->isVoidTy())
     return createStringError("kernel '%s' returns a value",
@@ -330,12 +331,12 @@ static Error checkParameters(const llvm::Function &kernel) {
   return Error::success();
 }
 
-/// The attribute for denormal numbers of 32 bits, and the value that makes them
-/// zero.
+/// The attribute for the handling of f32 denormals, and its value for flushing
+/// them to zero.
 constexpr StringLiteral kDenormalsAttrName = "denormal-fp-math-f32";
 constexpr StringLiteral kFlushing = "preserve-sign,preserve-sign";
 
-/// Sets for the whole module a mode that PTX can only set for each operation.
+/// Sets up the module for PTX: modes of the math library, scopes of atomics.
 void DeviceCompiler::prepareForCuda(llvm::Module &module) {
   auto saysFlush = [](const llvm::Function &function) {
     return function.getFnAttribute(kDenormalsAttrName).getValueAsString() ==
@@ -344,12 +345,12 @@ void DeviceCompiler::prepareForCuda(llvm::Module &module) {
   auto isKernel = [](const llvm::Function &function) {
     return function.getCallingConv() == llvm::CallingConv::PTX_Kernel;
   };
-  // The math library asks for the whole module; a kernel that keeps denormals
-  // must not lose them because another one flushes.
+  // Libdevice has one mode for the whole module: kernels that keep denormals
+  // must not lose them because another kernel flushes.
   auto kernels = llvm::make_filter_range(module, isKernel);
   if (!kernels.empty() && llvm::all_of(kernels, saysFlush))
     module.addModuleFlag(llvm::Module::Override, "nvvm-reflect-ftz", 1);
-  // Memory orders are needed among the threads of this device only.
+  // Memory order matters only among the threads of this device.
   llvm::SyncScope::ID device =
       module.getContext().getOrInsertSyncScopeID("device");
   for (llvm::Function &function : module) {
@@ -401,16 +402,16 @@ Expected<runtime::DeviceImage> DeviceCompiler::finish(
     if (*known)
       return std::move(**known);
   }
-  // Kernels have been combined when they were made, if they may be.
+  // Scatters were combined, if at all, when the kernels were compiled.
   llvm::SaveAndRestore combine(options.combineScatters, false);
   if (Error error = optimize(code))
     return error;
   return emit(code);
 }
 
-/// Passes would count on the most threads that a kernel names; but programs
-/// take the bitcode, and run it in blocks of other sizes. The driver alone is
-/// told.
+/// The maximum number of threads that a kernel declares. Passes would rely on
+/// this attribute; but programs reuse the bitcode with other block sizes. So it
+/// is removed, and only the driver is told.
 constexpr StringLiteral kMostThreadsAttrName = "nvvm.maxntid";
 
 static std::string takeMostThreads(llvm::Function &kernel) {
@@ -463,8 +464,8 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
     return createStringError("");
   llvm::Module &module = *code.module;
   setTarget(module);
-  // Modules of kernels have flags on each operation, and none where the order
-  // of roundings matters.
+  // In modules of kernels, each operation has its own flags, and has none where
+  // the order of roundings matters.
   if (isCuda() && options.fastMath && !saysWhatIsApproximate(module))
     allowFastMath(module);
   SmallVector<llvm::GlobalValue *> visible;
@@ -479,8 +480,8 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
     kernel->setLinkage(llvm::GlobalValue::ExternalLinkage);
     code.mostThreads.push_back(takeMostThreads(*kernel));
     visible.push_back(isCuda() ? kernel : addSlotsFunction(*kernel));
-    // A function of one iteration is inlined and optimised in the program that
-    // calls it.
+    // A function of one iteration is inlined and optimised later, in the
+    // program that calls it.
     if (llvm::Function *tile = module.getFunction(name + runtime::tileSuffix)) {
       tile->setLinkage(llvm::GlobalValue::ExternalLinkage);
       tile->addFnAttr(llvm::Attribute::OptimizeNone);
@@ -507,8 +508,8 @@ Expected<DeviceCode> DeviceCompiler::translate(Operation *deviceModule) {
 // Optimisation
 //===----------------------------------------------------------------------===//
 
-/// Runs a task of LLVM's on the code. After a fatal error the code is left
-/// alone for good.
+/// Runs an LLVM task on the code. After a fatal error, the code is leaked,
+/// since its objects must not be destroyed.
 Error DeviceCompiler::guard(DeviceCode &code, StringRef place,
                             llvm::function_ref<void()> task) {
   Error error = guardFatalErrors(broken, place, task);
@@ -536,8 +537,8 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
   llvm::FunctionAnalysisManager functions;
   llvm::CGSCCAnalysisManager sccs;
   llvm::ModuleAnalysisManager modules;
-  // The target adds its own passes, the answers to libdevice's questions among
-  // them.
+  // The target machine registers its own passes, including the pass that
+  // answers libdevice's questions.
   llvm::PassInstrumentationCallbacks callbacks;
   verifyOwnPasses(callbacks);
   llvm::PassBuilder builder(machine.get(), llvm::PipelineTuningOptions(),
@@ -577,7 +578,7 @@ void DeviceCompiler::runPasses(llvm::Module &module) {
 // Emission
 //===----------------------------------------------------------------------===//
 
-/// Functions that the driver has.
+/// Functions that the driver provides.
 static bool isDriverFunction(StringRef name) {
   return name == "malloc" || name == "free" || name == "vprintf";
 }
@@ -600,13 +601,14 @@ static Error checkExternals(const llvm::Module &module) {
                            missing.c_str());
 }
 
-/// The same for functions that the code generator itself calls.
+/// Like checkExternals above, for functions that the code generator itself
+/// calls.
 static Error checkExternals(StringRef ptx) {
   constexpr StringLiteral keyword = ".extern .func";
   for (size_t at = ptx.find(keyword); at != StringRef::npos;
        at = ptx.find(keyword, at)) {
     StringRef text = ptx.drop_front(at + keyword.size()).ltrim();
-    // A result comes in parentheses before the name.
+    // In PTX, the result is in parentheses before the name.
     if (text.starts_with("("))
       text =
           text.drop_until([](char c) { return c == ')'; }).drop_front().ltrim();
@@ -621,7 +623,7 @@ static Error checkExternals(StringRef ptx) {
   return Error::success();
 }
 
-/// The module as it is, to be put together with others.
+/// The bitcode of the module, to be linked with others into a program.
 static std::shared_ptr<const std::string>
 getBitcode(const llvm::Module &module) {
   auto bytes = std::make_shared<std::string>();
@@ -630,7 +632,7 @@ getBitcode(const llvm::Module &module) {
   return bytes;
 }
 
-/// Takes away functions that programs alone use.
+/// Removes functions that only programs use.
 static void removeTileFunctions(llvm::Module &module,
                                 ArrayRef<std::string> functions) {
   SmallVector<llvm::Function *> unused;

@@ -27,7 +27,7 @@ using namespace mlir::tai;
 static constexpr StringLiteral fileName = "libdevice.10.bc";
 
 namespace {
-/// Places, each once.
+/// The paths to search, without duplicates.
 class Places {
 public:
   template <typename... Parts>
@@ -41,7 +41,7 @@ public:
       paths.push_back(path.str().str());
   }
   void addToolkit(StringRef root) { add(root, "nvvm", "libdevice"); }
-  /// The packages of a folder of Python's.
+  /// Adds the packages of a Python package folder.
   void addPackages(StringRef folder) {
     for (const char *package : {"cuda_nvcc", "cu13"})
       add(folder, "nvidia", package, "nvvm", "libdevice");
@@ -53,7 +53,7 @@ public:
 
 static std::vector<std::string> getPlaces() {
   Places places;
-  // The file itself, and no other.
+  // TAI_LIBDEVICE names the file: search nowhere else.
   if (std::optional<std::string> path = sys::Process::GetEnv("TAI_LIBDEVICE"))
     return {*path};
   for (const char *name : {"CUDA_HOME", "CUDA_PATH", "CUDA_ROOT"})

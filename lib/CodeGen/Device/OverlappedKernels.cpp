@@ -7,8 +7,8 @@
 //
 // A kernel that begins with `griddepcontrol.wait` can be prepared, and its
 // blocks can become resident, while the previous kernel in the queue is still
-// running. It must not use loads through the read-only cache, because memory is
-// written after it has started.
+// running. It must not load through the read-only cache, because the previous
+// kernel writes to memory after this kernel has started.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,8 +23,8 @@ using namespace mlir::tai;
 using llvm::createStringError;
 using llvm::Expected;
 
-/// Calls `body` once the work queued before has ended. From the start on, work
-/// queued behind may be made ready.
+/// Makes a kernel that calls `body` once all work queued earlier has ended, and
+/// lets work queued later be prepared from the start.
 static llvm::Function *addKernel(llvm::Function &body, size_t number) {
   llvm::Module &module = *body.getParent();
   llvm::LLVMContext &context = module.getContext();
@@ -34,7 +34,7 @@ static llvm::Function *addKernel(llvm::Function &body, size_t number) {
       "tai_overlapped" + Twine(number), module);
   kernel->setCallingConv(llvm::CallingConv::PTX_Kernel);
   builder.SetInsertPoint(llvm::BasicBlock::Create(context, "", kernel));
-  // As assembly, since the intrinsics let loads pass.
+  // Inline assembly clobbers memory: loads could move past the intrinsics.
   auto *type = llvm::FunctionType::get(builder.getVoidTy(), false);
   for (StringRef text :
        {"griddepcontrol.launch_dependents;", "griddepcontrol.wait;"})

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Links the bodies of kernels into one module. Repeated steps of a program
-// become loops that call them; the others are run by the device library's
-// function that executes a table of steps, with a generated function that calls
+// become loops that call these bodies. A function of the device library
+// executes the other steps from a table, with a generated function that calls
 // the body of a step.
 //
 //===----------------------------------------------------------------------===//
@@ -30,9 +30,9 @@ using llvm::Expected;
 
 static constexpr llvm::StringLiteral programName = TAI_PROGRAM_FUNCTION;
 
-/// The limit for the kernels of a program, which come twice in its code. For
-/// 6,000 ptxas takes 1.4 s, for 11,600 10 s, for 24,000 28 s, and for 45,000 88
-/// s.
+/// The maximum number of instructions of a program's kernels, whose code is in
+/// the program twice. ptxas takes 1.4 s for 6,000 instructions, 10 s for
+/// 11,600, 28 s for 24,000, and 88 s for 45,000.
 static constexpr unsigned kMostInstructions = 12000;
 
 static StringRef getRunnerName(int scope) {
@@ -60,7 +60,8 @@ Expected<llvm::Function *> tai::addPart(llvm::Module &module, StringRef bytes,
   body->setName(unique);
   for (llvm::GlobalValue &value : (*part)->global_values())
     if (!value.isDeclaration() && &value != body) {
-      // A specialised copy of a function of the library is not that function.
+      // Parts may specialise library functions differently: rename their
+      // copies.
       if (value.hasName())
         value.setName("part" + Twine(number) + "." + value.getName());
       value.setLinkage(llvm::GlobalValue::InternalLinkage);
@@ -93,7 +94,7 @@ static StringRef getBarrierName(int scope) {
   }
 }
 
-/// Calls a part with the parameters in its slots.
+/// Calls a part with the parameters in `slots`.
 static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
                      llvm::Value *slots, bool isCuda) {
   // On the emulated device, a part takes the pointer to the slots.
@@ -108,7 +109,8 @@ static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
         builder.getInt64Ty(), slots, parameter.getArgNo());
     llvm::Value *value;
     if (type->isPointerTy()) {
-      // Parameters of kernels point to device memory; so do these.
+      // Pointer parameters of kernels point to global memory; say so here as
+      // well.
       llvm::Value *address = builder.CreateLoad(builder.getInt64Ty(), slot);
       value = builder.CreateAddrSpaceCast(
           builder.CreateIntToPtr(address, builder.getPtrTy(/*AddrSpace=*/1)),
@@ -124,7 +126,7 @@ static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
   builder.CreateCall(body, arguments);
 }
 
-/// Makes the function that calls the part with a number.
+/// Makes the function that calls a part by its number.
 static void addDispatch(llvm::Module &module,
                         ArrayRef<runtime::ProgramPart> parts,
                         ArrayRef<llvm::Function *> bodies, bool isCuda) {
@@ -132,7 +134,8 @@ static void addDispatch(llvm::Module &module,
   llvm::IRBuilder<> builder(context);
   auto *type = llvm::FunctionType::get(
       builder.getVoidTy(), {builder.getInt64Ty(), builder.getPtrTy()}, false);
-  // The library calls it; afterwards it is hidden like the rest.
+  // The library calls the function, so it is external until the program is
+  // linked.
   auto *dispatch = llvm::Function::Create(
       type, llvm::GlobalValue::ExternalLinkage, "tai_program_dispatch", module);
   dispatch->addFnAttr(llvm::Attribute::AlwaysInline);
@@ -155,7 +158,7 @@ static void addDispatch(llvm::Module &module,
 }
 
 namespace {
-/// Makes the kernel itself.
+/// Makes the kernel of the program.
 class ProgramBuilder {
 public:
   ProgramBuilder(llvm::Module &module, const runtime::ProgramPlan &plan,
@@ -188,7 +191,7 @@ private:
         name, llvm::FunctionType::get(builder.getVoidTy(), types, false));
   }
 
-  /// Arguments in front of the words of loops.
+  /// The kernel's arguments that precede the words of loops.
   enum { Table, Stride, Header, FirstWord };
 
   llvm::Module &module;
@@ -197,12 +200,13 @@ private:
   bool isCuda;
   llvm::IRBuilder<> builder;
   llvm::Function *kernel = nullptr;
-  /// Room for the parameters of a part that takes them in memory.
+  /// Stack memory for the parameters of a part that takes their address.
   llvm::AllocaInst *room = nullptr;
-  /// The overlays of chains: of a block, or of all emulated ones.
+  /// The overlay of the block for a chain; on an emulated device, all blocks'
+  /// overlays.
   llvm::Value *overlays = nullptr;
   int64_t overlayBytes = 0;
-  /// In a loop: how often it has gone around, and the row of its list.
+  /// In a loop: the number of the iteration, and its row of the loop's list.
   llvm::PHINode *turn = nullptr;
   llvm::Value *listRow = nullptr;
 };
@@ -289,7 +293,7 @@ makeLibrary(DeviceCompiler &compiler, ArrayRef<runtime::ProgramPart> parts) {
   });
 }
 
-/// Rows of the table, by the device library.
+/// Runs rows of the table by a function of the device library.
 void ProgramBuilder::addRows(const runtime::ProgramSegment &segment,
                              uint64_t row) {
   llvm::Type *pointer = builder.getPtrTy(), *i64 = builder.getInt64Ty();
@@ -325,7 +329,7 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
     listRow = builder.CreateGEP(
         i64, kernel->getArg(Table),
         builder.CreateAdd(words, builder.getInt64(segment.listStart)));
-    // The next one is asked for in good time.
+    // Prefetch the next row of the list.
     constexpr size_t lineWords = 16;
     for (size_t i = 0; isCuda && i < segment.listWidth; i += lineWords)
       prefetch(builder.CreateConstGEP1_64(i64, listRow, segment.listWidth + i));
@@ -349,12 +353,12 @@ void ProgramBuilder::addLoop(const runtime::ProgramSegment &segment) {
   builder.SetInsertPoint(after);
 }
 
-/// On the emulated device threads run one after another, each from one barrier
-/// to the next; see tai_emu_begin_group.
+/// Emits a loop for the emulated device, where threads run one after another,
+/// each from one barrier to the next; see tai_emu_begin_group.
 void ProgramBuilder::addGroups(const runtime::ProgramSegment &segment) {
   llvm::LLVMContext &context = module.getContext();
   llvm::Type *i32 = builder.getInt32Ty();
-  // Blocks of a chain may have to wait for each other half-way.
+  // Blocks of a chain may have to wait for each other between loads and stores.
   enum Half { First, Second, Both };
   SmallVector<SmallVector<std::pair<const runtime::ProgramLoopStep *, Half>>>
       groups(1);
@@ -411,7 +415,7 @@ void ProgramBuilder::prefetch(llvm::Value *address) {
                      {address});
 }
 
-/// Makes room for the overlay of the largest chain.
+/// Allocates the overlay, as large as the largest chain requires.
 void ProgramBuilder::makeOverlays() {
   for (const runtime::TileChain &chain : plan.chains)
     overlayBytes = std::max(overlayBytes, chain.bytes);
@@ -447,15 +451,16 @@ llvm::Value *ProgramBuilder::getOverlay() {
           "tai_dev_block_id",
           llvm::FunctionType::get(builder.getInt32Ty(), false)),
       {});
-  // The emulated device has an overlay for each block, also for those that have
-  // no tile.
+  // The emulated device has an overlay for each block, even for blocks without
+  // a tile.
   return builder.CreateGEP(
       builder.getInt8Ty(), overlays,
       builder.CreateMul(builder.CreateZExt(block, builder.getInt64Ty()),
                         builder.getInt64(overlayBytes)));
 }
 
-/// A half of a chain: the work before, or after all blocks have arrived.
+/// Emits half of a chain: its loads, or its stages and stores, which run after
+/// all blocks have loaded.
 void ProgramBuilder::addHalf(const runtime::ProgramLoopStep &step,
                              bool isSecond) {
   SmallVector<llvm::Value *> slots;
@@ -469,14 +474,15 @@ void ProgramBuilder::addHalf(const runtime::ProgramLoopStep &step,
   tiles.emitStores(slots);
 }
 
-/// A block goes on with its tile when it has loaded, and writes when all have.
+/// A block computes its tile when it has loaded it, and stores the tile when
+/// all blocks have loaded theirs.
 void ProgramBuilder::addChain(const runtime::ProgramLoopStep &step) {
   const runtime::TileChain &chain = *getChain(step);
   SmallVector<llvm::Value *> slots;
   for (const runtime::ProgramSlot &slot : step.slots)
     slots.push_back(getParameter(slot));
   TileBuilder tiles(builder, chain, bodies, overlays, plan.threads, isCuda);
-  // The former contents may still be used.
+  // The block may still be using the overlay's previous contents.
   builder.CreateCall(getLibrary("tai_dev_block_barrier", {}), {});
   tiles.emitLoads(slots);
   llvm::Type *i32 = builder.getInt32Ty(), *pointer = builder.getPtrTy();
@@ -553,7 +559,7 @@ void ProgramBuilder::noteClock(llvm::Value *steps) {
                        {kernel->getArg(Header), steps});
 }
 
-/// The function of one iteration has been copied to its uses.
+/// Removes functions of one iteration, which have been copied into their users.
 static void removeTileFunctions(llvm::Module &module) {
   llvm::Function *site = module.getFunction(runtime::tileSiteFunction);
   while (site && !site->use_empty()) {
@@ -611,8 +617,8 @@ mlir::tai::makeProgram(DeviceCompiler &compiler,
     for (llvm::Function &function : module)
       if (&function != kernel)
         dropInvariantLoads(function);
-    // Called once, the runner of tables is best in place; so is the function
-    // that moves rows, which then knows its parameters.
+    // Inline the runner of tables if it has one call; also inline the functions
+    // for barriers and part parameters, whose arguments are then constants.
     if (llvm::Function *runner = module.getFunction(getRunnerName(plan.scope)))
       if (runner->hasOneUse())
         runner->addFnAttr(llvm::Attribute::AlwaysInline);

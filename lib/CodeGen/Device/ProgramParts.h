@@ -19,7 +19,7 @@ namespace mlir::tai {
 llvm::Expected<llvm::Function *> addPart(llvm::Module &module, StringRef bytes,
                                          StringRef name, size_t number);
 
-/// Makes a kernel of each part that waits by itself for earlier kernels in the
+/// Makes a kernel of each part that itself waits for earlier kernels in the
 /// queue (programmatic dependent launch).
 llvm::Expected<runtime::DeviceImage>
 makeOverlapped(DeviceCompiler &compiler, ArrayRef<runtime::ProgramPart> parts);

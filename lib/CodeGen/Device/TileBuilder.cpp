@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A cell is given by its distance from the first one of the tile, so that a
-// neighbour in the overlay is at a constant offset, also for wrapped indices.
-// With periodic boundaries, cells beyond a border are copies of those of the
-// other side, and are computed redundantly.
+// A cell is identified by its distance from the first cell of the tile, so that
+// a neighbour in the overlay is at a constant offset, also for wrapped indices.
+// With periodic boundaries, cells beyond a border are copies of cells at the
+// opposite border, and are computed redundantly.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,7 +25,7 @@ using namespace mlir::tai::runtime;
 llvm::Value *mlir::tai::convertSlot(llvm::IRBuilder<> &builder,
                                     llvm::Value *word, llvm::Type *type,
                                     bool isCuda) {
-  // Parameters of kernels point to device memory; so do these.
+  // Pointer parameters of kernels point to global memory; say so here as well.
   if (type->isPointerTy() && isCuda)
     return builder.CreateAddrSpaceCast(
         builder.CreateIntToPtr(word, builder.getPtrTy(/*AddrSpace=*/1)), type);
@@ -36,7 +36,7 @@ llvm::Value *mlir::tai::convertSlot(llvm::IRBuilder<> &builder,
   return builder.CreateBitCast(value, type);
 }
 
-/// One of the functions of the device library that take nothing.
+/// Calls a function of the device library without parameters.
 llvm::Value *TileBuilder::getPlace(StringRef function) {
   llvm::Module *module = builder.GetInsertBlock()->getModule();
   auto *type = llvm::FunctionType::get(builder.getInt32Ty(), false);
@@ -86,7 +86,8 @@ TileBuilder::TileBuilder(llvm::IRBuilder<> &builder, const TileChain &chain,
         builder.CreateNSWAdd(builder.CreateNSWMul(along, number(chain.tile[d])),
                              number(chain.lower[d]));
   }
-  // Expressions of its number are then computed once for the whole chain.
+  // Use one cell for each thread: expressions of its number are then computed
+  // once for the whole chain.
   if (isCuda && numCells <= int64_t(threads)) {
     llvm::Value *thread = getPlace("tai_dev_thread_id");
     own = getCell(thread);
@@ -119,8 +120,8 @@ TileBuilder::Cell TileBuilder::getCell(llvm::Value *which) {
   return cell;
 }
 
-/// Emits for the cells of the tile and this halo, each of which is always of
-/// the same thread.
+/// Emits code for the cells of the tile and `halo`. In each call, a given cell
+/// belongs to the same thread.
 void TileBuilder::forEachCell(const TileHalo &halo, CellEmitter emit) {
   if (own) {
     llvm::Value *condition = hasOwn;
@@ -151,12 +152,12 @@ void TileBuilder::forEachCell(const TileHalo &halo, CellEmitter emit) {
     emit(cell);
   at->addIncoming(builder.CreateNSWAdd(at, threads), builder.GetInsertBlock());
   llvm::Instruction *back = builder.CreateBr(head);
-  // Most threads visit few cells: unrolling would not pay.
+  // Most threads visit few cells: unrolling would not pay off.
   disableUnrolling(back);
   builder.SetInsertPoint(after);
 }
 
-/// Whether a cell is one of the tile and this halo; null if all are.
+/// Whether a cell is in the tile or in `halo`; null if all cells are.
 llvm::Value *TileBuilder::isWithin(const Cell &cell, const TileHalo &halo) {
   llvm::Value *all = nullptr;
   auto add = [&](llvm::Value *condition) {
@@ -172,7 +173,7 @@ llvm::Value *TileBuilder::isWithin(const Cell &cell, const TileHalo &halo) {
   return all;
 }
 
-/// Whether there is an iteration for a cell; null if there is one for all.
+/// Whether a cell has an iteration; null if all cells have one.
 llvm::Value *TileBuilder::isInBox(const Cell &cell) {
   llvm::Value *all = nullptr;
   for (size_t d = 0; d < rank; ++d) {
@@ -186,8 +187,8 @@ llvm::Value *TileBuilder::isInBox(const Cell &cell) {
   return all;
 }
 
-/// The address in the overlay of the cell that a site of a row touches in the
-/// iteration of the cell at `place`; of that cell itself for none.
+/// The address in the overlay of the cell that `site` accesses in the iteration
+/// of the cell at `place`; without a site, of that cell itself.
 llvm::Value *TileBuilder::getOverlay(llvm::IRBuilder<> &at, const TileRow &row,
                                      llvm::Value *base, llvm::Value *place,
                                      const TileSite *site) {
@@ -204,7 +205,7 @@ llvm::Value *TileBuilder::getOverlay(llvm::IRBuilder<> &at, const TileRow &row,
       static_cast<uint64_t>(row.offset + distance * size));
 }
 
-/// The address of cell 0 of a row, as a number.
+/// The address of a row's cell with index 0, as an integer.
 llvm::Value *TileBuilder::getOrigin(const TileRow &row,
                                     ArrayRef<llvm::Value *> slots) {
   const DeviceAccess &access = row.site.access;
@@ -252,8 +253,8 @@ void TileBuilder::emitLoads(ArrayRef<llvm::Value *> slots) {
   if (loaded.empty())
     return;
   forEachCell(window, [&](const Cell &cell) {
-    // All loads are on their way before the first one is waited for. Beyond the
-    // array any element will do: it is not used.
+    // Issue all loads before the first use of a loaded value. Beyond the array,
+    // load any element: it will not be used.
     SmallVector<llvm::Value *> values;
     for (auto [row, origin] : llvm::zip(loaded, origins)) {
       SmallVector<llvm::Value *> indices(cell.index);
@@ -276,8 +277,8 @@ void TileBuilder::emitLoads(ArrayRef<llvm::Value *> slots) {
   });
 }
 
-/// The function of an iteration with the place of the cell and the overlay as
-/// further parameters, in which sites of rows have taken their place there.
+/// Makes the function of an iteration with two more parameters, the place of
+/// the cell and the overlay; sites of rows in it access the overlay.
 llvm::Function *TileBuilder::makeStage(const TileStage &stage) {
   llvm::Function *body = bodies[stage.part - TAI_FIRST_PART];
   SmallVector<llvm::Type *> types(body->getFunctionType()->params());
@@ -310,7 +311,7 @@ llvm::Function *TileBuilder::makeStage(const TileStage &stage) {
       const TileRow &row = chain.rows[static_cast<size_t>(number)];
       llvm::IRBuilder<> at(call);
       pointer = getOverlay(at, row, base, place, &stage.sites[site]);
-      // Only the alignment of one element is known for this pointer.
+      // The alignment of the overlay's pointer is only that of one element.
       llvm::Align alignment(static_cast<uint64_t>(row.site.access.size));
       for (llvm::User *user : call->users()) {
         if (auto *load = dyn_cast<llvm::LoadInst>(user))
@@ -326,8 +327,8 @@ llvm::Function *TileBuilder::makeStage(const TileStage &stage) {
 }
 
 void TileBuilder::emitStages(ArrayRef<llvm::Value *> slots) {
-  // Rows that have changed, or have been looked at from other cells, since all
-  // threads met.
+  // Rows that threads have changed, or have read at other cells, since the last
+  // barrier.
   llvm::SmallDenseSet<int> changed, seen;
   for (const TileStage &stage : chain.stages) {
     bool mustMeet = false;

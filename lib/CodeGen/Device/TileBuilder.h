@@ -22,18 +22,18 @@ void disableUnrolling(llvm::Instruction *back);
 /// of the block share the cells of the tile.
 class TileBuilder {
 public:
-  /// `bodies` run one iteration each, by the numbers of their parts. `overlay`
-  /// is the shared memory of the block, which has `threads` threads.
+  /// `bodies` are the functions of one iteration, by part number. `overlay` is
+  /// the shared memory of the block, which has `threads` threads.
   TileBuilder(llvm::IRBuilder<> &builder, const runtime::TileChain &chain,
               ArrayRef<llvm::Function *> bodies, llvm::Value *overlay,
               unsigned threads, bool isCuda);
 
-  /// Loads the part of the overlay that starts with values from memory. A
-  /// barrier must follow. `slots`, here and below: the parameters of all
+  /// Loads the rows of the overlay that start with values from memory. A
+  /// barrier must follow. `slots`, here and below, are the parameters of all
   /// launches.
   void emitLoads(ArrayRef<llvm::Value *> slots);
   /// Runs all launches in the overlay. Each thread stores only cells that it
-  /// has computed itself.
+  /// computed itself.
   void emitStages(ArrayRef<llvm::Value *> slots);
   /// Stores the tile, without its halo, from the overlay to memory.
   void emitStores(ArrayRef<llvm::Value *> slots);
@@ -74,11 +74,11 @@ private:
   llvm::Value *overlay;
   bool isCuda;
   size_t rank;
-  /// The window of all overlays, and its number of cells.
+  /// The tile and halo that all overlays cover, and its number of cells.
   const runtime::TileHalo &window;
   int64_t numCells = 1;
   SmallVector<int64_t> extents;
-  /// An i1: whether the block has a tile; the first index of the tile along
+  /// An i1: whether the block has a tile; and the first index of the tile along
   /// each dimension.
   llvm::Value *hasTile;
   SmallVector<llvm::Value *> first;
@@ -87,7 +87,7 @@ private:
   llvm::Value *hasOwn = nullptr;
 };
 
-/// Converts a parameter slot of eight bytes to a value of this type, which is
+/// Converts a parameter slot of eight bytes to a value of `type`, which is
 /// stored at the start of the slot.
 llvm::Value *convertSlot(llvm::IRBuilder<> &builder, llvm::Value *word,
                          llvm::Type *type, bool isCuda);

@@ -15,7 +15,8 @@
 
 namespace mlir::tai {
 
-/// An address without its constant offsets, and the sum of these in bytes.
+/// An address without its constant offsets, and the sum of the offsets in
+/// bytes.
 inline std::pair<llvm::Value *, int64_t>
 splitAddress(llvm::Value *pointer, const llvm::DataLayout &layout) {
   llvm::APInt offset(layout.getIndexTypeSizeInBits(pointer->getType()), 0);

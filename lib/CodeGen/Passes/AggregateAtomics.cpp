@@ -5,22 +5,23 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// All iterations add to the adjoint of a value that all of them read, such as
-// the inputs of a dense layer. The memory system serialises such additions.
+// In an adjoint, all iterations may add to the adjoint of a value that all of
+// them read, such as an input of a dense layer. The memory system serialises
+// such additions.
 //
-// A full warp reduces several sums at once: of each pair of sums, half of the
-// threads continue with one and half with the other, so that 32 sums take 31
-// shuffles instead of 160, and each ends in one thread. If the threads of a
-// warp have consecutive iterations, values that depend only on the leading
+// A full warp reduces several sums at once: for each pair of sums, half of the
+// threads continue with one sum and half with the other, so that 32 sums take
+// 31 shuffles instead of 160, and each sum ends in one thread. If the threads
+// of a warp have consecutive iterations, values that depend only on the leading
 // digits of the iteration number are uniform. Addresses that change in loops
 // are compared at run time, because threads may be in different iterations of a
 // loop.
 //
-// Addresses that data choose, as in `grid[at[i]] += x[i]`, are compared too: a
-// comparison costs little next to 32 additions, which wait for each other if
-// all threads mean one element. A thread that adds to many elements is one of a
-// stencil, and its neighbours rarely stand in the same cell: there the copies
-// of the code would cost more than they save.
+// Data-dependent addresses, as in `grid[at[i]] += x[i]`, are compared too: a
+// comparison costs little next to 32 additions that wait for each other if all
+// threads add to one element. A thread that adds to many elements belongs to a
+// stencil, whose neighbouring threads are rarely in the same cell: there,
+// copies of the code would cost more than they save.
 //
 //===----------------------------------------------------------------------===//
 
@@ -43,20 +44,20 @@ using namespace llvm;
 using namespace mlir::tai;
 
 static constexpr unsigned warpSize = 32;
-/// Addresses are sums of few parts.
+/// The maximum depth of the analysis: addresses are sums of few terms.
 static constexpr unsigned maxDepth = 12;
-/// Limits of groups with data-dependent addresses: the additions (the
-/// components of a vector), the addresses that are compared, and the groups of
-/// a function.
+/// Limits of groups with data-dependent addresses: the number of additions in a
+/// group (the components of a vector), of compared addresses in a group, and of
+/// groups in a function.
 static constexpr unsigned maxChosen = 4, maxChosenBases = 2,
                           maxChosenGroups = 4;
 
-/// Metadata of additions that no later run combines: programs have the code of
-/// many functions.
+/// Metadata of additions that no later run combines either: a program contains
+/// the code of many functions.
 static constexpr char kApartName[] = "tai.apart";
 
 namespace {
-/// Additions that move to the last of them.
+/// Additions that are moved to the last addition of the group.
 using Group = SmallVector<AtomicRMWInst *, 8>;
 
 class GroupFinder {
@@ -66,8 +67,8 @@ public:
   /// Fills `known` and `chosen`.
   void find(BasicBlock &block);
 
-  /// Groups with addresses that are the same in a warp, for all that is known,
-  /// and with such that data choose.
+  /// Groups with addresses that are provably equal in a warp (`known`), and
+  /// groups with data-dependent addresses (`chosen`).
   std::vector<Group> known, chosen;
 
 private:
@@ -82,7 +83,7 @@ private:
   Group openKnown, openChosen;
 };
 
-/// Writes the code for one group.
+/// Emits the code for one group.
 class GroupEmitter {
 public:
   explicit GroupEmitter(Group &group)
@@ -119,8 +120,8 @@ static bool isAddition(const Instruction &instruction) {
          !op->hasMetadata(kApartName);
 }
 
-/// True for multiples of the size of a warp, for all that is known: blocks are
-/// whole warps.
+/// True for provable multiples of the size of a warp, assuming that a block
+/// consists of whole warps.
 static bool isWholeWarps(const Value *value, unsigned depth) {
   if (auto *constant = dyn_cast<ConstantInt>(value))
     return constant->getValue().countr_zero() >= Log2_32(warpSize);
@@ -154,14 +155,15 @@ static bool isWholeWarps(const Value *value, unsigned depth) {
   }
 }
 
-/// True for the number of a thread, or of an iteration that a thread does: the
-/// threads of a warp have neighbours, from a multiple of its size on.
+/// True for the number of a thread, or of a thread's iteration: the threads of
+/// a warp then have consecutive numbers, starting at a multiple of the warp's
+/// size.
 static bool isThreadNumber(const Value *value, unsigned depth) {
   auto *op = dyn_cast<Instruction>(value);
   if (!op || depth == 0)
     return false;
   if (auto *phi = dyn_cast<PHINode>(op))
-    // A loop over iterations takes steps of all threads.
+    // A loop over iterations advances by the number of all threads.
     return all_of(phi->incoming_values(), [&](const Value *from) {
       auto *step = dyn_cast<BinaryOperator>(from);
       if (step && step->getOpcode() == Instruction::Add)
@@ -195,15 +197,14 @@ static bool isThreadNumber(const Value *value, unsigned depth) {
   }
 }
 
-/// True if the threads of a warp have the same value.
+/// True if all threads of a warp have the same value.
 bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
   if (uniformity.isUniform(value))
     return true;
   auto *op = dyn_cast<Instruction>(value);
   if (!op || depth == 0 || op->mayReadOrWriteMemory() || isa<PHINode>(op))
     return false;
-  // Iterations that fill warps: their number without the part that counts
-  // threads.
+  // The quotient of an iteration's number by a multiple of the warp's size.
   bool isDivision = op->getOpcode() == Instruction::UDiv ||
                     op->getOpcode() == Instruction::SDiv;
   bool isShift = op->getOpcode() == Instruction::LShr ||
@@ -222,9 +223,9 @@ bool GroupFinder::isSameInWarp(const Value *value, unsigned depth) {
   });
 }
 
-/// True for values that follow from loaded ones and from uniform ones: the data
-/// decides whether threads have the same value. If the value depends on the
-/// thread's number, most threads have elements of their own.
+/// True for values computed from loaded and from uniform values: the data
+/// decides whether threads have the same value. Values that depend on the
+/// thread's number are excluded: most threads then add to different elements.
 bool GroupFinder::isChosen(const Value *value, unsigned depth, bool &isLoaded) {
   if (uniformity.isUniform(value))
     return true;
@@ -252,7 +253,7 @@ bool GroupFinder::isChosen(const Value *value, unsigned depth, bool &isLoaded) {
 }
 
 bool GroupFinder::mayPass(Instruction &instruction, const Group &open) {
-  // Additions to the same place come in any order.
+  // Additions to one element may happen in any order.
   if (isAddition(instruction))
     return true;
   if (!isGuaranteedToTransferExecutionToSuccessor(&instruction))
@@ -270,7 +271,8 @@ bool GroupFinder::mayPass(Instruction &instruction, const Group &open) {
   });
 }
 
-/// The device library adds by one thread; it does not know of fields.
+/// Whether the addition is to a field. Additions of the device library, which
+/// one thread does, lack this metadata.
 static bool isOfField(const AtomicRMWInst &op) {
   return op.hasMetadata(LLVMContext::MD_noalias);
 }
@@ -337,9 +339,9 @@ static bool isInvariant(const Value *value, unsigned depth) {
   });
 }
 
-/// Whether the threads that are here mean the same elements; null where they
-/// always do. An address may be the same for all threads in each round of a
-/// loop: but those that are here together need not be in the same round.
+/// Whether the active threads add to the same elements; null where they always
+/// do. An address may be equal for all threads in each iteration of a loop, but
+/// the active threads need not be in the same iteration.
 Value *GroupEmitter::emitComparison() {
   SmallPtrSet<Value *, 8> bases;
   Value *isSame = nullptr;
@@ -358,9 +360,10 @@ Value *GroupEmitter::emitComparison() {
   return isSame;
 }
 
-/// All threads of the warp are here.
+/// Emits the case that all threads of the warp are active.
 void GroupEmitter::emitFull(BasicBlock *tail) {
-  // Addresses are mostly constants behind few others: these need no registers.
+  // Select base and offset separately: most addresses are one of few bases plus
+  // a constant, which needs no register.
   SmallVector<Value *> values, bases, offsets;
   const DataLayout &layout = group.back()->getDataLayout();
   for (AtomicRMWInst *op : group) {
@@ -401,7 +404,7 @@ void GroupEmitter::emitFull(BasicBlock *tail) {
     bases = std::move(nextBases);
     offsets = std::move(nextOffsets);
   }
-  // Threads beyond the last sum hold one that another has.
+  // Threads beyond the last sum have a copy of another thread's sum.
   BasicBlock *add = addBlock();
   builder.CreateCondBr(
       builder.CreateICmpULT(number, builder.getInt32(group.size())), add, tail);
@@ -414,12 +417,12 @@ void GroupEmitter::emitFull(BasicBlock *tail) {
   builder.CreateBr(tail);
 }
 
-/// The first threads of the warp are here, and no others.
+/// Emits the case that exactly the first threads of the warp are active.
 void GroupEmitter::emitFirstThreads(BasicBlock *tail) {
   SmallVector<Value *> sums;
   for (AtomicRMWInst *op : group)
     sums.push_back(op->getValOperand());
-  // Leaves every value as it is.
+  // Adding -0 changes no value.
   Value *zero = ConstantFP::getNegativeZero(builder.getFloatTy());
   for (unsigned distance = warpSize / 2; distance > 0; distance /= 2) {
     Value *other = builder.CreateAdd(lane, builder.getInt32(distance));
@@ -501,7 +504,8 @@ mlir::tai::AggregateAtomics::run(Function &function,
     finder.find(block);
   if (!combinesScatters || finder.chosen.size() > maxChosenGroups)
     finder.chosen.clear();
-  // From the end, so that blocks stay whole in front of the splits.
+  // From the last group, so that the part of a block before a split stays
+  // intact.
   for (Group &group : reverse(finder.known))
     GroupEmitter(group).emit();
   for (Group &group : reverse(finder.chosen))

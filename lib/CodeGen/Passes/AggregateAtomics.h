@@ -14,7 +14,7 @@ namespace mlir::tai {
 
 /// Where all threads of a warp add to the same f32 elements, reduces their
 /// values first, so that one thread adds to each element. For NVPTX. With
-/// `combinesScatters`, also where data choose the elements, after a comparison
+/// `combinesScatters`, also handles data-dependent elements, after a comparison
 /// at run time.
 struct AggregateAtomics : llvm::PassInfoMixin<AggregateAtomics> {
   explicit AggregateAtomics(bool combinesScatters = true)

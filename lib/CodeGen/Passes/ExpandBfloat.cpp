@@ -13,9 +13,9 @@
 
 using namespace llvm;
 
-/// The upper half of the bits, rounded: half a unit is added to the dropped
-/// bits, and the last kept bit decides a tie. A NaN stays one and becomes
-/// quiet.
+/// The upper half of the bits of an f32, rounded: half a unit is added to the
+/// dropped bits, and the last kept bit decides a tie. A NaN becomes a quiet
+/// NaN.
 static Value *roundToBfloat(IRBuilder<> &builder, Value *number, Type *type) {
   Type *larger = number->getType()->getWithNewType(builder.getInt32Ty());
   Type *narrow = larger->getWithNewType(builder.getInt16Ty());

@@ -15,9 +15,9 @@ class Module;
 namespace mlir::tai {
 
 /// Rounds f32 to bf16 by integer operations, to the nearest with ties to even,
-/// and computes on bf16 in f32. The x86 instructions for this flush denormal
-/// inputs and results to zero, whatever the mode of the processor; without
-/// them, LLVM calls a function for each number.
+/// and computes on bf16 in f32. The x86 instructions for this conversion flush
+/// denormal inputs and results to zero, whatever the mode of the processor;
+/// without these instructions, LLVM calls a function for each number.
 void expandBfloat(llvm::Module &module);
 
 } // namespace mlir::tai

@@ -13,8 +13,9 @@
 
 using namespace llvm;
 
-/// The comparison of the old value with the operand that is true if nothing
-/// changes. Floats: neither may be a NaN, and of two zeros the sign decides.
+/// The comparison of the old value with the operand that is true if the
+/// operation does not change the element. For floats it is false if either is a
+/// NaN, and for two zeros their signs decide.
 static std::optional<CmpInst::Predicate>
 getStaysPredicate(const AtomicRMWInst &atomic) {
   switch (atomic.getOperation()) {

@@ -14,10 +14,10 @@ class Module;
 
 namespace mlir::tai {
 
-/// Puts atomic minima and maxima behind a load and a test of whether they
-/// change the element. Most do not, and an exchange, which a CPU without an
-/// instruction for extremes repeats until it succeeds, takes the line of the
-/// cache from the other processors even if it writes the old value.
+/// Guards atomic minima and maxima by a load and a test of whether they would
+/// change the element. Most would not. On a CPU without instructions for atomic
+/// extremes, they become a loop of exchanges, each of which takes the cache
+/// line from the other processors even if it writes the old value.
 void testExtremeAtomics(llvm::Module &module);
 
 } // namespace mlir::tai

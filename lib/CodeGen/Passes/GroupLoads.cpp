@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Adjoints add to many elements one after another: load, add, store, and again.
-// If the next load is after the store, each one waits for memory separately,
-// several hundred clocks each time. The same holds after an IEEE 754 division
-// or square root: ptxas expands it to branches, and moves nothing across
+// A load that comes after the previous store waits for memory separately,
+// several hundred clocks each time. Loads also wait after an IEEE 754 division
+// or square root: ptxas expands these to branches, and moves nothing across
 // them.
 //
 //===----------------------------------------------------------------------===//
@@ -23,11 +23,11 @@
 
 using namespace llvm;
 
-/// The size of all loads of a group, in words of four bytes: each is a register
-/// that is in use for longer.
+/// The maximum size of a group's loads, in words of four bytes: each word
+/// occupies a register for longer.
 static constexpr unsigned mostWords = 48;
 
-/// The limit of the writes that a load is compared with.
+/// The maximum number of writes that a load is compared with.
 static constexpr size_t mostWrites = 128;
 
 namespace {
@@ -45,19 +45,19 @@ private:
   BasicBlock &block;
   BatchAAResults aliases;
   const DataLayout &layout;
-  /// The last load of the group; those to come are placed behind it.
+  /// The last load of the group; further loads of the group are moved after it.
   Instruction *last = nullptr;
   unsigned words = 0;
-  /// Instructions behind `last` that are not part of the group.
+  /// Instructions after `last` that are not part of the group.
   SmallVector<Instruction *> writes;
   SmallPtrSet<Instruction *, 32> behind;
-  /// Whether ptxas makes branches of the code behind `last`.
+  /// Whether ptxas expands an instruction after `last` to branches.
   bool branches = false;
   bool changed = false;
 };
 } // namespace
 
-/// Whether ptxas makes branches of it.
+/// Whether ptxas expands the instruction to branches.
 static bool isSplitting(const Instruction &instruction) {
   switch (instruction.getOpcode()) {
   case Instruction::FDiv:
@@ -77,7 +77,7 @@ static bool isSplitting(const Instruction &instruction) {
   }
 }
 
-/// Whether an instruction may run earlier than it does.
+/// Whether an instruction may be moved to an earlier place.
 static bool isSafeToMove(const Instruction &instruction) {
   return isa<GetElementPtrInst, CastInst, BinaryOperator, SelectInst, ICmpInst>(
              instruction) &&
@@ -97,8 +97,8 @@ void LoadGrouping::startGroup(LoadInst *load) {
   branches = false;
 }
 
-/// Lists the instructions behind the group that a value needs, in their order;
-/// false if one of them cannot be moved.
+/// Lists the instructions after the group that `value` depends on, in their
+/// order; false if one of these cannot be moved.
 bool LoadGrouping::collectAddress(Value *value,
                                   SmallVectorImpl<Instruction *> &chain) {
   auto *instruction = dyn_cast<Instruction>(value);
@@ -128,7 +128,7 @@ bool LoadGrouping::join(LoadInst &load) {
   if (!collectAddress(load.getPointerOperand(), chain))
     return false;
   words += more;
-  // Between loads alone nothing stands in the way of ptxas.
+  // With nothing but loads in between, ptxas itself groups them.
   if (writes.empty() && !branches) {
     last = &load;
     behind.clear();
@@ -153,7 +153,7 @@ bool LoadGrouping::run() {
         startGroup(load);
       continue;
     }
-    // Nothing moves past a barrier, or past an unknown call.
+    // No load moves past a barrier or an unknown call.
     auto *call = dyn_cast<CallBase>(&instruction);
     bool isOpaque = isa<FenceInst>(instruction) || instruction.mayThrow() ||
                     (call && instruction.mayReadOrWriteMemory() &&

@@ -12,9 +12,9 @@
 
 namespace mlir::tai {
 
-/// Moves loads of a block up to earlier ones, past stores to other memory, so
-/// that a GPU waits once for several of them. ptxas does not: it has no alias
-/// information.
+/// Moves loads of a block up to earlier loads, past stores to other memory, so
+/// that a GPU waits once for several loads. ptxas does not do so: it has no
+/// alias information.
 struct GroupLoads : llvm::PassInfoMixin<GroupLoads> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);

@@ -6,9 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // The time of scheduling and register allocation is quadratic in the size of a
-// block, and the vectoriser makes three copies of a body, in which each call of
-// a function like sin becomes one for each vector element. Unrolled programs
-// have blocks of thousands of instructions, for which this takes minutes.
+// block, and the vectoriser makes three copies of a loop's body, in which each
+// call of a function like sin becomes one call for each vector element.
+// Unrolled programs have blocks of thousands of instructions, which would take
+// minutes.
 //
 //===----------------------------------------------------------------------===//
 
@@ -33,14 +34,14 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The elements of a vector, as far as an estimate wants to know them.
+/// The number of elements of a vector that estimates assume.
 constexpr unsigned kLanes = 8;
 
-/// Marks functions with a loop that has too many pairs of accesses.
+/// Marks functions that contain a loop with too many pairs of accesses.
 constexpr StringLiteral kManyPairs = "tai-many-pairs";
 } // namespace
 
-/// The instructions that are made of a call once its loop is vectorised.
+/// The number of instructions that a call becomes once its loop is vectorised.
 static uint64_t getVectorizedSize(const CallBase &call,
                                   const TargetTransformInfo &target,
                                   const TargetLibraryInfo &library) {
@@ -98,7 +99,7 @@ PreservedAnalyses KeepHugeLoopsScalar::run(Function &function,
   return PreservedAnalyses::all();
 }
 
-/// Whether a block has more instructions than that.
+/// Whether a block has more instructions than `limit`.
 static bool hasBlockAbove(const Function &function, unsigned limit) {
   return any_of(function,
                 [&](const BasicBlock &block) { return block.size() > limit; });
@@ -110,7 +111,7 @@ bool KeepHugeLoopsScalar::canRun(StringRef pass, const Any &ir) {
     return true;
   if (pass == "LoopLoadEliminationPass")
     return !(*function)->hasFnAttribute(kManyPairs);
-  // Short loops that were unrolled one behind the other are such a block.
+  // Consecutive short loops that were unrolled form such a block.
   return pass != "SLPVectorizerPass" ||
          !hasBlockAbove(**function, HugeBodyLimits().block);
 }
@@ -119,7 +120,7 @@ bool KeepHugeLoopsScalar::canRun(StringRef pass, const Any &ir) {
 // Blocks
 //===----------------------------------------------------------------------===//
 
-/// The instructions of the machine that are made of one, or about as many.
+/// The approximate number of machine instructions that an instruction becomes.
 static uint64_t getMachineSize(const Instruction &instruction,
                                const TargetTransformInfo &target) {
   const auto *call = dyn_cast<IntrinsicInst>(&instruction);
@@ -130,7 +131,7 @@ static uint64_t getMachineSize(const Instruction &instruction,
   return cost.isValid() ? std::max<int64_t>(cost.getValue(), 1) : 1;
 }
 
-/// Whether an instruction has to stay in the function that it is in.
+/// Whether an instruction cannot be moved to another function.
 static bool mustStay(const Instruction &instruction) {
   if (isa<PHINode>(instruction) || isa<AllocaInst>(instruction) ||
       instruction.isTerminator() || instruction.isEHPad() ||
@@ -163,7 +164,7 @@ static bool mustStay(const Instruction &instruction) {
 namespace {
 using Part = SmallVector<Instruction *, 0>;
 
-/// Divides one block.
+/// Divides a block into outlined parts.
 class BlockDivider {
 public:
   BlockDivider(BasicBlock &block, ArrayRef<Part> parts)
@@ -173,7 +174,7 @@ public:
   void divide();
 
 private:
-  /// The offset of a value that other parts may use.
+  /// The offset in `memory` of a value that other parts may use.
   uint64_t getPlace(Value *value);
   Value *getAddress(IRBuilder<> &builder, Value *memory, Value *value);
   void storeTo(IRBuilder<> &builder, Value *memory, Value *value);
@@ -184,7 +185,7 @@ private:
   Function &function;
   ArrayRef<Part> parts;
   const DataLayout &layout;
-  /// The number of the part that an instruction goes to.
+  /// The number of the part that contains an instruction.
   DenseMap<const Instruction *, unsigned> partOf;
   DenseMap<const Value *, uint64_t> places;
   uint64_t size = 0;
@@ -219,7 +220,7 @@ Value *BlockDivider::loadFrom(IRBuilder<> &builder, Value *memory,
                                    layout.getABITypeAlign(value->getType()));
 }
 
-/// Moves the instructions of a part to a function of their own, and calls it.
+/// Moves the instructions of a part to a new function, and calls it.
 void BlockDivider::outline(const Part &part, unsigned number) {
   LLVMContext &context = function.getContext();
   auto *type = FunctionType::get(Type::getVoidTy(context),
@@ -231,8 +232,8 @@ void BlockDivider::outline(const Part &part, unsigned number) {
   made->setLinkage(GlobalValue::InternalLinkage);
   made->setSubprogram(nullptr);
   made->setComdat(nullptr);
-  // The attributes about parameters, memory and the result held for the whole
-  // function.
+  // Attributes about parameters, memory and the result describe only the whole
+  // function: drop them.
   AttrBuilder attributes(context, made->getAttributes().getFnAttrs());
   attributes.removeAttribute(Attribute::Memory);
   attributes.removeAttribute(Attribute::AlwaysInline);
@@ -273,8 +274,8 @@ void BlockDivider::outline(const Part &part, unsigned number) {
       use.set(mine);
     }
   }
-  // The last use of a part's values in it has been seen, so that its places are
-  // known.
+  // Store the values of this part that other parts use; `divide` has assigned
+  // their places.
   for (Instruction *instruction : part) {
     if (!places.contains(instruction))
       continue;
@@ -293,7 +294,8 @@ void BlockDivider::divide() {
                               "shared");
   memory->setAlignment(Align(64));
 
-  // Find the values from outside, and the values of one part that others use.
+  // Find the values from outside the parts, and values of a part used outside
+  // it.
   SetVector<Value *> given;
   SmallVector<std::pair<Use *, Instruction *>> taken;
   for (auto [number, part] : enumerate(parts)) {
@@ -314,8 +316,8 @@ void BlockDivider::divide() {
       }
     }
   }
-  // A value from outside is stored behind its definition, or in front of the
-  // first part.
+  // Store a value from outside after its definition in this block, or else
+  // before the first part.
   for (Value *value : given) {
     auto *from = dyn_cast<Instruction>(value);
     bool isHere = from && from->getParent() == &block && !isa<PHINode>(from);
@@ -325,8 +327,8 @@ void BlockDivider::divide() {
   }
   for (auto [number, part] : enumerate(parts))
     outline(part, number);
-  // Other uses in this function load the value at the use, uses in other blocks
-  // at the end of this one.
+  // Other uses in this block load the value at the use, uses in other blocks at
+  // the end of this block.
   DenseMap<Value *, Value *> atEnd;
   for (auto [use, user] : taken) {
     Value *value = use->get();
@@ -349,7 +351,7 @@ void BlockDivider::divide() {
 }
 
 namespace {
-/// The sizes of instructions of one function.
+/// Estimates the sizes of instructions of one function.
 class Sizes {
 public:
   Sizes(const Function &function, const TargetMachine *machine)
@@ -367,7 +369,7 @@ private:
 };
 } // namespace
 
-/// Marks functions in which calls were kept.
+/// Marks functions in which calls of library functions were kept.
 constexpr StringLiteral kCallsKept("tai-calls-kept");
 
 bool Sizes::isHuge(const BasicBlock &block,
@@ -383,8 +385,8 @@ bool Sizes::isHuge(const BasicBlock &block,
          writes * accesses > limits.pairs;
 }
 
-/// The instructions of a block that may go, in order; those of a part follow
-/// each other.
+/// The movable instructions of a block, in order, grouped into parts of
+/// consecutive instructions.
 SmallVector<Part, 0> Sizes::getParts(BasicBlock &block, unsigned limit) const {
   SmallVector<Part, 0> parts;
   uint64_t size = limit;
@@ -405,7 +407,8 @@ SmallVector<Part, 0> Sizes::getParts(BasicBlock &block, unsigned limit) const {
 
 void mlir::tai::divideHugeBlocks(Module &module, const TargetMachine *machine,
                                  HugeBodyLimits limits) {
-  // An instruction becomes no more than so many, vectors of calls included.
+  // The maximum number of machine instructions that one instruction becomes,
+  // including calls in vectorised loops.
   constexpr unsigned most = 64;
   SmallVector<BasicBlock *> huge;
   for (Function &function : module) {
@@ -435,7 +438,7 @@ void mlir::tai::divideHugeBlocks(Module &module, const TargetMachine *machine,
 
 void mlir::tai::keepCallsInHugeFunctions(Module &module, StringRef prefix,
                                          HugeBodyLimits limits) {
-  // A function as short as this is no longer than its call.
+  // A function this short is no longer than its call.
   constexpr unsigned shortest = 10;
   for (Function &function : module) {
     if (function.getName().starts_with(prefix))

@@ -22,30 +22,31 @@ namespace mlir::tai {
 /// Thresholds above which passes of more than linear time are avoided: several
 /// times the sizes of the largest kernels of the scenes.
 struct HugeBodyLimits {
-  /// Instructions of a loop after vectorisation: a larger loop is not
+  /// Instructions of a loop after vectorisation: larger loops are not
   /// vectorised.
   unsigned vectorized = 5000;
-  /// Writes of a loop times its accesses: a loop with more such pairs, each of
-  /// which the vectoriser compares, is not vectorised.
+  /// Writes of a loop times its accesses, which is the number of pairs that the
+  /// vectoriser compares: loops with more pairs are not vectorised.
   uint64_t loopPairs = 200000;
-  /// Loops of a function: with more, they are not unrolled.
+  /// Loops of a function: if there are more, they are not unrolled.
   unsigned loops = 200;
-  /// Instructions of a basic block before code generation: a longer one is
+  /// Instructions of a basic block before code generation: longer blocks are
   /// divided, and not SLP-vectorised.
   unsigned block = 8000;
-  /// The same for a block's writes times its accesses: the scheduler compares
-  /// pairs.
+  /// Writes of a block times its accesses, which is the number of pairs that
+  /// the scheduler compares: blocks with more pairs are divided.
   uint64_t pairs = 1500000;
-  /// Instructions inlined into a function from a library: above it, the library
-  /// function is called.
+  /// Instructions inlined into a function from a library: above this number,
+  /// the library functions are called instead.
   uint64_t inlined = 30000;
   /// Instructions of each part of a divided block.
   unsigned part = 1000;
-  /// The same as `block`, of functions in which calls were kept.
+  /// Like `block`, for functions in which calls of library functions were kept.
   unsigned blockOfCalls = 8000;
 
-  /// For a GPU: ptxas takes more than quadratic time for the calls of a block,
-  /// 114 s for 800 and 1200 of f64, and 9 s once they are in such parts.
+  /// Limits for a GPU: ptxas takes more than quadratic time for the calls in a
+  /// block, 114 s for 800 and 1200 calls of f64 functions, and 9 s with blocks
+  /// divided into parts of this size.
   static HugeBodyLimits ofDevice() {
     HugeBodyLimits limits;
     limits.block = ~0u;
@@ -56,10 +57,9 @@ struct HugeBodyLimits {
   }
 };
 
-/// Marks loops whose bodies would be huge as not to be vectorised, and those of
-/// a function that has hundreds as not to be unrolled. Runs before the
-/// vectoriser. Other passes that compare pairs of accesses are skipped by
-/// `canRun`.
+/// Disables vectorisation of loops whose bodies would become huge, and
+/// unrolling of loops in functions with hundreds of loops. Runs before the
+/// vectoriser. `canRun` skips other passes that compare pairs of accesses.
 struct KeepHugeLoopsScalar : llvm::PassInfoMixin<KeepHugeLoopsScalar> {
   explicit KeepHugeLoopsScalar(HugeBodyLimits limits = {}) : limits(limits) {}
   llvm::PreservedAnalyses run(llvm::Function &function,
@@ -74,7 +74,7 @@ private:
 
 /// Outlines parts of huge blocks into functions; runs after all optimisations.
 /// Values used across parts go through shared memory on the stack. Without a
-/// target all instructions count the same.
+/// target, all instructions count as one.
 void divideHugeBlocks(llvm::Module &module,
                       const llvm::TargetMachine *machine = nullptr,
                       HugeBodyLimits limits = {});

@@ -28,7 +28,7 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-/// The type of the function tells, which is the same at all levels.
+/// Decides by the type of the function, which no optimisation level changes.
 bool mlir::tai::mayReturnEarly(const Function &function) {
   llvm::FunctionType *type = function.getFunctionType();
   if (type->isVarArg())
@@ -52,8 +52,8 @@ namespace {
 /// Loops that take fewer instructions than this end within a millisecond.
 constexpr uint64_t kShortLoop = 200000;
 
-/// An upper bound of the iterations of the parallel loop that the function is
-/// the body of, or 0.
+/// An upper bound of the iterations of the parallel loop whose body the
+/// function is, or 0.
 uint64_t getIterations(const Function &function) {
   uint64_t most = 0;
   for (const Use &use : function.uses()) {
@@ -70,9 +70,9 @@ uint64_t getIterations(const Function &function) {
   return most;
 }
 
-/// Whether the loop goes to the end of the part of the parallel loop that the
-/// body is called for. Others, such as a loop of the program behind which an
-/// iteration was peeled off, know nothing of that end.
+/// Whether the loop runs up to the end of the function's range of the parallel
+/// loop. Other loops of the body, such as a loop from which an iteration was
+/// peeled off, do not depend on this end.
 bool goesOverPart(const Loop &loop, ScalarEvolution &evolution) {
   const Function &function = *loop.getHeader()->getParent();
   if (function.arg_size() != 5)
@@ -85,8 +85,8 @@ bool goesOverPart(const Loop &loop, ScalarEvolution &evolution) {
          });
 }
 
-/// An upper bound of the instructions that all rounds of a loop take, or
-/// UINT64_MAX. `iterations` are those of the parallel loop, 0 if unknown.
+/// An upper bound of the instructions that all iterations of a loop execute, or
+/// UINT64_MAX. `iterations` is the count of the parallel loop, 0 if unknown.
 uint64_t countInstructions(const Loop &loop, ScalarEvolution &evolution,
                            uint64_t iterations) {
   uint64_t perRound = 0;
@@ -181,7 +181,7 @@ PreservedAnalyses InsertSafepoints::run(Function &function,
   PollInserter inserter(function);
   for (Instruction *branch : backEdges)
     inserter.insertBefore(branch);
-  // The inferred memory effects held without the polls.
+  // The memory effects of the part were inferred without the polls.
   if (function.hasFnAttribute(kLoopPart))
     function.removeFnAttr(llvm::Attribute::Memory);
   return PreservedAnalyses::none();

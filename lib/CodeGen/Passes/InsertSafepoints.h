@@ -17,9 +17,9 @@ namespace mlir::tai {
 bool mayReturnEarly(const llvm::Function &function);
 
 /// Inserts safepoint polls into kernels and bodies of parallel loops, at the
-/// back edges of loops that may run long: after a tick of the clock they call
-/// the runtime, and return if it says so. Runs after the vectoriser, which does
-/// not vectorise loops with calls.
+/// back edges of loops that may run long. After a tick of the clock, a poll
+/// calls the runtime, and returns from the function if the runtime demands it.
+/// Runs after the vectoriser, which does not vectorise loops with calls.
 struct InsertSafepoints : llvm::PassInfoMixin<InsertSafepoints> {
   llvm::PreservedAnalyses run(llvm::Function &function,
                               llvm::FunctionAnalysisManager &analyses);

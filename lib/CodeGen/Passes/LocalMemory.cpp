@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // A thread whose allocation failed, or that is asked to stop, frees its memory
-// and branches to the end of its function. It still takes part in barriers
-// there, where all threads of a block reduce their sums.
+// and branches to the end of its function. There, it still takes part in the
+// barriers at which the threads of a block reduce their sums.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,7 +22,7 @@
 
 using namespace llvm;
 
-/// The first block in which threads meet, or null.
+/// The first block with a reduction over the threads of a block, or null.
 static BasicBlock *findMeeting(Function &function, const DominatorTree &tree) {
   BasicBlock *first = nullptr;
   for (Instruction &instruction : instructions(function)) {
@@ -48,8 +48,8 @@ static bool isValid(Function &function) {
 }
 
 namespace {
-/// The memory that a function has allocated and frees itself, each block in a
-/// variable that is null while there is none.
+/// The memory that a function itself allocates and frees. A variable for each
+/// allocation holds its address, or null while there is none.
 class OwnMemory {
 public:
   explicit OwnMemory(Function &function);
@@ -100,7 +100,7 @@ void OwnMemory::freeAll(IRBuilder<> &builder) const {
                        builder.CreateLoad(builder.getPtrTy(), variable));
 }
 
-/// Goes on behind the call where `address` is not null.
+/// Makes the thread continue after the call only if `address` is not null.
 static void endWhereNull(CallInst &call, Value &address,
                          const OwnMemory &memory) {
   Function &function = *call.getFunction();
@@ -125,15 +125,16 @@ static void endWhereNull(CallInst &call, Value &address,
     phi.addIncoming(Constant::getNullValue(phi.getType()), lacking);
   if (isValid(function))
     return;
-  // The sums need values that have not been computed.
+  // The reductions need values that this thread has not computed: return
+  // instead.
   meeting->removePredecessor(lacking, /*KeepOneInputPHIs=*/true);
   leave->eraseFromParent();
   builder.SetInsertPoint(lacking);
   builder.CreateRetVoid();
 }
 
-/// Asks every so many times that the call is reached in this run of the
-/// function; the last argument is a power of two.
+/// Makes the call happen only every n-th time that it is reached in a run of
+/// the function; n, its last argument, is a power of two.
 static void space(CallInst &call) {
   Function &function = *call.getFunction();
   auto *every = cast<ConstantInt>(call.getArgOperand(call.arg_size() - 1));

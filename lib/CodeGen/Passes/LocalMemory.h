@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// Exits a thread whose allocation failed, at the call or where it first uses
-/// the memory; see lib/Conversion/ToNVVM/LocalMemory.cpp.
+/// Exits a thread whose allocation failed, at the allocation or at the first
+/// use of the memory; see lib/Conversion/ToNVVM/LocalMemory.cpp.
 void exitOnFailedAllocations(llvm::Module &module);
 
 } // namespace mlir::tai

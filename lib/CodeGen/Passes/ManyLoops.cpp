@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Many LLVM analyses of a loop take time proportional to the number of loops in
-// the function: scalar evolution invalidates all of them whenever one has
-// changed. So consecutive loops, each of which is dominated by the one before,
-// are outlined in groups, divided at blocks between them.
+// the function: after a change of one loop, scalar evolution invalidates all.
+// So consecutive loops, each of which is dominated by the previous one, are
+// outlined in groups, divided at blocks between them.
 //
 //===----------------------------------------------------------------------===//
 
@@ -32,7 +32,7 @@ bool mlir::tai::looksThroughCalls(StringRef pass) {
 }
 
 namespace {
-/// The blocks of a part, the first one first.
+/// The blocks of a part, the entry block first.
 using Part = SmallSetVector<BasicBlock *, 32>;
 
 class LoopDivider {
@@ -40,7 +40,7 @@ public:
   LoopDivider(Function &function, ManyLoopsLimits limits)
       : function(function), limits(limits), mayEnd(mayReturnEarly(function)) {}
 
-  /// Divides loops of one chain; false if there is none that is long enough.
+  /// Divides the loops of one chain; false if no chain is long enough.
   bool divide();
   ArrayRef<Function *> getMade() const { return made; }
 
@@ -54,7 +54,7 @@ private:
   void storeShared(Value *value);
   Value *getAddress(IRBuilder<> &builder, Value *memory, Value *value);
   Value *load(IRBuilder<> &builder, Value *memory, Value *value);
-  /// The number of the part that a value or its user is in, or -1.
+  /// The number of the part that contains an instruction, or -1.
   int getPart(const Value *value) const;
   Value *getMemory(int part) const;
   bool isHandedOver(const Value *value) const {
@@ -63,16 +63,16 @@ private:
 
   Function &function;
   ManyLoopsLimits limits;
-  /// Whether it may return at any time, so that its parts may.
+  /// Whether the function, and so its parts, may return at any safepoint.
   bool mayEnd;
   DominatorTree tree;
   LoopInfo loops;
   SmallVector<Part, 0> parts;
-  /// The block behind each part.
+  /// The block that follows each part.
   SmallVector<BasicBlock *> behind;
   DenseMap<const BasicBlock *, int> partOf;
   SmallVector<Function *> made;
-  /// Offsets of values that several parts use.
+  /// Offsets in `memory` of values that several parts use.
   MapVector<Value *, uint64_t> places;
   uint64_t size = 0;
   AllocaInst *memory = nullptr;
@@ -83,7 +83,7 @@ private:
 // Parts
 //===----------------------------------------------------------------------===//
 
-/// Whether an instruction has to stay in the function that it is in.
+/// Whether an instruction cannot be moved to another function.
 static bool mustStay(const Instruction &instruction) {
   if (isa<AllocaInst, ReturnInst, InvokeInst>(instruction) ||
       instruction.getType()->isTokenTy())
@@ -93,7 +93,8 @@ static bool mustStay(const Instruction &instruction) {
                   call->hasFnAttr(llvm::Attribute::ReturnsTwice));
 }
 
-/// Adds the blocks between two blocks, if they have one entry and one exit.
+/// Adds the blocks from `first` up to `next` as a part, if they have one entry
+/// and one exit.
 void LoopDivider::addPart(BasicBlock *first, BasicBlock *next) {
   Part part;
   SmallVector<BasicBlock *> pending = {first};
@@ -116,9 +117,10 @@ void LoopDivider::addPart(BasicBlock *first, BasicBlock *next) {
   behind.push_back(next);
 }
 
-/// Parts of loops that have one parent.
+/// Finds the parts of loops that have the same parent loop.
 bool LoopDivider::findPartsOf(ArrayRef<Loop *> siblings) {
-  // The siblings that dominate the last one of a chain.
+  // Consider the chain of siblings that dominate the innermost one in the
+  // dominator tree.
   auto level = [&](const Loop *loop) {
     return tree.getNode(loop->getHeader())->getLevel();
   };
@@ -130,8 +132,8 @@ bool LoopDivider::findPartsOf(ArrayRef<Loop *> siblings) {
   SmallPtrSet<BasicBlock *, 32> headers;
   for (Loop *loop : siblings)
     headers.insert(loop->getHeader());
-  // From the last to the first: places where the chain can be cut, some loops
-  // apart.
+  // Walking up from the last sibling, collect blocks where the chain can be
+  // cut, `limits.part` loops apart.
   SmallVector<BasicBlock *> cuts;
   unsigned count = limits.part;
   for (auto *node = tree.getNode(last->getHeader()); node;
@@ -216,7 +218,7 @@ Value *LoopDivider::load(IRBuilder<> &builder, Value *memory, Value *value) {
       function.getDataLayout().getABITypeAlign(value->getType()));
 }
 
-/// Stores a value where it is made.
+/// Stores a value right after its definition.
 void LoopDivider::storeShared(Value *value) {
   auto *from = dyn_cast<Instruction>(value);
   IRBuilder<> builder(function.getContext());
@@ -253,8 +255,8 @@ Function *LoopDivider::createPart(unsigned number) {
   part->setSubprogram(nullptr);
   part->setComdat(nullptr);
   part->setCallingConv(CallingConv::C);
-  // The attributes about parameters, memory and the result held for the whole
-  // function.
+  // Attributes about parameters, memory and the result describe only the whole
+  // function: drop them.
   AttrBuilder attributes(context, function.getAttributes().getFnAttrs());
   attributes.removeAttribute(llvm::Attribute::Memory);
   attributes.removeAttribute(llvm::Attribute::AlwaysInline);
@@ -268,7 +270,7 @@ Function *LoopDivider::createPart(unsigned number) {
   return part;
 }
 
-/// Moves the blocks of a part to its function, and puts a call in their place.
+/// Moves the blocks of a part to `part`, and calls it in their place.
 void LoopDivider::callPart(unsigned number, Function *part) {
   LLVMContext &context = function.getContext();
   BasicBlock *first = parts[number].front(), *next = behind[number];
@@ -321,7 +323,7 @@ bool LoopDivider::divide() {
   findParts();
   if (parts.empty())
     return false;
-  // A mark of where memory of the whole lives would be in a part.
+  // Drop lifetime markers of the function's memory, which parts would contain.
   for (BasicBlock &block : function)
     for (Instruction &instruction : make_early_inc_range(block))
       if (isa<LifetimeIntrinsic>(instruction))
@@ -335,7 +337,7 @@ bool LoopDivider::divide() {
   for (unsigned number = 0; number != parts.size(); ++number)
     made.push_back(createPart(number));
 
-  // Replace uses by loads first, so that the stores are not among the uses.
+  // Replace uses by loads first, before the stores become uses as well.
   DenseMap<std::pair<Value *, int>, Value *> loaded;
   for (auto &[value, place] : places)
     for (Use &use : make_early_inc_range(value->uses())) {
@@ -383,7 +385,8 @@ bool mlir::tai::divideManyLoops(Module &module, ManyLoopsLimits limits) {
     if (!divider.divide())
       continue;
     changed = true;
-    // The rest may have other loops to divide, and so may the new functions.
+    // The rest of the function, and the new functions, may have more loops to
+    // divide.
     all.push_back(function);
     append_range(all, divider.getMade());
   }

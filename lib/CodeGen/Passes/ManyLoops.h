@@ -16,22 +16,23 @@ class Module;
 
 namespace mlir::tai {
 
-/// An attribute of functions that `divideManyLoops` has made. One that returns
-/// an i32 has the frame as its first parameter, and may return 1 early; its
-/// caller then returns as well.
+/// An attribute of functions that `divideManyLoops` creates. If such a function
+/// returns an i32, its first parameter is the frame, and it may return 1 early;
+/// its caller then returns as well.
 constexpr llvm::StringLiteral kLoopPart = "tai-loop-part";
 
 struct ManyLoopsLimits {
-  /// Loops of a function: one that has more is divided.
+  /// Loops of a function: functions with more loops are divided.
   unsigned loops = 200;
   /// Loops of a part.
   unsigned part = 16;
 };
 
-/// Outlines groups of consecutive loops of a function that has hundreds; runs
-/// before all optimisations. Values used across parts go through shared memory
-/// on the stack. True if something was divided: then no interprocedural pass
-/// may run, because safepoints that are inserted later let a part return early.
+/// Outlines groups of consecutive loops of functions with hundreds of loops;
+/// runs before all optimisations. Values used across parts go through shared
+/// memory on the stack. True if a function was divided: then no interprocedural
+/// pass may run, because safepoints that are inserted later let a part return
+/// early.
 bool divideManyLoops(llvm::Module &module, ManyLoopsLimits limits = {});
 
 /// Whether a pass of LLVM is interprocedural: it may change the arguments or

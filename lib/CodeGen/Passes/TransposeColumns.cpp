@@ -5,12 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A layer of a small network multiplies a matrix by a vector in a loop over
-// rows, which is unrolled along each of them. Vectorised over rows, it gathers
-// every column, and its adjoint scatters to every column of the gradient: one
-// element at a time, of which a CPU loads two or three a clock, and stores one.
-// Pieces of rows that lie side by side are loaded or stored at once, and
-// transposed in registers, by half a shuffle for each element.
+// A layer of a small network multiplies a matrix by a vector, in a loop over
+// rows that is unrolled along each row. Vectorised over rows, the loop gathers
+// every column, and its adjoint scatters to every column of the gradient, one
+// element at a time; per clock, a CPU loads two or three elements, and stores
+// one. Adjacent pieces of rows are instead loaded or stored at once, and
+// transposed in registers, with half a shuffle for each element.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,8 +25,8 @@
 using namespace llvm;
 using namespace mlir::tai;
 
-/// The difference of each lane of a vector of integers or pointers to the one
-/// before, if it is the same for all.
+/// The difference between consecutive lanes of a vector of integers or
+/// pointers, if it is the same for all.
 static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
                                        unsigned depth = 0) {
   using namespace PatternMatch;
@@ -58,7 +58,8 @@ static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
   Value *a = nullptr, *b = nullptr;
   const APInt *factor = nullptr;
   if (auto *phi = dyn_cast<PHINode>(value)) {
-    // A phi has the step of its start if the loop adds the same to all lanes.
+    // A phi has the step of its start value if the loop adds the same number to
+    // all lanes.
     if (phi->getNumIncomingValues() != 2)
       return std::nullopt;
     for (unsigned i : {0u, 1u})
@@ -96,9 +97,9 @@ static std::optional<int64_t> findStep(Value *value, const DataLayout &layout,
 }
 
 namespace {
-/// Where rows start: at the lanes of a vector of pointers, at one pointer plus
-/// the lanes of a vector of indices times a number of bytes, or at the lanes of
-/// a vector of pointers plus one index times that.
+/// The start of each row: the lanes of a vector of pointers; or one pointer
+/// plus `scale` times the lanes of a vector of indices; or the lanes of a
+/// vector of pointers plus `scale` times one index.
 struct Rows {
   Value *pointer = nullptr;
   Value *index = nullptr;
@@ -107,7 +108,8 @@ struct Rows {
   Value *getLanes() const {
     return pointer->getType()->isVectorTy() ? pointer : index;
   }
-  /// Bytes from a row to the next, if that is the same for all.
+  /// The distance in bytes from a row to the next, if it is the same for all
+  /// rows.
   std::optional<int64_t> findStep(const DataLayout &layout) const {
     Value *lanes = getLanes();
     std::optional<int64_t> step = ::findStep(lanes, layout);
@@ -126,13 +128,14 @@ struct Rows {
   }
 };
 
-/// The accessed bytes of each row: their number, from an offset on.
+/// The bytes that an access touches in each row: `bytes` bytes from `offset`
+/// on.
 struct Columns {
   Rows rows;
   int64_t offset, bytes;
 };
 
-/// A gather from one column, or a scatter to one.
+/// A gather from a single column, or a scatter to a single column.
 struct Column {
   CallBase *call;
   int64_t offset;
@@ -150,7 +153,7 @@ public:
   }
 
 private:
-  /// The columns of one matrix: its rows, and the type of a column.
+  /// Identifies a matrix: its rows, and the type of a column vector.
   using Matrix = std::pair<Rows, FixedVectorType *>;
 
   bool replaceAll(Intrinsic::ID id);
@@ -170,19 +173,20 @@ private:
   BasicBlock &block;
   AAResults &aliases;
   const DataLayout &layout;
-  /// Instructions that access memory, and the place of each among them.
+  /// The instructions of the block that access memory, and the index of each.
   SmallVector<Instruction *> memory;
   DenseMap<Instruction *, size_t> places;
-  /// The columns that gathers, scatters, and rows in their place access.
+  /// The columns that gathers, scatters, and the row accesses that replaced
+  /// them access.
   DenseMap<Instruction *, Columns> known;
-  /// Bytes from a row to the next, where they are known.
+  /// The distance in bytes from a row to the next, where it is constant.
   std::map<Rows, std::optional<int64_t>> steps;
   /// The address of the first row.
   std::map<Rows, Value *> firstRows;
 };
 } // namespace
 
-/// The elements of 16 bytes, within which a CPU shuffles fast.
+/// The number of elements in 16 bytes, within which a CPU shuffles fast.
 static unsigned getChunk(FixedVectorType *type) {
   unsigned bits = type->getScalarSizeInBits();
   unsigned chunk = bits == 32 || bits == 64 ? 128 / bits : 0;
@@ -202,7 +206,7 @@ std::optional<Transposer::Matrix> Transposer::findColumn(CallBase &call,
   auto *mask = dyn_cast<Constant>(call.getArgOperand(stores ? 2 : 1));
   if (!type || !mask || !mask->isAllOnesValue() || !getChunk(type))
     return std::nullopt;
-  // A term that is the same for all lanes is the offset.
+  // Terms of the address that are equal in all lanes are part of the offset.
   auto sizeOf = [&](GetElementPtrInst *address) {
     return static_cast<int64_t>(
         layout.getTypeAllocSize(address->getSourceElementType()));
@@ -220,7 +224,7 @@ std::optional<Transposer::Matrix> Transposer::findColumn(CallBase &call,
       rows.pointer = address->getPointerOperand();
       continue;
     }
-    // Lanes of pointers with lanes of indices are no rows.
+    // Vectors of pointers with vectors of indices are not supported as rows.
     bool hasPointers = address->getPointerOperand()->getType()->isVectorTy();
     if ((hasPointers && !splat) ||
         !index->getType()->getScalarType()->isIntegerTy(64))
@@ -251,15 +255,15 @@ void Transposer::number() {
     }
 }
 
-/// Whether two accesses, one of them of columns, may touch the same memory and
-/// one of them writes.
+/// Whether two accesses, the first of which is to `columns`, may conflict: they
+/// touch the same memory, and at least one is a write.
 bool Transposer::mayAlias(const Columns &columns, Instruction *first,
                           Instruction *second) const {
   if (!first->mayWriteToMemory() && !second->mayWriteToMemory())
     return false;
   auto other = known.find(second);
   if (other != known.end() && other->second.rows == columns.rows) {
-    // Apart in every row, and no row reaches the next.
+    // Disjoint in every row, and no row overlaps the next.
     const Columns &there = other->second;
     std::optional<int64_t> step = steps.find(columns.rows)->second;
     int64_t begin = std::min(columns.offset, there.offset);
@@ -274,7 +278,7 @@ bool Transposer::mayAlias(const Columns &columns, Instruction *first,
   return !call || isModOrRefSet(aliases.getModRefInfo(second, call));
 }
 
-/// Whether all accesses of a run can be at the place of one of them.
+/// Whether all accesses of a run can be moved to the place `to` of one of them.
 bool Transposer::canMove(ArrayRef<Column> run, Instruction *to) const {
   for (const Column &column : run) {
     size_t from = places.lookup(column.call), end = places.lookup(to);
@@ -292,7 +296,7 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
   auto emitLane = [&](Value *value, unsigned lane) -> Value * {
     if (!value->getType()->isVectorTy())
       return value;
-    // The element that the vector was built from is already there.
+    // The element that the vector was built from is available as a scalar.
     Value *scalar = findScalarElement(value, lane);
     return scalar ? scalar
                   : builder.CreateExtractElement(value, uint64_t(lane));
@@ -317,7 +321,8 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
         if (auto *made = dyn_cast_or_null<Instruction>(value);
             made && made->getParent() == &block)
           here.push_back(made);
-      // As early as it can be: other runs of the matrix use it too.
+      // Compute the address as early as possible: other runs of the matrix use
+      // it too.
       if (here.size() > 1)
         return builder.CreatePtrAdd(emitStart(lane),
                                     builder.getInt64(offset - *step * lane));
@@ -334,8 +339,8 @@ Value *Transposer::findRow(const Matrix &matrix, unsigned lane, int64_t offset,
   return builder.CreatePtrAdd(row, builder.getInt64(offset));
 }
 
-/// Transposes the squares of `chunk` by `chunk` elements that lie in each 16
-/// bytes of as many vectors.
+/// Transposes `chunk` vectors: in each group of 16 bytes, the `chunk` by
+/// `chunk` elements of the vectors are a square that is transposed.
 static SmallVector<Value *> transpose(IRBuilder<> &builder,
                                       ArrayRef<Value *> vectors) {
   auto *type = cast<FixedVectorType>(vectors.front()->getType());
@@ -367,7 +372,7 @@ void Transposer::emitLoads(const Matrix &matrix, ArrayRef<Column> run,
   unsigned chunk = getChunk(type), lanes = type->getNumElements();
   auto *rowType = FixedVectorType::get(type->getElementType(), chunk);
   Align alignment = run.front().call->getParamAlign(0).valueOrOne();
-  // Vector k holds the rows k, k + chunk, and so on, one in each 16 bytes.
+  // Vector k holds a piece of the rows k, k + chunk, ..., each in 16 bytes.
   SmallVector<Value *> vectors;
   for (unsigned k = 0; k < chunk; ++k) {
     SmallVector<Value *> rows;
@@ -411,8 +416,8 @@ void Transposer::emitStores(const Matrix &matrix, ArrayRef<Column> run,
 
 bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
                          bool stores) {
-  // Loads where the first gather is, stores where the last scatter is: then
-  // everything that they need is there.
+  // Load at the first gather, where all addresses are available, and store at
+  // the last scatter, where all values are.
   auto isBefore = [&](const Column &a, const Column &b) {
     return places.lookup(a.call) < places.lookup(b.call);
   };
@@ -420,7 +425,7 @@ bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
                         : llvm::min_element(run, isBefore)->call;
   if (!canMove(run, to))
     return false;
-  // Together, the rows are all of the accessed memory.
+  // The rows cover the memory of all the columns: merge their metadata.
   AAMDNodes nodes = run.front().call->getAAMetadata();
   for (const Column &column : run)
     nodes = nodes.merge(column.call->getAAMetadata());
@@ -438,7 +443,8 @@ bool Transposer::replace(const Matrix &matrix, ArrayRef<Column> run,
 
 bool Transposer::replaceAll(Intrinsic::ID id) {
   bool stores = id == Intrinsic::masked_scatter;
-  // In the order of the block, so that code does not depend on addresses.
+  // Keep the order of the block, so that the code does not depend on pointer
+  // values.
   SmallVector<std::pair<Matrix, SmallVector<Column>>> matrices;
   auto find = [&](const Matrix &matrix) -> SmallVector<Column> & {
     for (auto &[known, columns] : matrices)
@@ -465,7 +471,7 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
   if (matrices.empty())
     return false;
   number();
-  // The time of the steps below grows with the square of that.
+  // The time of the steps below grows with the square of this number.
   constexpr size_t most = 8000;
   if (memory.size() > most)
     return false;
@@ -473,7 +479,7 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
   for (auto &[matrix, columns] : matrices) {
     unsigned chunk = getChunk(matrix.second);
     int64_t bytes = getElementBytes(matrix.second);
-    // Lanes that share memory are stored in their order.
+    // Scatters to overlapping rows must keep the order of the lanes.
     std::optional<int64_t> step = steps.find(matrix.first)->second;
     if (stores && (!step || std::abs(*step) < 16))
       continue;
@@ -481,8 +487,9 @@ bool Transposer::replaceAll(Intrinsic::ID id) {
       return std::pair(a.offset, places.lookup(a.call)) <
              std::pair(b.offset, places.lookup(b.call));
     });
-    // A column may come several times, with writes in between: the first times
-    // of neighbouring columns go together, and so on.
+    // A column may be accessed several times, with writes in between: combine
+    // the first accesses of neighbouring columns, then the second accesses, and
+    // so on.
     SmallVector<SmallVector<Column>> layers;
     size_t times = 0;
     for (size_t i = 0; i < columns.size(); ++i) {

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The bandwidth of a GPU is proportional to the number of bytes in flight. With
-// one number for each thread, less than half of it is used.
+// The bandwidth of a GPU is proportional to the number of bytes in flight. If
+// each thread loads one number at a time, less than half of the bandwidth is
+// used.
 //
 // LLVM's own unrolling computes the trip count by a division by the stride; for
 // a loop that runs once in each thread, as in many small kernels, that costs
@@ -51,7 +52,7 @@ struct GridLoop {
 };
 } // namespace
 
-/// True for a value made from the number of blocks of the grid.
+/// True for a value computed from the number of blocks of the grid.
 static bool isGridStride(const Value *value, unsigned depth = 0) {
   if (auto *call = dyn_cast<IntrinsicInst>(value))
     return call->getIntrinsicID() == Intrinsic::nvvm_read_ptx_sreg_nctaid_x;
@@ -65,8 +66,8 @@ static bool isGridStride(const Value *value, unsigned depth = 0) {
   });
 }
 
-/// The number of iterations at a time: many loads, but no more registers than
-/// allow all threads of a multiprocessor to be resident.
+/// The unroll factor: as many loads as possible, with so few registers that all
+/// threads of a multiprocessor can still be resident.
 static unsigned chooseFactor(const BasicBlock &block) {
   unsigned size = 0, loads = 0;
   for (const Instruction &instruction : block) {
@@ -92,8 +93,7 @@ static unsigned chooseFactor(const BasicBlock &block) {
   return size <= large && loads <= 16 ? 2 : 1;
 }
 
-/// Whether values used behind the loop go through phis at its
-/// exit.
+/// Whether values used after the loop go through phis at its exit.
 static bool isClosed(const BasicBlock &block, const BasicBlock &exit) {
   return all_of(block, [&](const Instruction &instruction) {
     return all_of(instruction.users(), [&](const User *user) {
@@ -139,7 +139,7 @@ static std::optional<GridLoop> match(Loop &loop) {
 }
 
 /// The instructions that must stay in the order of the iterations: writes,
-/// reads after a write of their own iteration, and their users.
+/// reads after a write in their own iteration, and their users.
 static SmallPtrSet<const Instruction *, 16> findLate(const BasicBlock &block) {
   SmallPtrSet<const Instruction *, 16> late;
   bool written = false;
@@ -157,7 +157,7 @@ static SmallPtrSet<const Instruction *, 16> findLate(const BasicBlock &block) {
       late.insert(&instruction);
     written |= instruction.mayWriteToMemory();
   }
-  // A value that the next iteration begins with must be there early.
+  // A value that the next iteration starts from must be available early.
   for (const PHINode &phi : block.phis())
     if (auto *carried =
             dyn_cast<Instruction>(phi.getIncomingValueForBlock(&block)))
@@ -166,8 +166,9 @@ static SmallPtrSet<const Instruction *, 16> findLate(const BasicBlock &block) {
   return late;
 }
 
-/// Emits several iterations, the first of which begins with `begin`. Fills in,
-/// for each, the values of the loop's instructions.
+/// Emits `loop.factor` iterations; the phis of the first have the values
+/// `begin`. For each iteration, `maps` gets the values of the loop's
+/// instructions.
 static void emitIterations(const GridLoop &loop, IRBuilder<> &builder,
                            std::vector<ValueToValueMapTy> &maps,
                            ArrayRef<PHINode *> begin) {
@@ -209,12 +210,13 @@ static void unroll(const GridLoop &loop) {
   auto *many = BasicBlock::Create(context, "many", function, loop.block);
   auto *rest = BasicBlock::Create(context, "rest", function, loop.block);
 
-  // Whether the last of several iterations is one.
+  // Whether the last iteration of a group of `factor` iterations exists.
   IRBuilder<> builder(loop.preheader->getTerminator());
   Value *reach = builder.CreateMul(
       loop.stride, ConstantInt::get(loop.stride->getType(), loop.factor - 1));
-  // There is at least one iteration, so that neither index nor limit is
-  // negative; their sum may be, where the limit is close to the largest.
+  // There is at least one iteration, so neither index nor limit is negative.
+  // Their sum may overflow to a negative number where the limit is close to the
+  // largest index: compare without a sign.
   auto comparesLast = [&](Value *index) {
     return builder.CreateICmpULT(builder.CreateAdd(index, reach), limit);
   };
@@ -249,7 +251,7 @@ static void unroll(const GridLoop &loop) {
   for (PHINode &phi : loop.exit->phis())
     phi.addIncoming(lastValue(phi.getIncomingValueForBlock(loop.block)), rest);
 
-  // Enough is enough.
+  // LLVM must not unroll these loops further.
   MDNode *disable =
       MDNode::get(context, MDString::get(context, "llvm.loop.unroll.disable"));
   for (BasicBlock *block : {many, loop.block}) {

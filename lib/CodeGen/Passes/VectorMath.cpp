@@ -19,8 +19,8 @@ using namespace llvm;
 using namespace mlir::tai;
 
 VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
-  // Remainders are exact by fused operations alone; without them the scalar
-  // functions of libm are no slower.
+  // The vector functions need fused operations for exact remainders; without
+  // these, the scalar functions of libm are no slower.
   const MCSubtargetInfo &target = *machine.getMCSubtargetInfo();
   if (!machine.getTargetTriple().isX86_64() ||
       !target.checkFeatures("+avx2,+fma"))
@@ -38,7 +38,7 @@ VectorMath::VectorMath(const TargetMachine &machine, bool hasSleef) {
     forms[(name + "f").str()] = ofF32;
   };
   auto addSleef = [&](StringRef name, StringRef type, unsigned least) {
-    // SLEEF's functions that have the same bits for any number of lanes.
+    // These functions of SLEEF yield the same bits for any number of lanes.
     Forms sleef;
     bool isDouble = type == "f64";
     std::string stem = ("Sleef_finz_" + name + (isDouble ? "d" : "f")).str();
@@ -72,7 +72,7 @@ const VectorMath::Forms *VectorMath::find(const CallInst &call) const {
   return found == forms.end() ? nullptr : &found->second;
 }
 
-/// The function, which reads and writes nothing.
+/// Declares the function, which accesses no memory.
 static Function *declare(Module &module, StringRef name,
                          llvm::FunctionType *type) {
   auto *function = cast<Function>(
@@ -86,8 +86,9 @@ static Function *declare(Module &module, StringRef name,
   return function;
 }
 
-/// True if the target library has vectors of the function that take less time
-/// than ours. Its powers of f32 take half as much time again.
+/// True if the target library has vector forms of the function that take less
+/// time than those of VectorMath. Its forms of pow for f32 take half as much
+/// time again.
 static bool hasShorterForms(StringRef name, const TargetLibraryInfo &library) {
   return library.isFunctionVectorizable(name) && name != "llvm.pow.f32" &&
          name != "powf";

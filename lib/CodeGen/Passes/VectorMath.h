@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Calls of elementary functions keep a loop scalar, unless the vectoriser knows
-// forms for vectors. Here it learns those of VectorMath.def: of the runtime,
-// for f32, and of SLEEF. Calls that may not be contracted (those of strict
-// kernels) stay calls of libm.
+// The vectoriser keeps loops with calls of elementary functions scalar, unless
+// it knows vector forms of these. Here it learns the forms of VectorMath.def:
+// those of the runtime, for f32, and those of SLEEF. Calls that may not be
+// contracted (those of strict kernels) stay calls of libm.
 //
 //===----------------------------------------------------------------------===//
 
@@ -29,14 +29,15 @@ class TargetMachine;
 
 namespace mlir::tai {
 
-/// The libraries by the names under which they are loaded.
+/// The names under which the libraries are loaded.
 inline constexpr llvm::StringLiteral kGlibcVectors = "libmvec.so.1";
 inline constexpr llvm::StringLiteral kSleef = "libsleef.so.3";
 
-/// The functions of vectors that code for one processor may call.
+/// The vector functions that code for one processor may call.
 class VectorMath {
 public:
-  /// The names of one function's forms; an empty one is missing.
+  /// The names of one function's forms; an empty name means that there is no
+  /// such form.
   struct Forms {
     std::string scalar;
     /// The vector forms, each with its number of lanes.
@@ -45,17 +46,17 @@ public:
 
   VectorMath(const llvm::TargetMachine &machine, bool hasSleef);
 
-  /// The forms of the called function, if they may replace it.
+  /// The forms of the called function; null if the call must stay as it is.
   const Forms *find(const llvm::CallInst &call) const;
 
 private:
-  /// By the names of LLVM's intrinsic and of libm's function.
+  /// The forms by the names of LLVM's intrinsic and of libm's function.
   llvm::StringMap<Forms> forms;
 };
 
-/// Runs before the loop vectoriser: annotates calls with their vector forms,
-/// as the vector function ABI does. With `besideOthers`, functions for which
-/// the target library has shorter forms keep those.
+/// Runs before the loop vectoriser: annotates calls with their vector forms, as
+/// the vector function ABI specifies. With `besideOthers`, functions for which
+/// the target library has shorter forms keep the latter.
 struct NameVectorMath : llvm::PassInfoMixin<NameVectorMath> {
   NameVectorMath(const VectorMath &math, bool besideOthers)
       : math(&math), besideOthers(besideOthers) {}
@@ -66,10 +67,11 @@ struct NameVectorMath : llvm::PassInfoMixin<NameVectorMath> {
 };
 
 /// Runs after the vectorisers: in a function that calls vector forms, the
-/// remaining calls take the scalar forms, which have the same bits, so that a
-/// result does not depend on its place in a loop. Elsewhere libm, which is
-/// faster for one number, stays; with `everywhere`, a result does not depend on
-/// the function that it stands in either.
+/// remaining scalar calls take the scalar forms, which yield the same bits, so
+/// that a result does not depend on its place in a loop. In other functions,
+/// calls of libm, which is faster for one number, stay; with `everywhere`,
+/// these take the scalar forms too, so that a result does not depend on the
+/// function that computes it either.
 struct MatchScalarMath : llvm::PassInfoMixin<MatchScalarMath> {
   MatchScalarMath(const VectorMath &math, bool everywhere)
       : math(&math), everywhere(everywhere) {}

@@ -7,7 +7,7 @@
 //
 // A scatter of vectors adds to each component separately, with one memory
 // operation for each. From Hopper on, one operation can add to two or four
-// neighbours, each addition still being atomic.
+// adjacent elements, each addition still being atomic.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,10 +30,10 @@
 using namespace llvm;
 
 namespace {
-/// An addition of which no one looks at the result.
+/// An addition whose result is unused.
 struct Addition {
   AtomicRMWInst *op;
-  /// From the base, in bytes.
+  /// The distance in bytes from the base address.
   int64_t offset;
 };
 
@@ -68,7 +68,7 @@ private:
   void combine();
   void combineAt(MutableArrayRef<Addition> additions);
   void emit(ArrayRef<Addition> additions);
-  /// Whether those that wait may come after this instruction instead.
+  /// Whether the waiting additions may be moved past this instruction.
   bool mayPass(Instruction &instruction);
 
   AAResults *aliases = nullptr;
@@ -76,7 +76,8 @@ private:
   DominatorTree *dominators = nullptr;
   const DataLayout *layout = nullptr;
   bool changed = false;
-  /// Additions that wait, by base. All are moved to the last one of a base.
+  /// Additions that may be combined, by base address. Combined additions move
+  /// to the last of them.
   MapVector<Value *, SmallVector<Addition>> waiting;
   SmallVector<AtomicRMWInst *> order;
 };
@@ -86,8 +87,8 @@ char VectorizeAtomics::ID = 0;
 
 Pass *mlir::tai::createVectorizeAtomicsPass() { return new VectorizeAtomics(); }
 
-/// The known alignment of an address: like LLVM's own, which does not look
-/// through the cast from the generic to the global address space.
+/// The known alignment of an address. LLVM's own analysis does not look through
+/// the cast from the generic to the global address space.
 static Align getAlignment(Value *pointer, Instruction *at,
                           const DataLayout &layout,
                           AssumptionCache *assumptions = nullptr,
@@ -142,11 +143,11 @@ static bool isCandidate(const AtomicRMWInst &op) {
 bool VectorizeAtomics::mayPass(Instruction &instruction) {
   if (!instruction.mayReadOrWriteMemory())
     return !instruction.mayThrow();
-  // Additions to the same place come in any order.
+  // Additions to one element may happen in any order.
   if (auto *atomic = dyn_cast<AtomicRMWInst>(&instruction))
     if (isCandidate(*atomic))
       return true;
-  // Memory that is never written while the kernel runs.
+  // This memory is never written while the kernel runs.
   if (isa<LoadInst>(instruction) &&
       instruction.hasMetadata(LLVMContext::MD_invariant_load))
     return true;
@@ -164,7 +165,7 @@ bool VectorizeAtomics::mayPass(Instruction &instruction) {
 
 void VectorizeAtomics::runOnBlock(BasicBlock &block) {
   for (Instruction &instruction : make_early_inc_range(block)) {
-    // Each that waits is compared with each access that comes.
+    // Limits the comparisons of each waiting addition with each later access.
     constexpr size_t most = 64;
     if (order.size() == most || (!order.empty() && !mayPass(instruction)))
       combine();
@@ -187,7 +188,7 @@ void VectorizeAtomics::combine() {
   order.clear();
 }
 
-/// Finds runs of neighbours, at places where a vector may lie.
+/// Finds runs of adjacent elements where the alignment allows a vector.
 void VectorizeAtomics::combineAt(MutableArrayRef<Addition> additions) {
   constexpr int64_t size = sizeof(float);
   llvm::sort(additions, [](const Addition &a, const Addition &b) {
@@ -216,13 +217,13 @@ void VectorizeAtomics::combineAt(MutableArrayRef<Addition> additions) {
 }
 
 void VectorizeAtomics::emit(ArrayRef<Addition> additions) {
-  // Where the last of them stands, all values are there.
+  // At the last addition, all values have been computed.
   Instruction *last = additions.front().op;
   for (const Addition &addition : additions)
     if (last->comesBefore(addition.op))
       last = addition.op;
   IRBuilder<> builder(last);
-  // The address of the first may be computed after other additions.
+  // The first addition in memory may be a later instruction than others.
   Value *pointer = additions.front().op->getPointerOperand();
   SmallVector<Value *> arguments = {pointer};
   SmallVector<Type *> types = {pointer->getType()};
@@ -241,7 +242,8 @@ void VectorizeAtomics::emit(ArrayRef<Addition> additions) {
       builder.CreateCall(InlineAsm::get(type, text, constraints + ",~{memory}",
                                         /*hasSideEffects=*/true),
                          arguments);
-  // An instruction that may pass the additions may pass this call.
+  // Let the call have the properties of the additions: accesses to other memory
+  // can be moved past it.
   call->setMemoryEffects(MemoryEffects::argMemOnly());
   call->setDoesNotThrow();
   call->addFnAttr(Attribute::WillReturn);

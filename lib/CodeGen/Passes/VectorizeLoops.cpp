@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// InstCombine runs right behind the vectoriser, before any place where a pass
-// could be added, so the guard is a part of vectorising.
+// InstCombine runs directly after the vectoriser, before any point where a pass
+// could be added, so this pass runs the vectoriser itself, and guards it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -38,7 +38,7 @@ static bool isMaskedLoad(const IntrinsicInst &intrinsic) {
          intrinsic.getIntrinsicID() == Intrinsic::masked_gather;
 }
 
-/// Freezes masked loads that are selected behind a write.
+/// Freezes masked loads whose results are selected after a write.
 static void pinMaskedLoads(Function &function) {
   SmallVector<IntrinsicInst *> pinned;
   for (Instruction &instruction : instructions(function)) {
@@ -56,11 +56,11 @@ static void pinMaskedLoads(Function &function) {
   }
 }
 
-/// True if an element may be written and then be accessed once more in the
-/// same iteration, one of the two under a condition. The vectoriser joins
-/// neighbouring accesses of one kind, which moves stores behind later ones and
-/// loads in front of earlier ones. Where fields are known to be distinct, it
-/// does not look for accesses to the same element in between.
+/// True if an iteration may write an element and then access it once more, one
+/// of the two under a condition. The vectoriser joins loads, or stores, of
+/// neighbouring elements, which moves stores past later accesses and loads past
+/// earlier ones. Where fields are known to be distinct, it does not look for
+/// accesses to the same element in between.
 static bool mayReorder(const Loop &loop, const LoopInfo &loops,
                        const DominatorTree &dominators, ScalarEvolution &scev) {
   const BasicBlock *latch = loop.getLoopLatch();
@@ -89,8 +89,8 @@ static bool mayReorder(const Loop &loop, const LoopInfo &loops,
   return false;
 }
 
-/// Marks loops that the vectoriser would give another order of accesses to one
-/// element.
+/// Disables vectorisation of loops where the vectoriser would change the order
+/// of accesses to an element.
 static void keepReorderedLoopsScalar(Function &function,
                                      FunctionAnalysisManager &analyses) {
   auto &loops = analyses.getResult<LoopAnalysis>(function);

@@ -13,10 +13,10 @@
 
 namespace mlir::tai {
 
-/// The loop vectoriser of LLVM, without two of its errors: loops whose accesses
-/// to one element it would give another order stay scalar, and masked loads
-/// stay where they are. Upstream folds a selection among a masked load into a
-/// load in the place of the selection, past stores to the same memory.
+/// LLVM's loop vectoriser, without two of its errors: loops in which it would
+/// change the order of accesses to an element stay scalar, and masked loads
+/// stay where they are. Upstream folds a select of a masked load's result into
+/// a load at the place of the select, past stores to the same memory.
 struct VectorizeLoops : llvm::PassInfoMixin<VectorizeLoops> {
   explicit VectorizeLoops(llvm::LoopVectorizeOptions options)
       : options(options) {}

@@ -6,16 +6,18 @@
 //===----------------------------------------------------------------------===//
 //
 // The error of a sequential sum of n numbers is about n roundings. A loop that
-// LLVM has vectorised keeps several vectors of sums. Here the terms of one
-// iteration are added up pairwise, in f32, and their sum is added to one vector
-// of f64: of four terms, four additions become three, two conversions and two
-// additions, which is hidden by loads unless the numbers are in the L1 cache. A
-// loop that is not vectorised adds in f64 alone, with the same latency.
+// LLVM has vectorised keeps several vectors of partial sums. This pass adds up
+// the terms of one iteration pairwise, in f32, and adds their sum to one vector
+// of f64: for four terms, four additions become three additions in f32, two
+// conversions and two additions in f64, whose cost is hidden by loads unless
+// the numbers are in the L1 cache. A loop that is not vectorised adds in f64
+// only, with the same latency.
 //
 // The lowering of loops marks the functions with such sums. The flags of an
-// addition alone do not tell them from sums of the program.
+// addition alone do not distinguish these sums from sums that the program
+// writes.
 //
-// If sums were f64 from the start, LLVM would choose its vector width by f64
+// If the lowering emitted f64 sums, LLVM would choose its vector width by f64
 // for the whole loop.
 //
 //===----------------------------------------------------------------------===//
@@ -33,12 +35,12 @@ using namespace mlir::tai;
 /// The number of terms that are added up in f32 before their sum is converted
 /// to f64.
 static constexpr size_t kTermsInF32 = 4;
-/// The most sums at once that have registers in f64: the adjoint of a layer of
-/// a network has one for each of its inputs.
+/// The maximum number of simultaneous sums for which there are registers in
+/// f64: the adjoint of a layer of a network has a sum for each of its inputs.
 static constexpr size_t kMostSums = 8;
 
 namespace {
-/// A number to add, or to subtract.
+/// A number that is added, or subtracted if `isNegative`.
 struct Term {
   Value *value;
   bool isNegative;
@@ -67,16 +69,16 @@ private:
   bool skipRounding(Function &function);
 
   LoopInfo &loops;
-  /// Values that were made of sums of f64 here.
+  /// Values that this pass rounded from sums of f64.
   SmallPtrSet<Value *, 8> rounded;
-  /// Values without users: deleted in the end, so that no other value takes
-  /// their address before.
+  /// Values without users; deleted at the end, so that no new value gets their
+  /// address before.
   SmallVector<WeakTrackingVH> dead;
   SmallVector<WeakVH> deadPhis;
 };
 } // namespace
 
-/// An addition of f32 whose order is free.
+/// Returns the f32 addition (or subtraction) if its order is free, else null.
 static BinaryOperator *getFreeSum(Value *value) {
   auto *sum = dyn_cast<BinaryOperator>(value);
   if (!sum || !sum->getType()->getScalarType()->isFloatTy() ||
@@ -87,7 +89,8 @@ static BinaryOperator *getFreeSum(Value *value) {
   return sum;
 }
 
-/// The additions from a loop-carried value to its value for the next iteration.
+/// The chain of additions from a loop-carried value to its value for the next
+/// iteration.
 static std::optional<Chain> findChain(Loop &loop, PHINode &phi,
                                       const LoopInfo &loops) {
   BasicBlock *latch = loop.getLoopLatch();
@@ -113,7 +116,8 @@ static std::optional<Chain> findChain(Loop &loop, PHINode &phi,
   return chain;
 }
 
-/// The vectors of sums that a tree of additions behind a loop is of.
+/// Finds the vectors of partial sums that a tree of additions after a loop adds
+/// up.
 bool SumWidener::findLeaves(Value *value, const Loop *outside, Loop *&loop,
                             SmallVectorImpl<Value *> &leaves) {
   auto *instruction = dyn_cast<Instruction>(value);
@@ -142,7 +146,7 @@ static Type *getWide(Type *type) {
   return type->getWithNewType(Type::getDoubleTy(type->getContext()));
 }
 
-/// The terms of an iteration added up, in f64.
+/// Adds up the terms of an iteration; the result is in f64.
 static Value *emitSum(IRBuilder<> &builder, ArrayRef<Term> terms, size_t most) {
   Value *total = nullptr;
   for (; !terms.empty();
@@ -166,8 +170,8 @@ static Value *emitSum(IRBuilder<> &builder, ArrayRef<Term> terms, size_t most) {
   return total;
 }
 
-/// Adds the terms of the chains in one sum of f64, beside them. Returns its
-/// value behind an iteration.
+/// Adds the terms of the chains to one additional sum of f64. Returns its value
+/// after an iteration.
 static Value *emitWideChain(Loop &loop, ArrayRef<Chain> chains, size_t most) {
   BasicBlock *latch = loop.getLoopLatch(), *before = loop.getLoopPreheader();
   Type *inF64 = getWide(chains.front().phi->getType());
@@ -192,9 +196,10 @@ static Value *emitWideChain(Loop &loop, ArrayRef<Chain> chains, size_t most) {
   return next;
 }
 
-/// Adds up again, in f64, the terms of a tree of additions that only `user`
-/// uses: the remainder of a loop that LLVM has unrolled. Each part is added
-/// where the last of its terms was. Returns nothing if there is no such tree.
+/// Adds up again, in f64, the terms of a tree of additions whose only user is
+/// `user`: the remainder of a loop that LLVM has unrolled. Each part of the
+/// tree is added where the last of its terms was. Returns null if there is no
+/// such tree.
 Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   SmallVector<BinaryOperator *> sums;
   SmallVector<Value *> open = {root};
@@ -212,14 +217,14 @@ Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   llvm::sort(sums, [](BinaryOperator *a, BinaryOperator *b) {
     return a->comesBefore(b);
   });
-  // Signs from the root down.
+  // Propagate signs from the root to the terms.
   SmallDenseMap<Value *, bool> isNegative;
   for (BinaryOperator *sum : llvm::reverse(sums)) {
     bool sign = isNegative.lookup(sum);
     isNegative[sum->getOperand(0)] = sign;
     isNegative[sum->getOperand(1)] =
         sign != (sum->getOpcode() == Instruction::FSub);
-    // One number twice has no one sign.
+    // A number that occurs twice in an addition may have two signs.
     if (sum->getOperand(0) == sum->getOperand(1))
       return nullptr;
   }
@@ -257,14 +262,14 @@ Value *SumWidener::widenTree(Value *root, Instruction *user, size_t most) {
   return total;
 }
 
-/// True for a loop whose iterations end in one block, which is its only exit.
+/// True for a loop with one latch, which is also its only exiting block.
 static bool isSimple(Loop &loop) {
   return loop.getLoopLatch() && loop.getLoopPreheader() &&
          loop.getExitingBlock() == loop.getLoopLatch();
 }
 
-/// The loop whose lanes of sums `reduction` adds up, and its loop-carried
-/// values for them; or null.
+/// The loop whose vectors of partial sums `reduction` adds up, and in `chains`
+/// their loop-carried values; null if there is none.
 Loop *SumWidener::findLanes(IntrinsicInst &reduction,
                             SmallVectorImpl<Chain> &chains) {
   const Loop *outside = loops.getLoopFor(reduction.getParent());
@@ -278,7 +283,7 @@ Loop *SumWidener::findLanes(IntrinsicInst &reduction,
     if (!is_contained(leaves, last))
       continue;
     std::optional<Chain> chain = findChain(*loop, phi, loops);
-    // The next iteration and the tree use it.
+    // The only uses are by the next iteration and by the tree.
     if (!chain || !chain->last->hasNUses(2))
       return nullptr;
     chains.push_back(std::move(*chain));
@@ -286,7 +291,7 @@ Loop *SumWidener::findLanes(IntrinsicInst &reduction,
   return chains.size() == leaves.size() ? loop : nullptr;
 }
 
-/// Lanes of sums that `reduction` adds up behind a loop.
+/// Widens the partial sums of a loop that `reduction` adds up after it.
 bool SumWidener::widenLanes(IntrinsicInst &reduction) {
   if (!reduction.getType()->isFloatTy() || !reduction.hasAllowReassoc())
     return false;
@@ -312,7 +317,7 @@ bool SumWidener::widenLanes(IntrinsicInst &reduction) {
   return true;
 }
 
-/// A sum of a loop that is not vectorised.
+/// Widens a sum of a loop that is not vectorised.
 bool SumWidener::widenScalar(Loop &loop, PHINode &phi) {
   if (!phi.getType()->isFloatTy() || !isSimple(loop))
     return false;
@@ -320,7 +325,7 @@ bool SumWidener::widenScalar(Loop &loop, PHINode &phi) {
   if (!exit || !exit->getSinglePredecessor())
     return false;
   std::optional<Chain> chain = findChain(loop, phi, loops);
-  // If the program chose speed, sums of its own loops have such flags, too.
+  // With fast-math, sums that the program writes have free order, too.
   if (!chain || chain->last->hasApproxFunc())
     return false;
   SmallVector<Use *> outside;
@@ -351,8 +356,8 @@ bool SumWidener::widenScalar(Loop &loop, PHINode &phi) {
   return true;
 }
 
-/// Whether a value is one of our sums, or a constant, whichever way the program
-/// took. Collects the phis.
+/// Whether a value is, on every path, a constant or a sum rounded by this pass.
+/// Collects the phis in between.
 bool SumWidener::isRounded(Value *value, SmallPtrSetImpl<PHINode *> &phis) {
   if (isa<ConstantFP>(value) || rounded.contains(value))
     return true;
@@ -364,8 +369,9 @@ bool SumWidener::isRounded(Value *value, SmallPtrSetImpl<PHINode *> &phis) {
                       [&](Use &use) { return isRounded(use.get(), phis); });
 }
 
-/// Widens the phis that merge such sums, so that a value widened from there on
-/// was never rounded; so with the remainders of loops over single numbers.
+/// Widens phis that merge rounded sums, so that a value extended to f64 after
+/// them was never rounded; likewise the remainders of loops over single
+/// numbers.
 bool SumWidener::skipRounding(Function &function) {
   bool changed = false;
   SmallVector<FPExtInst *> extensions;
