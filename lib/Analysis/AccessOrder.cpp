@@ -110,7 +110,7 @@ static bool haveSameRange(Operation *lhs, Operation *rhs) {
 
 bool mlir::tai::reachSameElement(DifferentiableAccessInterface lhs,
                                  DifferentiableAccessInterface rhs) {
-  // An access to a whole element meets one to each of its components.
+  // An access to a whole element also reaches each of its components.
   ValueRange lhsParts = lhs.getAccessComponents();
   ValueRange rhsParts = rhs.getAccessComponents();
   if (!lhsParts.empty() && !rhsParts.empty() &&
@@ -119,7 +119,8 @@ bool mlir::tai::reachSameElement(DifferentiableAccessInterface lhs,
   if (lhs.getAccessIndices().size() != rhs.getAccessIndices().size())
     return false;
 
-  // Loops around only one of them correspond if they run over the same range.
+  // Loops around only one of the accesses correspond if they have the same
+  // range.
   Operation *lhsUp = lhs, *rhsUp = rhs;
   if (!findCommonBlock(lhsUp, rhsUp))
     return false;

@@ -92,7 +92,7 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
   if (!function || function.isExternal())
     return {};
   MLIRContext *context = access->getContext();
-  // In a fixed order: terms are sorted by address.
+  // In a fixed order: the terms of a form are sorted by pointers.
   SmallVector<std::pair<Value, AffineExpr>> exprs;
   SmallVector<Value> dims = getEnclosingInductionVars(access);
   for (auto [i, iv] : llvm::enumerate(dims))
@@ -111,7 +111,7 @@ AffineMap mlir::tai::getAffineMap(Operation *access, ValueRange indices) {
         expr = expr + unit * coefficient;
         ++used;
       }
-    // Two numbers whose sum leaves 32 bits are no indices of a field.
+    // If a sum of two numbers does not fit 32 bits, it is no index of a field.
     bool isSum = form.width >= 32 && llvm::all_of(form.terms, [](auto &term) {
                    return std::abs(term.second) == 1;
                  });
@@ -135,7 +135,8 @@ const void *mlir::tai::getFieldStorageKey(FieldOp field) {
 const void *mlir::tai::getStorageKey(Operation *op) {
   if (auto access = dyn_cast<FieldAccessOpInterface>(op)) {
     FlatSymbolRefAttr name = access.getFieldAttr();
-    // A place is named once in its tree, so tree and place name the storage.
+    // Only one field of a tree has a given place, so tree and place identify
+    // the storage.
     if (FieldOp field = lookupField(op, name))
       return getFieldStorageKey(field);
     return name.getAsOpaquePointer();
@@ -165,7 +166,7 @@ static SmallVector<Value> getConcurrentInductionVars(Operation *op) {
   return ivs;
 }
 
-// The positions in which all accesses agree must tell iterations apart.
+// The indices that are equal in all accesses must distinguish iterations.
 bool mlir::tai::isExclusive(ArrayRef<Operation *> accesses) {
   auto all = llvm::map_to_vector(accesses, getIndices);
   SmallVector<IndexExpr> common;
@@ -174,7 +175,7 @@ bool mlir::tai::isExclusive(ArrayRef<Operation *> accesses) {
           return indices[i] == index;
         }))
       common.push_back(index);
-  // Most accesses share a loop: one answer for all of them.
+  // Most accesses share a loop: determine the answer once for each loop.
   llvm::SmallDenseMap<Operation *, bool> byLoop;
   return llvm::all_of(accesses, [&](Operation *access) {
     auto [it, isNew] =

@@ -20,7 +20,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The edges along which ops with regions pass values on: from an operand of
+/// The edges along which ops with regions forward values: from an operand of
 /// the op or of a terminator to an argument of a region or a result.
 struct RegionEdges {
   DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
@@ -62,8 +62,8 @@ void mlir::tai::forEachForwarding(
     }
 }
 
-/// True if the op's regions, or those of the op it ends, define the flow of its
-/// operands.
+/// True if edges of regions define where the op's operands go: it has regions,
+/// or ends one.
 static bool passesThroughRegions(Operation *op) {
   return op->getNumRegions() != 0 || op->hasTrait<OpTrait::IsTerminator>();
 }
@@ -95,7 +95,7 @@ Activity::Activity(FunctionOpInterface function,
   llvm::for_each(inputs, markVaried);
   for (DifferentiableAccessInterface read : reads)
     markVaried(read.getAccessedValue());
-  // The result of a read-modify-write is a read too.
+  // The result of a read-modify-write is the value that it reads.
   for (DifferentiableAccessInterface write : writes)
     for (Value result : write->getResults())
       markVaried(result);
@@ -113,7 +113,8 @@ Activity::Activity(FunctionOpInterface function,
         if (carriesDerivative(use))
           llvm::for_each(user->getResults(), markVaried);
       } else if (isFloatOrVector(value.getType())) {
-        // If it is no condition or bound, its target is not known.
+        // A float is neither a condition nor a bound: without an edge, assume
+        // that it reaches every result.
         bool isEnd = user->hasTrait<OpTrait::IsTerminator>();
         Operation *op = isEnd ? user->getParentOp() : user;
         llvm::for_each(op->getResults(), markVaried);
@@ -133,7 +134,8 @@ Activity::Activity(FunctionOpInterface function,
   llvm::for_each(outputs, markUseful);
   for (DifferentiableAccessInterface write : writes) {
     markUseful(write.getAccessedValue());
-    // A product or a maximum depends on the old element too.
+    // The result of a multiplicative or extreme update depends on the old
+    // element too.
     if (assumeVaried || varied.contains(write.getAccessedValue()) ||
         write.getAccessKind() == AccessKind::Update)
       activeAccesses.insert(write);

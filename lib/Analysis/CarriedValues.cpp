@@ -10,8 +10,8 @@
 // unknown value are solved for that value, until none is left.
 //
 // Integers wrap, so that addition, exclusive or and multiplication by an odd
-// number are exact both ways. For floats, only the change of sign is exact: `(y
-// + c) - c` is not `y`.
+// number can be inverted exactly. Among float operations, only negation can:
+// `(y + c) - c` is not `y`.
 //
 //===----------------------------------------------------------------------===//
 
@@ -102,8 +102,8 @@ bool CarriedValues::isComputable(Value value, ArrayRef<bool> known,
          });
 }
 
-/// A step that a formula is known for when it is repeated: `x + k`, `x - k` and
-/// `x ^ k`, where `k` does not change.
+/// Recognises steps whose repetition has a closed form: `x + k`, `x - k` and `x
+/// ^ k`, where `k` is invariant.
 void CarriedValues::findClosedForm(unsigned index) {
   Operation *op = getNext(index).getDefiningOp();
   if (!op || !isa<arith::AddIOp, arith::SubIOp, arith::XOrIOp>(op) ||
@@ -120,8 +120,8 @@ void CarriedValues::findClosedForm(unsigned index) {
   }
 }
 
-/// The step by `op`, if its result and all other operands give the operand
-/// exactly.
+/// The step by `op`, if `operand` can be computed exactly from the result and
+/// the other operands.
 static std::optional<CarriedStep> getInvertibleStep(Operation *op,
                                                     unsigned operand) {
   if (isa<arith::AddIOp, arith::SubIOp, arith::XOrIOp, arith::NegFOp>(op)) {
@@ -137,7 +137,7 @@ static std::optional<CarriedStep> getInvertibleStep(Operation *op,
   return std::nullopt;
 }
 
-/// Solves the equation of carried value `source` for an unknown one.
+/// Solves the equation of carried value `source` for an unknown carried value.
 bool CarriedValues::invert(unsigned source, ArrayRef<bool> known) {
   constexpr unsigned kBudget = 64;
   for (const CarriedValue &solved : values)

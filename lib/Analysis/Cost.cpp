@@ -65,7 +65,8 @@ double tai::estimateNanoseconds(Operation *op) {
   for (Type type : op->getResultTypes())
     if (auto vector = dyn_cast<VectorType>(type))
       components = std::max<double>(components, vector.getNumElements());
-  // Branches: the dearest arm. Loops: all their regions, each trip.
+  // A branch costs as much as its most expensive arm, a loop as much as all its
+  // regions, in each trip.
   double inside = 0;
   bool isLoop = isa<LoopLikeOpInterface>(op);
   for (Region &region : op->getRegions())

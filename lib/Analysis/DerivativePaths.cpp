@@ -8,7 +8,7 @@
 // Two worklists over values of all types: forward from inputs with a
 // derivative, backward from outputs. Values in both sets are on a path. Local
 // variables and local arrays are treated as values: every value stored to one
-// reaches every value loaded from it.
+// of these reaches every value loaded from it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,7 +30,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 bool mlir::tai::isDiscrete(Operation *op) {
-  // By name: most of these dialects need not be there.
+  // By name: most of these dialects need not be loaded.
   static const llvm::StringSet<> names = {
       "arith.cmpi",
       "arith.cmpf",
@@ -70,7 +70,7 @@ bool mlir::tai::carriesDerivative(OpOperand &operand) {
   return !isDiscrete(operand.getOwner());
 }
 
-/// True if a value of this type may hold floats other than as their bits.
+/// True if a value of this type may contain floats in a form other than bits.
 static bool mayHoldFloats(Type type) {
   if (isa<FloatType>(type))
     return true;
@@ -95,9 +95,9 @@ static bool isMemory(Type type) {
   return isa<BaseMemRefType, LLVM::LLVMPointerType>(type);
 }
 
-/// True if memory at `value` is known to hold nothing that has a derivative
-/// unless it is stored there in this function, or is a constant by choice: an
-/// argument that no derivative is wanted of.
+/// True if it is known that memory at `value` contains no float with a
+/// derivative other than values stored in this function. Arguments for which no
+/// derivative is requested count as constants.
 static bool isUnderstood(Value value, FunctionOpInterface function) {
   while (Operation *op = value.getDefiningOp()) {
     if (isa<memref::AllocOp, memref::AllocaOp, memref::GetGlobalOp,
@@ -120,9 +120,9 @@ static bool isUnderstood(Value value, FunctionOpInterface function) {
          isa<MemRefType>(value.getType());
 }
 
-/// True for ops that only hand their operands on.
+/// True for ops that only forward their operands.
 static bool isMove(Operation *op) {
-  // By name, as above.
+  // By name: most of these dialects need not be loaded.
   static const llvm::StringSet<> names = {
       "arith.select",
       "builtin.unrealized_conversion_cast",
@@ -160,7 +160,7 @@ static bool isMove(Operation *op) {
   return names.contains(op->getName().getStringRef());
 }
 
-/// True if the op takes the bits of its operand for a value of another type.
+/// True if the op reinterprets the bits of its operand as another type.
 static bool isBitcast(Operation *op) {
   static const llvm::StringSet<> names = {
       "arith.bitcast",
@@ -205,11 +205,12 @@ private:
   const DerivativeEnds &ends;
   function_ref<InFlightDiagnostic(Operation *, const Twine &)> emitError;
 
-  /// Along branches, loops, local variables and local arrays.
+  /// The edges along branches, loops, local variables and local arrays.
   DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
   DenseMap<Value, SmallVector<Value, 2>> sources;
   SmallVector<Value> starts, wanted, bits;
-  /// Reads of memory that is not followed, and casts of the loaded values.
+  /// Reads of memory that is not followed, and casts of the loaded bits to
+  /// floats.
   llvm::SetVector<Operation *> opaque;
   SmallVector<DifferentiableAccessInterface> writes;
 
@@ -227,7 +228,7 @@ void Paths::addEdges(OperandRange operands, ValueRange inputs) {
     addEdge(use, input);
 }
 
-/// The operand by which an access gets a value.
+/// The operand of an access that is the given value.
 static OpOperand *findOperand(Operation *op, Value value) {
   for (OpOperand &operand : op->getOpOperands())
     if (operand.get() == value)
@@ -269,7 +270,7 @@ void Paths::collectAccess(DifferentiableAccessInterface access) {
     llvm::append_range(bits, access->getResults());
 }
 
-/// An access to a field by an op without a rule for it.
+/// Collects an access to a field by an op without a derivative rule.
 void Paths::collectForeignAccess(FieldAccessOpInterface access) {
   if (!access.isElementAccess() ||
       !ends.hasDerivative(Storage(access.getFieldAttr())))
@@ -279,7 +280,7 @@ void Paths::collectForeignAccess(FieldAccessOpInterface access) {
     wanted.push_back(access.getAccessedValue());
 }
 
-/// Collects reads of memory by an op without a rule.
+/// Collects reads of memory by an op without a derivative rule.
 void Paths::collectRead(Operation *op) {
   if (op->getNumRegions() != 0 || isa<DifferentiableOpInterface>(op) ||
       isa<CallOpInterface>(op) ||
@@ -323,7 +324,8 @@ void Paths::collect() {
                                });
     collectRead(op);
   });
-  // Bits that are only moved and then taken for a float are that float.
+  // If loaded bits are only moved and then cast to a float, the cast reads this
+  // float from memory.
   llvm::DenseSet<Value> seen(bits.begin(), bits.end());
   while (!bits.empty()) {
     Value value = bits.pop_back_val();
@@ -343,8 +345,8 @@ void Paths::collect() {
   }
 }
 
-/// Finds the values that depend on a start; without those that depend on it
-/// through refused ops only, if these are known.
+/// Finds the values that depend on an input with a derivative. With
+/// `stopsAtRefused`, dependences through ops without a rule do not count.
 void Paths::findVaried(llvm::DenseSet<Value> &found, bool stopsAtRefused) {
   auto markVaried = [&](Value value) {
     if (found.insert(value).second)
@@ -364,8 +366,8 @@ void Paths::findVaried(llvm::DenseSet<Value> &found, bool stopsAtRefused) {
       if (isa<DifferentiableAccessInterface>(user) ||
           (isEnd && user->getParentOp() == function))
         continue;
-      // An operand that is not handed on is a condition or a bound, unless the
-      // op does not tell.
+      // An operand that is not forwarded is a condition or a bound, unless the
+      // op does not describe its control flow.
       Operation *op = isEnd ? user->getParentOp() : user;
       if (stopsAtRefused && isOnPath(op))
         continue;
@@ -397,7 +399,8 @@ void Paths::findUseful() {
     if (!op || isa<DifferentiableAccessInterface>(op))
       continue;
     if (op->getNumRegions() != 0) {
-      // Conditions and bounds of known loops and branches stay out.
+      // Conditions and bounds of ops that describe their control flow have no
+      // derivative.
       bool isKnown = isa<RegionBranchOpInterface>(op);
       auto mark = [&](Operation *user) {
         for (Value operand : user->getOperands())
@@ -417,8 +420,8 @@ void Paths::findUseful() {
   }
 }
 
-/// True if a derivative would have to pass through an op without a rule. No
-/// rule knows how many components a scalable vector has.
+/// True if a derivative would have to pass through an op without a rule.
+/// Scalable vectors have no rules: their number of components is unknown.
 bool Paths::isOnPath(Operation *op) {
   auto isPassedOn = [&](Value result) {
     return varied.contains(result) && useful.contains(result);
@@ -432,8 +435,8 @@ bool Paths::isOnPath(Operation *op) {
           LocalLoadOp, LocalStoreOp, StackPopOp, StackPushOp>(op) ||
       op->hasTrait<OpTrait::IsTerminator>() || op->getNumResults() == 0)
     return false;
-  // An op that makes a local array has the contents of the array as operands,
-  // and hands them on.
+  // An op that creates a local array stands for the array's contents, which it
+  // only forwards.
   bool isMade = op->getNumOperands() == 0 && op->getNumRegions() == 0;
   if (isMade || isMemory(op->getResultTypes().front()))
     return false;
@@ -458,7 +461,7 @@ LogicalResult Paths::refuse(Operation *op) {
   return failure();
 }
 
-/// A value stored under another type loses its derivative.
+/// Refuses stores of values with a derivative under a type that has none.
 LogicalResult Paths::checkStores() {
   LogicalResult result = success();
   auto report = [&](Operation *op, Type type) {
@@ -480,7 +483,8 @@ LogicalResult Paths::checkStores() {
       report(write, type);
       continue;
     }
-    // An array that a loop carries may be any; others are looked at elsewhere.
+    // An array that a loop carries is unknown; other arrays are checked
+    // elsewhere.
     Storage storage = write.getAccessedStorage();
     auto argument = dyn_cast_if_present<BlockArgument>(storage.memref);
     if (!argument || argument.getOwner()->getParentOp() == function ||
@@ -493,7 +497,7 @@ LogicalResult Paths::checkStores() {
   }
   if (!ends.isForward)
     return result;
-  // Backwards, all that has effects is looked at together.
+  // For gradients, all ops with effects are checked elsewhere.
   function.walk([&](Operation *op) {
     if (isa<DifferentiableAccessInterface, DifferentiableOpInterface, PrintOp,
             AssertOp, LocalStoreOp, StackPushOp, CallOpInterface>(op) ||
@@ -509,7 +513,7 @@ LogicalResult Paths::checkStores() {
 }
 
 LogicalResult Paths::verify() {
-  // From here on nothing says which address belongs to which field.
+  // After tai-lower-layout, addresses do not tell which field they belong to.
   WalkResult lowered = function->walk([&](TreeBaseOp op) {
     emitError(op, "cannot differentiate accesses that are lowered already")
             .attachNote(function.getLoc())
@@ -542,7 +546,7 @@ LogicalResult Paths::verify() {
            "floats, or make it a constant by 'tai.stop_gradient' (in Python, "
            "'ti.stop_grad')";
   }
-  // The first op without a rule on each path is enough.
+  // Report only the first op without a rule on each path.
   llvm::DenseSet<Value> reached;
   findVaried(reached, /*stopsAtRefused=*/true);
   function.walk<WalkOrder::PreOrder>([&](Operation *op) {

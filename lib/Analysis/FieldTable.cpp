@@ -109,9 +109,9 @@ std::optional<FieldSlice> FieldTable::getSlice(const FieldInfo &field,
     return std::pair(digits[a].stride, a) < std::pair(digits[b].stride, b);
   });
 
-  // A fixed dimension stays fixed if all its digits stand outside all free
-  // ones. Freeing a dimension can only free more, so one scan from the inside,
-  // repeated while something changes, ends.
+  // A fixed dimension stays fixed if all its digits are outside the digits of
+  // all free dimensions. Freeing a dimension can only free others, so that
+  // repeating the scan from the inside until nothing changes terminates.
   FieldSlice slice;
   slice.fixed.assign(fixed.begin(), fixed.end());
   for (bool changed = true; changed;) {

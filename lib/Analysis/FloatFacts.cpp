@@ -61,9 +61,9 @@ static std::optional<Interval> getConstantRange(Value value) {
   return isNumber ? std::optional(range) : std::nullopt;
 }
 
-/// Bounds as a result of type `type` can have them. Rounding is monotone, so
-/// that a rounded bound is one; a number that may underflow is 0. NaN, as of
-/// infinity less infinity, says nothing.
+/// Bounds of a result of type `type`. Rounding is monotone, so a rounded bound
+/// is a bound; a number that may underflow becomes 0. A NaN bound, as from
+/// infinity minus infinity, means that there is no bound.
 static Interval makeRange(double low, double high, Type type) {
   if (std::isnan(low))
     low = -kInfinity;
@@ -94,8 +94,8 @@ static Interval addRanges(Interval a, Interval b, Type type) {
 
 static Interval negate(Interval a) { return {-a.high, -a.low}; }
 
-/// Products of bounds, with 0 times infinity as 0: a bound may be reached, and
-/// an infinite one is never exceeded.
+/// Multiplies ranges; 0 times infinity is 0, because zero is a value in the
+/// range, whereas an infinite bound only says that there is no bound.
 static Interval multiply(Interval a, Interval b, Type type) {
   auto product = [](double x, double y) {
     return x == 0 || y == 0 ? 0.0 : x * y;
@@ -120,7 +120,7 @@ static Interval square(Interval a, Type type) {
   return makeRange(least * least, kInfinity, type);
 }
 
-/// Narrows the range of `value` by `condition`, which is `holds`.
+/// Narrows the range of `value`, given that `condition` has the value `holds`.
 static void narrow(Interval &range, Value value, Value condition, bool holds,
                    unsigned depth) {
   Operation *op = condition.getDefiningOp();
@@ -142,9 +142,9 @@ static void narrow(Interval &range, Value value, Value condition, bool holds,
   std::optional<Interval> bound = getConstantRange(lhs == value ? rhs : lhs);
   if (!bound)
     return;
-  // Decides which end of the range it bounds, with the value on the left. A
-  // comparison that fails holds in reverse, since the value is taken to be a
-  // number.
+  // Decides which end of the range the comparison bounds, with the value on the
+  // left. A comparison that fails implies the inverse comparison, since the
+  // value is assumed to be a number.
   using P = arith::CmpFPredicate;
   bool isAbove;
   switch (compare.getPredicate()) {
@@ -181,7 +181,7 @@ Interval FloatFacts::getRange(Value value, Operation *at, unsigned depth) {
   Interval range = computeRange(value, at, depth);
   if (!usesConditions || !at)
     return range;
-  // Conditions of the branches around the place.
+  // Use the conditions of the branches around `at`.
   for (Operation *op = at; Operation *parent = op->getParentOp(); op = parent)
     if (auto branch = dyn_cast<scf::IfOp>(parent))
       narrow(range, value, branch.getCondition(),
@@ -214,7 +214,8 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
       })
       .Case([&](arith::DivFOp op) {
         Interval rhs = of(op.getRhs());
-        // The sign of a quotient by 0 or more is that of the dividend.
+        // With a divisor that is not negative, a quotient has the dividend's
+        // sign.
         Interval inverse = rhs.low >= 0    ? Interval{0, kInfinity}
                            : rhs.high <= 0 ? Interval{-kInfinity, 0}
                                            : all;
@@ -237,14 +238,14 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
         return Interval{std::min(a.low, b.low), std::min(a.high, b.high)};
       })
       .Case([&](math::ClampFOp op) {
-        // Either bound, where they are in the wrong order.
+        // If the bounds are in the wrong order, the result may be either bound.
         return join(of(op.getMin()), of(op.getMax()));
       })
       .Case([&](arith::SelectOp op) {
         Interval a = of(op.getTrueValue()), b = of(op.getFalseValue());
         if (!isa<VectorType>(op.getCondition().getType())) {
-          // The arm is only taken where the condition says so: a maximum
-          // written as a choice.
+          // The arm is taken only where the condition holds: a maximum may be
+          // written as a select.
           narrow(a, op.getTrueValue(), op.getCondition(), true, depth);
           narrow(b, op.getFalseValue(), op.getCondition(), false, depth);
         }
@@ -272,7 +273,7 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
       .Case<math::ExpOp, math::Exp2Op, math::AcosOp, math::AcoshOp,
             math::ErfcOp, arith::UIToFPOp>([&](auto) { return atLeast(0); })
       .Case([&](NormOp op) {
-        // No component is longer than all of them.
+        // The norm of a vector is at least as large as each component.
         double least = 0;
         if (auto elements =
                 op.getVector().getDefiningOp<vector::FromElementsOp>())
@@ -303,8 +304,8 @@ Interval FloatFacts::computeRange(Value value, Operation *at, unsigned depth) {
       .Default([&](Operation *) { return all; });
 }
 
-/// Whether a quotient is v / |v|, or v / 1 where v is zero: no component is
-/// farther from zero than 1, however small v is.
+/// Whether a quotient is v / |v|, or v / 1 where v is zero: its components have
+/// a magnitude of at most 1, however small v is.
 static bool isNormalization(Operation *op) {
   auto division = dyn_cast_if_present<arith::DivFOp>(op);
   if (!division)
@@ -339,8 +340,8 @@ static bool isPromisedFinite(Operation *op) {
                                                   arith::FastMathFlags::ninf);
 }
 
-/// True if the result of the op can only be finite because its operand `value`
-/// is not zero, and, of a logarithm or root, positive.
+/// True if flags promise that the result of `at` is finite, which requires that
+/// its operand `value` is not zero, and for a logarithm or root, positive.
 static bool needsNonZero(Operation *at, Value value) {
   if (!at || !isPromisedFinite(at))
     return false;
@@ -360,11 +361,13 @@ bool FloatFacts::isNonNegative(Value value, Operation *at) {
 bool FloatFacts::isNonZero(Value value, Operation *at) {
   if (needsNonZero(at, value))
     return true;
-  // Constants of both signs have a range around zero.
+  // A vector constant with components of both signs has a range that contains
+  // zero.
   if (matchConstant(
           value, [](const APFloat &x) { return x.isFinite() && !x.isZero(); }))
     return true;
-  // Zero has been replaced, and a small divisor never meets a larger dividend.
+  // The divisor of a normalisation is not zero, and is never smaller than a
+  // component of the dividend.
   if (isNormalization(at) && at->getOperand(1) == value)
     return true;
   Interval range = getRange(value, at);
@@ -379,7 +382,7 @@ bool FloatFacts::isInUnitInterval(Value value, Operation *at) {
   return range.low >= -1 && range.high <= 1;
 }
 
-/// True for ops whose value can be infinite or NaN though all operands are
+/// True for ops whose result can be infinite or NaN even if all operands are
 /// finite.
 static bool makesNonFinite(Operation *op, FloatFacts &facts) {
   if (isPromisedFinite(op))
@@ -413,8 +416,8 @@ bool FloatFacts::mayBeNonFinite(Value value) {
   if (!result) {
     concludedFinite.push_back(value);
   } else if (isa<BlockArgument>(value)) {
-    // While the answer was open it counted as no, since a loop asks for itself.
-    // Conclusions from that do not hold.
+    // Until now the value was assumed to be finite, because a loop's value may
+    // depend on itself. Discard facts concluded from this assumption.
     for (Value later : ArrayRef(concludedFinite).drop_front(mark))
       nonFinite.erase(later);
     concludedFinite.truncate(mark);

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The one table of ops that have no derivative of their own and of the passes
-// that lower them. Every refusal asks it.
+// The table of ops that have no derivative rule and of the passes that lower
+// these ops. All errors about such ops take their hints from it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,7 +19,7 @@ using namespace mlir::tai;
 
 namespace {
 struct HelpfulPass {
-  /// An op, or a dialect without a dot.
+  /// The name of an op or, without a dot, of a dialect.
   StringLiteral name, pass;
 };
 } // namespace
@@ -27,8 +27,8 @@ struct HelpfulPass {
 /// The pass that runs all passes of `kPrepared`.
 static constexpr StringLiteral kPrepare = "tai-prepare-foreign";
 
-// By name: most of these dialects need not be there. Ops come before their
-// dialects, and those that no pass helps have none.
+// By name: most of these dialects need not be loaded. Ops come before their
+// dialects; ops that no pass lowers have an empty pass.
 static constexpr HelpfulPass kPrepared[] = {
     {"llvm.bitcast", ""},
     {"tensor.bitcast", ""},

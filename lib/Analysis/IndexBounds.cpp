@@ -11,7 +11,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The maximum of loops: a nest of n loops has 2^n corners to check.
+/// The maximum number of loops: a nest of n loops has 2^n corners to check.
 static constexpr size_t kMaxLoops = 3;
 
 bool tai::checksIndices(Operation *op) {
@@ -23,8 +23,8 @@ bool tai::checksIndices(Operation *op) {
 
 void IndexBounds::checkPiece(const IterationDomain &domain, LinearSystem system,
                              BoundsAnswer &answer, bool &isExact) {
-  // Whether it happens in no launch at all. Ranges of launch values help there,
-  // and stay out of the checks.
+  // First, whether this happens in any launch at all. Ranges of launch values
+  // help to decide that, but are not part of the checks at the launch.
   LinearSystem all = system;
   SmallVector<unsigned> used = system.getVariables();
   for (unsigned number : used) {
@@ -49,12 +49,13 @@ void IndexBounds::checkPiece(const IterationDomain &domain, LinearSystem system,
   eliminateLoops(domain, std::move(system), {}, answer, isExact);
 }
 
-/// Adds the violation of launches in which the system holds in an iteration,
-/// of which `violation` tells some loop indices.
+/// Adds a violation: the conditions on a launch under which the system holds in
+/// some iteration. `violation` has the loop indices that are already
+/// determined.
 void IndexBounds::eliminateLoops(const IterationDomain &domain,
                                  LinearSystem system, Violation violation,
                                  BoundsAnswer &answer, bool &isExact) {
-  // Innermost first. Loops are kept for the report.
+  // Eliminate inner loops first. Keep the eliminated loops for the report.
   SmallVector<Violation::Step> known = std::move(violation.iteration);
   violation.iteration.clear();
   SmallVector<unsigned> used = system.getVariables(), order;
@@ -95,18 +96,18 @@ void IndexBounds::eliminateLoops(const IterationDomain &domain,
 // Products of loop indices and arguments
 //===----------------------------------------------------------------------===//
 
-// Where n is known to the launch only, x[i * n + j] is no linear sum, but it is
-// one for each launch, and so its largest and its smallest value are in a
-// corner of a box of iterations: each loop is in its first or in its last one.
-// There the index is a sum of launch values and of their products, which the
-// launch computes. A corner is an iteration that runs, since all
-// conditions around the access are checked for it; other iterations are
-// not looked at.
+// Where n is known only at the launch, x[i * n + j] is no linear sum, but it is
+// one for each launch, and so has its largest and its smallest value in a
+// corner of a box of iterations, where each loop is in its first or in its last
+// iteration. There, the index is a sum of launch values and of their products,
+// which the launch computes. All conditions around the access are checked for a
+// corner, so that its iteration does run; iterations other than corners are not
+// checked.
 
-/// Sums by which loop indices are replaced: an iteration.
+/// A corner: the sums that replace the loop indices.
 using Corner = llvm::SmallDenseMap<unsigned, LinearSum, 4>;
 
-/// Adds the loops whose indices stand in products.
+/// Collects the loops whose indices occur in products.
 static void collectLoopsOfProducts(const IndexForms &forms,
                                    const LinearSum &sum, bool isInProduct,
                                    SmallVectorImpl<unsigned> &loops) {
@@ -120,8 +121,8 @@ static void collectLoopsOfProducts(const IndexForms &forms,
   }
 }
 
-/// The sum in the given corner. Products whose loops are in it become launch
-/// values.
+/// The sum in the given corner. Products of launch values with loop indices
+/// that the corner determines become launch values.
 static LinearSum substitute(IndexForms &forms, const LinearSum &sum,
                             const Corner &corner,
                             SmallVectorImpl<LinearSum> &facts) {
@@ -132,7 +133,7 @@ static LinearSum substitute(IndexForms &forms, const LinearSum &sum,
     if (auto known = corner.find(variable); known != corner.end()) {
       value = known->second;
     } else if (forms.getKind(variable) == IndexForms::Kind::Product) {
-      // By value: a new variable may move the table.
+      // Copy the factors: a new variable may reallocate the table.
       LinearSum first = forms.getFactors(variable)[0];
       LinearSum second = forms.getFactors(variable)[1];
       second = substitute(forms, second, corner, facts);
@@ -144,7 +145,7 @@ static LinearSum substitute(IndexForms &forms, const LinearSum &sum,
   return result;
 }
 
-/// Asks in the corners of the loops whose indices stand in products whether
+/// Checks, in each corner of the loops whose indices occur in products, whether
 /// the access goes out of range.
 void IndexBounds::checkCorners(const IterationDomain &domain,
                                ArrayRef<LinearSum> piece,
@@ -153,7 +154,7 @@ void IndexBounds::checkCorners(const IterationDomain &domain,
   answer.isInRange = isExact = false;
   SmallVector<unsigned> used, loops;
   collectLoopsOfProducts(forms, beyond, false, used);
-  // The outermost first: its index may bound the others.
+  // Outer loops first: their indices may bound inner loops.
   for (unsigned loop : domain.loops)
     if (llvm::is_contained(used, loop))
       loops.push_back(loop);
@@ -198,11 +199,12 @@ void IndexBounds::checkCorners(const IterationDomain &domain,
 // Decisions
 //===----------------------------------------------------------------------===//
 
-/// The index is beyond one end of its range in an iteration.
+/// Adds violations for iterations in which the index is beyond one end of its
+/// range, that is, `beyond` is not negative.
 void IndexBounds::checkSide(const IterationDomain &domain,
                             const LinearSum &beyond, BoundsAnswer &answer,
                             bool &isExact) {
-  // Nearly all indices are a loop's, or next to it.
+  // Decides most indices, which are a loop's index plus a small constant.
   if (forms.rangeOfSum(beyond).high < 0)
     return;
   for (const SmallVector<LinearSum> &piece : domain.pieces) {

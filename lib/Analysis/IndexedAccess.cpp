@@ -49,8 +49,8 @@ std::string tai::describeArray(MemRefType type) {
   return text;
 }
 
-/// The index along which the innermost list above a field grows; it is not
-/// among the indices of the list.
+/// The dimension along which the innermost list above a field grows, which is
+/// not among the indices of ops on the list.
 static size_t findListDimension(const FieldLayout &layout) {
   for (const PathLevel &level : llvm::reverse(layout.path.levels))
     if (level.type.isList())
@@ -60,7 +60,7 @@ static size_t findListDimension(const FieldLayout &layout) {
   llvm_unreachable("the field is below no list");
 }
 
-/// The operands of a range, to be replaced.
+/// Adds pointers to the operands, which may be replaced.
 static void addOperands(IndexedAccess &access, OperandRange operands) {
   for (unsigned i = 0; i != operands.size(); ++i)
     access.indices.push_back(&operands.getBase()[i]);
@@ -97,7 +97,7 @@ static IndexedAccess getFieldAccess(FieldAccessOpInterface op) {
 static std::optional<IndexedAccess>
 getArrayAccess(Operation *op, Value array, MutableOperandRange indices) {
   auto type = cast<MemRefType>(array.getType());
-  // An array that is no argument is memory of the kernel itself.
+  // An array that is no argument is memory of the kernel.
   if (!isa<BlockArgument>(array))
     return std::nullopt;
   IndexedAccess access{op, describeArray(type), {}, {}, {}};

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Whether a later access may reach the element of an earlier one. Indices are
-// compared as linear forms. Terms with the same value in both accesses cancel;
-// values that may differ between them are separate unknowns, of which only a
-// range is known. The accesses are disjoint if the difference of some index
-// cannot be zero.
+// Decides whether a later access may reach the element of an earlier one.
+// Indices are compared as linear forms. Terms with the same value in both
+// accesses cancel; values that may differ between the accesses are separate
+// unknowns with known ranges. The accesses are disjoint if the difference of
+// some index cannot be zero.
 //
 //===----------------------------------------------------------------------===//
 
@@ -32,7 +32,7 @@ bool mlir::tai::isSerialLoop(Operation *op) {
   return !parallel || parallel.getSerialize();
 }
 
-/// True for an index of a loop whose bounds are constants: it has all values of
+/// True for the index of a loop with constant bounds, which takes all values of
 /// its range.
 static bool hasConstantBounds(Value value) {
   Operation *loop = getLoopOf(value);
@@ -45,20 +45,22 @@ static bool hasConstantBounds(Value value) {
 }
 
 namespace {
-/// The distance of the second of two accesses from the first: in the same
-/// iteration of all loops around both (no loop), or in a later one of a serial
-/// loop, by the same positive number of steps of all values known to move.
+/// How the second of two accesses is later than the first: in the same
+/// iteration of all loops around both (`loop` is null), or in a later iteration
+/// of `loop`. All `moving` values are then the same positive number of steps
+/// ahead.
 struct Later {
   Operation *loop = nullptr;
   /// Values that grow by a constant, possibly negative, in each iteration.
   SmallVector<std::pair<Value, int64_t>, 2> moving;
-  /// Moving values count modulo two to this.
+  /// Moving values are known only modulo 2^width.
   unsigned width = 64;
-  /// Values of the loop, or of both regions of one, that are the same.
+  /// Values of the loop, or of both regions of a while loop, that are equal in
+  /// both accesses.
   SmallVector<Value, 2> same;
-  /// Iterations between the first and the last, at most.
+  /// The maximum number of iterations between the first and the last iteration.
   __int128 most = kMostIterations;
-  /// Whether indices wrap around only where they are known to.
+  /// Whether indices are assumed not to wrap around, unless they are known to.
   bool inRange = false;
 
   bool moves(Value value) const {
@@ -68,8 +70,8 @@ struct Later {
 };
 } // namespace
 
-/// The form in terms of the values with which a loop `scf.while` begins an
-/// iteration: its second region is given values of the first one.
+/// The form in terms of the values with which an iteration of `scf.while`
+/// begins: the arguments of its second region are values of its first region.
 static IndexExpr getForm(IndexBuilder &builder, IndexExpr form) {
   for (unsigned round = 0; round != 4; ++round) {
     IndexExpr next =
@@ -90,13 +92,14 @@ static IndexExpr getForm(IndexBuilder &builder, IndexExpr form) {
   return form;
 }
 
-/// True if arithmetic of the form is known to leave its type in some iteration.
+/// True if arithmetic of the form is known to overflow its type in some
+/// iteration.
 static bool isKnownToWrap(IndexBuilder &builder, const IndexExpr &form) {
   return form.allOf(hasConstantBounds) &&
          !builder.getRange(form).fits(form.width);
 }
 
-/// True if the indices differ whenever `second` is so much later.
+/// True if the indices differ whenever `second` is later as `later` describes.
 static bool areApart(IndexBuilder &builder, const IndexExpr &first,
                      const IndexExpr &second, Block *common,
                      const Later &later) {
@@ -107,10 +110,10 @@ static bool areApart(IndexBuilder &builder, const IndexExpr &first,
     return later.loop ? !later.loop->isAncestor(owner)
                       : owner->isAncestor(common->getParentOp());
   };
-  // Terms that both share cancel.
+  // Terms with equal values in both accesses cancel.
   IndexExpr shared;
   IndexDifference difference;
-  // A moving term lies a positive number of steps ahead.
+  // Moving terms of the second access are a positive number of steps ahead.
   int64_t perStep = 0;
   for (auto [value, step] : later.moving) {
     perStep -= second.getCoefficient(value) * step;
@@ -148,7 +151,7 @@ static bool areApart(IndexBuilder &builder, ValueRange first, ValueRange second,
   });
 }
 
-/// True if two iterations of `loop` with equal indices are the same one.
+/// True if equal indices imply the same iteration of `loop`.
 static bool tellApart(IndexBuilder &builder, Operation *loop, ValueRange first,
                       ValueRange second) {
   if (!isa<scf::ForOp, ParallelForOp>(loop) || first.size() != second.size())
@@ -164,7 +167,7 @@ static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
   SmallVector<Later> ways;
   Later later;
   later.loop = loop;
-  // False if the loop index has one value at most.
+  // False if the loop index has at most one value.
   auto setMost = [&](Value iv, int64_t step) {
     IndexRange range = builder.getRange(IndexAtom(iv));
     later.most =
@@ -179,7 +182,8 @@ static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
     if (!setMost(serial.getInductionVar(), step))
       return ways;
   } else if (auto parallel = dyn_cast<ParallelForOp>(loop)) {
-    // In order of the last induction variable, then of the one before.
+    // Iterations are ordered lexicographically: `same` are the outer indices,
+    // which are equal, and `iv` is the first index that differs.
     for (BlockArgument iv : parallel.getInductionVars()) {
       later.moving.assign({{iv, 1}});
       if (setMost(iv, 1))
@@ -196,7 +200,8 @@ static SmallVector<Later> getWays(IndexBuilder &builder, Operation *loop) {
             form.getCoefficient(argument) != 1)
           continue;
         later.moving.emplace_back(argument, form.constant);
-        // A counter does not run so long that it is where it was.
+        // Assume that a counter makes too few steps to wrap around to an
+        // earlier value.
         later.width = std::min(later.width, form.width);
         later.most = std::min(
             later.most, (static_cast<__int128>(1) << form.width) /
@@ -259,13 +264,13 @@ bool mlir::tai::mayReachLater(DifferentiableAccessInterface first,
     follows = firstUp->isBeforeInBlock(secondUp);
   } else if (auto whileOp = dyn_cast<scf::WhileOp>(firstUp);
              whileOp && first != second) {
-    // The second region runs after the first; in the next iteration it is the
-    // other way round.
+    // In an iteration, the second region runs after the first region; across
+    // iterations, the first region runs after the second.
     follows = whileOp.getBefore().isAncestor(first->getParentRegion());
     llvm::append_range(inSame.same, whileOp.getBeforeArguments());
     loop = whileOp;
   } else {
-    // Arms of a branch exclude each other.
+    // Arms of a branch exclude each other in an iteration.
     follows = first != second && !isa<scf::IfOp>(firstUp);
   }
   if (follows && mayAlias(inSame))

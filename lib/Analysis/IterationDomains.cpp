@@ -15,8 +15,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The maximum of pieces of a domain: each is a way in which the conditions can
-/// hold, and is checked by a system of its own.
+/// The maximum number of pieces of a domain. Each piece is a way in which the
+/// conditions can hold, and is checked by a system of its own.
 static constexpr size_t kMaxPieces = 8;
 
 void IterationDomain::addRow(const LinearSum &row) {
@@ -35,7 +35,7 @@ void IterationDomain::addFacts(const LinearForm &form) {
 // Conditions
 //===----------------------------------------------------------------------===//
 
-/// lhs - rhs >= gap.
+/// Adds lhs - rhs >= gap.
 void IterationDomains::addComparison(Domain &domain, Value lhs, Value rhs,
                                      int64_t gap) {
   LinearForm difference = forms.formOf(lhs).plus(forms.formOf(rhs), -1);
@@ -43,7 +43,8 @@ void IterationDomains::addComparison(Domain &domain, Value lhs, Value rhs,
   domain.addRow(difference.sum.plus(-gap));
 }
 
-/// The union of the domains that the two functions make of `domain`.
+/// Makes `domain` the union of the domains that the two functions derive from
+/// it.
 void IterationDomains::addEither(Domain &domain,
                                  function_ref<void(Domain &)> first,
                                  function_ref<void(Domain &)> second) {
@@ -90,7 +91,7 @@ void IterationDomains::addCondition(Domain &domain, Value condition,
     return give();
   }
   if (auto select = dyn_cast_if_present<arith::SelectOp>(op)) {
-    // "and" and "or" that ask for the second only where it matters.
+    // Logical "and" and "or" with short-circuit evaluation, as selects.
     if (matchPattern(select.getFalseValue(), m_Zero()))
       return holds ? both(select.getCondition(), true, select.getTrueValue(),
                           true)
@@ -134,7 +135,7 @@ void IterationDomains::addCondition(Domain &domain, Value condition,
         [&](Domain &one) { addComparison(one, b, a, 1); });
   case Predicate::ult:
   case Predicate::ule:
-    // 0 <= a < b, where b is not negative.
+    // 0 <= a < b (or <= b), where b is not negative.
     if (forms.rangeOf(b).low < 0)
       return give();
     domain.addRow(forms.formOf(a).sum);
@@ -151,7 +152,7 @@ void IterationDomains::addCondition(Domain &domain, Value condition,
 // Loops
 //===----------------------------------------------------------------------===//
 
-/// lower <= iv < upper.
+/// Adds lower <= iv < upper.
 void IterationDomains::addLoop(Domain &domain, BlockArgument iv, Value lower,
                                Value upper) {
   LinearForm index = forms.formOf(iv);
@@ -175,13 +176,13 @@ void IterationDomains::addLoop(Domain &domain, ParallelForOp loop) {
   for (auto [iv, first, extent] :
        llvm::zip(loop.getInductionVars(), layout.offset, layout.shape)) {
     LinearForm index = forms.formOf(iv);
-    // An axis of one element has no variable.
+    // The index of an axis of one element is a constant, not a variable.
     for (auto [variable, factor] : index.sum.terms)
       domain.loops.push_back(variable);
     domain.addRow(index.sum.plus(-first));
     domain.addRow(LinearSum::of(first + extent - 1).plus(index.sum, -1));
   }
-  // Active cells are some of these.
+  // In sparse fields, the loop visits only a subset of this domain.
   domain.isCertain &= !loop.getLevel() && !layout.path.getFirstSparse();
 }
 
@@ -207,7 +208,8 @@ IterationDomain IterationDomains::domainOf(Block *block) {
       addLoop(domain, iv, serial.getLowerBound(), serial.getUpperBound());
       domain.isCertain &= step && *step > 0;
     }
-    // Counted from zero, unless there is one iteration and nothing to count.
+    // The number of steps is not negative. A loop with a single iteration has
+    // no such variable.
     if (step && *step > 1 && domain.loops.size() > outer)
       domain.addRow(LinearSum::variable(domain.loops.back()));
   } else if (auto branch = dyn_cast<scf::IfOp>(parent)) {

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // Compares all accesses of a loop to one storage. Arrays of the caller may be
-// one and the same: they count as one storage for each type of elements.
+// identical: arrays with the same type of elements count as one storage.
 //
 //===----------------------------------------------------------------------===//
 
@@ -29,7 +29,7 @@ struct ElementAccess {
   Effect effect = Effect::Read;
   /// The value of a write.
   Value stored;
-  /// Updates of one kind commute. Sums and differences are of one kind.
+  /// Updates of the same kind commute; subtractions have the kind of additions.
   AtomicKind kind = AtomicKind::Add;
   bool usesOld = false;
 };
@@ -43,7 +43,7 @@ static bool isFromOutside(ParallelForOp loop, Value value) {
   return !loop->isAncestor(value.getParentBlock()->getParentOp());
 }
 
-/// True if both write the same, whatever the iterations.
+/// True if both accesses write the same value, in whichever iterations.
 static bool storeEqual(ParallelForOp loop, const ElementAccess &a,
                        const ElementAccess &b) {
   if (a.effect != Effect::Write || b.effect != Effect::Write)
@@ -66,13 +66,13 @@ static bool commute(ParallelForOp loop, const ElementAccess &a,
 
 using KeyedAccess = std::pair<const void *, ElementAccess>;
 
-/// The access that `op` makes, and the key of its storage; a null key if it
-/// accesses no memory that iterations share. Fails for anything else.
+/// The access that `op` makes, and the key of its storage; a null key if `op`
+/// accesses no memory that iterations share. Fails for unsupported ops.
 static FailureOr<KeyedAccess> getAccess(ParallelForOp loop, Operation *op) {
   ElementAccess access;
   KeyedAccess none(nullptr, access);
   if (auto field = dyn_cast<FieldAccessOpInterface>(op)) {
-    // Changes and tests of the activity of cells are atomic by themselves.
+    // Ops on the activity of cells are atomic by themselves.
     if (!field.isElementAccess())
       return none;
     access.place.indices = field.getIndices();

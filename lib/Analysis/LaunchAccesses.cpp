@@ -17,7 +17,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Slots of a value of the type; see Abi.h.
+/// The number of slots of a value of the type; see Abi.h.
 static int64_t countSlots(Type type) {
   if (auto vector = dyn_cast<VectorType>(type))
     return vector.getNumElements();
@@ -33,7 +33,7 @@ int64_t mlir::tai::countSlots(TypeRange types) {
   return slots;
 }
 
-/// The arguments of kernels that are whole numbers, and their slots.
+/// The integer arguments of kernels, and their slots.
 static DenseMap<Value, int64_t> findIntegerArguments(ModuleOp module) {
   DenseMap<Value, int64_t> slots;
   for (KernelOp kernel : module.getOps<KernelOp>()) {
@@ -50,7 +50,8 @@ static DenseMap<Value, int64_t> findIntegerArguments(ModuleOp module) {
 
 using ArgumentSlots = DenseMap<Value, int64_t>;
 
-/// A sum of constants and integer arguments, as an index along a dimension.
+/// The index along a dimension, if it is a sum of constants and integer
+/// arguments.
 static std::optional<runtime::FixedIndex>
 evaluateOnLaunch(const IndexExpr &form, size_t dimension,
                  const ArgumentSlots &slots) {
@@ -91,8 +92,8 @@ struct LoopRange {
 };
 } // namespace
 
-/// The loops around a store, if there is nothing else between it and its kernel
-/// and all of them run from bound to bound; nothing otherwise.
+/// The loops around a store, if its kernel has nothing but loops around it, and
+/// these run from a lower to an upper bound in steps of one; else nothing.
 static std::optional<SmallVector<LoopRange>>
 findLoopRanges(Operation *store, const ArgumentSlots &slots) {
   SmallVector<LoopRange> ranges;
@@ -142,9 +143,9 @@ static runtime::FixedIndex addTo(runtime::FixedIndex bound,
   return bound;
 }
 
-/// The elements that a store reaches, if it does so whatever fields hold: each
-/// index is that of a loop of its own, moved by sums of arguments, or such a
-/// sum alone.
+/// The elements that a store certainly reaches, whatever the fields contain:
+/// each index is the index of a different loop plus sums of arguments, or only
+/// such a sum.
 static std::optional<runtime::StoredBox>
 findStoredBox(Operation *store, ValueRange indices,
               const ArgumentSlots &slots) {
@@ -182,7 +183,7 @@ findStoredBox(Operation *store, ValueRange indices,
   for (const LoopRange &loop : *loops)
     if (!loop.isUsed)
       box.loops.push_back(loop.range);
-  // Loops that run anyway need no look.
+  // Loops that certainly have an iteration need no check.
   llvm::erase_if(box.loops, [](const runtime::StoredBox::Range &loop) {
     return loop.lower.terms.empty() && loop.upper.terms.empty() &&
            loop.lower.constant < loop.upper.constant;
@@ -195,7 +196,8 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
                            ArrayRef<NamedAccess> accesses) {
   ArgumentSlots slots = findIntegerArguments(module);
   using Boxes = std::vector<runtime::StoredBox>;
-  // Boxes of each access, unless something else stores there too.
+  // The boxes of each access; nothing if a store without a box belongs to the
+  // access.
   std::vector<std::optional<Boxes>> found(accesses.size(), Boxes());
   auto add = [&](StringRef field, const std::vector<runtime::FixedIndex> &fixed,
                  std::optional<runtime::StoredBox> box) {
@@ -203,7 +205,8 @@ mlir::tai::findStoredBoxes(ModuleOp module, KernelOp kernel,
       if (access.kind != runtime::AccessKind::Write || field != access.field ||
           !boxes)
         continue;
-      // The access may stand for stores whose other indices do not count.
+      // An access with a single fixed index may stand for stores with more
+      // fixed indices (see mostPlaces).
       bool isPart = access.fixed.size() == 1 && fixed.size() > 1 &&
                     access.fixed.front() == fixed.front();
       if (access.fixed != fixed && !isPart)
@@ -239,7 +242,7 @@ mlir::tai::findStoredBoxes(KernelOp kernel, BlockArgument array) {
     if (argument.getType().isSignlessInteger() &&
         argument.getType().getIntOrFloatBitWidth() <= 64)
       slots[argument] = next;
-    // Extents follow the pointer of an array.
+    // The extents of an array follow its pointer in the slots.
     for (Operation *user : argument.getUsers())
       if (auto dim = dyn_cast<memref::DimOp>(user))
         if (std::optional<int64_t> index = dim.getConstantIndex())
@@ -258,8 +261,8 @@ mlir::tai::findStoredBoxes(KernelOp kernel, BlockArgument array) {
 // Accesses
 //===----------------------------------------------------------------------===//
 
-/// If a field is accessed at more places, only the first fixed index of each
-/// counts: each launch looks at all places.
+/// If a field is accessed at more places than this, only the first fixed index
+/// of each place is kept: each launch examines all places.
 static constexpr unsigned mostPlaces = 8;
 
 std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
@@ -318,7 +321,8 @@ std::vector<NamedAccess> mlir::tai::listAccesses(Operation *root) {
   });
   std::vector<NamedAccess> result;
   for (NamedAccess &access : list) {
-    // Each element of a matrix of weights may be named by constants.
+    // A matrix of weights may be accessed element by element, with constant
+    // indices.
     if (places[access.field] > mostPlaces && access.fixed.size() > 1)
       access.fixed.erase(access.fixed.begin() + 1, access.fixed.end());
     if (!llvm::is_contained(result, access))

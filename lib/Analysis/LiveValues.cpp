@@ -20,14 +20,14 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// True for ops whose effects are those of the ops inside.
+/// True for ops that have no effects besides the effects of the ops inside.
 static bool isStructure(Operation *op) {
   return isa<scf::ForOp, scf::IfOp, scf::WhileOp, scf::ParallelOp,
              ParallelForOp>(op);
 }
 
-/// True for terminators whose operands matter if the results of the op around
-/// do.
+/// True for terminators whose operands are live only if the corresponding
+/// results of the op around them are.
 static bool isForwarding(Operation *op) {
   return isa<scf::YieldOp, scf::ConditionOp>(op) &&
          isa<scf::ForOp, scf::IfOp, scf::WhileOp>(op->getParentOp());

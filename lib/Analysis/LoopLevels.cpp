@@ -12,15 +12,15 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The sparse level over whose active cells the loop runs, or nothing where it
-/// is not such a loop.
+/// The sparse level over whose active cells the loop runs; nothing for other
+/// loops.
 static std::optional<unsigned>
 getListLevel(ParallelForOp loop, const DataLayout &dataLayout, TreeOp &tree) {
   std::optional<FieldLayout> layout = getSparseLayout(loop);
   if (!layout)
     return std::nullopt;
   tree = layout->tree;
-  // The loop takes the list of the innermost sparse level that it covers.
+  // The loop runs over the list of the innermost sparse level that it covers.
   unsigned covered =
       layout->path.levels.size() + 1 - loop.getLevel().value_or(1);
   std::optional<unsigned> node;

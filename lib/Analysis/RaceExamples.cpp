@@ -6,11 +6,12 @@
 //===----------------------------------------------------------------------===//
 //
 // Proves a race by an example. Iterations near the bounds of the loop are tried
-// for one access; the place that it reaches there is solved for the iteration
-// of the other access. The example is then evaluated as a whole, with all
-// conditions, so that the search needs no rules about them: red and black
-// cells, mirrored and transposed indices and periodic borders are all cases of
-// one. A search that ends without an example proves nothing.
+// for one access; the element that it reaches there is then solved for the
+// iteration of the other access. The example is finally evaluated as a whole,
+// with all conditions, so that the search needs no rules about conditions: red
+// and black cells, mirrored and transposed indices and periodic borders all
+// need no special treatment. A search that ends without an example proves
+// nothing.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,7 +29,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Places and conditions that one search evaluates at most.
+/// The maximum number of places and conditions that one search evaluates.
 static constexpr unsigned kMostSteps = 4096;
 
 using Numbers = llvm::SmallDenseMap<Value, int64_t, 8>;
@@ -65,7 +66,7 @@ static std::optional<int64_t> combine(IndexNode::Kind kind, int64_t lhs,
   return std::nullopt;
 }
 
-/// The expression with numbers in place of some of its values.
+/// The expression with numbers substituted for some of its values.
 static IndexExpr evaluate(const IndexExpr &expr, const Numbers &numbers) {
   IndexExpr result(expr.constant);
   for (const auto &[atom, factor] : expr.terms) {
@@ -130,7 +131,7 @@ public:
   }
 
 private:
-  /// The first value that is `decisive` decides.
+  /// The result is `decisive` if one of the operands is.
   std::optional<bool> getUnless(Operation *op, bool decisive) {
     std::optional<bool> lhs = get(op->getOperand(0));
     if (lhs == decisive)
@@ -157,7 +158,7 @@ private:
       return arith::applyCmpPredicate(comparison.getPredicate(), number(lhs),
                                       number(rhs));
     }
-    // The same number, whatever it is.
+    // Both sides are the same number, whatever its value.
     if (lhs == rhs)
       return arith::applyCmpPredicate(comparison.getPredicate(), APInt(64, 0),
                                       APInt(64, 0));
@@ -174,7 +175,8 @@ private:
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// One access, and the loops that decide where and whether it is.
+/// An access, and the loops and conditions that determine whether it runs and
+/// which element it reaches.
 class Side {
 public:
   Side(IndexBuilder &builder, DifferentiableAccessInterface access, LoopBox box)
@@ -205,8 +207,7 @@ public:
 
   size_t getRank() { return box.ivs().size(); }
 
-  /// Values of an index that are tried, if those of the loops around it are
-  /// known.
+  /// The values to try for an index, given the indices of the loops around it.
   SmallVector<int64_t> getCandidates(unsigned number, const Numbers &numbers) {
     SmallVector<int64_t> values;
     if (number >= getRank()) {
@@ -227,7 +228,7 @@ public:
       if (value >= lower && value < upper && !llvm::is_contained(values, value))
         values.push_back(value);
     };
-    // Small numbers make the better examples.
+    // Try small numbers first, which make better examples.
     for (int64_t i = 0; i != atEnds; ++i)
       add(lower + i);
     add(middle);
@@ -261,10 +262,11 @@ public:
   IndexBuilder &builder;
   LoopBox box;
   SmallVector<IndexExpr> place, components;
-  /// The indices of the parallel loop, and of the serial ones from the outer to
-  /// the inner.
+  /// The indices of the parallel loop, then of the serial loops from the
+  /// outermost to the innermost.
   SmallVector<Value> ivs;
-  /// Whether nothing else is around the access.
+  /// Whether only serial loops and branches are between the parallel loop and
+  /// the access.
   bool isKnown = true;
 
 private:
@@ -290,11 +292,11 @@ private:
   SmallVector<std::pair<Value, bool>> conditions;
 };
 
-/// Looks for an example.
+/// Searches for an example.
 class Search {
 public:
   Search(Side &first, Side &second) : first(first), second(second) {
-    // A whole element meets each of its components.
+    // A whole element overlaps each of its components.
     compares = first.components.size() == second.components.size();
   }
 
@@ -323,7 +325,7 @@ private:
       if (!first.runs(ofFirst))
         return false;
       element = getPlace(first, ofFirst);
-      // The rest has to be the same in both iterations.
+      // The terms that remain must be the same in both iterations.
       auto isFromOutside = [&](Value value) {
         return !first.box.loop->isAncestor(
             value.getParentBlock()->getParentOp());
@@ -343,8 +345,8 @@ private:
     return false;
   }
 
-  /// Sets indices of the second access that the element determines. False if
-  /// it cannot be reached.
+  /// Computes the indices of the second access that the element determines.
+  /// False if the second access cannot reach the element.
   bool solve(Numbers &numbers) {
     bool changed = true;
     while (changed) {
@@ -368,8 +370,8 @@ private:
         int64_t factor = index.getCoefficient(unknown);
         IndexExpr rest = wanted;
         rest.add(index, -1).add(IndexExpr(unknown), factor);
-        // A term that is left over holds the unknown in a quotient: it cannot
-        // be solved for.
+        // A term that remains contains the unknown in a quotient: the equation
+        // cannot be solved for it.
         if (factor == 0 || !rest.isConstant())
           continue;
         if (rest.constant % factor != 0)
@@ -428,7 +430,8 @@ mlir::tai::findExample(DifferentiableAccessInterface lhs,
     return std::nullopt;
   if (auto found = Search(left, right).run())
     return found;
-  // An index in a quotient can be tried, but not solved for.
+  // Swapped, so that an index in a quotient, which cannot be solved for, is
+  // tried.
   auto found = Search(right, left).run();
   if (found)
     std::swap(found->lhs, found->rhs);

@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Looks for two points i != j of the box of a parallel loop with lhs(i) ==
-// rhs(j). Indices are linear forms in which at most one loop index occurs, so
-// that each dimension of the box can be solved for itself; anything else is not
-// proven. Conditions around an access narrow its box, where they compare an
-// index with a constant; under any other one, nothing is proven.
+// rhs(j). Indices must be linear forms with at most one loop index, so that
+// each dimension of the box can be solved separately; for other indices,
+// nothing is proven. Conditions around an access narrow its box if they compare
+// an index with a constant; under other conditions, nothing is proven.
 //
 //===----------------------------------------------------------------------===//
 
@@ -37,14 +37,14 @@ struct Unknown {
 };
 } // namespace
 
-/// The dimension of a loop index.
+/// The dimension whose loop index the atom is.
 static std::optional<unsigned> findIndex(LoopBox &box, const IndexAtom &atom) {
   return atom.getValue() ? box.find(atom.getValue()) : std::nullopt;
 }
 
-/// The one loop index of a form and its coefficient; dimension -1 if it has
-/// none. Fails where there are several, or where other parts of the form are
-/// not the same in all iterations.
+/// The loop index of a form, as its dimension and coefficient; dimension -1 if
+/// there is none. Fails if there are several, or if other parts of the form
+/// differ between iterations.
 static FailureOr<std::pair<int, int64_t>> getLoopTerm(LoopBox &box,
                                                       const IndexExpr &form) {
   std::pair<int, int64_t> found(-1, 0);
@@ -64,7 +64,8 @@ static FailureOr<std::pair<int, int64_t>> getLoopTerm(LoopBox &box,
   return found;
 }
 
-/// The part of the form that is the same in all iterations, less its constant.
+/// The part of the form that is the same in all iterations, without its
+/// constant.
 static IndexExpr dropLoopTerms(LoopBox &box, IndexExpr form) {
   llvm::erase_if(form.terms,
                  [&](auto &term) { return findIndex(box, term.first); });
@@ -72,9 +73,9 @@ static IndexExpr dropLoopTerms(LoopBox &box, IndexExpr form) {
   return form;
 }
 
-/// Adds lhs(i) == rhs(j) for one index, as numbers that do not wrap: if those
-/// are equal, so are their low bits. False if it cannot hold, or is not
-/// understood.
+/// Adds the equation lhs(i) == rhs(j) for one index, in exact integers: equal
+/// integers have equal low bits. False if the equation cannot hold, or is not
+/// supported.
 static bool addEquation(LoopBox &box, const IndexExpr &lhs,
                         const IndexExpr &rhs,
                         MutableArrayRef<Unknown> unknowns) {
@@ -99,7 +100,7 @@ static bool addEquation(LoopBox &box, const IndexExpr &lhs,
 }
 
 namespace {
-/// The numbers from `lower` on, below `upper`.
+/// The numbers in [lower, upper).
 struct Interval {
   int64_t lower, upper;
 
@@ -107,8 +108,8 @@ struct Interval {
 };
 } // namespace
 
-/// True if one dimension has a solution with i and j in their ranges; sets
-/// `differ` if there is one with i != j.
+/// True if the dimension has a solution with i and j in their ranges; sets
+/// `differ` if there is a solution with i != j.
 static bool solve(Unknown unknown, Interval is, Interval js, bool &differ) {
   if (is.lower >= is.upper || js.lower >= js.upper)
     return false;
@@ -137,7 +138,7 @@ static bool solve(Unknown unknown, Interval is, Interval js, bool &differ) {
   return true;
 }
 
-/// The known bounds of a loop; others are far away.
+/// The bounds of a loop; unknown bounds are assumed to be far away.
 static LoopBox getLongBox(ParallelForOp loop) {
   constexpr int64_t kFar = int64_t(1) << 40;
   if (std::optional<LoopBox> box = getIndexBox(loop))
@@ -167,8 +168,8 @@ Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
   ValueRange rhsParts = rhs.getAccessComponents();
   if (lhs.getAccessIndices().size() != rhs.getAccessIndices().size())
     return nullptr;
-  // For most pairs the equations alone show that they do not meet: the bounds
-  // are looked up for the rest.
+  // For most pairs, the equations alone show that the accesses do not meet;
+  // look up the bounds only for the remaining pairs.
   LoopBox unbounded{loop, {}, {}};
   SmallVector<Unknown> unknowns(loop.getInductionVars().size());
   auto add = [&](ValueRange a, ValueRange b) {
@@ -184,7 +185,7 @@ Operation *mlir::tai::findRace(DifferentiableAccessInterface lhs,
       ofLongLoops ? getLongBox(loop) : getConstantBox(loop);
   if (!box || box->lower.size() != unknowns.size())
     return nullptr;
-  // Under a condition, or in a loop, an access may not run at all.
+  // Within other conditions or loops, an access may not run at all.
   LoopBox other = *box;
   if (!narrowToAccess(lhs, *box) || !narrowToAccess(rhs, other))
     return nullptr;

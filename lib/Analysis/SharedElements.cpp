@@ -32,8 +32,8 @@ static bool hasRemainder(const IndexExpr &expr) {
   });
 }
 
-/// The two conditions of `first and second` where the second one is computed in
-/// a branch, or those of `first or second` if that is known not to hold.
+/// The two conditions of `first and second` where the second condition is
+/// computed in a branch; or of `first or second`, if it is known not to hold.
 static std::pair<Value, Value> getConjunction(Value condition, bool holds) {
   auto branch = condition.getDefiningOp<scf::IfOp>();
   if (!branch)
@@ -47,7 +47,7 @@ static std::pair<Value, Value> getConjunction(Value condition, bool holds) {
 }
 
 namespace {
-/// The comparisons that hold where an access runs.
+/// The comparisons that are known to hold where an access runs.
 class Conditions {
 public:
   Conditions(Operation *access, ParallelForOp loop) : loop(loop) {
@@ -58,13 +58,12 @@ public:
             branch.getThenRegion().isAncestor(op->getParentRegion()));
   }
 
-  /// The differences that are zero.
+  /// The differences that are known to be zero.
   ArrayRef<IndexExpr> getZeros() const { return zeros; }
-  /// True if one of them compares for equality, which few iterations satisfy.
+  /// True if a condition compares for equality, which few iterations satisfy.
   bool haveEquality() const { return isEquality; }
 
-  /// Takes away the iterations of which comparisons with constants say that
-  /// they do not hold.
+  /// Removes iterations in which comparisons with constants do not hold.
   void narrow(LoopBox &box) const {
     for (const IndexExpr &zero : zeros)
       narrow(box, zero, /*most=*/0, /*least=*/true);
@@ -72,7 +71,7 @@ public:
       narrow(box, bound.second, bound.first == Less ? -1 : 0, /*least=*/false);
   }
 
-  /// True if nothing else is asked than what narrow() understands.
+  /// True if all conditions are comparisons that narrow() handles.
   bool areUnderstood(LoopBox &box) const {
     return !isUnknown && llvm::all_of(zeros, [&](auto &zero) {
       return isOfOneIndex(box, zero);
@@ -81,8 +80,8 @@ public:
     });
   }
 
-  /// The same for values that are not constants. False if something else is
-  /// asked.
+  /// Adds limits of loop indices by values from outside the loop. False if
+  /// there are conditions of any other kind.
   bool limit(IndexLimits &limits) {
     return !isUnknown && llvm::all_of(zeros, [&](auto &zero) {
       return limit(limits, zero, /*most=*/0, /*least=*/true);
@@ -134,7 +133,7 @@ private:
            box.find(form.terms.front().first.getValue());
   }
 
-  /// The form is `most` at most, and with `least` no less either.
+  /// Narrows the box by form <= `most`, or with `least` by form == `most`.
   static void narrow(LoopBox &box, const IndexExpr &form, int64_t most,
                      bool least) {
     if (!isOfOneIndex(box, form))
@@ -172,7 +171,8 @@ private:
                                 predicate == arith::CmpFPredicate::ONE;
       isUnknown = true;
     } else {
-      // A truth value that somebody computed: a mask, it may be of one.
+      // A boolean of unknown origin, such as a mask, may hold in a single
+      // iteration.
       isEquality |= !matchPattern(condition, m_Constant());
       isUnknown = true;
     }
@@ -186,7 +186,8 @@ private:
     auto difference = [&](Value lhs, Value rhs) {
       return builder.get(lhs).add(builder.get(rhs), -1);
     };
-    // The order of numbers says nothing once arithmetic has wrapped.
+    // Once arithmetic has wrapped, the order of two numbers does not bound
+    // their difference.
     auto addBound = [&](Bound bound, Value less, Value more) {
       for (Value side : {less, more}) {
         IndexExpr expr = builder.get(side);
@@ -234,8 +235,8 @@ private:
 // Sharing
 //===----------------------------------------------------------------------===//
 
-/// True if the value is the same in all iterations of `loop`, or counts a loop
-/// in it that is the same in all of them.
+/// True if the value is the same in all iterations of `loop`, or is the index
+/// of an inner loop whose bounds are the same in all iterations.
 static bool isAlike(Value value, ParallelForOp loop) {
   Operation *owner = value.getParentBlock()->getParentOp();
   if (!loop->isAncestor(owner))
@@ -288,7 +289,7 @@ Sharing mlir::tai::getSharing(DifferentiableAccessInterface access,
   SmallVector<IndexExpr> determined = indices;
   llvm::append_range(determined, conditions.getZeros());
 
-  // Dimensions of one step tell nothing apart.
+  // Indices of dimensions with one iteration need not be distinguished.
   std::optional<LoopBox> box = getIndexBox(loop);
   if (box)
     conditions.narrow(*box);
@@ -335,7 +336,7 @@ SameIteration::SameIteration(ParallelForOp loop) {
   });
 }
 
-/// True if nothing is written to the storage of two reads between them.
+/// True if the storage that two reads access is not written between the reads.
 static bool haveNoWriteBetween(Operation *first, Operation *second) {
   const void *key = getStorageKey(cast<DifferentiableAccessInterface>(first));
   if (!findCommonBlock(first, second))

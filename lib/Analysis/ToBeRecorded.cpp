@@ -20,8 +20,9 @@ using namespace mlir::tai;
 // Analysis
 //===----------------------------------------------------------------------===//
 
-/// The loads that decide which elements the stores of a kernel reach: the form
-/// of the adjoint that leaves zero there computes them too.
+/// The loads that determine which elements the stores of a kernel reach. The
+/// form of the adjoint that sets adjoints of overwritten elements to zero
+/// executes these loads too.
 static SetVector<Operation *> findLoadsBehindStores(KernelOp kernel) {
   SetVector<Operation *> slice, loads;
   auto addValues = [&](ValueRange values) {
@@ -61,8 +62,8 @@ static SetVector<Operation *> findLoadsBehindStores(KernelOp kernel) {
   return loads;
 }
 
-/// True if the elements of an array argument may be read: any use but asking
-/// for its extents and storing to it.
+/// True if the elements of an array argument may be read: it has uses other
+/// than queries of its extents and stores to it.
 static bool mayBeRead(Value array) {
   return llvm::any_of(array.getUses(), [&](OpOperand &use) {
     if (auto store = dyn_cast<memref::StoreOp>(use.getOwner()))
@@ -71,8 +72,8 @@ static bool mayBeRead(Value array) {
   });
 }
 
-/// The slots of the arrays of `kernel` that its adjoint reads, or that `loads`
-/// of the kernel do. Null for the adjoint: all that the kernel reads.
+/// The slots of the arrays of `kernel` that its adjoint or the given `loads`
+/// read. If `adjoint` is null, the slots of all arrays that the kernel reads.
 static std::vector<int64_t> findArraysRead(KernelOp kernel, KernelOp adjoint,
                                            ArrayRef<Operation *> loads) {
   std::vector<int64_t> arrays;
@@ -169,7 +170,7 @@ public:
   std::string bytes;
 };
 
-/// Reads the output of a Writer; at the end, `ok` says whether it was complete.
+/// Reads the output of a Writer; `ok` says in the end whether it was complete.
 class Reader {
 public:
   explicit Reader(StringRef bytes) : bytes(bytes) {}

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Skips iterations whose incoming adjoints are zero. Every contribution of most
-// adjoint loops is a product with an adjoint of the iteration's own cell. This
-// finds, for each loop, the fields that must be zero for it to have no effect:
-// the greatest fixed point of "this value is zero then", by the effect of each
-// op on zeros.
+// Finds loops whose iterations can be skipped if their incoming adjoints are
+// zero. Every contribution of most adjoint loops is a product with an adjoint
+// of the iteration's own cell. This analysis finds, for each loop, the fields
+// that must be zero for an iteration to have no effect: the greatest fixed
+// point of "this value is zero then", by the effect of each op on zeros.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,13 +27,13 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// One loop over a sparse field.
+/// The analysis of one loop over a sparse field.
 class LoopAnalysis {
 public:
   LoopAnalysis(ParallelForOp loop, FieldLayout layout)
       : loop(loop), layout(std::move(layout)) {}
 
-  /// False if some effect of an iteration does not vanish.
+  /// False if some effect of an iteration remains when the sources are zero.
   bool run();
 
   SetVector<StringAttr> sources;
@@ -58,7 +58,7 @@ static bool isFloat(Type type) {
   return isa<FloatType>(getElementTypeOrSelf(type));
 }
 
-/// True for accesses to the cell of the iteration.
+/// True for accesses to the cell that the iteration visits.
 static bool isOwnAccess(ParallelForOp loop, const FieldLayout &layout,
                         Operation *op, FlatSymbolRefAttr name,
                         ValueRange indices) {
@@ -139,13 +139,13 @@ bool LoopAnalysis::staysZero(Value value) const {
          zeros.contains(inner.getBody()->getTerminator()->getOperand(number));
 }
 
-/// Whether the effects of an op vanish where its zeros are.
+/// Whether an op has no effect if all values in `zeros` are zero.
 bool LoopAnalysis::isHarmless(Operation *op) {
   if (auto atomic = dyn_cast<AtomicOp>(op)) {
     FieldLayout target =
         *getFieldLayout(lookupField(op, atomic.getFieldAttr()));
     sumsUp |= !target.path.getFirstSparse();
-    // One iteration would make another one matter.
+    // An iteration must not change the source of another iteration.
     if (sources.contains(atomic.getFieldAttr().getAttr()) &&
         !isOwn(op, atomic.getFieldAttr(), atomic.getIndices()))
       return false;
@@ -157,7 +157,7 @@ bool LoopAnalysis::isHarmless(Operation *op) {
     return sources.contains(store.getFieldAttr().getAttr()) &&
            isOwn(op, store.getFieldAttr(), store.getIndices()) &&
            zeros.contains(store.getValue());
-  // Memory of the iteration is dropped with it.
+  // Memory that belongs to the iteration disappears with it.
   if (isa<StackCreateOp, StackPushOp, StackPopOp, StackDestroyOp, LocalStoreOp>(
           op))
     return llvm::all_of(op->getOperands(), [&](Value operand) {
@@ -171,7 +171,7 @@ bool LoopAnalysis::isHarmless(Operation *op) {
 bool LoopAnalysis::run() {
   if (loop.getLevel())
     return false;
-  // Adjoints of the own cell, read or set to zero.
+  // Sources are adjoints of the own cell that the loop reads or stores.
   auto addSource = [&](Operation *op, FlatSymbolRefAttr name,
                        ValueRange indices) {
     if (isOwn(op, name, indices))
@@ -199,7 +199,7 @@ bool LoopAnalysis::run() {
     for (Region &region : op->getRegions())
       for (Block &block : region)
         llvm::for_each(block.getArguments(), consider);
-    // Constants of the function.
+    // Zero constants defined outside the loop.
     for (Value operand : op->getOperands())
       if (matchPattern(operand, m_AnyZeroFloat()))
         zeros.insert(operand);
@@ -230,14 +230,15 @@ std::vector<LoopFlags> mlir::tai::findLoopFlags(KernelOp primal,
     LoopAnalysis analysis(loop, *layout);
     bool vanishes = analysis.run();
     LoopFlags entry{loop.getFieldAttr().getValue().str(), {}, analysis.sumsUp};
-    // Sums are split by the number of iterations: where their bits are fixed, a
-    // loop that sums up runs for all cells.
+    // Sums depend on the number of iterations, which splits them: where their
+    // bits are fixed, a loop with sums must run for all cells.
     if (vanishes && !(analysis.sumsUp && hasFixedBits(primal)))
       for (StringAttr source : analysis.sources)
         entry.sources.push_back(source.str());
     flags.push_back(std::move(entry));
   });
-  // The form that zeroes overwritten adjoints sets these to zero, too.
+  // The form of the adjoint that sets adjoints of overwritten elements to zero
+  // does so for these elements, too.
   primal.walk([&](Operation *op) {
     auto loop = op->getParentOfType<ParallelForOp>();
     FlatSymbolRefAttr name = getNamedField(op);

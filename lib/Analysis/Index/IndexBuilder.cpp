@@ -15,9 +15,10 @@ using namespace mlir;
 using namespace mlir::tai;
 using Kind = IndexNode::Kind;
 
-/// Longer chains are unrolled sums; an expression of more terms is of no use.
+/// Longer chains are unrolled sums, whose expressions have too many terms to be
+/// useful.
 static constexpr unsigned kMostDepth = 16;
-/// Products of products name values exponentially often.
+/// Nested products would contain values exponentially often.
 static constexpr unsigned kMostSize = 64;
 
 static unsigned getWidth(Type type) {
@@ -28,7 +29,8 @@ static unsigned getWidth(Type type) {
 // Ranges
 //===----------------------------------------------------------------------===//
 
-/// Beyond this, ranges are cut off: sums of a few such numbers fit.
+/// Ranges are clamped to this magnitude: sums of a few such numbers fit 128
+/// bits.
 static constexpr __int128 kFar = static_cast<__int128>(1) << 120;
 
 static __int128 clampFar(__int128 number) {
@@ -71,7 +73,7 @@ IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
   IndexRange a = getRange(node->lhs), b = getRange(node->rhs);
   if (node->kind == Kind::Product)
     return multiplyRanges(a, b);
-  // The others are computed from the low bits of their operands.
+  // Operations other than products read the low 64 bits of their operands.
   constexpr IndexRange all{INT64_MIN, INT64_MAX};
   a = a.fits(64) ? a : all;
   b = b.fits(64) ? b : all;
@@ -85,7 +87,7 @@ IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
   case Kind::Quotient:
   case Kind::TruncatedQuotient: {
     if (b.low <= 0) {
-      // No quotient is farther from zero than the dividend and minus one.
+      // The magnitude of a quotient is at most that of the dividend, or 1.
       __int128 most = std::max({a.high, -a.low, static_cast<__int128>(1)});
       return {-most, most};
     }
@@ -105,7 +107,7 @@ IndexRange IndexBuilder::getRange(const IndexAtom &atom) {
     return range;
   }
   case Kind::TruncatedRemainder: {
-    // The divisor is not zero where there is a remainder.
+    // A remainder is defined only if the divisor is not zero.
     __int128 most = std::max({b.high, -b.low, static_cast<__int128>(1)}) - 1;
     return {a.low < 0 ? std::max(a.low, -most) : 0,
             a.high > 0 ? std::min(a.high, most) : 0};
@@ -135,7 +137,8 @@ IndexBuilder::Parts IndexBuilder::takeMultiples(const IndexExpr &expr,
       parts.rest.add(IndexExpr(atom), factor);
   parts.multiple.constant = llvm::divideFloorSigned(expr.constant, divisor);
   parts.rest.constant = expr.constant - parts.multiple.constant * divisor;
-  // The sums must be numbers themselves, and not others with the same bits.
+  // The sums must fit 64 bits: numbers with the same low bits have different
+  // quotients.
   IndexRange rest = getRange(parts.rest);
   if (!rest.fits(64) || !getRange(expr).fits(64))
     return {IndexExpr(0), expr, false};
@@ -267,7 +270,8 @@ std::optional<IndexExpr> IndexBuilder::buildProduct(Operation *op,
     product.add(a, b.constant);
   } else {
     unsigned width = product.width;
-    // The factors count as integers, of which the product's low bits are kept.
+    // The factors are exact integers; only the low bits of the product are
+    // kept.
     a.width = b.width = 64;
     product = IndexExpr(IndexNode{Kind::Product, std::move(a), std::move(b)});
     product.width = width;
@@ -291,7 +295,7 @@ std::optional<IndexExpr> IndexBuilder::buildCast(Operation *op,
     return std::nullopt;
   bool isUnsigned = isa<arith::IndexCastUIOp, arith::ExtUIOp>(op);
   if (getWidth(to) > getWidth(from.getType())) {
-    // The same bits are another number.
+    // Zero-extension changes the value of a negative number.
     if (isUnsigned && getSignedRange(from).low < 0)
       return std::nullopt;
     return build(from, depth);
@@ -317,12 +321,12 @@ std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
   if (b.isConstant() && b.constant == 0)
     return std::nullopt;
   IndexRange divisor = getSignedRange(rhs);
-  // The one quotient that wraps is that of the least number and -1.
+  // Only the quotient of the least number by -1 wraps.
   if (divisor.low <= -1 && divisor.high >= -1 &&
       !multiplyRanges(getSignedRange(lhs), {-1, -1})
            .fits(getWidth(lhs.getType())))
     return std::nullopt;
-  // Rounding towards zero is rounding down for numbers of one sign.
+  // Rounding towards zero rounds down if neither operand is negative.
   if (isFloor || (getSignedRange(lhs).low >= 0 && divisor.low >= 0))
     return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
   if (isa<arith::DivUIOp, arith::RemUIOp>(op))
@@ -332,8 +336,8 @@ std::optional<IndexExpr> IndexBuilder::buildDivision(Operation *op,
                 std::move(a), std::move(b)});
 }
 
-/// `expr` with the bits of `mask` flipped. Each run of ones in the mask is a
-/// digit of the number, which becomes the largest digit less it.
+/// `expr` with the bits of `mask` flipped. Each run of ones in the mask selects
+/// a digit of the number; flipping subtracts the digit from the largest digit.
 static IndexExpr flipBits(IndexBuilder &builder, const IndexExpr &expr,
                           uint64_t mask) {
   if (mask == 0)
@@ -351,8 +355,8 @@ static IndexExpr flipBits(IndexBuilder &builder, const IndexExpr &expr,
       .add(above, int64_t(1) << (start + length));
 }
 
-/// Shifts by constants, constant masks of low or high bits, the union of bits
-/// that do not overlap, and bits that a constant flips.
+/// Shifts by constants, masks of low or high bits by constants, unions of bits
+/// that do not overlap, and flips of bits by constants.
 std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
                                                  unsigned depth) {
   if (!isa<arith::ShLIOp, arith::ShRSIOp, arith::ShRUIOp, arith::AndIOp,
@@ -385,7 +389,7 @@ std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
     return *number < 0 ? all.add(low, -1) : low;
   }
   if (isa<arith::XOrIOp>(op)) {
-    // A negative mask flips the bits that its complement leaves alone.
+    // x ^ m is ~(x ^ ~m).
     int64_t mask = *number < 0 ? ~*number : *number;
     if (mask >= int64_t(1) << 62)
       return std::nullopt;
@@ -409,7 +413,7 @@ std::optional<IndexExpr> IndexBuilder::buildBits(Operation *op,
   return getQuotient(buildExact(lhs, depth), IndexExpr(power));
 }
 
-/// True if `condition` says that `rest`, a remainder that is rounded towards
+/// True if `condition` implies that `rest`, a remainder that is rounded towards
 /// zero, and `divisor` have different signs.
 static bool saysSignsDiffer(Value condition, Value rest, Value divisor) {
   auto comparesWithZero = [](Value side, arith::CmpIPredicate predicate) {
@@ -440,8 +444,8 @@ static bool saysSignsDiffer(Value condition, Value rest, Value divisor) {
   return false;
 }
 
-/// Division that rounds down, as programs write it by one that rounds towards
-/// zero; and a choice of which the outcome is known.
+/// Recognises division that rounds down, written by means of division that
+/// rounds towards zero; and resolves selects whose condition is known.
 std::optional<IndexExpr> IndexBuilder::buildSelect(Operation *op,
                                                    unsigned depth) {
   auto select = dyn_cast<arith::SelectOp>(op);
@@ -460,7 +464,8 @@ std::optional<IndexExpr> IndexBuilder::buildSelect(Operation *op,
                   (sum.getLhs() == rhs && sum.getRhs() == no)))
       return std::nullopt;
   } else if (auto div = no.getDefiningOp<arith::DivSIOp>()) {
-    // One less, by a sum or a difference.
+    // The alternative is the quotient minus one, written as a sum or a
+    // difference.
     isQuotient = true;
     lhs = div.getLhs(), rhs = div.getRhs();
     APInt number;
@@ -484,7 +489,7 @@ std::optional<IndexExpr> IndexBuilder::buildSelect(Operation *op,
   IndexExpr a = buildExact(lhs, depth), b = buildExact(rhs, depth);
   if (b.isConstant() && b.constant == 0)
     return std::nullopt;
-  // The least number divided by -1 is no number.
+  // The quotient of the least number by -1 is undefined.
   return isQuotient ? getQuotient(a, b) : getRemainder(a, b);
 }
 

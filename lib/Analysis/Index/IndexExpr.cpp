@@ -15,7 +15,7 @@ using namespace mlir::tai;
 // Atoms
 //===----------------------------------------------------------------------===//
 
-/// Operations that commute have the lesser operand first.
+/// Sorts the operands of commutative operations.
 static IndexNode sortOperands(IndexNode node) {
   if (!node.isDivision() && node.rhs.compare(node.lhs) < 0)
     std::swap(node.lhs, node.rhs);

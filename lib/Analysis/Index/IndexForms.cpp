@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Launches are refused only because of iterations in which the assumptions
-// hold.
+// Forms rest on assumptions, such as limits of launch values (kLargest). A
+// launch is refused only because of iterations in which these assumptions hold.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,8 +22,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Beyond this no storage reaches. Numbers of 64 bits that the launch is given
-/// are assumed to be smaller, so that sums of them do not overflow.
+/// No storage is larger than this. 64-bit numbers that a launch passes are
+/// assumed to be smaller, so that sums of them do not overflow.
 static constexpr int64_t kLargest = int64_t(1) << 47;
 /// Factors are assumed to be no larger, so that products do not overflow.
 static constexpr int64_t kLargestFactor = int64_t(1) << 31;
@@ -32,7 +32,7 @@ static constexpr int64_t kLargestFactor = int64_t(1) << 31;
 // Ranges
 //===----------------------------------------------------------------------===//
 
-/// Index counts as 64 bits, and a truth value is 0 or 1.
+/// The range of a type; index has 64 bits, and an i1 is 0 or 1.
 static NumberRange rangeOfType(Type type) {
   unsigned width = type.isIndex() ? 64 : type.getIntOrFloatBitWidth();
   if (width >= 64)
@@ -61,7 +61,7 @@ static NumberRange scaleRange(NumberRange a, int64_t factor) {
   return product;
 }
 
-/// The range of a / d, rounded down, or towards zero where that is the same.
+/// The range of a / d, rounded down, or towards zero where both are equal.
 static NumberRange divideRange(NumberRange a, int64_t d) {
   return {a.low == INT64_MIN ? INT64_MIN : llvm::divideFloorSigned(a.low, d),
           a.high == INT64_MAX ? INT64_MAX : llvm::divideFloorSigned(a.high, d)};
@@ -93,7 +93,7 @@ NumberRange IndexForms::rangeOf(Value value) {
   ConstantIntRanges range = ranges.get(value);
   if (range.smin().getBitWidth() > 64)
     return {};
-  // A truth value is 0 or 1.
+  // An i1 is 0 or 1, not 0 or -1.
   if (type.isInteger(1))
     return {static_cast<int64_t>(range.umin().getZExtValue()),
             static_cast<int64_t>(range.umax().getZExtValue())};
@@ -104,7 +104,7 @@ NumberRange IndexForms::rangeOf(Value value) {
 // Launch values
 //===----------------------------------------------------------------------===//
 
-/// The array and dimension that an extent is asked of, if it is that of an
+/// The array and the dimension whose extent `value` is, if the array is a block
 /// argument.
 static std::optional<std::pair<Value, int64_t>> getArrayExtent(Value value) {
   auto dim = value.getDefiningOp<memref::DimOp>();
@@ -125,12 +125,12 @@ bool IndexForms::isLaunchValue(Value value) {
   } else if (Operation *op = value.getDefiningOp();
              value.getType().isIntOrIndexOrFloat() &&
              op->getNumRegions() == 0 && isPure(op)) {
-    // An op that may fault is not hoisted, since the program might not execute
-    // it.
+    // An op that may fault cannot be computed at the launch, since the program
+    // might not execute it.
     is = llvm::all_of(op->getOperands(),
                       [&](Value operand) { return isLaunchValue(operand); });
   }
-  // Expressions are shared, so that each is looked at once.
+  // Expressions share operands: remember the answer for each value.
   return launchValues[value] = is;
 }
 
@@ -176,7 +176,8 @@ LinearForm IndexForms::makeLaunchForm(const LaunchValue &launch,
   return form;
 }
 
-/// a <= b or a < b, which no difference need be computed for.
+/// True for a <= b and a < b, which can be tested without computing a
+/// difference.
 static bool isComparison(const LinearSum &row) {
   return row.terms.size() == 2 && row.terms[0].second == -row.terms[1].second &&
          (row.constant == 0 || row.constant == -1);
@@ -196,8 +197,9 @@ LinearSystem IndexForms::dropAssumptions(const LinearSystem &system,
     rest.require(row);
     isExact &= row.terms.size() == 1 || isComparison(row);
   }
-  // A multiple may wrap around to an index in range, and a sum that is not the
-  // index itself to one of the other sign.
+  // Without the assumptions, a multiple of a launch value may wrap around to an
+  // index in range, and a sum other than the index itself to a sum of the other
+  // sign.
   for (auto term : index.terms)
     if (getLaunchValue(term.first) && !isUnit(term))
       return system;
@@ -215,8 +217,8 @@ LinearForm LinearForm::plus(const LinearForm &other, int64_t scale) const {
 
 void IndexForms::assumeFits(LinearForm &form, Type type) const {
   NumberRange most = rangeOfType(type);
-  // A product is looked at where it is largest: one that wraps there is no
-  // index, either.
+  // Products are checked at their extremes: a product that wraps there is no
+  // valid index either.
   if (hasProduct(form.sum)) {
     form.isComplete = false;
     return;
@@ -228,9 +230,9 @@ void IndexForms::assumeFits(LinearForm &form, Type type) const {
   form.isComplete = false;
 }
 
-/// The index of a loop. With a step it is the first one and a number of steps,
-/// unless the loop counts without a sign: then the steps may lead from the
-/// greatest number to the least one.
+/// The index of a loop. With a step it is the first index plus a multiple of
+/// the step, unless the loop compares without a sign: then it may pass from the
+/// greatest signed number to the least.
 LinearForm IndexForms::makeLoopForm(BlockArgument argument) {
   auto loop = dyn_cast<scf::ForOp>(argument.getOwner()->getParentOp());
   std::optional<int64_t> step =
@@ -241,7 +243,7 @@ LinearForm IndexForms::makeLoopForm(BlockArgument argument) {
   return formOf(loop.getLowerBound()).plus(steps, *step);
 }
 
-/// Sums, differences, multiples, and casts of them.
+/// Forms of sums, differences, multiples, and casts.
 std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
   LinearForm form;
   if (auto add = dyn_cast<arith::AddIOp>(op)) {
@@ -260,7 +262,7 @@ std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
     form = formOf(op->getOperand(0));
   } else if (isa<arith::ExtUIOp, arith::IndexCastUIOp>(op)) {
     form = formOf(op->getOperand(0));
-    // The same bits are another number.
+    // Zero-extension changes the value of a negative number.
     if (rangeOf(op->getOperand(0)).low < 0) {
       form.facts.push_back(form.sum);
       form.isComplete = false;
@@ -272,7 +274,7 @@ std::optional<LinearForm> IndexForms::makeLinear(Operation *op) {
   return form;
 }
 
-/// Division by a constant and its remainder: d q <= a <= d q + d - 1.
+/// Forms of quotient and remainder by a constant: d q <= a <= d q + d - 1.
 std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   bool isFloor = isa<arith::FloorDivSIOp>(op);
   bool isDivision = isFloor || isa<arith::DivSIOp, arith::DivUIOp>(op);
@@ -282,7 +284,7 @@ std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   if (d <= 0 || (!isFloor && rangeOf(op->getOperand(0)).low < 0))
     return std::nullopt;
   LinearForm dividend = formOf(op->getOperand(0));
-  // A hash, say, that is to wrap.
+  // A product may be meant to wrap, as in a hash.
   if (hasProduct(dividend.sum))
     return std::nullopt;
   LinearForm quotient =
@@ -298,8 +300,9 @@ std::optional<LinearForm> IndexForms::makeQuotient(Operation *op) {
   return form;
 }
 
-/// The smaller of two numbers is known to be no larger than both. That proves,
-/// but does not show that an iteration goes out of range.
+/// A minimum is no larger than either operand, a maximum no smaller. These
+/// facts can prove that an index is in range, but not that an iteration goes
+/// out of range.
 std::optional<LinearForm> IndexForms::makeExtreme(Operation *op) {
   if (!isa<arith::MinSIOp, arith::MaxSIOp>(op))
     return std::nullopt;
@@ -351,7 +354,7 @@ LinearForm IndexForms::makeForm(Value value) {
   return makeVariable(Kind::Data, range);
 }
 
-// By value, since a later query may move the table.
+// Returns a copy, since a later query may reallocate the table.
 LinearForm IndexForms::formOf(Value value) {
   if (auto known = forms.find(value); known != forms.end())
     return known->second;
@@ -390,7 +393,7 @@ static NumberRange multiplyRanges(NumberRange a, NumberRange b) {
   return range;
 }
 
-/// A sum of launch values times one of loop indices.
+/// The form of a sum of launch values times a sum with loop indices.
 std::optional<LinearForm> IndexForms::makeProduct(Operation *op) {
   LinearForm a = formOf(op->getOperand(0)), b = formOf(op->getOperand(1));
   if (!isOfLaunch(a.sum))

@@ -20,7 +20,7 @@ using namespace mlir::tai;
 // Differences
 //===----------------------------------------------------------------------===//
 
-/// Beyond this, a range counts as unbounded.
+/// Ranges with a larger magnitude count as unbounded.
 static constexpr __int128 kFar = static_cast<__int128>(1) << 120;
 
 void IndexDifference::addConstant(__int128 value) {
@@ -53,12 +53,14 @@ bool IndexDifference::canBeZero(unsigned width) const {
   __int128 modulus = static_cast<__int128>(1) << width;
   if (unknowns == 0)
     return constant % modulus == 0;
-  // Multiples of the divisor reach all multiples of its largest power of two.
+  // Modulo a power of two, multiples of the divisor are all multiples of the
+  // largest power of two that divides it.
   unsigned twos = std::min<unsigned>(llvm::countr_zero(divisor), width);
   if (constant % (static_cast<__int128>(1) << twos) != 0)
     return false;
-  // Zero is the only multiple of the modulus in the range. A single unknown
-  // times an odd factor is a multiple only if the unknown is one.
+  // If the range is small enough, zero is the only multiple of the modulus in
+  // it. A single unknown times an odd factor is a multiple only if the unknown
+  // is one.
   __int128 most = modulus;
   if (unknowns == 1 && constant == 0)
     most *= static_cast<__int128>(divisor >> twos);
@@ -95,7 +97,7 @@ bool IterationEquations::solve(ValueRange values) {
   size_t steps;
   do {
     steps = equations.size() + solutions.size();
-    // Dividends are added behind.
+    // solveOne and joinDigits append equations.
     for (size_t i = 0; i != equations.size(); ++i)
       solveOne(equations[i].first, equations[i].second);
     joinDigits();
@@ -124,7 +126,7 @@ bool IterationEquations::isSame(IndexExpr first, IndexExpr second) const {
          first.constant == second.constant;
 }
 
-/// Takes the terms that are the same away from both sums.
+/// Removes the terms that are equal in both sums.
 void IterationEquations::cancel(IndexExpr &first, IndexExpr &second) const {
   llvm::erase_if(first.terms, [&](const auto &term) {
     auto *at = llvm::find_if(second.terms, [&](const auto &other) {
@@ -137,7 +139,8 @@ void IterationEquations::cancel(IndexExpr &first, IndexExpr &second) const {
   });
 }
 
-/// Finds the one unknown of an equation. By value: solutions add equations.
+/// Solves an equation with one unknown on each side. The parameters are copies,
+/// because solutions add equations.
 void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
   cancel(first, second);
   if (first.terms.size() > 1 && second.terms.size() > 1)
@@ -150,7 +153,8 @@ void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
   const IndexAtom &b = second.terms.front().first;
   unsigned width = std::min(first.width, second.width);
   if (width != 64 || std::abs(factor) != 1) {
-    // Only the difference zero gives equal low bits: no other one does.
+    // Solve only if no difference of the unknowns other than zero yields equal
+    // low bits.
     IndexRange lhs = builder.getRange(a), rhs = builder.getRange(b);
     __int128 most = std::max(lhs.high - rhs.low, rhs.high - lhs.low);
     auto iv = dyn_cast_if_present<BlockArgument>(a.getValue());
@@ -162,12 +166,14 @@ void IterationEquations::solveOne(IndexExpr first, IndexExpr second) {
       return;
   }
   solutions.emplace_back(a, b);
-  // An expression that may wrap is a term where it is divided or extended.
+  // A value is a term, rather than a sum, where it may wrap before a division
+  // or an extension; its sum must be equal as well.
   if (a.getValue() && b.getValue())
     add(a.getValue(), b.getValue());
 }
 
-/// The least value of the terms of `expr` that are no multiples of `base`.
+/// The least value of the sum of the terms of `expr` that are no multiples of
+/// `base`.
 static __int128 getLeastBelow(IndexBuilder &builder, const IndexExpr &expr,
                               int64_t base) {
   IndexExpr below;
@@ -177,12 +183,12 @@ static __int128 getLeastBelow(IndexBuilder &builder, const IndexExpr &expr,
   return builder.getRange(below).low;
 }
 
-/// Equal numbers have equal digits, which are other unknowns where a factor is
-/// larger than the sum of the terms below it.
+/// Equal numbers have equal digits: where a factor exceeds the sum of the terms
+/// below it, adds equations for quotient and remainder by this factor.
 void IterationEquations::splitDigits(IndexExpr first, IndexExpr second) {
   unsigned width = std::min(first.width, second.width);
   IndexRange a = builder.getRange(first), b = builder.getRange(second);
-  // The sums must be equal, and not only their low bits.
+  // The sums themselves must be equal, not only their low bits.
   __int128 most = std::max(a.high - b.low, b.high - a.low);
   if (most >= static_cast<__int128>(1) << width ||
       llvm::SubOverflow(first.constant, second.constant, first.constant))
@@ -193,8 +199,8 @@ void IterationEquations::splitDigits(IndexExpr first, IndexExpr second) {
     if (factor == INT64_MIN || std::abs(factor) == 1)
       continue;
     int64_t base = std::abs(factor);
-    // A digit that counts down is one that counts up, less a constant that is
-    // added to both sums.
+    // Terms that count down may make the low digit negative: add a constant to
+    // both sums that prevents this.
     __int128 low = std::min(getLeastBelow(builder, first, base),
                             getLeastBelow(builder, second, base));
     if (low <= -base)
@@ -213,7 +219,7 @@ void IterationEquations::splitDigits(IndexExpr first, IndexExpr second) {
   }
 }
 
-/// The quotient and the remainder of one division determine the dividend.
+/// Equal quotients and remainders of a division imply equal dividends.
 void IterationEquations::joinDigits() {
   for (const auto &[first, second] : solutions) {
     const IndexNode *a = first.getNode(), *b = second.getNode();

@@ -17,14 +17,14 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Longest loop that is evaluated index by index, where an expression has no
-/// pieces: beyond it the pass would cost more than a millisecond.
+/// The longest loop that is evaluated index by index, if an expression has no
+/// pieces: for longer loops the pass would take more than a millisecond.
 static constexpr int64_t kMaxEvaluations = 1 << 16;
 
-/// No loop over a field goes further.
+/// No loop over a field has larger bounds.
 static constexpr int64_t kFarthest = int64_t(1) << 48;
 
-/// More pieces than a stencil with its borders has.
+/// Even a stencil with its borders has fewer pieces.
 static constexpr unsigned kMaxPieces = 32;
 
 /// Width of the integers of `type`; index counts as 64 bits.
@@ -36,7 +36,7 @@ static bool isWord(Type type) {
   return type.isIntOrIndex() && getWidth(type) <= 64;
 }
 
-/// True for the operations that `evaluateOp` follows.
+/// True for the operations that `evaluateOp` evaluates.
 static bool isIntegerArithmetic(Operation *op) {
   return isa<arith::ArithDialect>(op->getDialect()) &&
          isa<InferIntRangeInterface>(op) &&
@@ -82,7 +82,7 @@ static std::optional<int64_t> inferResult(Operation *op,
   return result ? std::optional(result->getSExtValue()) : std::nullopt;
 }
 
-/// The same, at once for the operations that most indices are made of.
+/// Like inferResult, but fast for the operations that occur in most indices.
 static std::optional<int64_t> evaluateOp(Operation *op,
                                          ArrayRef<int64_t> operands) {
   Type type = op->getResult(0).getType();
@@ -123,8 +123,9 @@ static std::optional<int64_t> evaluateOp(Operation *op,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The values slope * i + offset of an operation, from an iteration `at` on to
-/// an `end` that shrinks to where this holds for all operations.
+/// The values of an operation as slope * i + offset, from the iteration `first`
+/// of a LineEvaluator up to its `end`, which shrinks until this holds for all
+/// operations.
 struct Line {
   int64_t slope = 0, offset = 0;
 
@@ -151,9 +152,10 @@ private:
     return make(Wide(a.slope) + Wide(factor) * b.slope,
                 Wide(a.offset) + Wide(factor) * b.offset, width);
   }
-  /// Ends the range where the line leaves [low, high], which it is in now.
+  /// Ends the range where the line leaves [low, high], which contains its first
+  /// value.
   void keepWithin(Wide slope, Wide offset, Wide low, Wide high);
-  /// The sign of a - b, which is the same up to the end.
+  /// The sign of a - b; ends the range where the sign changes.
   int getOrder(const Line &a, const Line &b);
   bool isNegative(const Line &line) { return getOrder(line, Line{0, -1}) <= 0; }
   std::optional<bool> compare(arith::CmpIPredicate predicate, const Line &a,
@@ -161,7 +163,7 @@ private:
   std::optional<std::pair<Line, Line>> divide(const Line &a, const Line &b,
                                               bool roundsDown);
 
-  /// Products of these stay within 128 bits.
+  /// Products of numbers with these limits fit 128 bits.
   static constexpr Wide kSteep = Wide(1) << 32, kFar = Wide(1) << 62;
 
   int64_t first, end;
@@ -171,15 +173,14 @@ private:
 void LineEvaluator::keepWithin(Wide slope, Wide offset, Wide low, Wide high) {
   if (slope == 0)
     return;
-  // Both numerators are differences to the line at `first`, so that they have
-  // the sign of the divisor.
+  // `here` is in [low, high], so each numerator has the sign of its divisor.
   Wide here = slope * first + offset;
   Wide steps = slope > 0 ? (high - here) / slope : (here - low) / -slope;
   if (steps < Wide(end) - first - 1)
     end = static_cast<int64_t>(first + steps + 1);
 }
 
-/// The line in arithmetic of `width` bits, up to where it wraps around again.
+/// The line in arithmetic of `width` bits; ends the range where it would wrap.
 std::optional<Line> LineEvaluator::make(Wide slope, Wide offset,
                                         unsigned width) {
   Wide low = -(Wide(1) << (width - 1)), high = -low - 1;
@@ -231,7 +232,7 @@ std::optional<bool> LineEvaluator::compare(arith::CmpIPredicate predicate,
   default:
     break;
   }
-  // Without a sign, negative numbers come last.
+  // Compared without a sign, negative numbers are larger than all others.
   bool isNegativeA = isNegative(a), isNegativeB = isNegative(b);
   if (isNegativeA != isNegativeB)
     order = isNegativeA ? 1 : -1;
@@ -247,14 +248,15 @@ std::optional<bool> LineEvaluator::compare(arith::CmpIPredicate predicate,
   }
 }
 
-/// The quotient and the remainder by a constant, rounded towards zero or down.
+/// The quotient and the remainder by a positive constant, rounded towards zero
+/// or down.
 std::optional<std::pair<Line, Line>>
 LineEvaluator::divide(const Line &a, const Line &b, bool roundsDown) {
   if (!b.isConstant() || b.offset <= 0)
     return std::nullopt;
   Wide divisor = b.offset;
   bool isBelow = isNegative(a);
-  // Towards zero, negative numbers are rounded up.
+  // Rounding towards zero rounds negative numbers up.
   Wide shift = isBelow && !roundsDown ? divisor - 1 : 0;
   auto floorDiv = [](Wide x, Wide y) {
     return x / y - (x % y != 0 && x < 0 ? 1 : 0);
@@ -289,7 +291,7 @@ std::optional<Line> LineEvaluator::evaluate(Operation *op,
   }
   const Line &a = operands.front(), &b = operands.back();
   using Result = std::optional<Line>;
-  // Numbers that are not negative are the same with a sign and without.
+  // For numbers that are not negative, signed and unsigned operations agree.
   auto divideUnsigned = [&](bool wantsRest) -> Result {
     if (isNegative(a))
       return std::nullopt;
@@ -397,7 +399,8 @@ public:
       Line line = lines[result];
       int64_t end = evaluator.getEnd();
       IndexPiece *last = pieces.empty() ? nullptr : &pieces.back();
-      // One iteration is on many lines.
+      // A piece of one iteration fits any slope: take the slope of the next
+      // piece.
       if (last && last->upper - last->lower == 1 &&
           line.at(last->lower) == last->at(last->lower))
         last->slope = line.slope, last->offset = line.offset;
@@ -478,7 +481,7 @@ std::optional<ConstantStretch> tai::getConstantStretch(Value condition,
     return std::nullopt;
   int64_t low = lower + (upper - lower) / 2, high = low + 1;
   if (auto pieces = program.getPieces(lower, upper)) {
-    // Neighbours differ in their answers.
+    // Adjacent pieces have different values.
     for (const IndexPiece &piece : *pieces)
       if (piece.lower <= low && low < piece.upper)
         return ConstantStretch{piece.lower, piece.upper, piece.offset != 0};
@@ -495,8 +498,8 @@ std::optional<ConstantStretch> tai::getConstantStretch(Value condition,
   return ConstantStretch{low, high, *answer != 0};
 }
 
-/// The same pieces of an expression that `LineEvaluator` does not follow, by
-/// evaluating it for each value.
+/// The same pieces for an expression that `LineEvaluator` does not support, by
+/// evaluating the expression for each value.
 static std::optional<SmallVector<IndexPiece>>
 evaluateEach(IndexProgram &program, int64_t lower, int64_t upper) {
   if (upper - lower > kMaxEvaluations)
@@ -539,13 +542,13 @@ std::optional<IndexShift> tai::getIndexShift(Value index, Value variable,
   IndexShift shift{pieces->front().offset, pieces->size() == 2};
   if (!shift.wraps)
     return shift;
-  // The one allowed break: the index has run over the end of the range.
+  // The only break allowed: the index wraps at the end of the range.
   const IndexPiece &rest = pieces->back();
   if (rest.offset != shift.offset - length || shift.offset < 0 ||
       rest.lower + shift.offset < upper)
     return std::nullopt;
-  // Everything must have landed in the range, and a shift of most of the
-  // length is a small one the other way.
+  // The first index must still be in the range. A shift by more than half of
+  // the length is a smaller shift in the other direction.
   if (lower + shift.offset >= upper)
     return std::nullopt;
   if (2 * shift.offset > length)

@@ -20,8 +20,8 @@ static ConstantIntRanges getWhole(Value value) {
       ConstantIntRanges::getStorageBitwidth(value.getType()));
 }
 
-/// From the smallest value of one range to the value before the largest of
-/// another. If there is nothing between them, no such index exists.
+/// The range from the smallest value of `low` to the largest value of `up`
+/// minus one; `low` if this is empty, since there is then no index.
 static ConstantIntRanges getBetween(const ConstantIntRanges &low,
                                     const ConstantIntRanges &up,
                                     bool isUnsigned) {
@@ -38,8 +38,7 @@ std::optional<ConstantIntRanges>
 IntegerRanges::getLoopIndex(BlockArgument argument, unsigned depth) {
   Operation *parent = argument.getOwner()->getParentOp();
   if (auto loop = dyn_cast_or_null<scf::ForOp>(parent)) {
-    // An index never passes the upper bound: where the step is larger than one,
-    // it stops before.
+    // The index is less than the upper bound, also with steps larger than one.
     if (argument != loop.getInductionVar())
       return std::nullopt;
     return getBetween(get(loop.getLowerBound(), depth),
@@ -94,7 +93,8 @@ ConstantIntRanges IntegerRanges::get(Value value, unsigned depth) {
   auto at = known.find(value);
   if (at != known.end())
     return at->second;
-  // Through a loop a value may depend on itself.
+  // A value may depend on itself through a loop: assume the whole range
+  // meanwhile.
   known.insert({value, getWhole(value)});
   ConstantIntRanges range = compute(value, depth);
   known.find(value)->second = range;

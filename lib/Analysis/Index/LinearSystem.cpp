@@ -13,7 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Nests of loops have a dozen rows. Elimination squares their number at worst.
+/// Systems of loop nests have about a dozen rows. Eliminating a variable at
+/// worst squares the number of rows.
 static constexpr size_t kMaxRows = 64;
 
 //===----------------------------------------------------------------------===//
@@ -83,7 +84,7 @@ void LinearSystem::require(LinearSum sum) {
       row.constant = std::min(row.constant, sum.constant);
       return;
     }
-    // a + c >= 0 and -a + d >= 0 need c + d >= 0.
+    // a + c >= 0 and -a + d >= 0 imply c + d >= 0.
     LinearSum both = row.plus(sum);
     contradictory |=
         !both.hasOverflow && both.terms.empty() && both.constant < 0;

@@ -48,7 +48,8 @@ static bool areEqual(ValueRange a, ValueRange b) {
          });
 }
 
-/// True if both update the same element, in a way that one register can hold.
+/// True if one register can accumulate both updates: they have the same kind
+/// and update the same element.
 static bool haveOneTotal(Operation *a, Operation *b) {
   if (a->getName() != b->getName() ||
       getCombiningKind(a) != getCombiningKind(b))
@@ -87,7 +88,7 @@ bool tai::hasCommonTotals(ParallelForOp loop) {
       .wasInterrupted();
 }
 
-/// The buffer in which an update adds, or none.
+/// The number of the buffer that an update adds to, or none.
 static std::optional<int64_t> getBuffer(AtomicOp atomic) {
   ReductionAttr reduction = atomic.getReductionAttr();
   return reduction ? reduction.getBuffer() : std::nullopt;
@@ -150,7 +151,7 @@ bool tai::updatesSameComponent(AtomicOp a, AtomicOp b) {
 }
 
 bool tai::isInjective(ParallelForOp loop, ValueRange indices) {
-  // A dimension of one step tells nothing apart.
+  // Indices of dimensions with one iteration need not be distinguished.
   SmallVector<Value> ivs;
   for (auto [i, iv] : llvm::enumerate(loop.getInductionVars())) {
     std::optional<int64_t> lower, upper;
@@ -174,7 +175,7 @@ double tai::estimateRuns(Operation *op, ParallelForOp loop) {
 
 double tai::estimateIteration(ParallelForOp loop, bool isIndependent) {
   double cost = estimateNanoseconds(loop.getBody().front());
-  // Half the lanes: gathers and remainders take the rest.
+  // Half the number of lanes: gathers and remainders cost the other half.
   constexpr double speedup = 4;
   WalkResult innerLoops = loop.getBody().walk(
       [](LoopLikeOpInterface) { return WalkResult::interrupt(); });

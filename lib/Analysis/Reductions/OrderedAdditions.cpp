@@ -20,7 +20,8 @@ using namespace mlir::tai;
 // Control flow
 //===----------------------------------------------------------------------===//
 
-/// True if the value is the same in all iterations that are at the same place.
+/// True if all iterations that execute the same point of the body compute the
+/// same value.
 static bool isUniform(ParallelForOp loop, Value value, unsigned depth = 16) {
   if (loop.isDefinedOutsideOfLoop(value))
     return true;
@@ -50,7 +51,8 @@ Operation *tai::findDivergence(ParallelForOp loop, OpPredicate isAddition) {
          at = at->getParentOp()) {
       bool isTogether = false;
       if (auto branch = dyn_cast<scf::IfOp>(at)) {
-        // The addition can come out of it, but not out of a loop in it.
+        // Additions can be moved out of the branch, unless they are in a loop
+        // inside it.
         isTogether = !isRepeated || isUniform(loop, branch.getCondition());
       } else if (auto serial = dyn_cast<scf::ForOp>(at)) {
         isTogether = isUniform(loop, serial.getLowerBound()) &&
@@ -104,7 +106,7 @@ private:
   ParallelForOp loop;
   FieldTable &fields;
   const ReductionPlan &plan;
-  /// Iterations may take memory of their own, and add 16-bit floats.
+  /// Whether iterations may allocate memory, and add 16-bit floats.
   bool inAnyOrder = false;
   llvm::MapVector<const void *, PlaceAccesses> places;
   llvm::DenseSet<Operation *> additions;
@@ -134,7 +136,7 @@ bool Checker::visitField(FieldAccessOpInterface op) {
     return add(place.writes, atomic.getIndices());
   if (!atomic.getOld().use_empty())
     return false;
-  // Sums of all iterations leave memory alone until the end.
+  // Sums of all iterations access memory only after the loop.
   if (plan.isDoneByLoop(op))
     return true;
   Type type = atomic.getValue().getType();
@@ -157,7 +159,7 @@ bool Checker::visitArray(Operation *op) {
   Value array = load    ? load.getMemRef()
                 : store ? store.getMemRef()
                         : atomic.getMemref();
-  // An iteration's own.
+  // The array belongs to one iteration.
   if (!loop.isDefinedOutsideOfLoop(array))
     return true;
   PlaceAccesses &place = places[array.getAsOpaquePointer()];
@@ -184,7 +186,7 @@ bool Checker::visitArray(Operation *op) {
   return add(place.updates, atomic.getIndices());
 }
 
-/// False for operations that are not known to leave other iterations alone.
+/// False for operations that may affect other iterations, or are unknown.
 bool Checker::visit(Operation *op) {
   if (auto access = dyn_cast<FieldAccessOpInterface>(op);
       access && access.isElementAccess())
@@ -210,7 +212,8 @@ bool Checker::visit(Operation *op) {
   return op->getNumRegions() == 0 && isMemoryEffectFree(op);
 }
 
-/// False if an index that is the same in all iterations tells them apart.
+/// False if an index that is the same in all iterations differs between `a` and
+/// `b`.
 bool Checker::mayReach(ValueRange a, ValueRange b) {
   for (auto [x, y] : llvm::zip_equal(a, b))
     if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
@@ -219,13 +222,14 @@ bool Checker::mayReach(ValueRange a, ValueRange b) {
   return true;
 }
 
-/// True if no iteration sees or overwrites the writes of another.
+/// True if no iteration reads or overwrites elements that another iteration
+/// writes.
 bool Checker::isFree(const PlaceAccesses &place) {
   using Access = PlaceAccesses::Access;
   auto meets = [&](const Access &a, const Access &b) {
     return mayReach(a.indices, b.indices);
   };
-  // Each has elements of its own, if it has both accesses.
+  // If both accesses can meet, each iteration must access elements of its own.
   auto isOwn = [&](const Access &write, const Access &other) {
     return !meets(write, other) ||
            (areProvablyEqual(write.indices, other.indices) &&
@@ -272,12 +276,12 @@ bool tai::canOrderAdditions(ParallelForOp loop, FieldTable &fields,
   return Checker(loop, fields, plan).run();
 }
 
-/// True if an iteration reads nothing of the place that it has written.
+/// True if an iteration does not read elements of the place after writing them.
 bool Checker::readsComeFirst(const PlaceAccesses &place) {
   return llvm::all_of(place.writes, [&](const auto &write) {
     return llvm::all_of(place.reads, [&](const auto &read) {
-      // No inner loop may hold both: its next iteration could read the element
-      // that this one has written.
+      // No inner loop may contain both: its next iteration could read the
+      // element that this iteration has written.
       for (Operation *at = write.op->getParentOp(); at != loop;
            at = at->getParentOp())
         if (!isa<scf::IfOp>(at) && at->isProperAncestor(read.op))
@@ -290,7 +294,7 @@ bool Checker::readsComeFirst(const PlaceAccesses &place) {
         return false;
       before = common->findAncestorOpInBlock(*before);
       after = common->findAncestorOpInBlock(*after);
-      // The two branches of a condition count as one another's.
+      // Accesses in both arms of a branch count as if either could come first.
       return before != after && before->isBeforeInBlock(after);
     });
   });
@@ -301,13 +305,14 @@ bool Checker::runInAnyOrder(SmallVectorImpl<AtomicOp> &found) {
   if (!areFree())
     return false;
   WalkResult result = loop.getBody().walk([&](Operation *op) {
-    // Variables that outlive the iteration would be written several times.
+    // Repeated passes would write variables that outlive the iteration several
+    // times.
     Value local;
     if (auto store = dyn_cast<LocalStoreOp>(op))
       local = store.getLocal();
     auto update = dyn_cast<AtomicOp>(op);
     bool usesOld = update && !update.getOld().use_empty();
-    // Updates without an instruction of their own become loops.
+    // Updates without an atomic instruction would become loops.
     bool isLoop = update && !plan.isExclusive(op) && !plan.isDoneByLoop(op) &&
                   (update.getKind() == AtomicKind::Mul ||
                    update.getValue().getType().isInteger(1));
@@ -343,7 +348,8 @@ static ValueRange getComponentsOf(Operation *op) {
   return atomic ? ValueRange(atomic.getComponents()) : ValueRange();
 }
 
-/// True if no two additions can reach one element, and each is done once.
+/// True if no two additions can reach the same element, and an iteration
+/// executes each at most once.
 bool Checker::haveElementsOfTheirOwn() {
   using Access = PlaceAccesses::Access;
   auto areApart = [&](const Access &a, const Access &b) {

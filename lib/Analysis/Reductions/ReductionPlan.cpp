@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// An atomic float addition is a loop around a compare-and-exchange on CPUs, and
-// nothing vectorises around it. Nearly all accumulations of simulators and of
-// their adjoints do not need it: each iteration has its own element, or all
-// share one, or the updated part of the field is small.
+// On CPUs, an atomic float addition is a compare-and-exchange loop, which
+// prevents vectorisation. Nearly all accumulations of simulators and of their
+// adjoints do not need atomics: each iteration has its own element, or all
+// iterations share one, or the updated part of the field is small.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,14 +25,15 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Iterations in a block with a sum of its own: few enough that the rounding
-/// error of a sum in the type itself is small, and enough to amortise the
-/// horizontal addition of vector lanes.
+/// The number of iterations in a block, which has a sum of its own: few enough
+/// that the rounding error of a sum in the type itself is small, and enough to
+/// amortise the horizontal addition of vector lanes.
 constexpr int64_t kBlock = 2048;
-/// The same where WidenSums keeps the sums in f64: where all updates are in the
-/// innermost loop itself.
+/// The length of a block where WidenSums keeps the sums in f64, because all
+/// updates are in the innermost loop itself.
 constexpr int64_t kWidenedBlock = 8192;
-/// The same for the terms of pairs, which fit into the L1 cache.
+/// The length of a block whose terms, for pairs, are stored and fit the L1
+/// cache.
 constexpr int64_t kBlockOfTerms = 1024;
 /// A loop with fewer iterations than this, or with more updates in an
 /// iteration, adds the terms of a compensated sum of f64 one after another.
@@ -43,30 +44,33 @@ constexpr size_t kMostUpdates = 4;
 /// f64, since each addition rounds once.
 constexpr double kWideUpdates = 256;
 
-/// 16-bit floats keep their value when a two-thousandth of it is added.
+/// A sum of more 16-bit terms than this is wide on a GPU: a 16-bit float does
+/// not change when less than a two-thousandth of it is added.
 constexpr int64_t kFewTermsOf16Bits = 32;
 
-/// More sums than this in one field are held in a buffer rather than in
-/// registers: they are neighbours as a rule (the weights of a sum written out),
-/// which LLVM updates as vectors, while it would spill so many registers.
+/// If one field has more sums than this, they are held in a buffer rather than
+/// in registers: usually they are adjacent (the weights of an unrolled sum), so
+/// that LLVM updates them as vectors, whereas it would spill so many registers.
 constexpr size_t kMaxRegisters = 8;
 
-/// Iterations of a loop on a GPU whose sums do not meet in a block: its
-/// threads.
+/// A loop on a GPU with at most this many iterations, and as many threads, does
+/// not reduce its sums over blocks.
 constexpr int64_t kMaxWarpSums = 1024;
 
-/// Private buffers larger than this are left alone: they would fill the memory
-/// of a machine with many cores.
+/// Larger private buffers are not used: they would fill the memory of a machine
+/// with many cores.
 constexpr int64_t kMaxPrivateElements = int64_t(1) << 24;
 
-/// In deterministic mode on a GPU: an iteration of a loop that one warp runs,
-/// measured; three passes over the iterations instead, and a byte of their
-/// accumulators; and how many bytes a launch may take.
+/// Measured costs in deterministic mode on a GPU: of an iteration, if one warp
+/// runs the loop; of the three passes over the iterations that fixed point
+/// takes instead; and of each byte of their accumulators. Also the maximum size
+/// of accumulators.
 constexpr double kWarpNanoseconds = 80, kPassesNanoseconds = 10000;
 constexpr double kNanosecondsPerByte = 1e-3;
 constexpr double kMaxAccumulatorBytes = int64_t(1) << 29;
 
-/// Local arrays up to this size are summed in registers: a matrix.
+/// Sums in local arrays up to this size, that of a matrix, are kept in
+/// registers.
 constexpr int64_t kMaxLocalSums = 16;
 
 namespace {
@@ -92,7 +96,7 @@ public:
 
 private:
   bool isDeterministic() const { return plan.order.has_value(); }
-  /// All targets must choose alike.
+  /// Whether sums must have the same order for all targets.
   bool hasOneOrder() const { return plan.order == LoopOrder::Common; }
   ReductionForm getForm(Operation *op) const {
     return plan.updates.lookup(op).reduction.getForm();
@@ -123,15 +127,15 @@ private:
   ParallelForOp loop;
   FieldTable &fields;
   bool compensated, onDevice;
-  /// Groups of updates by the number of their buffer.
+  /// The groups of updates in buffers, by the number of the buffer.
   SmallVector<AccumulationGroup> buffers;
   ReductionPlan plan;
 };
 } // namespace
 
-/// True if the update is a sum in a small array that the kernel makes for it,
-/// and nothing else in the loop touches the array: adjoints of values that the
-/// body of a loop captures.
+/// True if the update adds to a small array of the kernel that nothing but such
+/// updates accesses in the loop: adjoints of values that the body of a loop
+/// captures.
 static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
   auto array = atomic.getMemref().getDefiningOp<memref::AllocaOp>();
   if (!array || loop->isAncestor(array) ||
@@ -149,15 +153,15 @@ static bool isLocalSum(memref::AtomicRMWOp atomic, ParallelForOp loop) {
   });
 }
 
-/// Runs the loop on one thread, where every update is plain.
+/// Runs the loop on one thread, where no update is atomic.
 void Planner::serialize() {
   plan.isSerial = true;
   for (auto &[op, update] : plan.updates)
     update = {isa<AtomicOp>(op), ReductionAttr(), ""};
 }
 
-/// Integer updates give the same result in any order, unless the former value
-/// is used.
+/// True for updates whose result does not depend on their order, such as
+/// integer sums, if the previous value is not used.
 bool Planner::isIndependentOfTiming(AtomicOp atomic) {
   if (!atomic.getOld().use_empty())
     return false;
@@ -221,11 +225,12 @@ bool Planner::isWorthPrivate(const AccumulationGroup &group) {
   int64_t elements = slice->numCells * field.numComponents;
   if (elements > kMaxPrivateElements)
     return false;
-  // Sums of 16 bits would stop growing after some hundred additions.
+  // Sums of 16 bits would stop growing after some hundred additions: always use
+  // a buffer.
   if (isFloat && (compensated || is16Bits(field.scalarType)))
     return true;
-  // If the number of iterations is known at run time only, so is the gain: too
-  // few of them run in one partition, which needs no buffers.
+  // If the number of iterations is unknown, decide at run time: a loop with few
+  // iterations runs as one partition, which needs no buffers.
   std::optional<int64_t> iterations = getNumIterations(loop);
   return !iterations || elements <= *iterations * updates * kElementsPerUpdate;
 }
@@ -243,8 +248,8 @@ static ValueRange getIndices(Operation *access) {
 }
 
 /// False if accesses at `a` and `b` reach different elements in any two
-/// iterations: an index that is the same in all of them tells them apart, such
-/// as the time slot.
+/// iterations, because an index that is the same in all iterations, such as the
+/// time slot, distinguishes them.
 bool Planner::mayReach(ValueRange a, ValueRange b) {
   for (auto [x, y] : llvm::zip_equal(a, b))
     if (loop.isDefinedOutsideOfLoop(x) && loop.isDefinedOutsideOfLoop(y) &&
@@ -253,15 +258,15 @@ bool Planner::mayReach(ValueRange a, ValueRange b) {
   return true;
 }
 
-/// True for sums that a GPU takes with one atomic addition of each warp: of so
-/// few warps, that is quicker than to bring them together in their block.
+/// True for sums for which a GPU makes one atomic addition in each warp: with
+/// so few warps, this is faster than a reduction over a block.
 bool Planner::isWarpSum(AtomicOp atomic) {
   std::optional<int64_t> iterations = getNumIterations(loop);
   if (isDeterministic() || compensated || !iterations ||
       *iterations > kMaxWarpSums || atomic.getKind() != AtomicKind::Add ||
       !atomic.getValue().getType().isF32())
     return false;
-  // In an inner loop there would be one for each of its iterations.
+  // In an inner loop, each of its iterations would make an atomic addition.
   Operation *around = atomic->getParentOp();
   while (isa<scf::IfOp>(around))
     around = around->getParentOp();
@@ -277,10 +282,9 @@ static bool isRepeated(ParallelForOp loop) {
   return false;
 }
 
-/// True if the additions of a loop on a GPU are rounded once, from sums in f64
-/// beside the field: compensated ones, those of 16-bit floats, which stop
-/// growing at some thousand terms, and those of f32 that are many for each
-/// element.
+/// True if sums of a loop on a GPU are kept in f64 beside the field, and
+/// rounded once: compensated sums, sums of 16-bit floats, which stop growing at
+/// some thousand terms, and sums of f32 with many terms for each element.
 bool Planner::isWorthWide(const AccumulationGroup &group) {
   Type scalar = group.field->scalarType;
   if (!onDevice || isDeterministic() || !isa<FloatType>(scalar))
@@ -293,21 +297,22 @@ bool Planner::isWorthWide(const AccumulationGroup &group) {
                  double(*iterations) * updates > double(kFewTerms) * elements;
   if (!compensated && !is16Bits(scalar) && !hasMany)
     return false;
-  // Host code that repeats the loop would have as many sums.
+  // If host code repeats the loop, each run would need sums of its own.
   return !isRepeated(loop) && elements * 16 <= kMaxAccumulatorBytes &&
          llvm::all_of(group.atomics,
                       [](AtomicOp atomic) { return isSum(atomic.getKind()); });
 }
 
-/// Chooses for the updates of one field. Returns why they stay atomic, if they
-/// do.
+/// Chooses forms for the updates of one field. Returns the reason if the
+/// updates stay atomic.
 StringRef Planner::planField(FieldAccesses &accesses) {
   SmallVector<AtomicOp> &atomics = accesses.atomics;
   auto sameElement = [&](AtomicOp atomic) {
     return llvm::equal(atomic.getIndices(), atomics.front().getIndices());
   };
-  // A store of another iteration would be lost to a plain addition of zero,
-  // which a branch that was turned into a select makes.
+  // Where a branch was turned into a select, a plain update adds zero in
+  // iterations that do not take the branch, and could overwrite a store of
+  // another iteration.
   bool meetsStore = llvm::any_of(accesses.others, [&](Operation *other) {
     ValueRange indices = atomics.front().getIndices();
     return isa<StoreOp>(other) && !llvm::equal(getIndices(other), indices) &&
@@ -319,7 +324,8 @@ StringRef Planner::planField(FieldAccesses &accesses) {
       plan.updates[atomic].isExclusive = true;
     return "";
   }
-  // The reads of iterations in between would miss the updates.
+  // Iterations that read old values would miss the updates in registers or
+  // buffers.
   if (llvm::any_of(atomics, [](AtomicOp atomic) {
         return !atomic.getOld().use_empty();
       }))
@@ -338,8 +344,8 @@ StringRef Planner::planField(FieldAccesses &accesses) {
         return !group.field->sparse.empty();
       }))
     return "an update may have to make its cell active";
-  // Groups of one field may overlap: all must leave the field alone until the
-  // end, or none.
+  // Groups of one field may overlap: either all of them or none may delay their
+  // updates to the end of the loop.
   SmallVector<AccumulationGroup> sums, inBuffers;
   for (AccumulationGroup &group : *groups) {
     auto isFixed = [&](AtomicOp atomic) {
@@ -349,7 +355,7 @@ StringRef Planner::planField(FieldAccesses &accesses) {
       });
     };
     bool isTotal = group.isFixed() && llvm::all_of(group.atomics, isFixed);
-    // A GPU's blocks add up totals in f64, too.
+    // The blocks of a GPU also add up sums of all iterations in f64.
     bool isWideTotal = isTotal && !group.field->scalarType.isF64();
     if (!isWideTotal && isWorthWide(group))
       inBuffers.push_back(std::move(group));
@@ -371,7 +377,8 @@ StringRef Planner::planField(FieldAccesses &accesses) {
     AccumulationGroup merged = sums.front();
     for (const AccumulationGroup &group : ArrayRef(sums).drop_front())
       mergeGroups(merged, group);
-    // Compensated sums have a buffer of their own in any case.
+    // Compensated sums always have buffers of their own, so the part need not
+    // be contiguous.
     if (isWorthPrivate(merged) && (compensated || isContiguous(merged))) {
       inBuffers.push_back(std::move(merged));
       sums.clear();
@@ -388,8 +395,8 @@ StringRef Planner::planField(FieldAccesses &accesses) {
   return "";
 }
 
-/// True if the loop has float sums, not those of one iteration, that are kept
-/// with more digits than their field has.
+/// True if the loop has float sums over several iterations that are kept with
+/// more digits than their field has.
 bool Planner::hasWideSums() {
   return llvm::any_of(plan.updates, [&](auto &entry) {
     auto atomic = dyn_cast<AtomicOp>(entry.first);
@@ -400,7 +407,7 @@ bool Planner::hasWideSums() {
   });
 }
 
-/// Fails at a float sum that would be rounded to its type at each addition.
+/// Fails if a float sum would be rounded to its type at each addition.
 LogicalResult Planner::checkCompensated() {
   constexpr StringLiteral what =
       "sums=\"compensated\" cannot be had for this sum: ";
@@ -435,12 +442,12 @@ LogicalResult Planner::checkCompensated() {
   return success();
 }
 
-/// True if a warp of a GPU can run the loop.
+/// True if a warp of a GPU can run the loop in the required order.
 bool Planner::canRunInWarp() {
   if (!hasOneOrder())
     return canOrderAdditions(loop, fields, plan);
-  // Another target has one thread for all of it: sums of all iterations take
-  // their turns too.
+  // For the order that all targets share, one thread runs the loop on other
+  // targets: sums of all iterations must be added in turn as well.
   bool hasLocalSums = false;
   for (auto &[op, update] : plan.updates) {
     if (!isFloatTotal(op))
@@ -453,10 +460,10 @@ bool Planner::canRunInWarp() {
   return !hasLocalSums && canQueueAdditions(loop, fields, plan);
 }
 
-/// Lets the additions of a loop be done in fixed point by all threads of a GPU:
-/// three passes over the iterations, and accumulators that are zeroed first.
+/// Lets all threads of a GPU do the additions of a loop in fixed point: in
+/// three passes over the iterations, with accumulators that start at zero.
 bool Planner::useFixedPoint() {
-  // Host code that repeats the loop would zero as many accumulators.
+  // If host code repeats the loop, each run would zero accumulators.
   SmallVector<AtomicOp> additions;
   if (hasOneOrder() || compensated || isRepeated(loop) ||
       !canAddInAnyOrder(loop, fields, plan, additions))
@@ -465,7 +472,8 @@ bool Planner::useFixedPoint() {
       groupAccumulations(loop, additions, fields);
   if (failed(found))
     return false;
-  // One group for each place: two could not add to one element at a time.
+  // Use one group for each storage: two groups could add to an element at the
+  // same time.
   SmallVector<AccumulationGroup> groups;
   for (AccumulationGroup &group : *found) {
     auto *known = llvm::find_if(groups, [&](const AccumulationGroup &other) {
@@ -490,7 +498,8 @@ bool Planner::useFixedPoint() {
   std::optional<int64_t> iterations = getNumIterations(loop);
   double inWarp = iterations ? double(*iterations) * kWarpNanoseconds
                              : std::numeric_limits<double>::infinity();
-  // Each addition of 16-bit floats would be rounded otherwise.
+  // 16-bit floats always take fixed point: otherwise each addition would be
+  // rounded.
   if (bytes > kMaxAccumulatorBytes ||
       (!hasHalves && inWarp < kPassesNanoseconds + bytes * kNanosecondsPerByte))
     return false;
@@ -500,8 +509,7 @@ bool Planner::useFixedPoint() {
   return true;
 }
 
-/// The iterations of a loop, as far as they are known; 1 for those that are
-/// not.
+/// The product of the constant extents of a loop; unknown extents count as 1.
 static double countIterations(ParallelForOp loop) {
   double count = 1;
   for (auto [from, to] :
@@ -514,19 +522,20 @@ static double countIterations(ParallelForOp loop) {
   return count;
 }
 
-/// Whether each update runs at most once in an iteration of the innermost loop
-/// that `loop` is lowered to, directly in its body.
+/// Whether each update is directly in the body of the innermost loop that
+/// `loop` is lowered to, and so runs at most once in its iteration.
 static bool areMadeOnce(ArrayRef<Operation *> updates, ParallelForOp loop) {
   for (Operation *update : updates)
     for (Operation *parent = update->getParentOp(); parent != loop;
          parent = parent->getParentOp())
-      // tai-split-index-sets takes an interior out of the loop.
+      // tai-split-index-sets moves an interior out of the loop.
       if (!isa<scf::IfOp>(parent) || parent->hasAttr("tai.interior"))
         return false;
   return true;
 }
 
-/// Whether the terms of these updates can be stored, and are worth the memory.
+/// Whether the terms of these updates can be stored in a buffer, and are worth
+/// the memory.
 static bool canStoreTerms(ArrayRef<Operation *> updates, ParallelForOp loop) {
   if (updates.size() > kMostUpdates || loop.isStructFor() ||
       !areMadeOnce(updates, loop))
@@ -538,7 +547,7 @@ static bool canStoreTerms(ArrayRef<Operation *> updates, ParallelForOp loop) {
   return !lower || !upper || *upper - *lower >= kFewIterations;
 }
 
-/// The digits that Forms.def has for a sum or product.
+/// The digits that Forms.def specifies for a precise sum or product.
 static SumDigits getPreciseDigits(AtomicKind kind, Type type) {
   constexpr bool F64 = true, Narrow = false;
 #define TAI_PRECISE_TOTAL(rowKind, terms, digits, form)                        \
@@ -558,7 +567,7 @@ SumDigits Planner::getTotalDigits(Operation *update) {
     return compensated ? getPreciseDigits(kind, type) : SumDigits::Own;
   if (kind != AtomicKind::Add)
     return SumDigits::Own;
-  // Each thread adds up in f64; this is about the sum of the blocks.
+  // Each thread accumulates in f64; `digits` is about the sum of the blocks.
   if (isDeterministic() || type.isF64())
     return SumDigits::Own;
   std::optional<int64_t> count = getNumIterations(loop);
@@ -567,9 +576,9 @@ SumDigits Planner::getTotalDigits(Operation *update) {
                                                : SumDigits::Own;
 }
 
-/// Chooses digits and orders for the updates that the loop does.
+/// Chooses digits and orders for the updates that the loop does itself.
 void Planner::chooseDigits() {
-  // Otherwise LLVM sees the same loop whatever has been left out of it.
+  // In other loops, LLVM sees the same code whatever passes have left out.
   bool keepsOrder = loop.getFixedCostAttr() &&
                     (loop.getOuterDims() ||
                      loop.walk([&](LoopLikeOpInterface inner) {
@@ -671,7 +680,7 @@ FailureOr<ReductionPlan> Planner::run() {
         plan.updates[atomic].reason = reason;
     }
 
-  // Sums in registers are no memory.
+  // Sums in registers do not access memory in the loop.
   bool inMemory = false, dependsOnTiming = false;
   for (auto &[op, update] : plan.updates) {
     if (auto atomic = dyn_cast<AtomicOp>(op)) {
@@ -704,7 +713,7 @@ FailureOr<ReductionPlan> Planner::run() {
       *iterations * estimateIteration(loop, !inMemory) < kForkNanoseconds;
   bool needsOrder = isDeterministic() && dependsOnTiming;
   if (needsOrder && onDevice && useFixedPoint()) {
-    // All threads run it.
+    // All threads run the loop.
   } else if (needsOrder && onDevice && canRunInWarp()) {
     plan.inWarp = true;
   } else if (isSmall || needsOrder) {
@@ -742,7 +751,7 @@ void ReductionPlan::apply(ParallelForOp loop) const {
   if (!isSerial)
     return;
   loop.setSerialize(true);
-  // tai-split-index-sets would run the borders after the interior.
+  // tai-split-index-sets would otherwise run the borders after the interior.
   if (order == LoopOrder::Common)
     loop.walk([](scf::IfOp branch) { branch->removeAttr("tai.interior"); });
 }
