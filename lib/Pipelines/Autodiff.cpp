@@ -14,7 +14,7 @@
 
 using namespace mlir;
 
-/// The options of a pass that looks at the kernels to be differentiated.
+/// The options of a pass that concerns the kernels to be differentiated.
 template <typename Options>
 static Options getKernelsOf(const tai::AutodiffOptions &options) {
   Options result;
@@ -26,18 +26,19 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
                               const AutodiffOptions &options) {
   pm.addPass(createExpandGradients());
   addContextModes(pm, options);
-  // Helpers go into the kernels that call them: a call hides their reads.
+  // Inline helpers into the kernels that call them: a call hides their reads.
   addInliner(pm);
   pm.addPass(createRecognizeReductions());
   addPerFunction(pm, [](OpPassManager &function) {
-    // Values instead of variables, so that the later passes see dependences.
+    // Turn local variables into values, so that later passes see dependences.
     function.addPass(createEliminateLocals());
     addCanonicalization(function);
-    // One value for each index, so that equal elements are seen to be equal.
+    // Make equal indices one value, so that accesses to equal elements are
+    // recognised.
     function.addPass(createCSEPass());
   });
   pm.addPass(createExpandAtomics(getKernelsOf<ExpandAtomicsOptions>(options)));
-  // On the program as it was written: flattened branches hide conditions.
+  // Check the program as written: flattened branches hide conditions.
   pm.addPass(
       createCheckAccessRules(getKernelsOf<CheckAccessRulesOptions>(options)));
   pm.addPass(
@@ -60,7 +61,7 @@ void tai::buildAutodiffPasses(OpPassManager &pm,
   pm.addPass(createMakeAdjoint(adjoint));
 
   addPerFunction(pm, [](OpPassManager &function) {
-    // Rules write the formula, not its simplest form.
+    // Derivative rules emit the formula, not its simplest form.
     addCanonicalization(function);
     function.addPass(createCSEPass());
     // Recomputations in a backward loop need not be repeated in each iteration.
@@ -91,7 +92,7 @@ void tai::buildForwardPipeline(OpPassManager &pm, bool arrayTangents) {
   forward.arrayTangents = arrayTangents;
   pm.addPass(createForwardDiff(forward));
   addPerFunction(pm, [](OpPassManager &function) {
-    // Rules write the formula, not its simplest form.
+    // Derivative rules emit the formula, not its simplest form.
     addCanonicalization(function);
     function.addPass(createCSEPass());
     function.addPass(createMarkExclusive());

@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A module that comes from another compiler holds functions that have nothing
-// to do with tai, and general passes (inlining, CSE, conversions to LLVM)
-// rewrite whatever they find. So the ops to lower are moved to a separate
-// module while the passes run. If a module holds nothing else, the passes run
-// on it directly.
+// A module that comes from another compiler contains functions that have
+// nothing to do with tai, and general passes (inlining, CSE, conversions to
+// LLVM) rewrite whatever they find. So the ops to lower are moved to a separate
+// module while the passes run. If a module contains only such ops, the passes
+// run on it directly.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,11 +27,11 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The functions that lowered code calls, and that hold nothing of tai
-/// themselves: they go into their callers.
+/// Functions that lowered code calls and that contain no ops of tai: they are
+/// inlined into their callers.
 struct Helpers {
   llvm::SetVector<Operation *> functions;
-  /// Functions that are only named: they stay in place.
+  /// Functions that are referenced but not called: they stay in place.
   llvm::SetVector<Operation *> named;
 
   Helpers(ModuleOp module, const llvm::SetVector<Operation *> &own) {
@@ -52,7 +52,7 @@ struct Helpers {
   }
 };
 
-/// Runs a pipeline on the part of a module that is tai's.
+/// Runs a pipeline on the part of a module that belongs to tai.
 struct Isolate : PassWrapper<Isolate, OperationPass<ModuleOp>> {
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(Isolate)
 
@@ -118,8 +118,9 @@ private:
       llvm::cl::desc("Names of functions that count as those of tai")};
 };
 
-/// Makes private functions public that nothing else in the part would keep:
-/// those that are asked for, that others call, or that wait for their callers.
+/// Makes private functions public that nothing else in the part keeps alive:
+/// functions requested by name, called from the rest of the module, or waiting
+/// for their callers.
 class KeptFunctions {
 public:
   KeptFunctions(ModuleOp module, const llvm::SetVector<Operation *> &own) {
@@ -175,7 +176,7 @@ llvm::SetVector<Operation *> Isolate::collectOwn() {
   return own;
 }
 
-/// Code that is left alone must be valid as it is.
+/// Verifies the code that is left unchanged.
 LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
   ModuleOp module = getOperation();
   SymbolTable symbols(module);
@@ -220,7 +221,7 @@ LogicalResult Isolate::checkForeign(const llvm::SetVector<Operation *> &own) {
   return success();
 }
 
-/// On the module itself, which holds nothing else.
+/// Runs the passes on the module itself, which contains nothing else.
 LogicalResult Isolate::runOnAll(const llvm::SetVector<Operation *> &own) {
   ModuleOp module = getOperation();
   if (!keep)
@@ -239,14 +240,15 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
     kept.emplace(module, own);
   OpBuilder builder = OpBuilder::atBlockEnd(module.getBody());
   auto part = ModuleOp::create(builder, module.getLoc());
-  // The layout of data is that of the module around. MLIR crashes on a second
-  // one with the size of an index in it.
+  // The enclosing module has the data layout. MLIR crashes on a second data
+  // layout that contains the size of index.
   for (NamedAttribute attribute : module->getAttrs())
     if (!isa<DataLayoutSpecInterface>(attribute.getValue()))
       part->setAttr(attribute.getName(), attribute.getValue());
   part->removeAttr(SymbolTable::getSymbolAttrName());
 
-  // The op that stays behind each op that is moved, which returns there.
+  // For each op that is moved: the next op that stays, before which it is put
+  // back.
   DenseMap<StringAttr, Operation *> places;
   Operation *place = nullptr;
   SmallVector<StringAttr> moved;
@@ -262,7 +264,7 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
     moved.clear();
   };
 
-  // Helpers keep their places before, between and behind the lowered functions.
+  // Helpers keep their order relative to the lowered functions.
   Block *body = part.getBody();
   for (Operation &op : llvm::make_early_inc_range(*module.getBody())) {
     if (&op == part)
@@ -295,7 +297,7 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
         op.moveBefore(body, body->end());
       }
     } else if (helpers.named.contains(&op)) {
-      // To be found by name where the passes run.
+      // The passes must find the op by its name: copy it.
       stays(op);
       copied.insert(getName(op));
       Operation *copy = builder.clone(op);
@@ -330,7 +332,7 @@ LogicalResult Isolate::runOn(const llvm::SetVector<Operation *> &own) {
                  .append(name.getValue(), "': the name is taken")
                  .attachNote(known->getLoc())
              << "by this";
-    // Declared on both sides, or taken along to be found by its name.
+    // The op is declared in both modules, or was copied to be found by name.
     auto declared = dyn_cast<LLVM::LLVMFuncOp>(op);
     if (known->getName() == op.getName() &&
         (!declared || declared.isExternal()))
@@ -360,7 +362,7 @@ void Isolate::runOnOperation() {
            helpers.functions.contains(function);
   });
   LogicalResult result = success();
-  // A name without a function is an error of the passes.
+  // Let the passes report requested names without a function.
   bool isEmpty = own.empty() && names.empty();
   if (isAll && !isEmpty)
     result = runOnAll(own);

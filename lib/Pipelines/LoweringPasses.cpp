@@ -37,24 +37,25 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
   pm.addPass(createExpandGradients());
   pm.addPass(createCheckLowerable());
   addContextModes(pm, options);
-  // While kernels are as they were written.
+  // Fuse launches while kernels are as written.
   if (options.optLevel > 0 && !checked && options.bounds != BoundsMode::Clamp &&
       options.fuseLaunches) {
     pm.addPass(createFuseLaunches());
   }
 
-  // Helpers go into the kernels that call them.
+  // Inline helpers into the kernels that call them.
   addInliner(pm);
   RecognizeReductionsOptions reductions;
   reductions.checks = true;
   reductions.oneThread = oneThread;
   pm.addPass(createRecognizeReductions(reductions));
 
-  // No pass that folds may run before.
+  // No pass that folds may run earlier.
   pm.addPass(createFoldAngles());
 
-  // On the program as it was written: a report names the index that the program
-  // computed. From here on, kernels that check as they run are left alone.
+  // Check indices of the program as written: a report names the index that the
+  // program computed. From here on, kernels with run-time checks are not
+  // changed.
   CheckBoundsOptions bounds;
   if (!checked && options.bounds == BoundsMode::Clamp) {
     bounds.bounds = BoundsMode::Clamp;
@@ -66,8 +67,8 @@ void tai::addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
 
 void tai::addCanonicalization(OpPassManager &pm) {
   pm.addPass(createFoldAngles());
-  // Large bodies by themselves: the rest would look at all of one again after
-  // each rewrite in it.
+  // Simplify large bodies separately: the canonicaliser would visit all of a
+  // body again after each rewrite in it.
   pm.addPass(createSimplifyHugeBodies());
   pm.addPass(
       createCanonicalizerPass(GreedyRewriteConfig(), tai::getBrokenPatterns()));

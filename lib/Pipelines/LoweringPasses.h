@@ -12,7 +12,7 @@
 
 namespace mlir::tai {
 
-/// Lets kernels have the modes that the options of their context give them.
+/// Adds passes that give kernels the modes in the options of their context.
 void addContextModes(OpPassManager &pm, const LoweringOptions &options);
 void addContextModes(OpPassManager &pm, const AutodiffOptions &options);
 
@@ -21,16 +21,16 @@ void addContextModes(OpPassManager &pm, const AutodiffOptions &options);
 void addSourcePasses(OpPassManager &pm, const LoweringOptions &options,
                      bool oneThread = false);
 
-/// Adds MLIR's inliner, behind a check of its limits. Its own cleaning of every
-/// function costs more than all that follows, and is left out.
+/// Adds MLIR's inliner, after a check of its limits, without its simplification
+/// of every function, which costs more than all that follows.
 void addInliner(OpPassManager &pm);
 
 /// Adds a canonicalisation whose time is linear in the size of the program.
 void addCanonicalization(OpPassManager &pm);
 
-/// Adds passes that change one kernel or function at a time, and read nothing
-/// else of the module but trees and fields, which none of them changes. Kernels
-/// are processed in parallel.
+/// Adds passes that change one kernel or function at a time, and otherwise read
+/// only the module's trees and fields, which no such pass changes. Kernels are
+/// processed in parallel.
 void addPerFunction(OpPassManager &pm,
                     llvm::function_ref<void(OpPassManager &)> add);
 

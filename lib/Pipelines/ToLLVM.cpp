@@ -29,23 +29,23 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
       function.addPass(createScatterToGather());
       function.addPass(createNormalizeIndices());
       function.addPass(createVersionInterior());
-      // The interior's answers are constants now, and dead questions go.
+      // In the interior, conditions are constants now: fold them.
       addCanonicalization(function);
     }
     if (fast && options.skip.has(Skip::UntakenBranches))
       function.addPass(createSinkAdjoints());
-    // A test of the results stands for many of single values; the fast floats
-    // assume that all of them succeed.
+    // One test of the results replaces many tests of single values; fast-math
+    // assumes that all of these succeed.
     if (fast && !options.fastMath)
       function.addPass(createVersionGuards());
-    // Memory has no shadow.
+    // Shadow execution has no shadows for the memory that this pass creates.
     if (fast && !options.shadow)
       function.addPass(createVectorsToMemory());
-    // From here on values are scalars, and loops run over boxes.
+    // From here on, values are scalars, and loops run over boxes.
     function.addPass(createScalarize());
   });
-  // Divisions of scalars, while loops over fields still show the ranges of
-  // their indices.
+  // Guard divisions when they are scalar, while loops over fields still show
+  // the ranges of their indices.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
@@ -61,7 +61,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     if (fast)
       function.addPass(createCSEPass());
 
-    // The form of accumulations is decided while they still name fields.
+    // Plan accumulations while they still name fields.
     function.addPass(createRelaxAtomics());
   });
 
@@ -76,7 +76,7 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
     OpPassManager &function = pm.nest<LLVM::LLVMFuncOp>();
     function.addPass(createHoistAllocations());
     function.addPass(createSplitIndexSets());
-    // The shadows of the copies' values would be as many.
+    // Unroll-and-jam would multiply the values that need shadows.
     if (options.shadow) {
       function.addPass(createVectorizeIterations());
     } else {

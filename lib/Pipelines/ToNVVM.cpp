@@ -32,8 +32,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
     }
     function.addPass(createScalarize());
   });
-  // Divisions of scalars, while loops over fields still show the ranges of
-  // their indices.
+  // Guard divisions when they are scalar, while loops over fields still show
+  // the ranges of their indices.
   GuardDivisionsOptions divisions;
   divisions.debug = options.debug;
   pm.addPass(createGuardDivisions(divisions));
@@ -53,7 +53,8 @@ void tai::buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options) {
       function.addPass(createCoarsenThreads());
   });
 
-  // While accesses name fields: the parts of their addresses are in range.
+  // Do this while accesses name fields: the parts of their addresses are then
+  // known to be in range.
   pm.addPass(createNarrowIndices());
   LowerLayoutOptions layout;
   layout.boundsCheck = checked;
