@@ -19,8 +19,8 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace mlir::tai {
-/// All objects of the class. Never destroyed: threads may end after everything
-/// else.
+/// All objects of class Background. Never destroyed: threads may end after
+/// static objects are destroyed.
 struct BackgroundForks {
   std::mutex mutex;
   std::vector<Background *> all;
@@ -50,7 +50,7 @@ private:
 };
 } // namespace mlir::tai
 
-/// Returns with the lock held and no thread left.
+/// Ends all threads, and returns with the lock held.
 void Background::hold() {
   std::unique_lock<std::mutex> lock(mutex);
   isHeld = true;
@@ -60,7 +60,7 @@ void Background::hold() {
 
 void Background::release(bool inChild) {
   isHeld = false;
-  // The child runs its jobs when it asks for them.
+  // A child of a fork runs its jobs when it needs their results.
   if (!inChild && !queue.empty())
     callThread();
   mutex.unlock();
@@ -120,7 +120,7 @@ bool Background::callThread() {
   ended.clear();
   threads.emplace_front();
   auto self = threads.begin();
-  // If there are no more threads, finish() does the work.
+  // If no more threads can be started, finish() runs the job.
   if (self->start([this, self] { run(self); }, "tai-compile"))
     return true;
   threads.erase(self);
@@ -176,13 +176,14 @@ void Background::run(std::list<runtime::Thread>::iterator self) {
       break;
     ++idle;
     called.wait(lock, [&] { return calls > 0 || isHeld || maxThreads == 0; });
-    // The caller takes it from the idle threads.
+    // callThread has already removed this thread from the idle threads.
     if (calls > 0)
       --calls;
     else
       --idle;
   }
-  // Under the lock, so that a job which comes now starts another thread.
+  // Still under the lock, so that a job that is added now starts another
+  // thread.
   ended.splice(ended.begin(), threads, self);
   changed.notify_all();
 }
@@ -224,7 +225,7 @@ bool Background::runAside(std::function<void()> task) {
   return false;
 }
 
-/// The job of the calling thread, and to whom it belongs.
+/// The job that the calling thread runs, and the Background of that job.
 static thread_local const Background::Job *currentJob = nullptr;
 static thread_local const Background *currentOwner = nullptr;
 
@@ -232,8 +233,8 @@ void Background::perform(Job &job) {
   currentJob = &job;
   currentOwner = this;
   job.task();
-  // The destructor of a task may cancel other jobs and so take the lock, which
-  // the thread that joins this one holds.
+  // Destroy the task here: its destructor may cancel other jobs and so take the
+  // lock, which the thread that joins this thread later holds.
   job.task = nullptr;
   currentJob = nullptr;
 }

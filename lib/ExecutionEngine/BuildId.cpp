@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The linker gives each library a build id, a hash of its contents. It is read
-// from memory, because the file may have been replaced. Size and time of a file
-// do not distinguish two builds that were installed from packages.
+// The linker gives each library a build id, a hash of its contents. The id is
+// read from memory, because the file may have been replaced. Size and time of a
+// file do not distinguish two builds that were installed from packages.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,7 +28,7 @@
 using namespace llvm;
 
 namespace {
-/// A library, or the program, as it lies in memory.
+/// A library, or the program, as loaded into memory.
 struct Image {
   uintptr_t base;
   SmallVector<ElfW(Phdr)> segments;
@@ -51,7 +51,7 @@ struct Image {
 };
 } // namespace
 
-/// The name of the library, and its dependencies.
+/// Reads the name of the library and the names of its dependencies.
 void Image::readDynamicSection(const char *path) {
   soname = sys::path::filename(path);
   for (const ElfW(Phdr) &segment : segments) {
@@ -62,7 +62,7 @@ void Image::readDynamicSection(const char *path) {
     for (auto *entry = entries; entry->d_tag != DT_NULL; ++entry)
       if (entry->d_tag == DT_STRTAB)
         strings = entry->d_un.d_ptr;
-    // Not every loader turns it into an address.
+    // Not every loader relocates the address of the string table.
     if (strings < base)
       strings += base;
     if (!any_of(segments, [&](const ElfW(Phdr) & other) {
@@ -80,7 +80,7 @@ void Image::readDynamicSection(const char *path) {
   }
 }
 
-/// The id in a segment of notes, if it is there.
+/// The build id in a segment of notes; nothing if there is none.
 static std::optional<StringRef> findBuildId(StringRef notes, size_t alignment) {
   while (notes.size() >= sizeof(ElfW(Nhdr))) {
     ElfW(Nhdr) header;
@@ -98,7 +98,7 @@ static std::optional<StringRef> findBuildId(StringRef notes, size_t alignment) {
   return std::nullopt;
 }
 
-/// The id that the linker gave; else one of all memory that is never written.
+/// The linker's build id; without one, a checksum of all read-only memory.
 std::string Image::getId() const {
   for (const ElfW(Phdr) &segment : segments)
     if (segment.p_type == PT_NOTE)
@@ -116,11 +116,12 @@ std::string Image::getId() const {
 }
 
 namespace {
-/// All loaded libraries, and the ids of those that were asked for.
+/// All loaded libraries, and the ids that have been requested so far.
 class Images {
 public:
-  /// The ids of those that hold one of these addresses, or need one of the
-  /// libraries that hold the first `numLibraries` of them.
+  /// The ids of the libraries that contain one of these addresses, or that
+  /// depend on a library that contains one of the first `numLibraries`
+  /// addresses.
   SmallVector<std::string> getIds(ArrayRef<const void *> addresses,
                                   size_t numLibraries);
 
@@ -183,7 +184,7 @@ SmallVector<std::string> Images::getIds(ArrayRef<const void *> addresses,
       id = image.getId();
     ids.push_back(id);
   }
-  // The order in which they were loaded changes nothing.
+  // Sorted, since the order of loading does not matter.
   sort(ids);
   ids.erase(llvm::unique(ids), ids.end());
   return ids;
@@ -195,7 +196,8 @@ std::string mlir::tai::getBuildId(MLIRContext *context) {
       reinterpret_cast<const void *>(&mlir::verify),
       reinterpret_cast<const void *>(&sys::getProcessTriple)};
   size_t numLibraries = addresses.size();
-  // An object of a class of theirs begins with the address of its functions.
+  // The object of a plugin's dialect begins with the address of its vtable,
+  // which is in the plugin.
   for (Dialect *dialect : context->getLoadedDialects())
     addresses.push_back(*reinterpret_cast<const void *const *>(dialect));
   static std::mutex mutex;

@@ -74,8 +74,8 @@ runtime::Status KernelCode::makeChecked(runtime::CheckedKernel &checked) {
     }
     checked.accesses.push_back(std::move(row));
   }
-  // The listed accesses are in the order of the CPU, wherever the kernel itself
-  // runs.
+  // The listed accesses are in the order of the CPU, on whichever device the
+  // kernel itself runs.
   CompileOptions options = getOptions();
   options.device = std::nullopt;
   options.deviceTarget.clear();

@@ -11,8 +11,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Why `modes` cannot be had together in a context with these options, or
-/// nothing.
+/// The reason why `modes` contradict each other or the options of the context;
+/// empty if they do not.
 static std::string findContradiction(const Modes &modes,
                                      const CompileOptions &options) {
   bool isFast =
@@ -54,12 +54,12 @@ mlir::tai::getKernelOptions(KernelOp kernel, const CompileOptions &options) {
                 "give it to ti.init, for all");
   if (modes.math)
     result.codegen.fastMath = modes.math == MathMode::Fast;
-  // `accurate` concerns functions, and leaves a strict context strict.
+  // `accurate` concerns functions only: a strict context stays strict.
   bool isStrict = modes.math && !modes.isAccurate()
                       ? modes.math == MathMode::Strict
                       : !options.codegen.contract;
-  // Loops are cut differently for other numbers of threads, and fusion may
-  // depend on the end of a vectorised loop.
+  // Other numbers of threads divide loops differently, and whether an operation
+  // is fused may depend on the end of a vectorised loop.
   result.codegen.contract = !isStrict && !result.deterministic;
   result.codegen.combineScatters &= !isStrict && !result.deterministic;
   return result;

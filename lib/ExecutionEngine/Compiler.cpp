@@ -60,7 +60,7 @@ StringRef mlir::tai::stringifyPhase(Phase phase) {
 }
 
 namespace {
-/// Keeps the IR as it is after the last run of one pass.
+/// Captures the IR after the last run of one pass.
 class CaptureAfterPass : public PassInstrumentation {
 public:
   CaptureAfterPass(StringRef argument, std::string **text)
@@ -76,7 +76,7 @@ public:
 
 private:
   std::string argument;
-  /// The string to fill in the present run, if any.
+  /// The string to fill in the current run, or null.
   std::string **text;
 };
 } // namespace
@@ -157,7 +157,8 @@ PhaseTimes Compiler::getTotals() {
 // Passes
 //===----------------------------------------------------------------------===//
 
-/// An adjoint that came with its kernel must say that it takes.
+/// A user-written adjoint must declare that it sets adjoints of overwritten
+/// elements to zero.
 static LogicalResult checkZeroes(ModuleOp module, KernelOp kernel,
                                  Failure &failure) {
   DiagnosticCollector collector(module.getContext());
@@ -217,7 +218,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
                              "this build cannot differentiate kernels");
       return mlir::failure();
     }
-    // A kernel may come with its adjoint.
+    // The user may have written the adjoint.
     if (given && given.getAdjoint()) {
       if (zeroes && failed(checkZeroes(*module, given, failure)))
         return mlir::failure();
@@ -229,7 +230,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
       return mlir::failure();
     }
     prepared.toBeRecorded = findToBeRecorded(*module, request.name).serialize();
-    // The primal is compiled on its own, when it is first launched.
+    // The primal is compiled separately, when it is first launched.
     auto kernel = module->lookupSymbol<KernelOp>(request.name);
     FlatSymbolRefAttr adjoint = kernel ? kernel.getAdjointAttr() : nullptr;
     if (kernel)
@@ -243,7 +244,7 @@ LogicalResult Compiler::differentiate(Worker &worker, CompileRequest request,
     if (form && CompileRequest::readsStored(request.goal))
       adjoint = form;
     prepared.symbol = getEntryPointName(adjoint.getValue());
-    // Parts of the kernel are kernels of their own.
+    // Parts of the kernel are compiled as separate kernels.
     eraseOtherKernels(*module, adjoint.getValue());
   }
   if (request.forward)
@@ -277,7 +278,7 @@ LogicalResult Compiler::lower(Worker &worker, CompileRequest request,
 // Reproducers
 //===----------------------------------------------------------------------===//
 
-/// The command that makes code of the lowered module.
+/// The command that generates code from the lowered module.
 static std::string getCodeCommand(const CompileOptions &options) {
   if (!options.device)
     return "tai-translate --mlir-to-llvmir | llc -O" +
@@ -302,7 +303,7 @@ void Compiler::addReproducer(CompileRequest request,
                               CompileRequest::zeroes(request.goal)
                                   ? worker.zeroingAutodiff
                                   : worker.autodiff);
-  // The input of the step is made again.
+  // Recompute the input of the step.
   CompileRequest before = request;
   before.forward = request.forward && step != Step::Forward;
   Prepared prepared;
@@ -318,7 +319,8 @@ void Compiler::addReproducer(CompileRequest request,
 // Compilation
 //===----------------------------------------------------------------------===//
 
-/// CUDA's math library becomes part of device code, and comes from elsewhere.
+/// CUDA's math library becomes part of device code, but is not part of the
+/// build.
 static std::string getLibdeviceKey(const CompileOptions &options) {
   if (options.device != runtime::DeviceKind::Cuda)
     return {};
@@ -355,10 +357,10 @@ std::string Compiler::getProgramKey(StringRef text,
 
 std::string Compiler::getKey(CompileRequest request,
                              const CompileOptions &options) {
-  // Locations are in the code only where checks or a profiler report them.
+  // Without checks or a profiler, code contains no locations.
   std::string text;
   llvm::raw_string_ostream stream(text);
-  // Sessions accept no other processor than those that are found.
+  // Sessions accept only processors that TargetCpu::find finds.
   TargetCpu cpu = llvm::cantFail(TargetCpu::find(options.codegen.targetCpu));
   stream << getBuildId(context) << '\n'
          << cpu.triple << ' ' << cpu.name << ' ' << cpu.features << '\n'
@@ -367,8 +369,8 @@ std::string Compiler::getKey(CompileRequest request,
          << static_cast<int>(request.goal)
          << (request.forward ? " forward" : "") << '\n';
   OpPrintingFlags flags;
-  // Assertions and checks put their source location into the code; so do
-  // adjoints, if a device has no memory for their records.
+  // Assertions and checks put their source locations into the code; so do
+  // adjoints on a device, which report if there is no memory for their records.
   bool isAdjoint = request.goal != CompileRequest::Goal::Primal;
   bool hasPlaces =
       options.debug || options.shadow || options.bounds == BoundsMode::Check ||
@@ -394,7 +396,7 @@ Compiler::compile(CompileRequest request, const CompileOptions &options,
 void Compiler::load(Prepared &prepared, CompileRequest request) {
   if (std::optional<std::string> bytes = cache.load(prepared.key))
     prepared.object = CompiledObject::deserialize(*bytes);
-  // The same kernel, at another line of its file.
+  // The object was made from the same kernel at another line of its file.
   if (prepared.object && !prepared.object->places.empty() &&
       prepared.object->places != getPlaces(request))
     prepared.object.reset();
@@ -493,8 +495,8 @@ Compiler::finish(Prepared prepared, CompileRequest request,
   prepared.object.reset();
   function.fromCache = object.has_value();
   if (object && failed(link(*object, request.name, function, failure))) {
-    // Code of another process may need symbols that this one lacks. The program
-    // is there to be compiled.
+    // The cached code of another process may need symbols that this process
+    // lacks: compile the module instead.
     failure = Failure();
     object.reset();
     function.fromCache = false;
@@ -581,7 +583,7 @@ std::optional<std::string> Compiler::print(CompileRequest request,
                                            const CompileOptions &options,
                                            Failure &failure, bool withPlaces) {
   Prepared prepared;
-  // The compilation that makes the code reports warnings; this one drops them.
+  // Compiling reports the warnings; printing drops them.
   WarningScope warnings;
   std::optional<std::string> text =
       printStage(request, stage, options, prepared, failure, withPlaces);

@@ -31,8 +31,8 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// A module of LLVM IR with its context, and the tools of a worker to work on
-/// it. After a fatal error inside LLVM nothing of it may be touched again.
+/// A module of LLVM IR with its context, and the worker's code generator. After
+/// a fatal error inside LLVM, none of these may be used or destroyed.
 class LLVMJob {
 public:
   explicit LLVMJob(std::unique_ptr<ObjectCompiler> &objects)
@@ -45,8 +45,8 @@ public:
     (void)objects.release();
   }
 
-  /// Translates to LLVM IR with nothing visible but the function to call, so
-  /// that LLVM may inline and drop the rest.
+  /// Translates to LLVM IR in which only the function `symbol` is visible, so
+  /// that LLVM may inline and drop all other functions.
   LogicalResult translate(ModuleOp source, StringRef symbol, PhaseTimes &times,
                           Failure &failure);
   LogicalResult optimize(const CodegenOptions &options, PhaseTimes &times,
@@ -89,8 +89,8 @@ LogicalResult LLVMJob::translate(ModuleOp source, StringRef symbol,
   return success();
 }
 
-/// A failure of LLVM, which is a bug of ours: we gave it a module that it
-/// cannot compile.
+/// Reports a failure of LLVM, which is an internal error: the compiler has
+/// produced a module that LLVM cannot compile.
 static LogicalResult failInLLVM(llvm::Error error, Failure &failure) {
   failure =
       Failure::get(FailureKind::Internal, "code generation failed: " +
@@ -116,7 +116,7 @@ LogicalResult LLVMJob::optimize(const CodegenOptions &options,
 // Devices
 //===----------------------------------------------------------------------===//
 
-/// The device code of a lowered module, or null, which is a success.
+/// The device code of a lowered module; null, and success, if there is none.
 static LogicalResult findDeviceCode(ModuleOp module, Operation *&found,
                                     Failure &failure) {
   auto deviceModule = findDeviceModule(module);
@@ -126,7 +126,7 @@ static LogicalResult findDeviceCode(ModuleOp module, Operation *&found,
   return success();
 }
 
-/// The compiler of device code of a worker, made now if need be.
+/// A worker's compiler for device code, created at the first call.
 static llvm::Expected<DeviceCompiler *>
 getDeviceCompiler(std::unique_ptr<DeviceCompiler> &compiler,
                   const CompileOptions &options) {
@@ -147,8 +147,8 @@ static std::string printModule(const llvm::Module &module) {
   return text;
 }
 
-/// A plan that is refused before LLVM's passes run is no failure of theirs, and
-/// leaves no file.
+/// Adds a file to reproduce a failure of LLVM's passes on a program. A plan
+/// that is rejected before these passes run gets no file.
 static void addProgramReproducer(const runtime::ProgramPlan &plan,
                                  const CompileOptions &options,
                                  Failure &failure) {
@@ -183,7 +183,7 @@ Compiler::makeProgram(const runtime::ProgramPlan &plan,
   }
   std::string key;
   bool isKnown = false;
-  // The key is the linked module, so that a plan is linked once.
+  // The key is computed from the linked module, so that a plan is linked once.
   if (cache)
     (*compiler)->setLinkedHook(
         [&](const llvm::Module &module)
@@ -231,7 +231,7 @@ LogicalResult Compiler::compileDeviceCode(
   if (!deviceModule)
     return success();
   PhaseTimes &times = prepared.times;
-  // A wrong target, or one that this machine lacks, is not our bug.
+  // A target that is wrong, or that this machine lacks, is a usage error.
   auto fail = [&](llvm::Error error) {
     failure =
         Failure::get(FailureKind::Usage, llvm::toString(std::move(error)));
@@ -259,7 +259,7 @@ LogicalResult Compiler::compileDeviceCode(
     llvm::consumeError(code.takeError());
     return mlir::failure();
   }
-  // A kernel without device functions has nothing to load.
+  // A kernel without device functions has no image.
   if (!code->functions.empty()) {
     {
       PhaseTimer timer(times, Phase::Optimize);
@@ -271,7 +271,7 @@ LogicalResult Compiler::compileDeviceCode(
     if (!made)
       return failInLLVM(made.takeError(), failure);
     image = std::move(*made);
-    // Without the option, the key of the cache does not include places.
+    // Without this option, the key of the cache does not include places.
     if (!options.places)
       image->places.clear();
   }
@@ -279,7 +279,8 @@ LogicalResult Compiler::compileDeviceCode(
   return success();
 }
 
-/// The host's part of a kernel that runs on a device is cold.
+/// The options for the host part of a kernel that runs on a device, which takes
+/// little time.
 static CodegenOptions getHostCodegen(const CompileOptions &options) {
   CodegenOptions codegen = options.codegen;
   if (options.device)
@@ -304,10 +305,10 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   object.symbol = prepared.symbol;
   object.toBeRecorded = prepared.toBeRecorded;
   object.warnings = prepared.warnings;
-  // Warnings name places, which the key of the cache does not hold.
+  // Warnings contain places, which are not part of the cache's key.
   if (!object.warnings.empty())
     object.places = getPlaces(request);
-  // Parts of a kernel count for themselves.
+  // A kernel that is split into parts has no code; its parts report themselves.
   if (object.symbol.empty())
     return object;
   object.skipped = prepared.skipped;
@@ -320,8 +321,8 @@ Compiler::makeObject(CompileRequest request, const CompileOptions &options,
   PhaseTimes &times = prepared.times;
   if (failed(lower(worker, request, prepared, object.trees, failure, nullptr)))
     return std::nullopt;
-  // Code that reports an error holds its location: without the key, the cache
-  // would take code of the same kernel at another line for its own.
+  // Code that reports an error contains its location: without `places`, the
+  // cache would return the code of the same kernel at another line.
   if (prepared.module->lookupSymbol("tai_rt_fail"))
     object.places = getPlaces(request);
   for (auto [sum, amount] : llvm::zip(object.skipped, scope.getAmounts()))

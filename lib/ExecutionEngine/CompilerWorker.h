@@ -18,7 +18,7 @@
 
 namespace mlir::tai {
 
-/// Adds its lifetime to the time of a phase.
+/// Adds the lifetime of the timer to the time of a phase.
 class PhaseTimer {
 public:
   PhaseTimer(PhaseTimes &times, Phase phase)
@@ -37,18 +37,18 @@ private:
 
 /// The pass managers and code generators of one thread. They are reused,
 /// because a pass collects its patterns when it first runs, and target machines
-/// are costly.
+/// are expensive to create.
 struct Compiler::Worker {
   Worker(MLIRContext *context, const Pipelines &pipelines,
          const CompileOptions &options);
 
   CompileOptions options;
-  /// Set by the pipeline that failed last.
+  /// Set by the last pipeline that failed.
   InvalidAfterPass::Finding finding;
   PassManager autodiff;
   PassManager zeroingAutodiff;
   PassManager forward;
-  /// To the LLVM dialect, with or without a device.
+  /// Lowers to the LLVM dialect, with or without a device.
   PassManager lowering;
   std::unique_ptr<ObjectCompiler> objects;
   std::unique_ptr<DeviceCompiler> deviceCode;

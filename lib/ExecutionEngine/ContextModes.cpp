@@ -87,7 +87,7 @@ void ContextModes::addTo(ModuleOp module) const {
   };
   add("precision", precision);
   add("sums", sums);
-  // As in Python: `accurate` stays with `strict`, which `shadow`
+  // As in Python, `accurate` is not replaced by `strict`, which `shadow`
   // implies.
   add("math", (has(Shorthand::Strict) || shadow) && math != "accurate"
                   ? "strict"

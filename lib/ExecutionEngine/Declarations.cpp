@@ -57,7 +57,8 @@ LogicalResult Declarations::addTree(StringRef name, StringRef layout) {
   return addTree(*tree);
 }
 
-/// "the 'pointer' level above @x, @v", for messages: of each sparse level.
+/// For messages, describes each sparse level, as "the 'pointer' level above @x,
+/// @v".
 static std::vector<std::string> describeNodes(RootType root,
                                               ArrayRef<SparseNode> nodes) {
   struct Places {
@@ -139,7 +140,8 @@ LogicalResult Declarations::destroyTree(StringRef name) {
       gone.insert(field.getSymName());
       symbols.erase(field);
     }
-  // A field that takes the name of a destroyed adjoint is another field.
+  // Drop references to destroyed fields: a new field of the same name is a
+  // different field.
   for (FieldOp field : declared->getOps<FieldOp>()) {
     if (field.getAdjoint() && gone.contains(*field.getAdjoint()))
       field.removeAdjointAttr();
@@ -158,7 +160,7 @@ LogicalResult Declarations::destroyTree(StringRef name) {
 
 FailureOr<runtime::FieldPtr> Declarations::addField(StringRef declaration) {
   DiagnosticCollector collector(context);
-  // Not verified yet: the adjoint and the tree are not in the text.
+  // Do not verify yet: the text lacks the adjoint and the tree.
   ParserConfig config(context, /*verifyAfterParse=*/false);
   OwningOpRef<ModuleOp> module = readModule(declaration, config, "declaration");
   if (!module)
@@ -172,8 +174,8 @@ FailureOr<runtime::FieldPtr> Declarations::addField(StringRef declaration) {
   return addField(cast<FieldOp>(body->front()));
 }
 
-/// Verifies a field by itself, with its verified tree but without its adjoint,
-/// which may come later. Its layout refers to the copies in `scratch`.
+/// Verifies a field with its verified tree, but without its adjoint and dual,
+/// which may be declared later. The layout refers to the copies in `scratch`.
 static FailureOr<FieldLayout> verifyAlone(FieldOp field, TreeOp tree,
                                           OwningOpRef<ModuleOp> &scratch) {
   scratch = ModuleOp::create(field.getLoc());
@@ -211,7 +213,7 @@ static std::optional<runtime::ScalarKind> getScalarKind(Type type) {
   return std::nullopt;
 }
 
-/// The contents as an array, or none after an error.
+/// The initial contents as an array; nothing after an error.
 static std::optional<std::vector<char>>
 getContents(FieldOp field, runtime::ScalarKind scalar) {
   std::vector<char> array;
@@ -227,7 +229,7 @@ getContents(FieldOp field, runtime::ScalarKind scalar) {
         array.push_back(value);
       return array;
     }
-    // A splat holds one element.
+    // A splat stores a single element.
     ArrayRef<char> raw = dense.getRawData();
     for (size_t i = 0, e = dense.isSplat() ? count : 1; i != e; ++i)
       array.insert(array.end(), raw.begin(), raw.end());
@@ -290,7 +292,7 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   }
   for (const IndexDigit &digit : storage.digits) {
     // The number of cells of the innermost sparse level in one step of the
-    // digit: zero for the digits below it.
+    // digit: zero for digits below that level.
     int64_t cells = digit.level < innermost ? digit.weight : 0;
     for (unsigned level = digit.level + 1; level < innermost; ++level)
       cells *= layout->path.levels[level].type.getNumCells();
@@ -306,7 +308,7 @@ FailureOr<runtime::FieldPtr> Declarations::addField(FieldOp field) {
   runtime::FieldPtr made;
   if (failed(failures.check(rt.addField(std::move(info), made))))
     return failure();
-  // No kernel depends on the contents.
+  // No kernel depends on the initial contents.
   FieldOp declaration = field.clone();
   declaration.removeInitialAttr();
   symbols.insert(declaration);

@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// Links the code of the emulated device into memory. It has its own linker,
-/// which linked code keeps alive, because that can outlive the session's
+/// Links the code of the emulated device into memory. The code has its own
+/// linker, and keeps it alive, because the code can outlive the session's
 /// compiler.
 runtime::ObjectLinker makeObjectLinker();
 

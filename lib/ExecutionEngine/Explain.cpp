@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The loops of a kernel, the remarks of the passes on it in program order, and
-// the fields that its adjoint reads and accumulates into.
+// Describes the loops of a kernel, the remarks of the passes on the kernel in
+// program order, and the fields that its adjoint reads and accumulates into.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,7 +34,7 @@ StringRef KeptRemark::get(StringRef key) const {
 static thread_local RemarkScope *currentScope = nullptr;
 
 namespace mlir::tai {
-/// Hands the remarks of a thread to its scope.
+/// Passes the remarks of a thread to its RemarkScope.
 class RemarkKeeper : public remark::detail::MLIRRemarkStreamerBase {
 public:
   void streamOptimizationRemark(const remark::detail::Remark &remark) override {
@@ -56,9 +56,9 @@ RemarkScope::~RemarkScope() { currentScope = outer; }
 
 void RemarkScope::prepare(MLIRContext *context) {
   remark::RemarkCategories categories;
-  // `all` alone enables nothing in this version of MLIR.
+  // In this version of MLIR, `all` alone enables no remarks.
   categories.passed = categories.missed = categories.analysis = "tai-.*";
-  // Cannot fail: nothing is written.
+  // This cannot fail, since no file is written.
   (void)remark::enableOptimizationRemarks(
       *context, std::make_unique<RemarkKeeper>(),
       std::make_unique<remark::RemarkEmittingPolicyAll>(), categories);
@@ -137,7 +137,7 @@ static void describeMemory(llvm::raw_ostream &os, ModuleOp module,
     os << "  the kernel is run again, before its gradient, on what was saved\n";
 }
 
-/// A GPU with fewer threads than this leaves most of itself idle.
+/// With fewer threads than this, a GPU is mostly idle.
 static constexpr int64_t kFewThreads = 8192;
 
 static bool isSerialLoop(Operation *op) {
@@ -177,7 +177,7 @@ static void describeParallelLoop(llvm::raw_ostream &os, ParallelForOp loop,
   os << '\n';
 }
 
-/// The loops that threads share, and the serial loops outside of them.
+/// Describes the loops that threads share, and the serial loops around these.
 static void describeLoops(llvm::raw_ostream &os, KernelOp kernel,
                           bool onDevice) {
   kernel.walk<WalkOrder::PreOrder>([&](Operation *op) {
@@ -200,7 +200,7 @@ static void describeLoops(llvm::raw_ostream &os, KernelOp kernel,
   });
 }
 
-/// The updates of the kernel that parallel loops do.
+/// Describes the updates of the kernel in parallel loops.
 static void describeUpdates(llvm::raw_ostream &os,
                             ArrayRef<KeptRemark> remarks) {
   for (const KeptRemark &remark : remarks) {
@@ -235,7 +235,8 @@ std::string mlir::tai::explainKernel(ModuleOp module, StringRef name,
     os << "  has no gradient\n";
     return text;
   }
-  // Each remark on a loop is followed by those on the values that it carries.
+  // Each remark on a loop is followed by remarks on the values that the loop
+  // carries.
   struct Entry {
     const KeptRemark *remark;
     ArrayRef<KeptRemark> carried;
@@ -249,7 +250,7 @@ std::string mlir::tai::explainKernel(ModuleOp module, StringRef name,
       ++end;
     entries.push_back({&remarks[i], remarks.slice(i + 1, end - i - 1)});
   }
-  // Remarks of one line stay in their order.
+  // Remarks on the same line keep their order.
   llvm::sort(entries, [](const Entry &lhs, const Entry &rhs) {
     return std::pair(getLine(*lhs.remark), lhs.remark) <
            std::pair(getLine(*rhs.remark), rhs.remark);

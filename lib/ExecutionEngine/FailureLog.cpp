@@ -11,7 +11,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The last failure of each thread. It is not used for another session.
+/// The last failure of each thread, and the log (of a session) that it belongs
+/// to.
 static thread_local Failure lastFailure;
 static thread_local const FailureLog *lastLog = nullptr;
 
@@ -36,7 +37,7 @@ runtime::Status FailureLog::keep(Failure failure) {
       runtime::StatusCode::Compile, failure.message, where,
       static_cast<int>(numDropped + kept.size()) + 1);
   kept.push_back(std::move(failure));
-  // Old failures are reported by their status alone.
+  // Only the latest failures are kept; older ones are reported by their status.
   constexpr size_t mostFailures = 1024;
   if (kept.size() > mostFailures) {
     kept.pop_front();
@@ -72,7 +73,7 @@ LogicalResult FailureLog::fail(const runtime::Status &status) {
       return fail(kept[number - numDropped - 1]);
   }
   Failure failure = Failure::get(getKind(status.code()), status.message());
-  // "file:line:col", where the file may hold colons of its own.
+  // "file:line:col", where the file name may contain colons.
   StringRef place = status.where();
   auto [head, column] = place.rsplit(':');
   auto [file, line] = head.rsplit(':');

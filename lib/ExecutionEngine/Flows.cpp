@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // A tape warns if a derivative is lost in a field or an array without gradient,
-// and forward mode if one is lost in a field without dual. So the data flow
-// from each read to each store of floats is tracked, through ops that carry
-// derivatives, whether the fields have gradients or not.
+// and forward mode warns if a derivative is lost in a field without dual. So
+// the data flow from each read to each store of floats is tracked, through ops
+// that carry derivatives, whether the fields have gradients or not.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,7 +24,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The name of an argument in the program.
+/// The name of an argument in the source program.
 static std::string getName(BlockArgument argument) {
   if (auto name = argument.getLoc()->findInstanceOf<NameLoc>())
     return name.getName().str();
@@ -32,15 +32,15 @@ static std::string getName(BlockArgument argument) {
 }
 
 namespace {
-/// The places of a kernel, numbered.
+/// The numbered places (fields, arrays and results) of a kernel.
 class PlaceList {
 public:
   PlaceList(KernelOp kernel, ArrayRef<runtime::Access> summary,
             const AdjointSignature &signature)
       : kernel(kernel), summary(summary), signature(signature) {}
 
-  /// Nothing for fields that are no part of the summary, for buffers of the
-  /// kernel, and for the gradients of arrays.
+  /// Nothing for fields that are not in the summary, for buffers of the kernel,
+  /// and for the gradients of arrays.
   std::optional<size_t> find(Storage storage) {
     auto [entry, isNew] = numbers.try_emplace(storage.getOpaque());
     if (isNew)
@@ -75,7 +75,7 @@ private:
     if (!argument || argument.getOwner() != &kernel.getBody().front())
       return std::nullopt;
     place.name = getName(argument);
-    // An array with a gradient is followed by that.
+    // Gradients are arguments that follow their arrays, and are no places.
     if (StringRef(place.name).ends_with(".grad"))
       return std::nullopt;
     unsigned number = argument.getArgNumber();
@@ -146,7 +146,7 @@ runtime::KernelFlows mlir::tai::findFlows(KernelOp kernel,
         add(value, result, end.getLoc(), false);
       }
   });
-  // An array that is only replaced matters too.
+  // Arrays that the kernel overwrites without reading them are places too.
   for (BlockArgument argument : kernel.getArguments())
     if (auto array = dyn_cast<MemRefType>(argument.getType()))
       if (isFloatOrVector(array.getElementType()))

@@ -14,8 +14,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Leaves nothing of the kernels but their signatures: the host reaches them
-/// through the runtime.
+/// Reduces kernels to their signatures: the host calls them through the
+/// runtime.
 static void stubKernels(ModuleOp module) {
   for (KernelOp kernel : module.getOps<KernelOp>()) {
     kernel.removeAdjointAttr();
@@ -35,7 +35,7 @@ static void stubKernels(ModuleOp module) {
 /// Drops operations that use nothing of tai and do not belong to the program
 /// `entry`.
 static void keepReachable(ModuleOp module, StringRef entry) {
-  // Lowered even if it holds no op of tai.
+  // The program is lowered even if it contains no op of tai.
   if (auto program = module.lookupSymbol<func::FuncOp>(entry))
     markLowered(program);
   llvm::SetVector<Operation *> needed = collectLowered(module);
@@ -55,7 +55,7 @@ OwningOpRef<ModuleOp> mlir::tai::makeHostModule(ModuleOp module,
                                                 StringRef entry) {
   OwningOpRef<ModuleOp> host = module.clone();
   upgradeFormerChecks(*host);
-  // First, so that helpers of kernels go.
+  // Do this first, so that helpers that only kernels call are dropped.
   stubKernels(*host);
   keepReachable(*host, entry);
   return host;

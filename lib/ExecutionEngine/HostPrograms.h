@@ -17,7 +17,8 @@ namespace mlir::tai {
 /// reduced to signatures, because the host calls them through the runtime.
 OwningOpRef<ModuleOp> makeHostModule(ModuleOp module, StringRef entry);
 
-/// Whether a host function names a field other than for a launch or a tape.
+/// Whether a host function names a field in an op other than a launch or a
+/// tape.
 bool usesFields(ModuleOp module);
 
 } // namespace mlir::tai

@@ -46,8 +46,8 @@ bool mlir::tai::carriesGradients(const runtime::Kernel &kernel) {
   return reads && changes;
 }
 
-/// The trees that compiled code wants, in its order. They are those that the
-/// kernel was made for, even if others have taken their names since.
+/// The trees that compiled code uses, in its order: the trees that existed when
+/// the kernel was created, even if other trees have taken their names since.
 std::vector<runtime::TreePtr>
 KernelCode::findTrees(ArrayRef<std::string> names) const {
   std::vector<runtime::TreePtr> trees;
@@ -91,7 +91,8 @@ KernelCode::runAside(std::function<std::optional<Result>(Failure &)> step,
   return std::move(state->result);
 }
 
-/// If the caller was interrupted, the function is not passed on.
+/// Keeps the function alive with the kernel, even if the caller was interrupted
+/// and does not get it.
 std::optional<Compiler::Function>
 KernelCode::keepFunction(std::optional<Compiler::Function> function) {
   std::lock_guard<std::mutex> lock(functionsMutex);
@@ -127,9 +128,9 @@ void KernelCode::count(const Compiler::Function &function, bool isAdjoint) {
                            : SkipCount::KernelsCompiled);
 }
 
-/// True if the kernel may store elements that it reads, or elements of which
-/// only its code knows which they are: then the adjoint must always take,
-/// whatever the launches before it have done.
+/// True if the kernel may store to elements that it reads, or to elements that
+/// only its code determines. The adjoint must then always set the adjoints of
+/// stored elements to zero, whichever launches came before.
 static bool alwaysZeroes(const std::vector<runtime::Access> &summary) {
   using Kind = runtime::AccessKind;
   auto areApart = [](const runtime::Access &a, const runtime::Access &b) {
@@ -171,10 +172,10 @@ LogicalResult KernelCode::prepareAdjoint(Failure &failure, bool claims) {
 std::optional<Compiler::Function>
 KernelCode::compilePlannedAdjoint(Failure &failure) {
   Goal goal = getPlannedGoal();
-  // Shared, since the next step may outlive this function.
+  // Shared with the task, which may outlive this function.
   auto first = std::make_shared<std::optional<Compiler::Prepared>>();
   {
-    // A thread that plans the tape waits for this step, but not for the next.
+    // A thread that plans the tape waits for this step, but not for the code.
     PrepareLock lock(prepareMutex);
     if (failed(prepareAdjoint(failure, /*claims=*/true)))
       return std::nullopt;
@@ -197,25 +198,25 @@ KernelCode::compilePlannedAdjoint(Failure &failure) {
   return function;
 }
 
-/// True if the kernel stores elements that have an adjoint.
+/// True if the kernel stores to a field that has an adjoint.
 static bool overwritesGradients(const std::vector<runtime::Access> &summary) {
   return llvm::any_of(summary, [](const runtime::Access &access) {
     return access.kind == runtime::AccessKind::Write && access.field->adjoint();
   });
 }
 
-/// Decides, once, which form of the adjoint a tape launches for all we know.
+/// Decides, once, which form of the adjoint a tape will probably launch.
 void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
   PrepareLock lock(prepareMutex);
   if (toBeRecorded || ahead)
     return;
-  // A launch while the tape is suspended has a gradient of the program's own,
-  // which launches the adjoint by hand: the form that zeroes, and that loads no
-  // stored values (see Launcher::launchAdjoint).
+  // A launch while the tape is suspended belongs to a custom gradient, which
+  // launches the adjoint by hand: in the form that sets adjoints to zero and
+  // does not load stored values (see Launcher::launchAdjoint).
   const runtime::Recorder *tape = services.rt.recordingTape();
   bool isByHand = tape && tape->isSuspended();
   planLoadsStored = !isByHand;
-  // An adjoint that came with the kernel keeps its form.
+  // A user-written adjoint has only its own form.
   planZeroes = !getKernel().getAdjoint() &&
                (alwaysZeroes(kernel.summary()) ||
                 (isByHand && overwritesGradients(kernel.summary())));
@@ -223,8 +224,8 @@ void KernelCode::choosePlannedForm(const runtime::Kernel &kernel) {
 
 runtime::Status KernelCode::compile(runtime::Kernel &kernel,
                                     TaiKernelFn &function) {
-  // A launch under a tape: the adjoint will be wanted soon, and has its own
-  // core while this one goes on with the forward pass.
+  // Under a tape, the adjoint will soon be needed: compile it on another core,
+  // while this thread goes on with the forward pass.
   choosePlannedForm(kernel);
   if (services.rt.recordingTape() && !ahead && carriesGradients(kernel))
     ahead = services.background.start(
@@ -245,8 +246,8 @@ runtime::Status KernelCode::compile(runtime::Kernel &kernel,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Provides kernels that are launched with the arguments of their primal, which
-/// usually outlives them.
+/// Provides forms of a kernel, which are launched with the arguments of their
+/// primal. The primal usually outlives them.
 class FormProvider final : public runtime::KernelProvider {
 public:
   FormProvider(std::weak_ptr<KernelCode> code, Goal goal, bool forward)
@@ -256,8 +257,8 @@ public:
     std::shared_ptr<KernelCode> primal = code.lock();
     if (!primal || forward)
       return runtime::Status::success();
-    // A stored value need not have a dual: tangents come from its
-    // operands.
+    // A stored value may have no dual: compute tangents from the operands of
+    // the store's value.
     return primal->makeTangentOf(
         CompileRequest::getAdjointGoal(CompileRequest::zeroes(goal),
                                        /*stored=*/false),
@@ -303,8 +304,8 @@ std::string KernelCode::explainRefusalOf(Goal goal, bool forward,
   return failure.message;
 }
 
-/// Whether the form of the adjoint that loads stored values reads no more than
-/// the tape was told, if that form exists.
+/// Whether the form of the adjoint that loads stored values exists, and reads
+/// only accesses that the tape was told about.
 bool KernelCode::canReadStored(Goal goal, const ToBeRecorded &told) {
   Failure failure;
   auto first =
@@ -334,8 +335,8 @@ runtime::Status KernelCode::makeAdjoint(runtime::Kernel &kernel,
     if (toBeRecorded)
       told = ToBeRecorded::deserialize(*toBeRecorded);
   }
-  // A compilation begun ahead of need loads stored values, if it can, unless
-  // the gradient is expected to be launched by hand.
+  // A compilation that was started ahead loads stored values if possible,
+  // unless the gradient is expected to be launched by hand.
   bool isPlanned =
       variant.zeroes == planZeroes &&
       (told ? variant.readsStored == (planLoadsStored && told->loadsStored)
@@ -390,7 +391,7 @@ runtime::KernelFlows KernelCode::findFlows(const runtime::Kernel &kernel) {
   return tai::findFlows(getKernel(), kernel.summary());
 }
 
-/// The modules of the parts, each with its kernel, in the order in which they
+/// A module for each part, with its kernel, in the order in which the parts
 /// run.
 static SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
 splitParts(ModuleOp parts) {
@@ -403,7 +404,7 @@ splitParts(ModuleOp parts) {
          llvm::make_early_inc_range(module->getOps<KernelOp>()))
       if (other.getSymName() != part.getSymName())
         other.erase();
-    // The form of the adjoint is chosen later.
+    // The form of the part's adjoint is chosen later.
     auto copy = module->lookupSymbol<KernelOp>(part.getSymName());
     copy.removeAdjointAttr();
     copy.removePartOfAttr();
@@ -423,8 +424,8 @@ splitParts(ModuleOp parts) {
 
 runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
                                         runtime::AdjointPlan &plan) {
-  // Most kernels need no look at their adjoints. Arrays and results are
-  // possible sources of a gradient.
+  // Most kernels cannot carry a gradient, which decides without their adjoints.
+  // Arrays and results are possible sources of a gradient.
   bool reads = !kernel.arrays().empty();
   bool changes = kernel.callerAdjoints().hasSources();
   for (const runtime::Access &access : kernel.summary()) {
@@ -443,17 +444,17 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   {
     PrepareLock lock(prepareMutex);
     Failure failure;
-    // The plan is asked for when a launch is recorded, the code itself only
-    // when the tape runs backwards.
+    // The plan is needed when a launch is recorded, the code only when the tape
+    // runs backwards.
     if (!toBeRecorded && failed(prepareAdjoint(failure, /*claims=*/false))) {
-      // An interrupted plan is made again.
+      // Try again after an interruption.
       plan.provisional = failure.kind == FailureKind::Runtime;
       return services.failures.keep(std::move(failure));
     }
     told = ToBeRecorded::deserialize(*toBeRecorded);
   }
-  // The fields that the kernel was made for, even if others have their names
-  // by now.
+  // The fields that existed when the kernel was created, even if other fields
+  // have taken their names since.
   auto findField = [&](const std::string &name) {
     for (const runtime::Access &access : kernel.summary())
       if (access.field->name() == name)
@@ -463,7 +464,7 @@ runtime::Status KernelCode::planAdjoint(runtime::Kernel &kernel,
   for (const NamedAccess &access : told->reads)
     if (runtime::FieldPtr field = findField(access.field))
       plan.reads.push_back({field, access.kind, access.fixed});
-  // A tape does not watch writes to gradients.
+  // A tape does not track writes to gradients.
   auto isWatched = [&](const NamedAccess &access) {
     runtime::FieldPtr field = findField(access.field);
     return field && !field->isAdjoint();

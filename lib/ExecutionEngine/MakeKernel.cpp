@@ -23,7 +23,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Extra operands of an adjoint function.
+/// The additional operands of the kernel's adjoint, for gradients of arguments,
+/// arrays and results of the caller.
 static FailureOr<runtime::CallerAdjoints> getCallerAdjoints(KernelOp kernel,
                                                             Failure &problem) {
   DiagnosticCollector collector(kernel.getContext());
@@ -64,8 +65,8 @@ static std::vector<runtime::ArrayArgument> findArrays(KernelOp kernel) {
   return arrays;
 }
 
-/// With bounds="clamp" a kernel is another program, of which all is made that
-/// is made of kernels: adjoints, summaries, keys.
+/// Applies bounds="clamp", which makes the kernel a different program:
+/// adjoints, summaries and keys are derived from the result.
 static LogicalResult clampIndices(ModuleOp module,
                                   const CompileOptions &options,
                                   FailureLog &failures) {
@@ -83,7 +84,7 @@ static LogicalResult clampIndices(ModuleOp module,
   return failures.fail(std::move(failure));
 }
 
-/// The options of the kernel's own code, if it names its modes.
+/// The compile options of the kernel, which its modes may change.
 static FailureOr<CompileOptions> getOwnOptions(KernelOp kernel,
                                                const CompileOptions &options,
                                                FailureLog &failures) {
@@ -97,7 +98,7 @@ static FailureOr<CompileOptions> getOwnOptions(KernelOp kernel,
   return own;
 }
 
-/// With a precision a kernel is another program, too.
+/// Applies a precision, which also makes the kernel a different program.
 static LogicalResult widenArithmetic(ModuleOp module, KernelOp kernel,
                                      FailureLog &failures) {
   if (!Modes::of(kernel).precision)
@@ -113,9 +114,8 @@ static LogicalResult widenArithmetic(ModuleOp module, KernelOp kernel,
   return failures.fail(std::move(failure));
 }
 
-/// Updates of elements that iterations share become atomic, or are refused, in
-/// the kernel as it was written. A program that asks for one thread has its
-/// iterations in order.
+/// In the kernel as written, makes updates of elements that iterations share
+/// atomic, or rejects them. With one thread, iterations run in order.
 static LogicalResult recognizeReductions(ModuleOp module, KernelOp kernel,
                                          bool oneThread, FailureLog &failures) {
   bool isParallel = kernel

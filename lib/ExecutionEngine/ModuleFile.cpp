@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A file is a header of 24 bytes, the magic number, the length of the bytecode
-// and its checksum, and then the bytecode. Both numbers are little-endian.
+// A file is a header of 24 bytes and the bytecode. The header has the magic
+// number, the length of the bytecode and its checksum; both numbers are
+// little-endian.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,7 +31,7 @@ static constexpr StringLiteral kRemedy(
     "give the module as text, or as what 'tai-translate --tai-to-bytecode' or "
     "taiModuleWrite makes of it");
 
-/// The length is part of it, so that no file is the beginning of another.
+/// The checksum includes the length, so that no file is a prefix of another.
 static uint64_t getChecksum(StringRef bytecode) {
   return runtime::xxh64(bytecode.data(), bytecode.size(), bytecode.size());
 }
@@ -39,7 +40,8 @@ static bool startsAsBytecode(StringRef bytes) {
   return isBytecode(llvm::MemoryBufferRef(bytes, "module"));
 }
 
-/// The fault of the header or of the bytes behind it, if any.
+/// The problem with the header or with the bytes after it; empty if there is
+/// none.
 static std::string checkHeader(StringRef bytes) {
   if (bytes.size() < kHeaderSize)
     return "this bytecode is cut off: it has " + std::to_string(bytes.size()) +
@@ -82,7 +84,7 @@ OwningOpRef<ModuleOp> mlir::tai::readModule(StringRef bytes,
     return {};
   }
   if (!bytes.starts_with(kMagic)) {
-    // To MLIR's parser a file of nothing but zeros is an empty module.
+    // MLIR's parser takes a file of zeros for an empty module.
     if (bytes.contains('\0')) {
       StringRef before = bytes.take_until([](char c) { return c == '\0'; });
       unsigned column = before.size() - (before.rfind('\n') + 1);
@@ -102,7 +104,8 @@ OwningOpRef<ModuleOp> mlir::tai::readModule(StringRef bytes,
   StringRef bytecode = bytes.drop_front(kHeaderSize);
   if (!checkText(bytecode, context, file))
     return {};
-  // Resources keep the alignment with which they were written.
+  // Resources have the alignment with which they were written: align the
+  // buffer.
   auto aligned = llvm::WritableMemoryBuffer::getNewUninitMemBuffer(
       bytecode.size(), file, llvm::Align(64));
   llvm::copy(bytecode, aligned->getBufferStart());

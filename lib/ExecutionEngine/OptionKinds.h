@@ -22,7 +22,7 @@
 namespace mlir::tai::options {
 using llvm::StringRef;
 
-/// A non-negative integer, of a signed type.
+/// A non-negative integer of a signed type.
 template <typename Number> struct WholeNumber {
   using Type = Number;
   static std::optional<Type> parse(StringRef text) {
@@ -86,7 +86,7 @@ struct Bounds {
   }
 };
 
-/// Whether a sanitizer is used; AddressSanitizer is the only one.
+/// Whether a sanitizer is used; AddressSanitizer is the only choice.
 struct Sanitizer {
   using Type = bool;
   static std::optional<bool> parse(StringRef text) {
@@ -97,13 +97,13 @@ struct Sanitizer {
   }
 };
 
-/// Not parsed here: the setter reports invalid values.
+/// Any text: the option's setter checks the value.
 struct Text {
   using Type = StringRef;
   static std::optional<Type> parse(StringRef text) { return text; }
 };
 
-/// The same: the setter's error lists the names of skips.
+/// Any text: the error of the option's setter lists the names of skips.
 struct Skips : Text {};
 
 } // namespace mlir::tai::options

@@ -37,7 +37,7 @@ LogicalResult mlir::tai::loadPlugin(Session &session, StringRef file) {
   if (!dialects)
     reasons = llvm::toString(dialects.takeError());
   if (!passes)
-    // The same reason twice if there is no such file.
+    // If there is no such file, both errors have the same text.
     reasons = llvm::toString(passes.takeError());
   if (!dialects && !passes)
     return session.fail(FailureKind::Usage, "cannot load '" + file +
@@ -71,7 +71,7 @@ LogicalResult mlir::tai::runPasses(Session &session, ModuleOp module,
   });
   MLIRContext *context = session.getContext();
   DiagnosticCollector collector(context);
-  // Deep parentheses would exhaust the stack.
+  // Deeply nested parentheses would overflow the stack.
   if (!checkText(pipeline, context, "pipeline"))
     return session.fail(collector.take(FailureKind::Syntax));
   std::string text = pipeline.trim().str();

@@ -29,7 +29,7 @@ OwningOpRef<ModuleOp> Program::read(Session &session, StringRef bytes,
   return module;
 }
 
-/// Refuses ops that the program would not find.
+/// Rejects ops that the program could not refer to, such as nested modules.
 static LogicalResult checkFlat(ModuleOp file) {
   for (ModuleOp nested : file.getOps<ModuleOp>())
     return nested.emitError("a program is one module, and names nothing of a "
@@ -37,8 +37,8 @@ static LogicalResult checkFlat(ModuleOp file) {
   return success();
 }
 
-/// A module with one kernel and the functions, kernels and global arrays that
-/// it names.
+/// A module with one kernel, and the functions, kernels and global arrays that
+/// it refers to.
 static OwningOpRef<ModuleOp> extract(ModuleOp file, KernelOp kernel) {
   llvm::SetVector<Operation *> needed;
   needed.insert(kernel);
@@ -136,7 +136,7 @@ LogicalResult Program::run(StringRef name) {
   if (failed(checkFunction(name)))
     return failure();
   auto known = functions.find(name);
-  // Options may have changed since.
+  // The options may have changed since the function was compiled.
   if (known != functions.end() && !session.isCurrent(known->second)) {
     session.unload(known->second);
     functions.erase(known);

@@ -22,7 +22,7 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 void InvalidAfterPass::runAfterPassFailed(Pass *pass, Operation *op) {
-  // The passes that this one is part of fail after it.
+  // The passes that contain this pass fail after it.
   if (!finding.pass.empty())
     return;
   finding.pass =
@@ -33,11 +33,11 @@ void InvalidAfterPass::runAfterPassFailed(Pass *pass, Operation *op) {
     finding.error = collector.take(FailureKind::Internal).message;
 }
 
-/// True for an error that says nothing about the program: of the verifier after
-/// a pass, or of a conversion that has left something behind.
+/// True for an error that is about the compiler, not the program: from the
+/// verifier after a pass, or from a conversion that did not lower an op.
 static bool isOurs(const InvalidAfterPass::Finding &finding,
                    StringRef message) {
-  // A pass may leave a module that is not valid where it has found an error.
+  // After an error in the program, a pass may leave an invalid module.
   return (!finding.error.empty() && finding.error == message) ||
          finding.pass == "tai-verify-llvm" ||
          message.starts_with("failed to legalize");
@@ -71,7 +71,7 @@ LogicalResult mlir::tai::runPipeline(PassManager &manager,
 // Files
 //===----------------------------------------------------------------------===//
 
-/// Writes the lines of a failure as comments.
+/// Prints the lines of a failure as comments.
 static void printComments(llvm::raw_ostream &stream, const Failure &failure,
                           StringRef mark) {
   SmallVector<StringRef> lines;
@@ -99,10 +99,10 @@ static std::string getText(const Failure &failure, ModuleOp module,
   return text;
 }
 
-/// Returns the path of a file with the text, which is written once by a
-/// process: a launch that fails is often tried again. Pipelines nested on
-/// several kinds of functions come in any order, so the module alone tells
-/// files apart.
+/// Returns the path of a file with the text, which a process writes only once:
+/// a launch that fails is often repeated. The order of pipelines nested on
+/// several kinds of functions is unspecified, so only the module distinguishes
+/// files.
 static std::string writeOnce(StringRef text, StringRef suffix) {
   static std::mutex mutex;
   static llvm::StringMap<std::string> written;

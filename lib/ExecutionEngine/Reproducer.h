@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // An invalid program gets an error at its line. Any other failure is a bug of
-// the compiler: a file with the module and the pass pipeline is written, and
-// the error names it.
+// the compiler: the compiler writes a file with the module and the pass
+// pipeline, which the error names.
 //
 //===----------------------------------------------------------------------===//
 
@@ -36,22 +36,23 @@ private:
   Finding &finding;
 };
 
-/// Runs a pipeline. If a pass fails with an error about the program the failure
-/// is of `kind`. A pass that fails without a diagnostic, or leaves an invalid
-/// module, is a bug: the failure is then internal.
+/// Runs a pipeline. If a pass fails with an error about the program, the
+/// failure is of `kind`. If a pass fails without a diagnostic, or leaves an
+/// invalid module, the failure is internal.
 LogicalResult runPipeline(PassManager &manager,
                           InvalidAfterPass::Finding &finding, ModuleOp module,
                           const Twine &title, FailureKind kind,
                           Failure &failure);
 
-/// Writes the module and a pipeline to a file for `tai-opt --run-reproducer`;
-/// its first lines hold the failure and `next`, the commands after the
-/// pipeline. Adds the name of the file to the failure.
+/// Writes the module and a pipeline to a file for `tai-opt --run-reproducer`.
+/// The first lines of the file contain the failure, and in `next` the commands
+/// after the pipeline. Adds the name of the file to the failure.
 void addReproducer(Failure &failure, ModuleOp module, PassManager &manager,
                    StringRef next = {});
 
-/// Writes a module of LLVM IR; the first lines of the file hold the failure and
-/// `command`, which compiles it. Adds the name of the file to the failure.
+/// Writes a module of LLVM IR to a file, whose first lines contain the failure
+/// and `command`, which compiles the file. Adds the name of the file to the
+/// failure.
 void addReproducer(Failure &failure, StringRef module, StringRef command);
 
 /// Runs passes once, with a reproducer for internal errors.

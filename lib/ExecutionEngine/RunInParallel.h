@@ -20,9 +20,9 @@
 
 namespace mlir::tai {
 
-/// Runs task(0) to task(count - 1) on up to as many threads as there are cores,
-/// until one fails. Returns the number of the first that failed: failures of
-/// others may be mere consequences of being stopped.
+/// Runs task(0) to task(count - 1), on up to as many threads as there are
+/// cores, until one fails. Returns the number of the task that failed first:
+/// later failures may be mere consequences of being stopped.
 inline std::optional<size_t>
 runInParallel(size_t count,
               llvm::function_ref<const runtime::Status &(size_t)> task) {
@@ -44,7 +44,8 @@ runInParallel(size_t count,
   };
   size_t helpers = std::min<size_t>(
       count, std::max(1u, std::thread::hardware_concurrency()));
-  // Fewer if the system cannot start more; destructors join them.
+  // There are fewer threads if the system cannot start more; destructors join
+  // them.
   std::vector<runtime::Thread> threads(helpers ? helpers - 1 : 0);
   for (runtime::Thread &thread : threads)
     if (!thread.start(help, "tai-compile"))

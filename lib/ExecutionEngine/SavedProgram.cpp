@@ -87,7 +87,8 @@ private:
                         "the tape cannot be saved: " + reason);
   }
 
-  /// The kernel of a record; null for another part of the one before.
+  /// The kernel of a record; null for a further part of the previous record's
+  /// kernel.
   FailureOr<SessionKernel *> findKernel(int64_t record) {
     const runtime::Kernel *launched = tape.kernelOf(record);
     if (!launched)
@@ -99,7 +100,8 @@ private:
         return &kernel;
       if (!kernel.kernel->hasParts())
         continue;
-      // Parts are recorded one after another in the place of their kernel.
+      // The parts of a kernel are recorded one after another instead of the
+      // kernel.
       const std::vector<runtime::KernelPtr> &parts =
           kernel.kernel->plan().parts;
       for (auto [i, part] : llvm::enumerate(parts))
@@ -143,7 +145,7 @@ private:
       if (!tree->sparseNodes().empty())
         return refuse("kernel '" + kernel.code->getName() + "' uses tree '" +
                       tree->name() + "', which has sparse levels");
-    // Kernels of one name, and helpers of different kernels, get others.
+    // Rename kernels and helpers whose names are taken.
     for (Operation &held : llvm::make_early_inc_range(*source->getBody())) {
       auto name = SymbolTable::getSymbolName(&held);
       if (auto field = dyn_cast<FieldOp>(held)) {
@@ -180,7 +182,8 @@ private:
     return other;
   }
 
-  /// Gives fields their present contents, but for gradients and zeros.
+  /// Initialises fields with their current contents, except gradients and
+  /// zeros.
   LogicalResult takeContents() {
     for (FieldOp op : module->getOps<FieldOp>()) {
       runtime::FieldPtr field =
@@ -211,7 +214,7 @@ private:
     return success();
   }
 
-  /// A number of this type from its slot.
+  /// A constant of type `type` with the value in the slot.
   Value makeNumber(OpBuilder &inside, Type type, const uint64_t *slot) {
     unsigned bits = isa<IndexType>(type) ? 64 : type.getIntOrFloatBitWidth();
     APInt value(
@@ -245,7 +248,7 @@ private:
                      record.kernel.getSymName(), operands);
   }
 
-  /// A function that launches all, under a tape if there is a loss.
+  /// Adds a function with all launches, on a tape if there is a loss.
   LogicalResult addFunction(StringRef name, FlatSymbolRefAttr loss) {
     if (symbols.lookup(name))
       return refuse("a kernel or a helper is named '" + name +

@@ -27,9 +27,9 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Runs each task where it is submitted. With a pool set, MLIR locks shared
-/// data, which compiling on several threads needs; passes themselves stay on
-/// the thread that runs them, for kernels are too small to split.
+/// Runs each task where it is submitted. With a pool, MLIR locks its shared
+/// data, which compiling on several threads requires. Passes stay on the thread
+/// that runs them, because kernels are too small to be split.
 class InlineThreadPool : public llvm::ThreadPoolInterface {
   void asyncEnqueue(llvm::unique_function<void()> task,
                     llvm::ThreadPoolTaskGroup *) override {
@@ -43,13 +43,13 @@ public:
 };
 } // namespace
 
-/// The options of a kernel that both lowerings get.
+/// Sets the options of a kernel that both lowerings share.
 static void setLowering(LoweringOptions &lowering,
                         const CompileOptions &options) {
 #define TAI_LOWERING_OPTION(type, member, from, argument, initial, about)      \
   lowering.member = options.from;
 #include "tai/Support/Options.def"
-  // Kernels are known by their names already.
+  // Kernels are already known to callers by name: do not fuse launches.
   lowering.fuseLaunches = false;
 }
 
@@ -61,7 +61,7 @@ static Compiler::Pipelines getPipelines() {
     AutodiffOptions autodiff;
     autodiff.zeroOverwritten = zeroes;
     autodiff.storedOutputs = true;
-    // An adjoint is launched with the arguments of its primal and no others.
+    // An adjoint is launched with exactly the arguments of its primal.
     autodiff.arrayAdjoints = false;
 #define TAI_AUTODIFF_OPTION(type, member, from, argument, initial, about)      \
   autodiff.member = options.from;
@@ -69,7 +69,7 @@ static Compiler::Pipelines getPipelines() {
     buildAutodiffPasses(manager, autodiff);
   };
   pipelines.forward = [](OpPassManager &manager, const CompileOptions &) {
-    // A copy is launched with the arguments of its primal and no others.
+    // A tangent is launched with exactly the arguments of its primal.
     buildForwardPipeline(manager, /*arrayTangents=*/false);
   };
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &options) {
@@ -92,7 +92,7 @@ static Compiler::Pipelines getPipelines() {
 
 Session::Session()
     : pool(std::make_unique<InlineThreadPool>()),
-      // One core is busy with the program.
+      // One core is left to the program.
       background(std::max(1u, std::thread::hardware_concurrency()) - 1) {
   DialectRegistry registry;
   registerAll(registry);
@@ -101,7 +101,7 @@ Session::Session()
       std::make_unique<MLIRContext>(registry, MLIRContext::Threading::DISABLED);
   context->setThreadPool(*pool);
   context->printOpOnDiagnostic(false);
-  // Threads may not load dialects, so all that can be needed are there first.
+  // Threads must not load dialects: load all dialects that may be needed now.
   context->loadAllAvailableDialects();
   RemarkScope::prepare(context.get());
   rt = std::make_unique<runtime::Runtime>();
@@ -122,7 +122,7 @@ Session::Session()
   }
 }
 
-// A job may use any part of it.
+// A background job may use any member.
 Session::~Session() { background.stop(); }
 
 SessionObjects Session::countObjects() {
@@ -151,7 +151,7 @@ LogicalResult Session::compileEagerly(runtime::Kernel &kernel) {
   runtime::Status status = kernel.resolve();
   if (!status.ok())
     return fail(status);
-  // A kernel without an adjoint is an error only if a tape asks for it.
+  // A missing adjoint is an error only if a tape needs it.
   if (carriesGradients(kernel))
     (void)kernel.resolveAdjoint(adjoint);
   return success();
@@ -179,7 +179,7 @@ FailureOr<SessionKernel *> Session::parseKernel(StringRef bytes, StringRef file,
   OwningOpRef<ModuleOp> module;
   {
     DiagnosticCollector collector(context.get());
-    // Verified once it has the declarations that it refers to.
+    // Verify the module once it has the declarations that it refers to.
     ParserConfig config(context.get(), /*verifyAfterParse=*/false);
     module = readModule(bytes, config, file);
     if (!module)
@@ -202,7 +202,7 @@ SessionKernel *Session::findKernel(StringRef name) {
 
 LogicalResult Session::compile(ArrayRef<SessionKernel *> kernels,
                                bool adjoints) {
-  // All primals first: the adjoint of a kernel waits for its primal.
+  // Compile primals first: the adjoint of a kernel waits for its primal.
   size_t count = kernels.size() * (adjoints ? 2 : 1);
   std::vector<runtime::Status> statuses(count);
   auto failed = runInParallel(count, [&](size_t i) -> const runtime::Status & {
@@ -256,8 +256,7 @@ FailureOr<Session::HostFunction> Session::compileHost(ModuleOp module,
 LogicalResult Session::runHost(
     const HostFunction &function,
     const std::function<SessionKernel *(StringRef name)> &findKernel) {
-  // A tape records launches, and the loads and stores of a host function are
-  // none.
+  // A tape records launches only, not the loads and stores of a host function.
   const runtime::Recorder *tape = rt->recordingTape();
   if (function.usesFields && tape && !tape->isSuspended())
     return fail(FailureKind::Usage,

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Dispatches each row of Options.def: to a member of the compile options, to
-// the runtime, or to one of the methods here.
+// Dispatches each option of Options.def to a member of the compile options, to
+// the runtime, or to a method in this file.
 //
 //===----------------------------------------------------------------------===//
 
@@ -60,8 +60,9 @@ void Session::keepChoices(runtime::KeptChoices kept) {
     queue->keepChoices(keptChoices);
 }
 
-/// On a GPU the driver takes seconds to assemble a program. For tests and
-/// measurements, TAI_BACKGROUND_PROGRAMS=1 or 0 decides for every device.
+/// Whether programs are compiled in the background: on a GPU, where the driver
+/// takes seconds to assemble a program. For tests and measurements,
+/// TAI_BACKGROUND_PROGRAMS=1 or 0 decides for every device.
 static bool compilesProgramsInBackground(runtime::DeviceKind kind) {
   const char *given = std::getenv("TAI_BACKGROUND_PROGRAMS");
   if (given && *given)
@@ -124,7 +125,7 @@ LogicalResult Session::setOption(StringRef name, StringRef value) {
     return fail(FailureKind::Usage, "option '" + name + "' expects " +
                                         expected + ", but got '" + value + "'");
   };
-// Where the value goes, by the last column.
+// One macro for each kind of target, the last column of Options.def.
 #define TAI_SET_Codegen(member)                                                \
   (compileOptions.codegen.member = *parsed, success())
 #define TAI_SET_Compile(member) (compileOptions.member = *parsed, success())
@@ -153,7 +154,7 @@ LogicalResult Session::setModes(const ContextModes &wanted) {
   }
   // Another number of threads divides loops differently, and whether an
   // addition is fused may depend on the end of a vectorised loop. Shadow values
-  // are computed for each operation alone.
+  // are computed separately for each operation.
   compileOptions.codegen.contract =
       !isDeterministic && !modes.isStrict() && !modes.shadow;
   return success();

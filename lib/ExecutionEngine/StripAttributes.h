@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Any pass may drop discardable attributes, so no result may depend on them.
-// Tests drop all `tai.*` ones before each pass (TAI_STRIP_ATTRIBUTES=1). To
-// find the one that matters, list names:
-// TAI_STRIP_ATTRIBUTES=tai.active,tai.tiles drops these alone.
+// Tests drop all `tai.*` attributes before each pass (TAI_STRIP_ATTRIBUTES=1).
+// To find the attribute that matters, list names:
+// TAI_STRIP_ATTRIBUTES=tai.active,tai.tiles drops only these.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,7 +26,8 @@ namespace mlir::tai {
 /// Drops discardable `tai.*` attributes of ops of any dialect.
 class StripAttributes : public PassInstrumentation {
 public:
-  /// `names`: attributes separated by commas, or anything else for all.
+  /// `names` are attributes separated by commas; any other text stands for all
+  /// attributes.
   explicit StripAttributes(StringRef names) {
     for (StringRef name : llvm::split(names, ','))
       if (name.starts_with("tai."))
@@ -42,7 +43,7 @@ public:
     });
   }
 
-  /// Added if the environment variable TAI_STRIP_ATTRIBUTES is set.
+  /// Adds the instrumentation if TAI_STRIP_ATTRIBUTES is set.
   static void addIfWanted(PassManager &manager) {
     if (const char *names = std::getenv("TAI_STRIP_ATTRIBUTES"))
       manager.addInstrumentation(std::make_unique<StripAttributes>(names));

@@ -11,7 +11,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Says of the writes in the summary which elements they store.
+/// Adds to the writes in the summary the boxes of elements that they store to.
 static void addStoredBoxes(ModuleOp module, KernelOp kernel,
                            std::vector<runtime::Access> &summary) {
   std::vector<NamedAccess> accesses;
@@ -30,7 +30,7 @@ std::vector<runtime::Access> mlir::tai::summarize(const runtime::Runtime &rt,
                                                   KernelOp kernel) {
   std::vector<runtime::Access> summary;
   for (Operation &op : *module.getBody()) {
-    // The adjoint that a kernel may come with is not part of it.
+    // A user-written adjoint in the module is not part of the kernel.
     if (isa<KernelOp>(op) && &op != kernel)
       continue;
     for (NamedAccess &access : listAccesses(&op)) {
@@ -41,7 +41,8 @@ std::vector<runtime::Access> mlir::tai::summarize(const runtime::Runtime &rt,
       if (!llvm::is_contained(summary, line))
         summary.push_back(std::move(line));
     }
-    // All levels and fields below a cell become zero, whichever field names it.
+    // Deactivating a cell sets all levels and fields below it to zero, not only
+    // the named field.
     op.walk([&](DeactivateOp deactivate) {
       runtime::FieldPtr named = rt.findField(deactivate.getField().str());
       for (const runtime::FieldPtr &field : rt.fields()) {

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// LLVM's packages call `arc4random`, to name temporary files. It is the only
-// symbol of glibc 2.36 that they need; with this definition inside of libtai,
-// the library loads with glibc 2.35, that of Ubuntu 22.04.
+// LLVM's packages call `arc4random` to name temporary files. It is the only
+// symbol of glibc 2.36 that they need: with this definition in libtai, the
+// library also loads with glibc 2.35, as in Ubuntu 22.04.
 //
 //===----------------------------------------------------------------------===//
 
@@ -16,7 +16,8 @@
 
 extern "C" __attribute__((visibility("hidden"))) uint32_t arc4random() {
   uint32_t value = 0;
-  // Up to 256 bytes come whole, once the kernel has collected entropy.
+  // Requests of up to 256 bytes are filled once the kernel has collected
+  // entropy.
   while (getrandom(&value, sizeof(value), 0) != sizeof(value)) {
   }
   return value;
