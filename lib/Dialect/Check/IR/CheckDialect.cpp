@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The former names are separate ops, because the generic form and bytecode
-// create ops by name without a custom parser. They share the verifier, and
-// nothing else handles them.
+// Former names are separate ops, because the generic form and bytecode create
+// ops by name, without a custom parser. These ops share the verifier of the
+// present ops, and nothing else supports them.
 //
 //===----------------------------------------------------------------------===//
 
@@ -36,7 +36,7 @@ using namespace mlir::tai;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Helpers of host functions are inlined with their checks.
+/// Helpers of host functions are inlined together with their checks.
 struct CheckInlinerInterface : DialectInlinerInterface {
   using DialectInlinerInterface::DialectInlinerInterface;
 
@@ -63,7 +63,7 @@ void CheckDialect::initialize() {
 void tai::registerCheckDialect(DialectRegistry &registry) {
   registry.insert<CheckDialect>();
   registry.addExtension(+[](MLIRContext *context, TaiDialect *) {
-    // Unless it is the one that loads that of tai.
+    // This has no effect if it is the check dialect that loads the tai dialect.
     context->loadDialect<CheckDialect>();
   });
 }
@@ -102,7 +102,7 @@ FormerCheckGradientOp::verifySymbolUses(SymbolTableCollection &symbols) {
 // Former names
 //===----------------------------------------------------------------------===//
 
-/// Reads an op under its former name, and creates it under the present one.
+/// Parses an op by its former name, and creates the op of the present name.
 template <typename Op>
 static ParseResult parseFormer(OpAsmParser &parser, OperationState &state) {
   state.name = OperationName(Op::getOperationName(), parser.getContext());

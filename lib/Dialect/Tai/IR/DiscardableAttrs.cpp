@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The table of attributes `tai.*` that may be on an op of any dialect. An
-// unknown name would be ignored silently, so it is rejected: a misspelt
+// The table of `tai.*` attributes that may be on an op of any dialect. An
+// unknown attribute would be ignored silently, so it is rejected: a misspelt
 // `tai.differentiate` must not lead to a missing gradient.
 //
 //===----------------------------------------------------------------------===//
@@ -25,15 +25,15 @@ enum class Kind { Unit, Integer, Float, Symbol, List, Numbers, Register, Any };
 struct KnownAttr {
   StringLiteral name;
   Kind kind;
-  /// Whether it stands on functions and kernels only.
+  /// Whether the attribute is allowed on functions and kernels only.
   bool ofFunctions = false;
 };
 } // namespace
 
-// Attributes that decide a result are no part of this table but attributes of
-// the op itself; docs/decisions/0028-ir-level.md tells which are which.
+// Attributes that affect results are not in this table but are attributes of
+// the ops themselves; docs/decisions/0028-ir-level.md lists both kinds.
 static constexpr KnownAttr kKnown[] = {
-    // Written by people, or on functions of other dialects.
+    // Written by users, or on functions of other dialects.
     {"tai.adjoint", Kind::Symbol, true},
     {"tai.check_updates", Kind::Unit, true},
     {"tai.conventions", Kind::Any, true},
@@ -45,7 +45,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.split", Kind::Any, true},
     {"tai.tangent", Kind::Symbol, true},
     {"tai.saved", Kind::Any},
-    // Dropping one of these costs time only.
+    // Without one of these, the program only gets slower.
     {"tai.access_group", Kind::Any},
     {"tai.accesses", Kind::Numbers},
     {"tai.active", Kind::Unit},
@@ -55,7 +55,7 @@ static constexpr KnownAttr kKnown[] = {
     {"tai.index_bits", Kind::Integer},
     {"tai.interior", Kind::Numbers},
     {"tai.tiles", Kind::Any},
-    // Attributes of ops that mean the same without, as far as the program goes.
+    // The meaning of the program does not depend on these.
     {"tai.accumulate", Kind::Register},
     {"tai.adjoint_branch", Kind::Unit},
     {"tai.guard", Kind::Unit},
@@ -85,7 +85,7 @@ StringAttr tai::getFunctionAttrName(Operation *op, StringRef name) {
                            : StringAttr::get(op->getContext(), "tai." + name);
 }
 
-/// The only attribute of arguments.
+/// The only attribute of function arguments.
 static constexpr StringLiteral kElementRank = "tai.element_rank";
 
 static bool isOfKind(Attribute attr, Kind kind) {
@@ -134,7 +134,7 @@ static StringRef describe(Kind kind) {
   return "a value";
 }
 
-/// Refuses a name that tai does not know, and says which it may be.
+/// Rejects an unknown `tai.*` name, and suggests known ones.
 static LogicalResult refuseUnknown(Operation *op, StringRef name) {
   if (name == "tai.modes")
     return op->emitError("'")
@@ -157,14 +157,14 @@ static LogicalResult refuseUnknown(Operation *op, StringRef name) {
   return diag;
 }
 
-/// The attribute asks for a gradient; verifies that the function can have one.
+/// Verifies that a function with `tai.differentiate` can have a gradient.
 static LogicalResult verifyDifferentiate(Operation *op) {
   StringRef name = op->getName().getStringRef();
   auto function = cast<FunctionOpInterface>(op);
   if (function.isExternal())
     return op->emitError("cannot differentiate '@")
            << function.getName() << "', which has no body here";
-  // The differentiated function may have been converted since.
+  // The gradient's function may have been converted to another dialect since.
   bool isDone = op->hasAttr("tai.adjoint") ||
                 isa_and_present<ArrayAttr>(op->getAttr("tai.split")) ||
                 op->hasAttr(getFunctionAttrName(op, "tangent"));
@@ -202,7 +202,7 @@ LogicalResult tai::verifyDiscardableAttr(Operation *op,
     return op->emitError(
         "'tai.split' stands beside 'tai.differentiate', and is "
         "a unit attribute until the functions are made");
-  // Kernels are differentiated by themselves.
+  // Kernels have gradients without this attribute.
   if (name == "tai.gradients" && !op->hasAttr("tai.differentiate"))
     return op->emitError(
         "has 'tai.gradients', but not 'tai.differentiate', so that no gradient "

@@ -16,13 +16,13 @@ namespace mlir::tai {
 struct RenamedAttr {
   llvm::StringLiteral old, name;
 };
-/// Attributes that users may have written. The parser of kernels maps the old
-/// name to the new one; elsewhere, the verifier rejects it.
+/// Former names that users may have written. The parser of kernels maps an old
+/// name to the new name; elsewhere, the verifier rejects it.
 llvm::ArrayRef<RenamedAttr> getRenamedKernelAttrs();
 
 /// Checks an attribute `tai.*` of an op of any dialect.
 LogicalResult verifyDiscardableAttr(Operation *op, NamedAttribute attribute);
-/// The same for one of an argument, and of a result, of a function.
+/// Checks a `tai.*` attribute of an argument or of a result of a function.
 LogicalResult verifyArgumentAttr(Operation *op, unsigned index,
                                  NamedAttribute attribute);
 LogicalResult verifyResultAttr(Operation *op, unsigned index,

@@ -24,7 +24,7 @@ std::optional<unsigned> tai::parseAxisLetter(StringRef letter) {
 // Sizes
 //===----------------------------------------------------------------------===//
 
-/// Bytes of one component; i1 is stored as a byte.
+/// The size of a component in bytes; an i1 takes one byte.
 static uint64_t getScalarSize(Type type) {
   return llvm::divideCeil(type.getIntOrFloatBitWidth(), 8);
 }
@@ -106,7 +106,7 @@ uint64_t tai::getPlaceOffset(PlacesType places, unsigned index,
 /// Blocks at the root start on cache lines, so that arrays do not share one.
 static constexpr uint64_t kCacheLine = 64;
 
-/// Size of the cells of a tree.
+/// The total size of the cells of a tree.
 static uint64_t getCellsSize(RootType root, const DataLayout &layout) {
   uint64_t size = 0;
   for (Type child : root.getChildren())
@@ -125,7 +125,8 @@ SNodeTypeInterface PlacePath::getFirstSparse() const {
   return {};
 }
 
-/// Goes one level down: `level` is child `child` of the innermost cell.
+/// Goes one level down, to `level`, which is child number `child` of the
+/// current level.
 static void enter(PlacePath &path, SNodeTypeInterface level, unsigned child) {
   path.levels.push_back({level, child});
   for (auto [axis, extent] : llvm::zip(level.getAxes(), level.getShape())) {
@@ -178,7 +179,7 @@ const PlaceIndex::Places &PlaceIndex::placesOf(RootType root) const {
       position.push_back(level.child);
     position.push_back(path.placesChild);
     position.push_back(path.place);
-    // The verifier refuses two places of one name: here the first counts.
+    // The verifier rejects two places of the same name: keep the first.
     places->try_emplace(path.places.getNames()[path.place].getValue(),
                         std::move(position));
   });
@@ -213,7 +214,7 @@ std::optional<PlacePath> tai::findPlace(RootType root, StringRef name) {
 // Fields
 //===----------------------------------------------------------------------===//
 
-/// The child numbers of the levels down to the innermost sparse one.
+/// The child numbers on the path down to the innermost sparse level.
 static SmallVector<unsigned> getSparsePosition(const PlacePath &path) {
   SmallVector<unsigned> position;
   size_t count = 0;
@@ -284,8 +285,8 @@ int64_t SparseNode::getNumCells() const {
   return count;
 }
 
-/// Activity starts on a page of its own: the pages of the cells can then be
-/// given back one by one.
+/// Activity starts on a new page, so that the pages with cells can be returned
+/// to the system one by one.
 static constexpr uint64_t kPage = 4096;
 
 static uint64_t getActivitySize(const SparseNode &node) {
@@ -295,7 +296,7 @@ static uint64_t getActivitySize(const SparseNode &node) {
   return llvm::alignTo(cells, 512) / 8;
 }
 
-/// Axes whose cells lie one after another make one step.
+/// Merges axes whose cells are contiguous into one step.
 void TreeLayout::addSteps(SNodeTypeInterface level, SparseNode &node) {
   size_t own = node.steps.size();
   for (auto [extent, stride] :
@@ -305,7 +306,8 @@ void TreeLayout::addSteps(SNodeTypeInterface level, SparseNode &node) {
     else
       node.steps.push_back({extent, stride});
   }
-  // The last stride is the size of a cell, by which it is zeroed.
+  // The last stride must be the size of a cell, which is what zeroing a cell
+  // uses.
   uint64_t size = level.getCellSize(dataLayout);
   if (node.steps.back().stride != size)
     node.steps.push_back({1, size});
@@ -409,7 +411,8 @@ FieldStorage TreeLayout::getFieldStorage(const FieldLayout &layout) {
   if (isSparse)
     (void)getSparseNodes();
 
-  // Per axis: the cells below the level at hand, and in all levels.
+  // For each axis: the number of cells below the current level, and in all
+  // levels.
   SmallVector<int64_t> below(kMaxAxes, 1), whole(kMaxAxes, 1);
   for (auto [axis, extent] : llvm::zip(path.axes, path.shape))
     below[axis] = whole[axis] = extent;

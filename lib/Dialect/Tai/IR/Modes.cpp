@@ -13,7 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// On functions of the LLVM dialect: pairs of a name and a value, and names.
+/// An attribute of functions of the LLVM dialect: names, and pairs of a name
+/// and a value.
 static constexpr StringLiteral kPassthrough = "passthrough";
 static constexpr StringLiteral kPassedName = "tai.modes";
 
@@ -28,7 +29,7 @@ template <typename T> struct Word {
 };
 } // namespace
 
-// A kernel stores nothing by itself: it cannot have the types of storage.
+// A kernel allocates no storage, so storage types are no precisions of kernels.
 static constexpr Word<Precision> kPrecisions[] = {
     {"default", Precision::Default},
     {"f64", Precision::F64},
@@ -57,7 +58,7 @@ static void forEachMode(ModesT &modes, Visitor visit) {
   visit(StringRef("ftz"), modes.ftz, ArrayRef(kSwitch));
 }
 
-/// False if there is no such mode or it has no such word.
+/// False if there is no such mode, or the mode has no such word.
 static bool readWord(Modes &modes, StringRef name, StringRef text) {
   bool isRead = false;
   forEachMode(modes, [&](StringRef mode, auto &value, auto words) {
@@ -71,7 +72,7 @@ static bool readWord(Modes &modes, StringRef name, StringRef text) {
   return isRead;
 }
 
-/// The specified words, by name.
+/// The names of the modes that are set, with their words.
 static SmallVector<std::pair<StringRef, StringRef>>
 getWords(const Modes &modes) {
   SmallVector<std::pair<StringRef, StringRef>> result;
@@ -87,7 +88,8 @@ getWords(const Modes &modes) {
 // On kernels
 //===----------------------------------------------------------------------===//
 
-/// The word, if it is written as that mode is: a truth value or a text.
+/// The word, if the entry has the attribute type of that mode: a boolean or a
+/// string.
 static std::optional<StringRef> getText(NamedAttribute entry) {
   bool isSwitch = entry.getName() == "ftz";
   if (auto on = dyn_cast<BoolAttr>(entry.getValue()); on && isSwitch)
@@ -133,7 +135,7 @@ LogicalResult tai::verifyModes(Operation *kernel, DictionaryAttr modes) {
 // On functions of the LLVM dialect
 //===----------------------------------------------------------------------===//
 
-/// The value of our entry, if there is one.
+/// The value of the `tai.modes` entry in `passthrough`, if there is one.
 static std::optional<StringRef> getPassed(Operation *function) {
   auto entries = function->getAttrOfType<ArrayAttr>(kPassthrough);
   if (!entries)

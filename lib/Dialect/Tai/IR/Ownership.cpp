@@ -18,7 +18,7 @@ static constexpr StringLiteral kPassthrough = "passthrough";
 static constexpr StringLiteral kLowered = "tai.lowered";
 
 bool tai::isTaiOp(Operation *op) {
-  // By name: the dialect of a pass's input need not be loaded.
+  // By name: the dialect of the op need not be loaded.
   StringRef dialect = op->getName().getDialectNamespace();
   return dialect == "tai" || dialect == "tai_rt" || dialect == "tai_check";
 }
@@ -37,7 +37,8 @@ Operation *tai::findTaiOp(Operation *op) {
   return found;
 }
 
-/// The name of an entry of `passthrough`, which may have a value.
+/// The name of an entry of `passthrough`, which is a name or a pair of name and
+/// value.
 static StringRef getEntryName(Attribute entry) {
   if (auto pair = dyn_cast<ArrayAttr>(entry); pair && !pair.empty())
     entry = pair[0];
@@ -90,7 +91,7 @@ llvm::SetVector<Operation *> tai::collectLowered(ModuleOp module) {
   for (Operation &op : *module.getBody())
     if (isTaiCode(&op))
       lowered.insert(&op);
-  // Callers of callers, until nothing is new.
+  // Add callers of callers until there are no more.
   for (bool grown = true; grown;) {
     grown = false;
     for (auto function : module.getOps<func::FuncOp>()) {
@@ -146,7 +147,7 @@ void tai::walkOwned(Operation *root,
   Operation *function = root;
   if (!isa<FunctionOpInterface>(root))
     function = root->getParentOfType<FunctionOpInterface>();
-  // A module inside a function is a world of its own.
+  // Do not enter modules inside functions.
   if (function && !root->hasTrait<OpTrait::SymbolTable>()) {
     if (belongsToTai(function))
       action(root);

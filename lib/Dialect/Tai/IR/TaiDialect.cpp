@@ -29,15 +29,15 @@ using namespace mlir::tai;
 #include "tai/Dialect/Tai/IR/TaiAttrs.cpp.inc"
 
 namespace {
-/// Any op of the dialect may be inlined: kernels call helpers, nothing calls a
-/// kernel.
+/// Any op of the dialect may be inlined: kernels call helpers, and no code
+/// calls a kernel.
 struct TaiInlinerInterface : DialectInlinerInterface {
   using DialectInlinerInterface::DialectInlinerInterface;
 
   bool isLegalToInline(Operation *, Operation *, bool) const final {
     return true;
   }
-  /// The regions of kernels, loops and tapes have one block.
+  /// The regions of kernels, loops and tapes must have one block.
   bool isLegalToInline(Region *, Region *source, bool,
                        IRMapping &) const final {
     return source->hasOneBlock();

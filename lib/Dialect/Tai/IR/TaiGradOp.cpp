@@ -12,7 +12,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 /// Whether values of the type have derivatives: floats, and vectors and memrefs
-/// of them.
+/// of floats.
 static bool hasDerivative(Type type) {
   if (auto memref = dyn_cast<MemRefType>(type))
     type = memref.getElementType();
@@ -111,7 +111,8 @@ LogicalResult GradOp::verifySymbolUses(SymbolTableCollection &symbols) {
     auto memref = dyn_cast<MemRefType>(inputs[i]);
     if (!memref)
       continue;
-    // The dimensions of vectors are some of the gradient's own.
+    // The gradient has the dimensions of the vectors as dimensions of the
+    // array.
     Type element = memref.getElementType();
     SmallVector<int64_t> shape(memref.getShape());
     if (auto vector = dyn_cast<VectorType>(element))

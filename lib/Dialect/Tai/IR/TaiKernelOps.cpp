@@ -31,8 +31,8 @@ void KernelOp::build(OpBuilder &builder, OperationState &state, StringRef name,
     entry.addArgument(input, state.location);
 }
 
-/// Generated parsers do so; without, an attribute of the dialect that has
-/// another type is left out without a word.
+/// Checks the types of the attributes, as generated parsers do: otherwise an
+/// attribute of the wrong type would be dropped silently.
 template <typename Op>
 static ParseResult checkAttributes(OpAsmParser &parser, SMLoc where,
                                    OperationState &result) {
@@ -74,7 +74,7 @@ void KernelOp::print(OpAsmPrinter &printer) {
       getArgAttrsAttrName(), getResAttrsAttrName());
 }
 
-/// True for scalars, and vectors of a known length.
+/// True for scalars and vectors of fixed length.
 static bool isKernelValueType(Type type) {
   if (auto vector = dyn_cast<VectorType>(type))
     return !vector.isScalable() &&
@@ -82,8 +82,8 @@ static bool isKernelValueType(Type type) {
   return type.isIntOrIndexOrFloat();
 }
 
-/// True for the types a kernel can take: scalars, small vectors, memrefs of
-/// them.
+/// True for types of kernel arguments: scalars, small vectors, and memrefs of
+/// these.
 static bool isKernelArgumentType(Type type) {
   if (auto memref = dyn_cast<MemRefType>(type))
     return memref.getLayout().isIdentity() &&
@@ -339,9 +339,9 @@ std::optional<SmallVector<Value>> ParallelForOp::getLoopInductionVars() {
   return SmallVector<Value>(getInductionVars());
 }
 
-/// The indices of the elements that a loop over a field may visit: from the
-/// first number, included, to the second. Passes that ask for induction
-/// variables expect bounds for each of them.
+/// The first index that a loop over a field may visit along a dimension, and
+/// the end of the indices. Passes that query induction variables expect bounds
+/// for each.
 static std::pair<int64_t, int64_t> getVisitedRange(ParallelForOp loop,
                                                    unsigned dimension) {
   if (auto field = SymbolTable::lookupNearestSymbolFrom<FieldOp>(

@@ -92,8 +92,8 @@ static void printFieldClauses(OpAsmPrinter &printer, FieldOp,
 // TreeOp, FieldOp
 //===----------------------------------------------------------------------===//
 
-/// The bytes of the contents of a tree's cells, without padding; sums beyond
-/// the range are the greatest number.
+/// The size of the contents of a tree's cells in bytes, without padding;
+/// saturates at the largest number.
 static uint64_t countBytes(Type type, const DataLayout &layout) {
   uint64_t bytes = 0;
   if (auto places = dyn_cast<PlacesType>(type)) {
@@ -114,8 +114,8 @@ static uint64_t countBytes(Type type, const DataLayout &layout) {
   return bytes;
 }
 
-/// Checks the rules of a kind of level for its cells: each has room and
-/// alignment.
+/// Checks that the cells of each level fit the level's pool and are aligned as
+/// its kind requires.
 static LogicalResult verifyCells(TreeOp tree, ArrayRef<Type> children,
                                  const DataLayout &layout) {
   for (Type child : children) {
@@ -145,8 +145,8 @@ static LogicalResult verifyCells(TreeOp tree, ArrayRef<Type> children,
 LogicalResult TreeOp::verify() {
   auto root = cast<RootType>(getLayout());
   DataLayout layout = DataLayout::closest(*this);
-  // Offsets are 64-bit numbers; half of these leave room for alignment and for
-  // the data of sparse levels beside their cells.
+  // Offsets are 64-bit numbers; half of their range is left for alignment and
+  // for the data of sparse levels beside their cells.
   uint64_t bytes = 0;
   for (Type child : root.getChildren())
     bytes = llvm::SaturatingAdd(bytes, countBytes(child, layout));
@@ -172,7 +172,7 @@ LogicalResult FieldOp::verify() {
   return success();
 }
 
-/// True if the types differ at most in how wide the floats of `related` are.
+/// True if `related` equals `type` except that its floats may be wider.
 static bool holdsWider(Type related, Type type) {
   auto own = dyn_cast<FloatType>(getElementTypeOrSelf(type));
   auto other = dyn_cast<FloatType>(getElementTypeOrSelf(related));
@@ -182,8 +182,8 @@ static bool holdsWider(Type related, Type type) {
   return related == (vector ? Type(vector.clone(other)) : Type(other));
 }
 
-/// Checks that `related` can hold derivatives of `field`. Adjoints are sums,
-/// which may be of wider floats.
+/// Checks that `related` can hold derivatives of `field`. Adjoints accumulate
+/// sums, so their floats may be wider.
 static LogicalResult verifyRelatedField(FieldOp field,
                                         FlatSymbolRefAttr related,
                                         StringRef role,
@@ -205,7 +205,7 @@ static LogicalResult verifyRelatedField(FieldOp field,
   return diag;
 }
 
-/// True if no field stands before this one.
+/// True if the field is the first one in its block.
 static bool isFirstField(FieldOp field) {
   for (Operation *op = field->getPrevNode(); op; op = op->getPrevNode())
     if (isa<FieldOp>(op))
@@ -213,9 +213,9 @@ static bool isFirstField(FieldOp field) {
   return true;
 }
 
-/// Refuses two fields that share memory: two names of one place, and one field
-/// that holds the derivatives of two, or of itself. Gradients would be zeroed,
-/// or added up, where they belong to another field.
+/// Rejects fields that share memory: two fields with the same place, and a
+/// field that holds the derivatives of two fields, or of itself. Gradients
+/// would be added to, or cleared with, those of another field.
 static LogicalResult verifyApart(Block &fields) {
   DenseMap<std::pair<Attribute, Attribute>, FieldOp> places;
   DenseMap<StringAttr, FieldOp> byName;
@@ -255,7 +255,8 @@ static LogicalResult verifyApart(Block &fields) {
       return diag;
     }
   }
-  // One owner at most, so that a chain that returns passes its start.
+  // Each field has at most one owner, so a chain of adjoints that forms a cycle
+  // returns to its start.
   DenseSet<Operation *> visited;
   for (auto field : fields.getOps<FieldOp>()) {
     FieldOp next = field;
@@ -274,7 +275,7 @@ static LogicalResult verifyApart(Block &fields) {
 }
 
 LogicalResult FieldOp::verifySymbolUses(SymbolTableCollection &symbols) {
-  // (field_c1), (field_c2). Once for all of them: there may be thousands.
+  // (field_c1), (field_c2). Check all fields at once: there may be thousands.
   if (isFirstField(*this) && failed(verifyApart(*(*this)->getBlock())))
     return failure();
   auto tree = symbols.lookupNearestSymbolFrom<TreeOp>((*this)->getParentOp(),
@@ -341,7 +342,7 @@ LogicalResult FieldOp::verifySymbolUses(SymbolTableCollection &symbols) {
 // Accesses
 //===----------------------------------------------------------------------===//
 
-/// Finds the field an op names, or says that there is none.
+/// Finds the field that an op names, or reports that it does not exist.
 static FieldOp lookupOrError(Operation *op, FlatSymbolRefAttr name,
                              SymbolTableCollection &symbols) {
   auto field = symbols.lookupNearestSymbolFrom<FieldOp>(op, name);
@@ -490,8 +491,8 @@ static bool isInBounds(FieldOp field, OperandRange indices) {
   return true;
 }
 
-// Reading an inactive cell yields zero, so only the bounds can forbid to read
-// where the program would not have.
+// Reading an inactive cell yields zero, so the indices alone decide whether a
+// load may be executed speculatively.
 Speculation::Speculatability LoadOp::getSpeculatability() {
   for (Value component : getComponents())
     if (!matchPattern(component, m_Constant()))
@@ -505,7 +506,8 @@ Speculation::Speculatability LoadOp::getSpeculatability() {
 // Topology
 //===----------------------------------------------------------------------===//
 
-/// The innermost level above the place of a field, `up` levels up.
+/// The level `up` levels up from the place of a field; 1 is the innermost
+/// level.
 static SNodeTypeInterface getLevelAbove(FieldOp field, int64_t up) {
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout) || up > static_cast<int64_t>(layout->path.levels.size()))
@@ -527,7 +529,8 @@ static LogicalResult verifyLevelAccess(Operation *op, FlatSymbolRefAttr name,
   return diag;
 }
 
-/// Whether a field stands below a list; `directly`: in its cells.
+/// Whether a field is below a list; with `directly`, whether it is in the
+/// list's cells.
 static bool isBelowList(FieldOp field, bool directly) {
   if (directly) {
     SNodeTypeInterface level = getLevelAbove(field, 1);
@@ -552,7 +555,8 @@ static LogicalResult verifyListAccess(Operation *op, FlatSymbolRefAttr name,
     diag.attachNote(field.getLoc()) << "field defined here";
     return diag;
   }
-  // The innermost list, whose axis must be its own: that index is left out.
+  // The innermost list, whose axis must not be divided further: its index is
+  // omitted.
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   ArrayRef<PathLevel> above = layout->path.levels;
   while (!above.back().type.isList())
@@ -607,7 +611,7 @@ LogicalResult LengthOp::verifySymbolUses(SymbolTableCollection &symbols) {
 // Host ops
 //===----------------------------------------------------------------------===//
 
-/// Refuses ops of host programs in kernels.
+/// Rejects ops of host programs inside kernels.
 static LogicalResult verifyOnHost(Operation *op) {
   // (launch_c3)
   Operation *around = op->getParentOp();

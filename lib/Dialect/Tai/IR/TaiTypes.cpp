@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// One grammar serves all levels. Inside `!tai.root` a level is written by its
-// bare keyword, a record of places in braces, and anything else as a full type,
-// which must implement SNodeTypeInterface.
+// One grammar serves all levels. Inside `!tai.root`, a level is written by its
+// bare keyword, a record of places in braces, and any other level as a full
+// type, which must implement SNodeTypeInterface.
 //
 //===----------------------------------------------------------------------===//
 
@@ -60,7 +60,8 @@ ParseResult tai::parseLevelAxes(AsmParser &parser, SmallVector<unsigned> &axes,
   });
 }
 
-/// Parses the places of a record after its opening brace, to the closing one.
+/// Parses the places of a record, from after its opening brace to its closing
+/// brace.
 static Type parsePlaces(AsmParser &parser) {
   SmallVector<StringAttr> names;
   SmallVector<Type> types;

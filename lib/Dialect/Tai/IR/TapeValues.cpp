@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The gradient of a taped program passes through fields. If a number that a
-// kernel returns, or that the host reads from a field, were an argument of
-// another launch, it would take part in the computation but not in the
-// gradient. Stores of the host would not be undone in the reverse sweep either.
+// The gradient of a taped program passes through fields. If the host passed a
+// number that a kernel returns, or that it reads from a field, to another
+// launch, the number would take part in the computation but not in the
+// gradient. Stores of the host would also not be undone in the reverse sweep.
 //
 //===----------------------------------------------------------------------===//
 
@@ -59,7 +59,7 @@ private:
 
   Operation *tape;
   SymbolTableCollection &symbols;
-  /// The region of the tape, and the functions that run in it.
+  /// The region of the tape, and the functions called in it.
   llvm::SetVector<Operation *> scopes;
   DenseMap<OpOperand *, SmallVector<Value, 2>> targets;
   DenseMap<Operation *, SmallVector<Operation *>> callers;
@@ -73,7 +73,7 @@ static bool isFloatLike(Type type) {
   return isa<FloatType>(getElementTypeOrSelf(type));
 }
 
-/// All symbols that a kernel and the functions that it calls name.
+/// All symbols that a kernel, or a function that it calls, refers to.
 const DenseSet<Attribute> &TapeValues::getNames(FlatSymbolRefAttr kernel) {
   auto [it, isNew] = namesOf.try_emplace(kernel);
   if (!isNew)
@@ -139,7 +139,7 @@ void TapeValues::collect() {
           if (field && field.getAdjointAttr())
             markAll(load->getResults());
         } else if (auto launch = dyn_cast<LaunchOp>(op)) {
-          // A kernel that sees no field with an adjoint returns constants.
+          // A kernel that refers to no field with an adjoint returns constants.
           bool isActive =
               llvm::any_of(getNames(launch.getKernelAttr()), [&](Attribute n) {
                 auto field = symbols.lookupNearestSymbolFrom<FieldOp>(
@@ -217,7 +217,7 @@ LogicalResult TapeValues::verifyUses() {
   return success();
 }
 
-/// The loops of `scopes` around an op.
+/// Whether a loop inside the tape contains both ops.
 static bool shareLoop(Operation *lhs, Operation *rhs, Operation *tape) {
   for (Operation *loop = lhs->getParentOp(); loop && loop != tape;
        loop = loop->getParentOp())
@@ -226,7 +226,8 @@ static bool shareLoop(Operation *lhs, Operation *rhs, Operation *tape) {
   return false;
 }
 
-/// A store is as good as one before the tape, if no launch has seen the field.
+/// A store is allowed if no launch has accessed the field: it could as well be
+/// before the tape.
 LogicalResult TapeValues::verifyStores() {
   for (Operation *scope : scopes)
     for (Region &region : scope->getRegions()) {
@@ -241,7 +242,7 @@ LogicalResult TapeValues::verifyStores() {
         for (LaunchOp launch : launches) {
           if (!getNames(launch.getKernelAttr()).contains(name))
             continue;
-          // Pre-order, so that earlier code in the text runs before.
+          // A pre-order walk: code that precedes in the text runs earlier.
           Operation *common =
               region.findAncestorOpInRegion(*launch.getOperation());
           Operation *own = region.findAncestorOpInRegion(*op);

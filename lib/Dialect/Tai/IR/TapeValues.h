@@ -12,10 +12,9 @@
 
 namespace mlir::tai {
 
-/// A tape records launches and nothing else. Rejects, in the region of `tape`
-/// and in the host functions that it calls, values with a derivative that pass
-/// from one launch to the next through the host, and stores of the host between
-/// launches.
+/// Rejects, in the region of `tape` and in the host functions that it calls,
+/// values with a derivative that pass from one launch to another through the
+/// host, and stores of the host between launches: a tape records launches only.
 LogicalResult verifyTapeValues(Operation *tape, SymbolTableCollection &symbols);
 
 } // namespace mlir::tai

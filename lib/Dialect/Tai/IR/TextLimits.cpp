@@ -23,23 +23,23 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The longest run of dimensions of one type.
+/// The largest number of dimensions of one type.
 constexpr unsigned kMostDimensions = 1024;
-/// The most operators of one affine expression.
+/// The largest number of operators of one affine expression.
 constexpr unsigned kMostOperators = 4096;
-/// The most digits of the number of a result.
+/// The largest number of digits in the number of a result (123 in %0#123).
 constexpr size_t kMostDigits = 6;
 
-/// The list of dimensions or symbols of an affine map that `text` begins with,
-/// by its brackets. The time that the parser takes grows with the square of the
-/// number.
+/// Whether `text` begins with a list of dimensions or symbols of an affine map,
+/// in these brackets, that is too long. The parser's time grows with the square
+/// of the list's length.
 bool isLongList(StringRef text, char begin, char end) {
   StringRef list = text.take_until([&](char c) { return c == end; });
   return text.starts_with(StringRef(&begin, 1)) &&
          list.count(',') >= kMostDimensions;
 }
 
-/// The same of a whole map or set, from behind its name on.
+/// Whether a whole map or set is too long; `text` begins after its keyword.
 bool isLongMap(StringRef text) {
   text = text.ltrim();
   if (!text.consume_front("<"))
@@ -96,7 +96,8 @@ private:
                      .Case("]", '[')
                      .Case("}", '{')
                      .Default('<');
-    // A bracket that does not match is no syntax, or an arrow or a comparison.
+    // A bracket without a match is a syntax error, or part of an arrow or a
+    // comparison.
     if (!open.empty() && open.back().bracket == first)
       open.pop_back();
   }
@@ -112,7 +113,7 @@ private:
   SmallVector<Open> open;
   unsigned minuses = 0;
   unsigned dimensions = 0;
-  /// The levels inside each alias, by its name with `#` or `!`.
+  /// The nesting depth of each alias, by its name with `#` or `!`.
   llvm::StringMap<unsigned> aliases;
   std::string defined;
   unsigned deepest = 0;
@@ -122,7 +123,7 @@ private:
 
 void Scanner::skipComment() {
   size_t end = std::min(text.find('\n', at), text.size());
-  // Texts that a tool splits have nothing to do with one another.
+  // Parts of a text that tools split are independent of each other.
   if (text.slice(at, end).starts_with("// -----")) {
     open.clear();
     aliases.clear();
@@ -136,7 +137,7 @@ void Scanner::skipString() {
     at += text[at] == '\\';
 }
 
-/// A name or a number, which may hold the dimensions of a type.
+/// Reads a name or a number, which may contain the dimensions of a type.
 void Scanner::readWord() {
   StringRef word = text.drop_front(at).take_while([](char c) {
     return llvm::isAlnum(c) || c == '_' || c == '$' || c == '.' || c == '?';
@@ -146,7 +147,7 @@ void Scanner::readWord() {
     return countOperator();
   if ((word == "affine_map" || word == "affine_set") && isLongMap(rest()))
     return refuse(getLongMapMessage());
-  // 1x2x?x, as far as letters other than x begin.
+  // 1x2x?x, up to the first letter other than x.
   StringRef run = word.take_while(
       [](char c) { return llvm::isDigit(c) || c == 'x' || c == '?'; });
   dimensions += run.count('x');
@@ -157,7 +158,7 @@ void Scanner::readWord() {
     dimensions = 0;
 }
 
-/// `#name` or `!name`: a definition if `=` follows outside of all brackets.
+/// Reads `#name` or `!name`: a definition if `=` follows outside all brackets.
 void Scanner::readAlias(char kind) {
   StringRef name = rest().take_while(
       [](char c) { return llvm::isAlnum(c) || c == '_' || c == '$'; });
@@ -178,7 +179,8 @@ void Scanner::readAlias(char kind) {
 }
 
 void Scanner::endAlias() {
-  // One level more than its text, so that chains of names end.
+  // One level more than the alias's text, so that chains of aliases have a
+  // limit.
   if (!defined.empty())
     aliases[defined] = deepest + 1;
   defined.clear();
@@ -191,7 +193,7 @@ std::optional<TextProblem> Scanner::run() {
     if (c == ' ' || c == '\t' || c == '\r')
       continue;
     if (c == '\n') {
-      // An alias ends with its line, or where its brackets close.
+      // An alias definition ends with its line, or where its brackets close.
       if (open.empty())
         endAlias();
       continue;
@@ -209,7 +211,7 @@ std::optional<TextProblem> Scanner::run() {
       skipString();
       break;
     case '<':
-      // An array of `index` ends the process as well.
+      // An array of `index` ends the process, too.
       if (StringRef inside = rest().ltrim();
           text.take_front(at).rtrim().ends_with("array") &&
           inside.consume_front("index") && inside.ltrim().starts_with(":"))
@@ -260,7 +262,7 @@ std::optional<TextProblem> Scanner::run() {
   return problem;
 }
 
-/// MLIR writes affine maps as text.
+/// MLIR writes affine maps to bytecode as text: search for these.
 static std::optional<TextProblem> findBytecodeProblem(StringRef bytes) {
   for (StringRef name : {"affine_map", "affine_set"})
     for (size_t at = bytes.find(name); at != StringRef::npos;
@@ -270,7 +272,7 @@ static std::optional<TextProblem> findBytecodeProblem(StringRef bytes) {
   return std::nullopt;
 }
 
-/// True for what begins with the magic number of MLIR's bytecode.
+/// True for texts that begin with the magic number of MLIR's bytecode.
 static bool isBytecode(StringRef bytes) { return bytes.starts_with("ML\xefR"); }
 
 std::optional<TextProblem> tai::findTextProblem(StringRef text) {
@@ -304,9 +306,9 @@ LogicalResult tai::checkDimensions(Operation *module) {
 // Tools
 //===----------------------------------------------------------------------===//
 
-/// True unless the text has a problem, which is reported.
+/// Checks a text, and reports its problem if there is one.
 static bool checkFile(StringRef name, StringRef text) {
-  // Libraries are not for the parser.
+  // Binary files, such as libraries, are not parsed.
   if (text.contains('\0') && !isBytecode(text))
     return true;
   std::optional<TextProblem> problem = findTextProblem(text);
@@ -317,7 +319,7 @@ static bool checkFile(StringRef name, StringRef text) {
   return false;
 }
 
-/// Reads the standard input, and puts a file with the same in its place.
+/// Checks the standard input, and replaces it by a file with the same contents.
 static bool checkStandardInput() {
   auto input = llvm::MemoryBuffer::getSTDIN();
   std::FILE *copy = std::tmpfile();
@@ -326,7 +328,7 @@ static bool checkStandardInput() {
   StringRef text = (*input)->getBuffer();
   std::fwrite(text.data(), 1, text.size(), copy);
   std::rewind(copy);
-  // Stays open as the standard input.
+  // The copy stays open as the standard input.
   ::dup2(::fileno(copy), ::fileno(stdin));
   return checkFile("<stdin>", text);
 }
@@ -337,11 +339,11 @@ bool tai::checkToolInput(int argc, char **argv) {
     StringRef argument(argv[i]);
     StringRef name = argument.ltrim('-').split('=').first;
     if (argument.starts_with("-") && argument.size() > 1) {
-      // These read nothing.
+      // Tools with these options read no input.
       if (name.starts_with("help") || name.starts_with("list-") ||
           name.starts_with("show-") || name == "version" || name == "h")
         return true;
-      // The name of a file that is written.
+      // The next argument is the name of an output file.
       if (name == "o" && !argument.contains('='))
         ++i;
       continue;
@@ -351,7 +353,7 @@ bool tai::checkToolInput(int argc, char **argv) {
     auto file = llvm::MemoryBuffer::getFile(argument);
     if (!file)
       continue;
-    // A plugin, perhaps.
+    // A binary file is probably a plugin, not an input.
     hasInput |= !(*file)->getBuffer().starts_with("\x7f"
                                                   "ELF");
     if (!checkFile(argument, (*file)->getBuffer()))

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The default implementations of SNodeTypeInterface: an inline test of a bit or
-// of a length, and calls of the runtime for all changes.
+// The default implementations of SNodeTypeInterface: tests of activity read a
+// bit or a length inline; all changes are calls of the runtime.
 //
 //===----------------------------------------------------------------------===//
 
@@ -32,7 +32,8 @@ static Value emitRemainder(OpBuilder &builder, Location loc, Value a,
                                               emitConstant(builder, loc, b));
 }
 
-/// Element `number` of an array in the tree that other threads may write to.
+/// Loads element `number` of an array in the tree to which other threads may
+/// write.
 static Value emitAtomicLoad(OpBuilder &builder, Location loc, Type type,
                             const CellRef &cell, Value number) {
   unsigned bytes = type.getIntOrFloatBitWidth() / 8;
