@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Structures that the random kernels of IterationsTest.cpp do not have: loops
-// beside each other, switches, blocks, loops in loops, and updates of arrays.
+// Structures that the random kernels of IterationsTest.cpp lack: adjacent
+// loops, switches, blocks, nested loops, and updates of arrays.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,7 +23,7 @@ using namespace mlir::tai;
 namespace {
 class AccessOrderTest : public ContextTest {
 protected:
-  /// The accesses to `@x` of a function with this body.
+  /// The accesses to `@x` in a function with this body.
   Accesses parse(StringRef body) {
     std::string text = R"(
       tai.tree @t : !tai.root<dense<[i: 16], {x: f32}>, dense<[i: 16], {p: i32}>>
@@ -48,7 +48,7 @@ protected:
 };
 } // namespace
 
-// Loops beside each other correspond if they run over the same range.
+// Adjacent loops correspond if they have the same range.
 TEST_F(AccessOrderTest, LoopsBesideEachOther) {
   auto reach = [&](StringRef first, StringRef second, StringRef at = "%i") {
     Accesses accesses =
@@ -83,7 +83,8 @@ TEST_F(AccessOrderTest, LoopsBesideEachOther) {
   EXPECT_FALSE(reach(ofField, ofOther));
   EXPECT_FALSE(reach(ofField, parallel));
   EXPECT_FALSE(reach(range, range, "%c1"));
-  // A loop whose bounds are not known to be the same, and one around both.
+  // A loop whose range is not known to be the same, around which another loop
+  // corresponds.
   const char *whileLoop =
       "scf.while (%i = %c0) : (index) -> index {\nscf.condition(%c) %i : "
       "index\n} do {\n^bb0(%j: index):\nscf.yield %j : index\n}\n"
@@ -91,7 +92,7 @@ TEST_F(AccessOrderTest, LoopsBesideEachOther) {
   EXPECT_TRUE(reach(range, whileLoop));
 }
 
-// Of two arms one runs; of two blocks of one region both may.
+// Only one of two arms runs; both of two blocks in a region may run.
 TEST_F(AccessOrderTest, Arms) {
   Accesses arms = parse(R"(
     scf.index_switch %n
@@ -130,7 +131,7 @@ TEST_F(AccessOrderTest, Arms) {
   EXPECT_TRUE(mayReachLater(blocks[0], blocks[1]));
 }
 
-// Nothing is known of the order of the blocks of a function.
+// The order of the blocks of a function is unknown.
 TEST_F(AccessOrderTest, BlocksOfAFunction) {
   Accesses accesses = parse(R"(
     tai.store %s, @x[%c0] : f32
@@ -149,8 +150,8 @@ TEST_F(AccessOrderTest, BlocksOfAFunction) {
     }
 }
 
-// A counter is followed through some loops around it, and beyond that it is any
-// number.
+// A counter is followed through a few loops around it; with more loops, it may
+// have any value.
 TEST_F(AccessOrderTest, CountersOfLoopsInLoops) {
   for (int depth : {1, 3, 6}) {
     std::string body, ends, at = "%c0";
@@ -169,7 +170,7 @@ TEST_F(AccessOrderTest, CountersOfLoopsInLoops) {
             ", %c1 : index\ntai.store %old, @x[%next] : f32\n" + ends;
     Accesses accesses = parse(body);
     ASSERT_EQ(accesses.size(), 2u);
-    // The next iteration reads what this one stores.
+    // The next iteration reads elements that this iteration stores.
     EXPECT_TRUE(mayReachLater(accesses[1], accesses[0])) << depth;
     if (depth == 1)
       EXPECT_FALSE(mayReachLater(accesses[0], accesses[1]));
@@ -205,7 +206,7 @@ TEST_F(AccessOrderTest, UpdatesThatCommute) {
                       update("mulf", "%s", "%shared", "f32")));
   EXPECT_FALSE(depends(update("maximumf", "%s", "%shared", "f32") +
                        update("maxnumf", "%s", "%shared", "f32")));
-  // A result that is used is the order.
+  // If results of updates are used, their order matters.
   EXPECT_TRUE(depends("%old = tai.atomic add %s, @x[%c0] : f32\n"
                       "tai.print \"{}\"(%old) : f32"));
   EXPECT_TRUE(depends("tai.atomic add %s, @x[%c0] : f32\n"
@@ -213,7 +214,7 @@ TEST_F(AccessOrderTest, UpdatesThatCommute) {
                       "tai.print \"{}\"(%old) : f32"));
   EXPECT_FALSE(depends("tai.atomic add %s, @x[%c0] : f32\n"
                        "tai.atomic sub %s, @x[%c0] : f32"));
-  // Variables of an iteration, and others.
+  // Variables of an iteration, and variables outside the loop.
   EXPECT_FALSE(depends("%own = tai.alloca : !tai.local<f32>\n"
                        "tai.local_store %s, %own : f32\n"
                        "%v = tai.local_load %own : f32\n"
@@ -221,12 +222,12 @@ TEST_F(AccessOrderTest, UpdatesThatCommute) {
   EXPECT_TRUE(depends("%v = tai.local_load %local : f32\n"
                       "%w = arith.addf %v, %s : f32\n"
                       "tai.local_store %w, %local : f32"));
-  // Two numbers in one element; the same number.
+  // Iterations that store different values to an element, or the same value.
   EXPECT_TRUE(depends("%v = arith.index_cast %i : index to i32\n"
                       "%w = arith.sitofp %v : i32 to f32\n"
                       "tai.store %w, @x[%c0] : f32"));
   EXPECT_FALSE(depends("tai.store %s, @x[%c0] : f32"));
-  // An op that is not known may do anything.
+  // An unknown op may have any effect.
   EXPECT_TRUE(depends("func.call @f(%c, %i, %i, %k, %s) : (i1, index, index, "
                       "i32, f32) -> ()"));
 }

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Random arithmetic on floats of several types, inside branches. Each fact
-// about a value must hold for all samples that lead there, as far as they stay
-// finite: a NaN has no range, and an overflow none either.
+// about a value must hold for all samples that reach the value's place and are
+// finite: a NaN has no range, and neither has an overflow.
 //
 //===----------------------------------------------------------------------===//
 
@@ -388,7 +388,7 @@ protected:
         .Default([&](Operation *) { return in[0]; });
   }
 
-  /// True if the sample leads to the place.
+  /// True if the sample takes the branches that lead to `place`.
   bool reaches(Operation *place) {
     for (Operation *op = place; op->getParentOp() != kernel;
          op = op->getParentOp()) {
@@ -469,7 +469,7 @@ TEST_F(FloatFactsTest, AgreeWithSamples) {
           if (at == values.end())
             continue;
           for (double number : at->second) {
-            // All that comes before may not be finite either.
+            // Values computed earlier may not be finite either.
             if (!fact.mayBeNonFinite && type == "f64")
               ASSERT_TRUE(std::isfinite(number)) << x << " " << y;
             if (!isFinite)
@@ -532,7 +532,7 @@ TEST_F(FloatFactsTest, Constants) {
   EXPECT_FALSE(facts.isNonZero(parse("dense<0.0>", "vector<2xf64>")));
 }
 
-// Bits that are taken for a float may be those of any.
+// Bits that are cast to a float may be any float.
 TEST_F(FloatFactsTest, Bits) {
   module = parseSourceString<ModuleOp>(R"(
     tai.kernel @kernel(%n: i32, %v: vector<2xi32>) {

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The digits of a number determine it, and a number that is built from digits
-// has these.
+// A number's digits determine the number, and a number composed of digits has
+// these digits.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,7 +19,7 @@ namespace {
 class IndexDigitsTest : public IndexPrograms {};
 } // namespace
 
-// Digits of one number, in i32 as programs write them, tell iterations apart.
+// Digits of a number, in i32 as programs write them, distinguish iterations.
 TEST_F(IndexDigitsTest, DigitsDetermineTheirNumber) {
   for (bool isConstant : {true, false}) {
     start(0, 24, 0, 5);
@@ -46,8 +46,8 @@ TEST_F(IndexDigitsTest, DigitsDetermineTheirNumber) {
   }
 }
 
-// Two numbers with the same digits are the same number, whether all digits are
-// there, and whether the arithmetic of the numbers may wrap.
+// Two numbers with the same digits are equal, if all digits are there and
+// whether or not the arithmetic of the numbers may wrap.
 TEST_F(IndexDigitsTest, DigitsOfTwoNumbers) {
   int apart = 0, together = 0;
   for (int round = 0; round != 1500; ++round) {
@@ -115,9 +115,9 @@ TEST_F(IndexDigitsTest, DigitsOfTwoNumbers) {
   EXPECT_GT(together, 300);
 }
 
-// A division rounds down where the remainder of these two numbers and the
-// divisor have different signs, in any order; where the condition asks of other
-// numbers, it is no such division.
+// A division rounds down if its condition tests that remainder and divisor have
+// different signs, in either order; a condition on other numbers makes it a
+// different operation.
 TEST_F(IndexDigitsTest, ConditionsOfDivisionsThatRoundDown) {
   start(0, 24, 0, 5);
   Type i32 = b.getI32Type();
@@ -175,7 +175,7 @@ TEST_F(IndexDigitsTest, ThreeDigits) {
   EXPECT_FALSE(isInjectiveOver(builder, builder.get({middle, low}), ivs));
 }
 
-// The digits of a number that is built from digits are these.
+// The digits of a number that was composed of digits are recovered.
 TEST_F(IndexDigitsTest, DigitsOfDigits) {
   start(0, 8, 0, 4);
   Value i = loop.getInductionVars()[0], j = loop.getInductionVars()[1];
@@ -188,8 +188,8 @@ TEST_F(IndexDigitsTest, DigitsOfDigits) {
             builder.get(j));
 }
 
-// A quotient has a multiple of the divisor outside, so that a number that is
-// built from its high digits and the low ones of a summand is itself.
+// A multiple of the divisor is moved out of a quotient, so that a number that
+// is composed of its high digits and the low digits of a summand is recognised.
 TEST_F(IndexDigitsTest, MultiplesOfTheDivisor) {
   start(0, 4, 0, 8);
   for (bool isIndex : {true, false}) {
@@ -210,7 +210,7 @@ TEST_F(IndexDigitsTest, MultiplesOfTheDivisor) {
     Value mixed =
         arith::AddIOp::create(b, high, roundDown(false, j, number(5)));
     EXPECT_FALSE(isInjectiveOver(builder, builder.get(mixed), ivs));
-    // The constant of the dividend stays below the divisor.
+    // The constant of the dividend is reduced below the divisor.
     Value next = arith::AddIOp::create(b, whole, number(13));
     Value three = arith::AddIOp::create(
         b,
@@ -219,7 +219,7 @@ TEST_F(IndexDigitsTest, MultiplesOfTheDivisor) {
     EXPECT_EQ(builder.get(roundDown(true, next, number(4))),
               builder.get(three));
   }
-  // A sum of an argument may wrap: its digits are not those of the terms.
+  // A sum with an argument may wrap: its digits are not those of its terms.
   Value n = arguments[1], four = constant(4, n.getType());
   Value i = castTo(loop.getInductionVars()[0], n.getType());
   Value sum = arith::AddIOp::create(b, arith::MulIOp::create(b, i, four), n);
@@ -228,7 +228,8 @@ TEST_F(IndexDigitsTest, MultiplesOfTheDivisor) {
   EXPECT_FALSE(builder.get(roundDown(true, sum, four)) == builder.get(apart));
 }
 
-// Masks and shifts are digits, and a union of digits is their number.
+// Masks and shifts yield digits, and the union of a number's digits is the
+// number.
 TEST_F(IndexDigitsTest, DigitsOfBits) {
   start(0, 24, 0, 4);
   Value i = loop.getInductionVars()[0], j = loop.getInductionVars()[1];
@@ -255,7 +256,7 @@ TEST_F(IndexDigitsTest, DigitsOfBits) {
             builder.get(arith::ShLIOp::create(b, i, number(2))));
 }
 
-// A complement counts down: of all bits, or of those of a digit.
+// A complement counts down: of all bits, or of the bits of a digit.
 TEST_F(IndexDigitsTest, ComplementsOfBits) {
   start(0, 24, 0, 4);
   Value i = loop.getInductionVars()[0], j = loop.getInductionVars()[1];
@@ -276,13 +277,14 @@ TEST_F(IndexDigitsTest, ComplementsOfBits) {
   EXPECT_EQ(flip(j, 3), without(3, j));
   ValueRange ivs = loop.getInductionVars();
   EXPECT_TRUE(isInjectiveOver(builder, {flip(i, 31), flip(j, 3)}, ivs));
-  // 24 and more have other bits; 5 is no mask.
+  // Numbers from 16 on have bits outside the mask 15; 5 is no mask of low bits.
   EXPECT_FALSE(flip(i, 15) == without(15, i));
   EXPECT_FALSE(flip(j, 5) == without(5, j));
 }
 
-// Flipping bits gives each number another one, as in the steps of an FFT; twice
-// it gives the number again. Any bits may be flipped, also of negative numbers.
+// Flipping bits, as in the steps of an FFT, maps different numbers to different
+// numbers, and flipping them twice restores the number. Any bits may be
+// flipped, also in negative numbers.
 TEST_F(IndexDigitsTest, FlippedBits) {
   start(-7, 24, 0, 8);
   Value i = loop.getInductionVars()[0], j = loop.getInductionVars()[1];
@@ -300,19 +302,19 @@ TEST_F(IndexDigitsTest, FlippedBits) {
     EXPECT_FALSE(builder.get(flipped) == builder.get(i)) << mask;
   }
   EXPECT_EQ(builder.get(flip(flip(j, 5), 2)), builder.get(flip(j, 7)));
-  // The same in i32, with a number that another one is added to.
+  // The same in i32, also for a sum of two numbers.
   Value narrow = arith::IndexCastOp::create(b, b.getI32Type(), i);
   Value sum = arith::AddIOp::create(
       b, narrow, arith::IndexCastOp::create(b, b.getI32Type(), j));
   EXPECT_TRUE(isInjectiveOver(builder, builder.get({flip(narrow, 6), j}), ivs));
   EXPECT_FALSE(isInjectiveOver(builder, builder.get(flip(sum, 6)), ivs));
-  // 23 without its lowest bit is 22, which 22 also is.
+  // Dropping the lowest bit makes 22 and 23 equal.
   Value dropped = arith::AndIOp::create(b, i, constant(-2, i.getType()));
   EXPECT_FALSE(
       isInjectiveOver(builder, builder.get({flip(dropped, 6), j}), ivs));
 }
 
-// Digits that count down are as good as those that count up.
+// Digits that count down are recognised like digits that count up.
 TEST_F(IndexDigitsTest, DigitsThatCountDown) {
   start(0, 6, 0, 8);
   ValueRange ivs = loop.getInductionVars();
@@ -332,8 +334,8 @@ TEST_F(IndexDigitsTest, DigitsThatCountDown) {
 }
 
 // A row of run-time length around a ring of run-time size: the element alone
-// does not tell iterations apart, since the size may be one. Equal ones are
-// recognised, and the number of rounds with the element gives the place.
+// does not distinguish iterations, since the size may be one. Equal expressions
+// are recognised, and element and number of rounds determine the place.
 TEST_F(IndexDigitsTest, RowsAroundARing) {
   start(0, 5, 0, 4);
   ValueRange ivs = loop.getInductionVars();

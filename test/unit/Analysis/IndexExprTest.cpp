@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Random index arithmetic (see IndexPrograms.h). Each answer of the queries
-// must hold for its values. The tests also count the answers: an analysis that
-// knows nothing is right as well.
+// must hold for the values of the program. The tests also count the answers,
+// because an analysis without any answers would pass.
 //
 //===----------------------------------------------------------------------===//
 
@@ -25,7 +25,7 @@ using ValueOf = llvm::function_ref<int64_t(Value)>;
 
 std::optional<int64_t> evaluate(const IndexExpr &expr, ValueOf valueOf);
 
-/// The low 64 bits of a node; none where it divides by zero.
+/// The low 64 bits of a node; nothing if it divides by zero.
 std::optional<int64_t> evaluate(const IndexNode &node, ValueOf valueOf) {
   using Kind = IndexNode::Kind;
   std::optional<int64_t> a = evaluate(node.lhs, valueOf);
@@ -110,7 +110,7 @@ TEST_F(IndexExprTest, AgreeWithEnumeration) {
             ASSERT_EQ(found, numbers.back()) << print(*module);
             ++evaluated;
           }
-          // Leaves that are not defined are of choices that are not taken.
+          // Undefined leaves belong to arms of selects that are not taken.
           bool isDefined = expr.allOf(
               [&](Value leaf) { return numberOf(leaf, env).has_value(); });
           if (!isDefined)
@@ -140,7 +140,7 @@ TEST_F(IndexExprTest, AgreeWithEnumeration) {
       }
     }
   }
-  // Most of the expressions are random, so that few are injective.
+  // Most of the expressions are random, so few are injective.
   EXPECT_GT(exact, 3000);
   EXPECT_GT(wrapped, 300);
   EXPECT_GT(equal, 20);
@@ -150,7 +150,7 @@ TEST_F(IndexExprTest, AgreeWithEnumeration) {
   EXPECT_GT(evaluated, 10000);
 }
 
-// Nothing is known of the numbers of 128 bits, of which the low bits are used.
+// Numbers of 128 bits are unknown; their low bits are used.
 TEST_F(IndexExprTest, LowBitsOfWideNumbers) {
   start(0, 4, 0, 4);
   Type i64 = b.getI64Type(), wide = b.getIntegerType(128);
@@ -163,14 +163,14 @@ TEST_F(IndexExprTest, LowBitsOfWideNumbers) {
   EXPECT_FALSE(builder.getRange(builder.get(low)).fits(64));
   Value rest = roundDown(false, low, constant(3, i64));
   EXPECT_FALSE(areDistinct(builder.get(rest), builder.get(low)));
-  // A constant of more than 64 bits is no number of an expression.
+  // A constant of more than 64 bits is unknown.
   Value huge = arith::ConstantOp::create(
       b, IntegerAttr::get(wide, APInt::getOneBitSet(128, 100)));
   EXPECT_FALSE(getIndexExpr(huge).isConstant());
 }
 
-// The index of a loop that compares without a sign has both signs, where its
-// bounds have.
+// The index of a loop that compares without a sign may have either sign if its
+// bounds may.
 TEST_F(IndexExprTest, UnsignedLoops) {
   start(0, 2, 0, 2);
   Type i32 = b.getI32Type();
@@ -189,7 +189,8 @@ TEST_F(IndexExprTest, UnsignedLoops) {
   }
 }
 
-// A product of 32 bits takes values again; 3 has an inverse, and 4 has not.
+// A 32-bit product wraps to equal values if the factor has no inverse: 3 has an
+// inverse, 4 has none.
 TEST_F(IndexExprTest, ProductsThatWrap) {
   for (auto [factor, isInjective] : {std::pair{3, true}, std::pair{4, false}}) {
     start(0, (int64_t(1) << 30) + 1, 0, 1);
@@ -205,8 +206,8 @@ TEST_F(IndexExprTest, ProductsThatWrap) {
   }
 }
 
-// Expressions stay small: the squares of squares name i exponentially often, as
-// do the sums of sums of which the depth is cut.
+// Expressions stay small: repeated squares would contain i exponentially often,
+// and so would repeated sums, whose depth is limited.
 TEST_F(IndexExprTest, ExpressionsStaySmall) {
   start(0, 4, 0, 4);
   IndexBuilder builder;
@@ -222,7 +223,7 @@ TEST_F(IndexExprTest, ExpressionsStaySmall) {
   EXPECT_LE(getIndexExpr(sum).getSize(), 64u);
 }
 
-// x + 1 of 32 bits, extended, is not the extended x, plus one.
+// A 32-bit x + 1 that is extended differs from the extended x plus one.
 TEST_F(IndexExprTest, ExtendedSums) {
   start(0, 4, 0, 4);
   Type i64 = b.getI64Type();

@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // Index arithmetic in integers of several widths, in a loop over two indices,
-// and its values in all iterations and for several arguments, among them the
-// extremes: MLIR's folders compute them.
+// and its values in all iterations and for several arguments, including extreme
+// ones. MLIR's folders compute these values.
 //
 //===----------------------------------------------------------------------===//
 
@@ -38,7 +38,8 @@ protected:
   }
   bool chance(int percent) { return pick(1, 100) <= percent; }
 
-  /// A kernel with a loop over `extents` that the builder stands in.
+  /// Creates a kernel with a loop over these ranges, with the builder in its
+  /// body.
   void start(int64_t lower0, int64_t upper0, int64_t lower1, int64_t upper1) {
     std::string text;
     llvm::raw_string_ostream(text)
@@ -107,13 +108,13 @@ protected:
         llvm::SignExtend64(static_cast<uint64_t>(value), widthOf(type)), type);
   }
 
-  /// Ones below a bit, or from it on; some other numbers.
+  /// A mask of the bits below or from a random bit on, or another number.
   Value randomMask(Type type) {
     int64_t ones = (int64_t(1) << pick(0, 5)) - 1;
     return constant(chance(20) ? pick(-9, 9) : chance(30) ? ~ones : ones, type);
   }
 
-  /// Python's quotient or remainder, as the frontend writes it.
+  /// Python's quotient or remainder, in the form that the frontend emits.
   Value roundDown(bool isQuotient, Value x, Value y) {
     using Predicate = arith::CmpIPredicate;
     Value rest = arith::RemSIOp::create(b, x, y);
@@ -137,7 +138,7 @@ protected:
     return arith::SelectOp::create(b, wrong, less, quotient);
   }
 
-  /// Nearly the same: signs, operands and their order may be others.
+  /// Nearly the same form, possibly with different signs, operands or order.
   Value almostRoundDown(bool isQuotient, Value x, Value y) {
     using Predicate = arith::CmpIPredicate;
     Type type = x.getType();
@@ -188,7 +189,7 @@ protected:
     return arith::SelectOp::create(b, wrong, less, quotient);
   }
 
-  /// A truth value as a number, by its sign or without one.
+  /// A boolean as a number, extended with its sign or without.
   Value randomBit(Type type) {
     Value bit = arith::CmpIOp::create(
         b, arith::CmpIPredicate::slt,
@@ -276,7 +277,7 @@ protected:
       }
     };
     Value made = create();
-    // A promise of the program, which some values do not keep.
+    // A no-wrap promise by the program, which some values break.
     if (isa<arith::AddIOp, arith::SubIOp, arith::MulIOp, arith::ShLIOp>(
             made.getDefiningOp()) &&
         chance(10))
@@ -287,10 +288,10 @@ protected:
     return castTo(made, type);
   }
 
-  /// The values of one iteration; none of those that are not defined.
+  /// The values of one iteration; nothing for undefined values.
   using Env = std::map<void *, std::optional<APInt>>;
 
-  /// True if an op divides by zero, or wraps though it is said not to.
+  /// True if an op divides by zero, or wraps despite a no-wrap flag.
   static bool breaksPromise(Operation *op, ArrayRef<Attribute> operands) {
     if (isa<arith::FloorDivSIOp, arith::DivSIOp, arith::DivUIOp, arith::RemSIOp,
             arith::RemUIOp>(op))
@@ -316,7 +317,7 @@ protected:
     SmallVector<Attribute> operands;
     for (Value operand : op->getOperands()) {
       std::optional<APInt> number = compute(operand, env);
-      // Dividing by zero is undefined.
+      // A value that depends on an undefined value is undefined.
       if (!number)
         return env[value.getAsOpaquePointer()] = std::nullopt;
       operands.push_back(IntegerAttr::get(operand.getType(), *number));
@@ -333,7 +334,7 @@ protected:
     return env[value.getAsOpaquePointer()] = result;
   }
 
-  /// All iterations for some arguments.
+  /// The values in all iterations, for given arguments.
   std::vector<Env> enumerate(ArrayRef<int64_t> values) {
     std::vector<Env> all;
     for (int64_t i = lower[0]; i < upper[0]; ++i)

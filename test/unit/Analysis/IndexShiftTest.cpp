@@ -16,14 +16,14 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// The shift of the value that a one-argument function returns.
+/// Tests the shift of the value that a function of one argument returns.
 class IndexShiftTest : public ::testing::Test {
 protected:
   IndexShiftTest() {
     context.loadDialect<func::FuncDialect, arith::ArithDialect>();
   }
 
-  /// Parses a function that returns %r, and gives %r and the argument %i.
+  /// Parses a function that returns %r; returns %r and the argument %i.
   std::pair<Value, Value> parse(StringRef body) {
     std::string text = "func.func @f(%i: index) -> index {\n" + body.str() +
                        "\nreturn %r : index\n}";
@@ -39,7 +39,7 @@ protected:
     return getIndexShift(index, variable, lower, upper);
   }
 
-  /// Checks the pieces of [lower, upper) against the value of each number.
+  /// Checks the pieces of [lower, upper) against the values of each iteration.
   void expectPieces(StringRef body, int64_t lower, int64_t upper,
                     size_t count) {
     auto [index, variable] = parse(body);
@@ -119,7 +119,7 @@ TEST_F(IndexShiftTest, ProductsAndDivisionsAreNoShifts) {
 }
 
 TEST_F(IndexShiftTest, NarrowArithmeticWrapsInItsWidth) {
-  // i8 overflows at 127: from there the sum is no shift.
+  // An i8 overflows after 127: from there on, the sum is no shift.
   StringRef body = R"(
     %c = arith.constant 1 : i8
     %a = arith.index_cast %i : index to i8
@@ -184,8 +184,8 @@ TEST_F(IndexShiftTest, PiecesOfComparisons) {
 }
 
 TEST_F(IndexShiftTest, PiecesOfExactMultiples) {
-  // 6 i - 15 by 3, towards zero: the quotient and the remainder are linear on
-  // either side of zero.
+  // 6 i - 15 divided by 3, rounded towards zero: quotient and remainder are
+  // linear on either side of zero.
   StringRef body = R"(
     %c6 = arith.constant 6 : index
     %c14 = arith.constant 14 : index

@@ -16,7 +16,7 @@ using namespace mlir::tai;
 
 namespace {
 /// A kernel of `%n: i32` with a loop `%i` from 0 to 10 around the body, in
-/// which one `tai.print` stands where the test looks.
+/// which a `tai.print` marks the place to test.
 class IterationDomainsTest : public ContextTest {
 protected:
   void parse(StringRef body) {
@@ -41,8 +41,8 @@ protected:
     return IterationDomains(kernel, *forms).domainOf(print->getBlock());
   }
 
-  /// The numbers of -2 to 11 that are points of the printed block's domain, of
-  /// which each sum is one of `%i` alone.
+  /// The numbers from -2 to 11 that are in the domain of the printed block;
+  /// each sum must be a sum of `%i` alone.
   std::vector<int64_t> pointsOf() {
     std::vector<int64_t> points;
     IterationDomain domain = domainOf();
@@ -86,8 +86,8 @@ TEST_F(IterationDomainsTest, SumsOfLoopIndices) {
   EXPECT_EQ(range.high, 21);
 }
 
-// A number of the launch can be anything: that the sum does not wrap around is
-// an assumption.
+// A number that the launch passes may have any value: it is an assumption that
+// the sum does not wrap.
 TEST_F(IterationDomainsTest, SumsOfArgumentsAreAssumedNotToWrap) {
   parse(R"(
     %j = arith.index_cast %i : index to i32
@@ -127,7 +127,8 @@ TEST_F(IterationDomainsTest, LoopsBound) {
   EXPECT_TRUE(domain.isComplete);
 }
 
-// "a < b or a > b" is two pieces, and nothing in one that contradicts itself.
+// A condition a != b makes two pieces, a < b and a > b; a false condition makes
+// none.
 TEST_F(IterationDomainsTest, ConditionsAreUnions) {
   parse(R"(
     %ne = arith.cmpi ne, %i, %c3 : index
@@ -143,7 +144,7 @@ TEST_F(IterationDomainsTest, ConditionsAreUnions) {
   EXPECT_TRUE(domainOf().pieces.empty());
 }
 
-// A statement that depends on data may or may not run.
+// Under a condition on data, a statement may or may not run.
 TEST_F(IterationDomainsTest, DataMakesUncertain) {
   parse(R"(
     %r = tai.random stream 0 : i1
@@ -225,8 +226,8 @@ TEST_F(IterationDomainsTest, ConditionsOfOneIndex) {
     }
 }
 
-// Both ends of the type of a sum are assumptions, and the smaller of two sums
-// takes over those of both.
+// Both ends of the type of a sum are assumptions, and a minimum of two sums has
+// the assumptions of both.
 TEST_F(IterationDomainsTest, AssumptionsNameBothEndsOfTheType) {
   parse(R"(
     %j = arith.index_cast %i : index to i32
@@ -251,7 +252,7 @@ TEST_F(IterationDomainsTest, AssumptionsNameBothEndsOfTheType) {
   }
 }
 
-// A factor that may be large is assumed to be small, at both ends.
+// A factor that may be large is assumed to be small in magnitude.
 TEST_F(IterationDomainsTest, FactorsAreAssumedToBeSmall) {
   parse(R"(
     tai.print "{}"(%n) : i32)");

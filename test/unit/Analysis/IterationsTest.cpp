@@ -6,9 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Random kernels of parallel and serial loops, branches, and accesses. A small
-// interpreter runs each for several arguments and notes the element of each
-// access. Each answer of the analyses that tell iterations, accesses and ranges
-// apart must hold for the notes; the tests count the answers, too.
+// interpreter runs each kernel for several arguments and records the element of
+// each access. Each answer of the analyses that distinguish iterations,
+// accesses and ranges must hold for the recorded accesses; the tests count the
+// answers, too.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,8 +31,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// An access that has run: its place, and the iterations that it is in, from
-/// the outermost loop on.
+/// An access that has run: its element, and the iteration of each loop around
+/// it, from the outermost loop on.
 struct Event {
   Operation *op;
   SmallVector<int64_t> indices, components;
@@ -42,7 +43,7 @@ struct Event {
            (components.empty() || other.components.empty() ||
             components == other.components);
   }
-  /// The iteration of a loop around it.
+  /// The iteration of `loop` in which the access ran; -1 outside the loop.
   int64_t iterationOf(Operation *loop) const {
     for (auto [around, iteration] : path)
       if (around == loop)
@@ -57,7 +58,7 @@ std::string show(Operation *op) {
   return text;
 }
 
-/// Runs a kernel on integers, of which field `@k` has these.
+/// Runs a kernel on integers; dataAt() gives the contents of field `@k`.
 class Interpreter {
 public:
   static int64_t dataAt(ArrayRef<int64_t> indices) {
@@ -67,7 +68,7 @@ public:
     return ((value % 7) + 7) % 7 - 1;
   }
 
-  /// False if it takes too long, or something is not defined.
+  /// False if the run takes too long, or a value is undefined.
   bool run(KernelOp kernel, int64_t n) {
     events.clear();
     values.clear();
@@ -457,8 +458,8 @@ protected:
   // Notes
   //===--------------------------------------------------------------------===//
 
-  /// Runs the kernel for several arguments. A long run is noted up to its
-  /// break.
+  /// Runs the kernel for several arguments. A run that takes too long is
+  /// recorded up to the point where it was stopped.
   void runAll() {
     runs.clear();
     for (int64_t n : {0, 1, 2, 3, 5, -2, 40, -40}) {
@@ -467,8 +468,8 @@ protected:
     }
   }
 
-  /// Calls body(first, second) for the events of two accesses, the first one
-  /// earlier or the same.
+  /// Calls body(first, second, isLater) for all pairs of events of two
+  /// accesses; `isLater` tells whether the second event comes after the first.
   template <typename Body>
   void forEachPair(Operation *first, Operation *second, const Body &body) {
     for (const Interpreter &run : runs)
@@ -479,8 +480,8 @@ protected:
               body(run.events[a], run.events[b], b > a);
   }
 
-  /// The outermost loop of which the events are in different iterations, if
-  /// they are in the same ones of all loops around it.
+  /// The outermost loop whose iterations differ between the events; null if
+  /// there is none, or if the loops around the events differ before.
   static Operation *findDifference(const Event &a, const Event &b) {
     for (auto [x, y] : llvm::zip(a.path, b.path)) {
       if (x.first != y.first)
@@ -491,7 +492,8 @@ protected:
     return nullptr;
   }
 
-  /// True if some iterations of the loop meet.
+  /// True if accesses in two different iterations of the loop reach the same
+  /// element.
   bool meetIn(Operation *loop, Operation *first, Operation *second) {
     bool meet = false;
     forEachPair(first, second, [&](const Event &a, const Event &b, bool) {
@@ -699,7 +701,7 @@ TEST_F(IterationsTest, Bounds) {
             ASSERT_FALSE(goesOut) << n << " " << show(op) << " " << d;
           if (!interpreter.isDone)
             continue;
-          // The numbers of the launch by which it is refused.
+          // The numbers of the launch for which it is rejected.
           std::function<std::optional<__int128>(const LinearSum &)> sumOf =
               [&](const LinearSum &sum) -> std::optional<__int128> {
             __int128 value = sum.constant;
@@ -708,7 +710,7 @@ TEST_F(IterationsTest, Bounds) {
               std::optional<__int128> number;
               if (launch && launch->value) {
                 number = interpreter.get(launch->value);
-                // A truth value counts as 0 or 1.
+                // An i1 counts as 0 or 1.
                 if (number && launch->value.getType().isInteger(1))
                   number = *number != 0;
               } else if (launch && !launch->factors.empty()) {

@@ -20,8 +20,8 @@ using Kind = runtime::AccessKind;
 namespace {
 class LaunchAccessesTest : public ContextTest {
 protected:
-  /// The kernel @k of the module, which has fields @x and @y of 8 by 16 and
-  /// @s of sparse cells.
+  /// Parses a module with kernel @k, fields @x and @y of 8 by 16, and @s with
+  /// sparse cells.
   void parse(StringRef kernels) {
     std::string text = R"(
       !t = !tai.root<dense<[i: 8, j: 16], {x: f32, y: f32}>>
@@ -69,7 +69,7 @@ TEST_F(LaunchAccessesTest, IndicesFromArgumentsAreToldFromTheLaunch) {
   EXPECT_EQ(accesses[0].fixed.front().evaluate(arguments), -3);
   EXPECT_EQ(accesses[1].fixed.front().evaluate(arguments), -2);
 
-  // All of the row is stored, whatever fields hold.
+  // The whole row is stored, whatever the fields contain.
   auto boxes = findStoredBoxes(*module, kernel, accesses);
   EXPECT_TRUE(boxes[0].empty());
   ASSERT_EQ(boxes[1].size(), 1u);
@@ -81,8 +81,8 @@ TEST_F(LaunchAccessesTest, IndicesFromArgumentsAreToldFromTheLaunch) {
   EXPECT_EQ(box.ranges[1].upper.evaluate(arguments), 16);
 }
 
-// A sum of 32 bits wraps around at the launch as in the kernel, also after it
-// has been written and read.
+// A 32-bit sum wraps around at the launch as it does in the kernel, also after
+// it was serialised.
 TEST_F(LaunchAccessesTest, SumsWrapAsTheProgramDoes) {
   parse(R"(
     tai.kernel @k(%v: f32, %t: i32) {
@@ -127,8 +127,8 @@ TEST_F(LaunchAccessesTest, StoresUnderABranchAreNoBox) {
   EXPECT_TRUE(findStoredBoxes(*module, kernel, accesses)[0].empty());
 }
 
-// A box asks whether the loops ran that are around the store and not among its
-// indices, but for those of which the bounds are constants.
+// A box checks that the loops around the store that are not among its indices
+// have run, unless their bounds are constants.
 TEST_F(LaunchAccessesTest, LoopsAroundABoxMayBeEmpty) {
   for (auto [lower, upper, asks] :
        {std::tuple{"%c0", "%more", true}, std::tuple{"%m", "%c16", true},

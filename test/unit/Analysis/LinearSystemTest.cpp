@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Both shadows of random systems, against all points of a box.
+// Tests both shadows of random systems against all points of a box.
 //
 //===----------------------------------------------------------------------===//
 
@@ -53,7 +53,7 @@ TEST(LinearSystem, SaysWhereNumbersDoNotFit) {
   EXPECT_TRUE(system.isUnknown());
 }
 
-// 2 <= 3 x <= 2 y: the dark shadow leaves out what might have no x.
+// 2 <= 3 x <= 2 y: the dark shadow excludes values of y that might have no x.
 TEST(LinearSystem, ShadowsHoldAllAndOnlySolutions) {
   std::mt19937 random(1);
   auto pick = [&](int64_t most) {
@@ -62,7 +62,7 @@ TEST(LinearSystem, ShadowsHoldAllAndOnlySolutions) {
   unsigned inexact = 0;
   for (int trial = 0; trial != 2000; ++trial) {
     LinearSystem system;
-    // A box, so that all points can be tried.
+    // Bounds, so that all points can be tried.
     for (int64_t sign : {-1, 1}) {
       system.require(sumOf(sign, 0, 9));
       system.require(sumOf(0, sign, 9));

@@ -16,9 +16,9 @@ using namespace mlir::tai;
 namespace {
 class ZeroAdjointsTest : public ContextTest {
 protected:
-  /// The fields whose adjoints must be zero for the body of a loop over cells
-  /// to have no effect, as text; the body has the cell's index %i, another
-  /// index %k, and the adjoint %g of @y and the value %v of @x in the cell.
+  /// The fields whose adjoints must be zero for a loop over cells with this
+  /// body to have no effect, as text. The body can use the cell's index %i,
+  /// another index %k, the adjoint %g of @y and the value %v of @x in the cell.
   std::string sourcesOf(StringRef body) {
     std::string text = R"(
       tai.tree @t : !tai.root<pointer<[i: 8], {x: f32, x_grad: f32, y: f32, y_grad: f32, p: vector<2xf32>, p_grad: vector<2xf32>}>, {a: f32, a_grad: f32}>
@@ -79,7 +79,7 @@ TEST_F(ZeroAdjointsTest, ProductsWithTheAdjointOfTheCell) {
     tai.atomic sub %1, @a_grad[] : f32)"),
             "y_grad");
   EXPECT_TRUE(sumsUp);
-  // One operand of a sum, a divisor, or a value, is not enough.
+  // It is not enough that one summand or the divisor is zero.
   EXPECT_EQ(sourcesOf(R"(
     %0 = arith.addf %g, %v : f32
     tai.atomic add %0, @x_grad[%i] : f32)"),
@@ -117,7 +117,8 @@ TEST_F(ZeroAdjointsTest, Constants) {
             "y_grad");
 }
 
-// A value that a loop carries is zero if it begins and goes on as zero.
+// A value that a loop carries is zero if its initial and its next value are
+// zero.
 TEST_F(ZeroAdjointsTest, CarriedValues) {
   auto sum = [&](StringRef begin, StringRef next) {
     return sourcesOf("%r = scf.for %j = %c0 to %c4 step %c1 iter_args(%old = " +
@@ -148,8 +149,8 @@ TEST_F(ZeroAdjointsTest, Branches) {
   EXPECT_EQ(choice("%one", "%g"), "");
 }
 
-// A store of zero has no effect where a zero stood, which is known of the
-// adjoint of the cell alone.
+// A store of zero has no effect if the element was zero, which is known only
+// for adjoints of the cell.
 TEST_F(ZeroAdjointsTest, Stores) {
   EXPECT_EQ(sourcesOf("tai.store %zero, @y_grad[%i] : f32"), "y_grad");
   EXPECT_EQ(sourcesOf("tai.store %v, @y_grad[%i] : f32"), "");
@@ -157,13 +158,12 @@ TEST_F(ZeroAdjointsTest, Stores) {
   EXPECT_EQ(sourcesOf("tai.store %g, @x_grad[%i] : f32"), "y_grad x_grad");
   EXPECT_EQ(sourcesOf("tai.store %zero, @x_grad[%k] : f32"), "");
   EXPECT_EQ(sourcesOf("tai.store %zero, @x[%i] : f32"), "");
-  // One iteration would make another one matter.
+  // An iteration must not change the source of another iteration.
   EXPECT_EQ(sourcesOf("tai.atomic add %g, @y_grad[%k] : f32"), "");
   EXPECT_EQ(sourcesOf("tai.atomic add %g, @x_grad[%k] : f32"), "y_grad");
 }
 
-// Other updates than sums, and results that are used, have effects of their
-// own.
+// Updates other than sums, and updates whose results are used, have effects.
 TEST_F(ZeroAdjointsTest, Updates) {
   EXPECT_EQ(sourcesOf("tai.atomic mul %g, @x_grad[%i] : f32"), "");
   EXPECT_EQ(sourcesOf("tai.atomic min %g, @a_grad[] : f32"), "");
@@ -179,8 +179,8 @@ TEST_F(ZeroAdjointsTest, Updates) {
             "");
 }
 
-// Variables and stacks of an iteration are dropped with it, and what stands in
-// others is seen later.
+// Variables and stacks of an iteration disappear with it; contents of outer
+// variables are visible later.
 TEST_F(ZeroAdjointsTest, MemoryOfTheIteration) {
   EXPECT_EQ(sourcesOf(R"(
     %own = tai.alloca : !tai.local<f32>
@@ -214,8 +214,8 @@ TEST_F(ZeroAdjointsTest, MemoryOfTheIteration) {
             "");
 }
 
-// Without an adjoint of the cell there is nothing that could be zero; the
-// numbers of a loop and of data are no zeros either.
+// Without an adjoint of the cell, no value is zero; nor are indices of loops or
+// data.
 TEST_F(ZeroAdjointsTest, NothingToSkip) {
   EXPECT_EQ(sourcesOf(R"(
     scf.for %j = %c0 to %c4 step %c1 {

@@ -11,7 +11,7 @@ using namespace tai_test;
 
 namespace {
 
-/// r = a (w[0] + w[1]) by `a`, the array and the result.
+/// r = a (w[0] + w[1]), differentiated by `a`, the array and the result.
 const char *const kScaledSum = R"(
   tai.kernel @scaled_sum(%a: f64, %w: memref<?xf64>) -> f64
       attributes {tai.gradients = array<i64: 0, 1, 2>} {
@@ -98,7 +98,7 @@ TEST(CAPIAdjoints, MissingOnesAreRefused) {
   EXPECT_STREQ(taiContextLastError(context).message,
                "kernel 'scaled_sum' takes 7 argument slots, but got 3; the "
                "last 4 are for the adjoints of its arguments and results");
-  // A suspended tape records nothing, and needs no slots of adjoints.
+  // A suspended tape records nothing, and needs no slots for adjoints.
   context.ok(taiTapeSuspend(tape));
   context.ok(taiKernelLaunch(kernel, arguments.slots, 3, &result));
   context.ok(taiTapeResume(tape));

@@ -128,8 +128,8 @@ TEST(CAPI, ArraysAreConstantForTheAdjoint) {
 }
 
 TEST(CAPI, AdjointsCompileAheadOfNeed) {
-  // Many kernels under one tape, some destroyed while their adjoints may still
-  // be compiling.
+  // Creates many kernels under one tape, and destroys some while their adjoints
+  // may still be compiling.
   Context context;
   context.addFields();
   context.ok(taiFieldFillF64(context.x, 1));
@@ -159,7 +159,7 @@ TEST(CAPI, TreesOfTheSameNameAreNotConfused) {
   context.addFields();
   TaiKernel kernel = context.kernel("squares", squares("1.0"));
   context.ok(taiContextDestroyTree(context, "t"));
-  // Smaller, so that the old code would write beyond it.
+  // The new tree is smaller, so that the old code would write beyond its end.
   context.ok(taiContextAddTree(context, "t", "!tai.root<{x: i8}>"));
   EXPECT_EQ(taiKernelLaunch(kernel, nullptr, 0, nullptr), TAI_ERROR_USAGE);
 }
@@ -245,7 +245,7 @@ TEST(CAPIErrors, Layouts) {
   EXPECT_EQ(taiContextAddTree(context, "t", "!tai.root<{x: f64}> and more"),
             TAI_ERROR_SYNTAX);
   EXPECT_TRUE(contains(context.message(), "and more"));
-  // No refused tree is left behind.
+  // A rejected tree leaves nothing behind.
   context.ok(taiContextAddTree(context, "t", "!tai.root<{x: f64}>"));
   EXPECT_EQ(taiContextAddTree(context, "t", "!tai.root<{x: f64}>"),
             TAI_ERROR_USAGE);
@@ -260,7 +260,7 @@ TEST(CAPISparse, ActivityOfCells) {
   EXPECT_EQ(level.numCells, 16);
   EXPECT_EQ(level.cellBytes, 8);
   EXPECT_EQ(level.numActive, 0);
-  // A cell brings those above it along.
+  // Activating a cell also activates the cells above it.
   context.ok(taiContextSetActive(context, "t", 1, 6, 1));
   context.ok(taiContextSetActive(context, "t", 1, 5, 1));
   int64_t cells[2] = {-1, -1};
@@ -269,7 +269,7 @@ TEST(CAPISparse, ActivityOfCells) {
   EXPECT_EQ(cells[1], 6);
   context.ok(taiContextGetActiveCells(context, "t", 0, cells, 1));
   EXPECT_EQ(cells[0], 1);
-  // And takes those below it away.
+  // Deactivating a cell also deactivates the cells below it.
   context.ok(taiContextSetActive(context, "t", 0, 1, 0));
   context.ok(taiContextGetSparseLevel(context, "t", 1, &level));
   EXPECT_EQ(level.numActive, 0);
@@ -331,7 +331,7 @@ TEST(CAPISparse, ArraysActivateWhatIsNotZero) {
   TaiSparseLevel level = {};
   context.ok(taiContextGetSparseLevel(context, "t", 0, &level));
   EXPECT_EQ(level.numActive, 1);
-  // Cells of 16 bytes: there is room for one.
+  // Cells take 16 bytes: the limit allows one.
   context.ok(taiContextSetOption(context, "memory_limit", "16"));
   const double more[8] = {1, 1, 1, 1, 1, 1, 1, 1};
   EXPECT_EQ(taiFieldCopyFromHost(x, more), TAI_ERROR_MEMORY);
@@ -468,7 +468,7 @@ TEST(CAPIErrors, ChecksInDebugMode) {
   EXPECT_EQ(taiKernelLaunch(claim, args, 1, nullptr), TAI_ERROR_RUNTIME);
   EXPECT_TRUE(contains(context.message(), "8 is too large"))
       << context.message();
-  // The context goes on.
+  // The context can still be used.
   args[0] = 1;
   context.ok(taiKernelLaunch(claim, args, 1, nullptr));
 }
@@ -476,7 +476,7 @@ TEST(CAPIErrors, ChecksInDebugMode) {
 TEST(CAPIErrors, CodeGeneratorFailsWithoutAborting) {
   Context context;
   context.addFields();
-  // An instruction of another machine: LLVM calls that a fatal error.
+  // An intrinsic of another machine is a fatal error of LLVM.
   TaiKernel kernel = context.kernel("k", R"(tai.kernel @k() {
       %r = llvm.call_intrinsic "llvm.nvvm.read.ptx.sreg.tid.x"() : () -> i32
       %f = arith.sitofp %r : i32 to f64
@@ -506,7 +506,7 @@ TEST(CAPIErrors, WordsThatContradict) {
           "options 'math=\"strict\"' and 'fast_math' contradict one another: "
           "the first rounds every operation by itself, the second reorders "
           "them; choose one");
-  // A refused option leaves all as it was.
+  // A rejected option changes nothing.
   context.set("math", "fast");
   refuses("strict", "true",
           "options 'strict' and 'math=\"fast\"' contradict one another");
@@ -519,7 +519,7 @@ TEST(CAPIErrors, WordsThatContradict) {
   refuses("precision", "f8", "option 'precision' expects default, f64 or f32");
   refuses("adjoints", "f32", "option 'adjoints' expects default or f64");
   refuses("ftz", "perhaps", "option 'ftz' expects true or false");
-  // A kernel's own word meets those of its context.
+  // A kernel's own modes are checked against the context's options.
   context.addFields();
   std::string fast = squares("1.0");
   fast.insert(fast.find('{'), "attributes {tai.modes = {math = \"fast\"}} ");
@@ -541,13 +541,13 @@ TEST(CAPI, WordsOfAContextStandOnItsKernels) {
   const char *text = nullptr;
   context.ok(taiKernelGetIR(kernel, "autodiff", &text));
   EXPECT_TRUE(contains(text, "{ftz = true, sums = \"compensated\"}")) << text;
-  // One after another, each 1 is lost.
+  // Added to 1e16 one after another, each 1 would be lost.
   int64_t first = 0;
   context.ok(taiFieldFillF64(context.x, 1));
   context.ok(taiFieldWriteF64(context.x, &first, 0, 1e8));
   context.ok(taiKernelLaunch(kernel, nullptr, 0, nullptr));
   EXPECT_EQ(context.read(context.y), 1e16 + 4); // 3, rounded
-  // Only kernels created afterwards have the new words.
+  // Options apply only to kernels that are created afterwards.
   context.set("sums", "default");
   context.set("ftz", "false");
   TaiKernel plain = context.kernel("squares", squares("1.0"));
@@ -586,8 +586,8 @@ TEST(CAPI, WarningsOfTheCompiler) {
                       "  tai.store %c, @y[] : f64\n"
                       "  tai.return\n"
                       "}\n";
-  // The second time the code is in the cache, the third time the kernel has
-  // moved.
+  // The second time, the code is in the cache; the third time, the kernel is at
+  // another line.
   for (const char *before : {"", "", "\n\n"}) {
     Context context;
     context.set("cache_dir", folder.path.c_str());

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A context keeps each group of accesses for ever, so that the loops of the
-// next module must get those of the last one. Loops of one module share none.
+// A context never frees access groups, so the loops of the next module must
+// reuse the groups of the previous one. Loops of one module share no groups.
 //
 //===----------------------------------------------------------------------===//
 
@@ -41,7 +41,7 @@ tai.kernel @twice() {
 }
 )";
 
-/// The groups of all stores after the pass, in order.
+/// The access groups of all stores after the pass, in order.
 static SmallVector<Attribute> lower(PassManager &manager) {
   SmallVector<Attribute> groups;
   auto module = parseSourceString<ModuleOp>(kModule, manager.getContext());

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The plan is data: the tests make it, and compare it with the demands of an
-// adjoint on the primal, without any adjoint.
+// A plan is data: the tests create a plan and compare it with the demands of an
+// adjoint on the primal, without creating the adjoint.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,7 +35,7 @@ constexpr llvm::StringLiteral kFields = R"(
 
 class AdjointPlannerTest : public ContextTest {
 protected:
-  /// Plans the adjoint of a kernel with this body.
+  /// Plans the adjoint of a kernel with the body `body`.
   AdjointPlanner plan(StringRef body, AdjointOptions options = {}) {
     std::string text =
         (kFields + "tai.kernel @k() {\n" + body + "\ntai.return\n}").str();
@@ -55,7 +55,7 @@ protected:
     return AdjointPlanner(kernel, adjointOf, {}, options);
   }
 
-  /// What settles, silently.
+  /// The result of planner.settle(), without its diagnostics.
   FailureOr<bool> settle(AdjointPlanner &planner,
                          const PrimalDemands &demands) {
     ScopedDiagnosticHandler silence(&context,
@@ -79,8 +79,8 @@ protected:
 using Names = std::vector<std::string>;
 } // namespace
 
-// Only the store to an element that was read before has an adjoint that another
-// access must not see.
+// Only the adjoint of the second store's element, which was read earlier, must
+// be zeroed: the adjoint of the earlier read must not see it.
 constexpr llvm::StringLiteral kUpdate = R"(
   tai.parallel_for (%i) in @x {
     %0 = tai.load @x[%i] : f32
@@ -116,8 +116,8 @@ TEST_F(AdjointPlannerTest, AccumulatesIntoAdjointsOfActiveReads) {
   EXPECT_FALSE(isAccumulated("gy"));
 }
 
-// An overwritten element is read from the former version; any other has its
-// value afterwards.
+// An overwritten element is read from the version before the kernel; other
+// elements have their values after it.
 TEST_F(AdjointPlannerTest, ChoosesTheVersionThatHoldsTheValue) {
   AdjointPlanner planner = plan(kUpdate);
   PrimalDemands demands;
@@ -135,7 +135,7 @@ TEST_F(AdjointPlannerTest, ChoosesTheVersionThatHoldsTheValue) {
   EXPECT_FALSE(kernel->hasAttr("reexecutes"));
 }
 
-// Two versions in one iteration: the plan grows once, and then fits.
+// One iteration needs two versions: the plan is extended once, and then fits.
 TEST_F(AdjointPlannerTest, ExecutesAgainWhatNoVersionHolds) {
   AdjointPlanner planner = plan(R"(
     tai.parallel_for (%i) in @x {
@@ -169,7 +169,8 @@ TEST_F(AdjointPlannerTest, ExecutesAgainWhatNoVersionHolds) {
   EXPECT_TRUE(kernel->hasAttr("reexecutes"));
 }
 
-// Serial loops that carry a recorded value hand it on, but not their counter.
+// Serial loops that carry a recorded value forward it; their counter is not
+// recorded.
 TEST_F(AdjointPlannerTest, RecordsDraws) {
   AdjointPlanner planner = plan(R"(
     %c0 = arith.constant 0 : index
@@ -194,14 +195,14 @@ TEST_F(AdjointPlannerTest, RecordsDraws) {
   EXPECT_TRUE(again.holdsRecorded(loop));
   EXPECT_TRUE(again.isRecorded(Value(loop.getRegionIterArg(0))));
   EXPECT_FALSE(again.isRecorded(Value(loop.getInductionVar())));
-  // The plan writes no recorded value a second time.
+  // The plan stores each recorded value only once.
   EXPECT_FALSE(again.hasRewritten());
   fits = settle(planner, demands);
   ASSERT_TRUE(succeeded(fits));
   EXPECT_TRUE(*fits);
 }
 
-// Versions between two loops exist only if the loops are kernels.
+// Versions between two loops exist only if the loops are separate kernels.
 TEST_F(AdjointPlannerTest, AsksForPartsBetweenLoops) {
   AdjointPlanner planner = plan(R"(
     tai.parallel_for (%i) in @x {
@@ -219,14 +220,15 @@ TEST_F(AdjointPlannerTest, AsksForPartsBetweenLoops) {
   demands.reads.insert(ops[2]);
   EXPECT_TRUE(failed(settle(planner, demands)));
   EXPECT_TRUE(planner.needsParts());
-  // The first loop alone has its version.
+  // The first loop alone needs one version only.
   demands.reads.remove(ops[2]);
   EXPECT_TRUE(succeeded(settle(planner, demands)));
   EXPECT_FALSE(planner.needsParts());
 }
 
-// A stored value is in memory, unless the adjoint runs on the former version.
-// A field cannot be as before the kernel and as the kernel left it.
+// A stored value is in memory, unless the adjoint runs on the version before
+// the kernel. A field cannot have the version before the kernel and the version
+// after it at once.
 TEST_F(AdjointPlannerTest, AsksForPartsBetweenVersions) {
   AdjointPlanner planner = plan(R"(
     tai.parallel_for (%i) in @x {

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs the code for the threads of a warp, in step, and compares the sums in
-// memory with those of adding one by one.
+// Runs the code for the threads of a warp in lockstep, and compares the sums in
+// memory with sums added one by one.
 //
 //===----------------------------------------------------------------------===//
 
@@ -33,11 +33,11 @@ using namespace mlir::tai;
 
 namespace {
 constexpr unsigned warp = 32;
-/// A value of each thread; floats are exact as doubles here.
+/// A value in each thread; doubles represent the floats of these tests exactly.
 using Values = std::array<double, warp>;
 
-/// Threads of one warp, in step. Interprets the instructions that the pass
-/// writes.
+/// The threads of a warp in lockstep. Interprets the instructions that the pass
+/// emits.
 struct Warp {
   std::map<const Value *, Values> values;
   std::map<std::string, double> memory;
@@ -63,14 +63,14 @@ struct Warp {
           call->arg_size() > 1 ? get(call->getArgOperand(1)) : Values();
       unsigned distance =
           call->arg_size() > 2 ? bits(get(call->getArgOperand(2))[lane]) : 0;
-      // A value from a thread that is not here is undefined.
+      // A value from an inactive thread is undefined.
       auto from = [&](unsigned other) {
         return other < warp && (active >> other & 1) ? given[other] : 12345.0;
       };
       switch (call->getIntrinsicID()) {
       case Intrinsic::nvvm_match_all_sync_i64p:
         EXPECT_EQ(bits(get(call->getArgOperand(0))[lane]), active);
-        // The second part of the result, which alone is used.
+        // The second part of the result, the only one that is used.
         for (unsigned other = 0; other < warp; ++other)
           if ((active >> other & 1) && given[other] != given[lane])
             return 0;
@@ -103,13 +103,13 @@ struct Warp {
         return operand(0) < operand(1);
       }
     }
-    // Pointers are numbers of their parameters; no test has offsets.
+    // A pointer is the number of its parameter; no test has offsets.
     if (isa<GetElementPtrInst>(at)) {
       EXPECT_EQ(operand(1), 0);
       return operand(0);
     }
     switch (at.getOpcode()) {
-    // A pointer in memory has the number of its place.
+    // A pointer in memory is the number of its place.
     case Instruction::Load:
     case Instruction::PtrToInt:
     case Instruction::ExtractValue:
@@ -151,7 +151,7 @@ struct Warp {
         if (!(active >> lane & 1))
           continue;
         if (auto *op = dyn_cast<AtomicRMWInst>(&at)) {
-          // Pointers are numbers of their parameters.
+          // A pointer is the number of its parameter.
           memory[names[bits(get(op->getPointerOperand())[lane])]] +=
               get(op->getValOperand())[lane];
           ++additions;
@@ -166,10 +166,10 @@ struct Warp {
   }
 };
 
-/// Facts that are known about the elements.
+/// The properties of the elements that threads add to.
 enum class Elements { Uniform, Own, Loaded, LoadedAndMixed };
 
-/// Lets a warp of which these threads are there add to so many elements.
+/// Lets the active threads of a warp add to `elements` elements.
 Warp add(unsigned elements, uint32_t active, Elements kind = Elements::Uniform,
          bool combines = true, bool hasFew = false) {
   bool isLoaded = kind != Elements::Uniform && kind != Elements::Own;
@@ -213,7 +213,8 @@ Warp add(unsigned elements, uint32_t active, Elements kind = Elements::Uniform,
     function.addFnAttr(runtime::kFewIterationsAttrName);
   runPass(function, AggregateAtomics(combines), machine.get());
   if (hasFew) {
-    // Part of a program later, which has as many threads as it likes.
+    // The function may become part of a program, which has any number of
+    // threads.
     function.removeFnAttr(runtime::kFewIterationsAttrName);
     runPass(function, AggregateAtomics(combines), machine.get());
   }
@@ -225,7 +226,7 @@ Warp add(unsigned elements, uint32_t active, Elements kind = Elements::Uniform,
     names.push_back("element " + std::to_string(i));
     Values numbers, own;
     numbers.fill(i);
-    // One thread means another element than all others.
+    // One thread adds to a different element than the other threads.
     if (kind == Elements::LoadedAndMixed)
       numbers[7] = elements - 1 - i;
     for (unsigned lane = 0; lane < warp; ++lane) {
@@ -280,7 +281,7 @@ TEST(AggregateAtomics, ElementsThatDataChooseAreCompared) {
               2 * elements);
   }
   EXPECT_EQ(add(2, ~0u, Elements::LoadedAndMixed).additions, 2 * warp);
-  // The one that differs is not here.
+  // The thread with a different element is inactive.
   EXPECT_EQ(add(2, 0x7fu, Elements::LoadedAndMixed).additions, 2u);
 }
 

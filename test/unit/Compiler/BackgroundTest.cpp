@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The fate of jobs when the process ends, forks, or has no more threads.
+// Tests how jobs end when the process ends, forks, or has no more threads.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,7 @@
 using namespace mlir::tai;
 
 namespace {
-/// A job that has begun, and does the rest of its work once it is let.
+/// A job that has begun, and finishes its work once `goesOn` is set.
 struct HalfDone {
   explicit HalfDone(Background &background)
       : job(background.start([this] {
@@ -58,7 +58,8 @@ TEST(Background, StopsWhenItsJobIsDone) {
 }
 
 namespace {
-/// A job that waits for something that never comes, as long as it is to.
+/// A job that waits, for something that never comes, until its wish is no
+/// longer Wait.
 struct Waiting {
   explicit Waiting(Background &background)
       : job(background.start([this] {
@@ -80,7 +81,7 @@ TEST(Background, JobsThatNobodyWantsDoNotWait) {
   Waiting dropped(background);
   background.cancel(*dropped.job);
   EXPECT_EQ(dropped.wish, Background::Wish::Abandon);
-  // At the end of the process, another one need not have ended.
+  // At the end of the process, a waiting job is told to hurry.
   Waiting last(background);
   background.stop();
   EXPECT_EQ(last.wish, Background::Wish::Hurry);
@@ -98,7 +99,7 @@ TEST(Background, ForksDoNotWaitForOthers) {
   EXPECT_EQ(waiting.wish, Background::Wish::Hurry);
 }
 
-/// How many jobs the calling thread has run, this one among them.
+/// The number of jobs that the calling thread has run, including this one.
 static int countOnThisThread() {
   static thread_local int count = 0;
   return ++count;
@@ -130,7 +131,7 @@ TEST(Background, WhatIsWaitedForWaitsForNoOtherJob) {
   bool ran = false;
   EXPECT_TRUE(background.runAside([&] { ran = true; }));
   EXPECT_TRUE(ran && !first.isWhole());
-  // Jobs from several threads at once do not wait either.
+  // Jobs that several threads start at once do not wait either.
   std::atomic<int> begun{0};
   std::vector<std::thread> callers;
   for (int i = 0; i < 40; ++i)
@@ -158,7 +159,7 @@ TEST(Background, LeavesNothingUndoneThatIsNeeded) {
     first.goesOn = true;
     background.stop();
     EXPECT_EQ(ran, 2);
-    // From the end on, there is nobody but the last.
+    // Once stopped, jobs run only when the object is destroyed.
     background.doLater([&] { ++ran; });
     EXPECT_EQ(ran, 2);
   }
@@ -190,7 +191,8 @@ TEST(Background, ChildrenInheritNoHalfJob) {
 
 #if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)
 TEST(Background, NeedsNoThread) {
-  // The address space has no room for such a stack, so that no thread starts.
+  // The address space has no room for such a stack, so that no thread can
+  // start.
   pthread_attr_t usual, impossible;
   ASSERT_EQ(pthread_getattr_default_np(&usual), 0);
   ASSERT_EQ(pthread_getattr_default_np(&impossible), 0);

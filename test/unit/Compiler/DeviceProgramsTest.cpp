@@ -19,7 +19,7 @@
 using namespace mlir::tai;
 
 namespace {
-/// A kernel of so many multiplications.
+/// The bitcode of a kernel with `size` multiplications.
 std::string getKernel(int size) {
   std::string text =
       "target datalayout = \"e-p6:32:32-i64:64-i128:128-i256:256-"
@@ -41,7 +41,7 @@ std::string getKernel(int size) {
   return bytes;
 }
 
-/// The error for a program of so many kernels; empty if it is made.
+/// The error for a program of `kernels` kernels; empty if it can be made.
 std::string makeProgramOf(int kernels, int size) {
   auto compiler = DeviceCompiler::create({runtime::DeviceKind::Cuda, "sm_90"},
                                          CodegenOptions());

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Threads compile in one context, and each gets its own errors.
+// Threads that compile in one context each get only their own errors.
 //
 //===----------------------------------------------------------------------===//
 
@@ -41,7 +41,7 @@ TEST_F(DiagnosticsTest, SilenceLeavesOtherThreads) {
   SilencedDiagnostics silence(&context);
   std::string message;
   std::thread other([&] {
-    // As in a thread that was at work before: the silence comes first.
+    // As in a thread that was working before: diagnostics are silenced first.
     DiagnosticCollector collector(&context);
     std::optional<SilencedDiagnostics> inner;
     std::thread third([&] { inner.emplace(&context); });
@@ -80,7 +80,7 @@ TEST_F(DiagnosticsTest, DifferentiatingLosesNoErrorOfAnotherThread) {
       ++emitted;
     }
   });
-  // Without activity the adjoint of all values is tried first.
+  // Without activity analysis, adjoints of all values are tried first.
   PassManager manager(&context);
   MakeAdjointOptions options;
   options.skip = SkipSet::none();

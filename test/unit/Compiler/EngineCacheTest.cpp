@@ -38,7 +38,7 @@ const char *sumText = R"(
   tai.field @y = @t["y"] : f64, rank 0, adjoint @gy
 )";
 
-/// A context that keeps its code in a folder, and the sum of squares in it.
+/// A context that caches code in a folder, with the sum of squares as kernel.
 struct Program {
   explicit Program(llvm::StringRef folder, const std::string &factor = "1.0",
                    const char *arch = "cpu") {
@@ -55,7 +55,7 @@ struct Program {
     kernel = *made;
   }
 
-  /// y and its gradient by x[2] for x = 3.
+  /// Returns y and its gradient with respect to x[2], for x = 3.
   std::pair<double, double> run() {
     runtime::Runtime &rt = session.getRuntime();
     EXPECT_TRUE(rt.fillF64(*rt.findField("x"), 3).ok());
@@ -84,7 +84,7 @@ struct Program {
   SessionKernel *kernel = nullptr;
 };
 
-/// The entries of a cache.
+/// The file names of the entries in a cache.
 std::vector<std::string> filesIn(llvm::StringRef folder) {
   std::vector<std::string> files;
   std::error_code error;
@@ -114,7 +114,7 @@ TEST(EngineCache, OtherProgramsAndOptionsMiss) {
   Program other(folder.path, "2.0");
   EXPECT_EQ(other.run(), std::make_pair(72.0, 12.0));
   EXPECT_EQ(other.hits(), 0u);
-  // An option holds for kernels created afterwards.
+  // An option applies to kernels that are created afterwards.
   Program debug(folder.path);
   EXPECT_TRUE(succeeded(debug.session.setOption("debug", "true")));
   auto again = debug.session.createKernel(
@@ -144,23 +144,24 @@ TEST(EngineCache, DamagedEntriesAreCompiledAnew) {
   EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(second.hits(), 0u);
   std::string warned = testing::internal::GetCapturedStderr();
-  // One warning, however many entries.
+  // One warning, however many entries are damaged.
   EXPECT_NE(warned.find("cache"), std::string::npos) << warned;
   EXPECT_EQ(llvm::count(warned, '\n'), 1) << warned;
-  // The entries are whole again.
+  // The entries have been replaced by intact ones.
   Program third(folder.path);
   EXPECT_EQ(third.run(), std::make_pair(36.0, 6.0));
   EXPECT_EQ(third.hits(), 2u);
 }
 
-/// Puts another object in place of each entry of a folder.
+/// Replaces the object in each entry of a folder.
 void replaceObjects(llvm::StringRef folder,
                     llvm::function_ref<void(CompiledObject &)> change) {
   runtime::CacheStore store(folder.str());
   for (const std::string &file : filesIn(folder)) {
     auto buffer = llvm::MemoryBuffer::getFile(file);
     ASSERT_TRUE(static_cast<bool>(buffer));
-    // A header of 40 bytes with the size of the key at 16, and the key.
+    // An entry has a header of 40 bytes, with the size of the key at 16, and
+    // the key.
     llvm::StringRef bytes = (*buffer)->getBuffer();
     uint64_t size = llvm::support::endian::read64le(bytes.data() + 16);
     std::string key = bytes.substr(40, size).str();
@@ -171,7 +172,7 @@ void replaceObjects(llvm::StringRef folder,
   }
 }
 
-// Whole entries that this process cannot link.
+// The entries are intact, but this process cannot link their objects.
 TEST(EngineCache, ObjectsThatDoNotLinkAreCompiledAnew) {
   TemporaryFolder folder;
   Program(folder.path).run();
@@ -180,7 +181,7 @@ TEST(EngineCache, ObjectsThatDoNotLinkAreCompiledAnew) {
     Program second(folder.path);
     EXPECT_EQ(second.run(), std::make_pair(36.0, 6.0));
     EXPECT_EQ(second.hits(), 0u);
-    // The new entry links.
+    // The new entry can be linked.
     Program third(folder.path);
     EXPECT_EQ(third.run(), std::make_pair(36.0, 6.0));
     EXPECT_EQ(third.hits(), 2u);
@@ -192,7 +193,7 @@ TEST(EngineCache, ObjectsThatDoNotLinkAreCompiledAnew) {
   });
 }
 
-// Whole entries whose code the device does not take.
+// The entries are intact, but the device rejects their code.
 TEST(EngineCache, ImagesThatAreRefusedAreCompiledAnew) {
   std::optional<std::string> before =
       llvm::sys::Process::GetEnv("TAI_CUDA_EMULATION");
@@ -211,14 +212,14 @@ TEST(EngineCache, ImagesThatAreRefusedAreCompiledAnew) {
       EXPECT_EQ(next.run(), std::make_pair(36.0, 6.0));
       EXPECT_EQ(next.hits(), 2u);
     }
-    // The entries have their former contents again.
+    // The entries have their original contents again.
     replaceObjects(folder.path, [&](CompiledObject &object) {
       EXPECT_TRUE(llvm::is_contained(good, object.image->bytes));
     });
   };
   expectAnew([](std::string &image) { image.assign(100, 'x'); });
   expectAnew([](std::string &image) { image.resize(image.size() / 2); });
-  // An entry that is accepted, but holds other functions.
+  // An entry whose code is accepted, but contains other functions.
   std::string other;
   replaceObjects(folder.path, [&](CompiledObject &object) {
     std::swap(object.image->bytes, other);
@@ -234,7 +235,7 @@ TEST(EngineCache, ImagesThatAreRefusedAreCompiledAnew) {
     unsetenv("TAI_CUDA_EMULATION");
 }
 
-/// Run by the next test, in processes of their own.
+/// The next test runs this in separate processes.
 TEST(EngineCache, DISABLED_Child) {
   const char *folder = std::getenv("TAI_TEST_CACHE");
   ASSERT_TRUE(folder);
@@ -243,8 +244,8 @@ TEST(EngineCache, DISABLED_Child) {
   _exit(good ? 10 + static_cast<int>(program.hits()) : 1);
 }
 
-// Processes that start together with an empty cache: every object is compiled
-// once, and the others load it.
+// Processes start together with an empty cache: each object is compiled once,
+// and the other processes load it.
 TEST(EngineCache, ProcessesShareTheWork) {
   TemporaryFolder folder;
   setenv("TAI_TEST_CACHE", folder.path.c_str(), 1);
@@ -268,11 +269,12 @@ TEST(EngineCache, ProcessesShareTheWork) {
     ASSERT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) >= 10);
     hits += WEXITSTATUS(status) - 10;
   }
-  // A kernel and its adjoint: four times, less once.
+  // Four processes need a kernel and its adjoint, each of which one process
+  // compiles.
   EXPECT_EQ(hits, 6);
 }
 
-/// The id in the file of the library that holds an address.
+/// The build id in the file of the library that contains an address.
 std::string readBuildId(const void *address) {
   Dl_info info;
   if (!dladdr(address, &info))
@@ -286,8 +288,8 @@ std::string readBuildId(const void *address) {
                      /*LowerCase=*/true);
 }
 
-// The key changes with each library that takes part, whatever its file is
-// called and when it was written.
+// The key depends on each library that takes part, whatever the name and the
+// time of its file.
 TEST(EngineCache, KeysNameTheLibraries) {
   MLIRContext context;
   std::string id = getBuildId(&context);
@@ -300,7 +302,7 @@ TEST(EngineCache, KeysNameTheLibraries) {
     EXPECT_NE(id.find(expected), std::string::npos) << id;
   }
   EXPECT_EQ(id, getBuildId(&context));
-  // The C library changes no code.
+  // The C library does not affect the code.
   EXPECT_EQ(id.find(readBuildId(reinterpret_cast<const void *>(&getenv))),
             std::string::npos);
 }
@@ -311,7 +313,7 @@ TEST(EngineCache, FailuresAreNotKept) {
     Context context;
     context.set("cache_dir", folder.path.c_str());
     context.addFields();
-    // A function that is declared and nowhere defined cannot be linked.
+    // A function that is declared but not defined cannot be linked.
     TaiKernel kernel = nullptr;
     context.ok(context.create("k", R"(
       func.func private @tai_no_such_function()
@@ -346,7 +348,7 @@ TEST(EngineCache, ObjectsSurviveSerialization) {
   for (size_t length = 0; length < bytes.size(); ++length) {
     std::optional<CompiledObject> cut =
         CompiledObject::deserialize(llvm::StringRef(bytes).take_front(length));
-    // Cut at the end of a tree, the bytes are those of an object with fewer.
+    // Cut at the end of a tree, the bytes represent an object with fewer trees.
     if (cut)
       EXPECT_LT(cut->trees.size(), object.trees.size());
   }

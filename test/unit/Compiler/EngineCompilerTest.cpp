@@ -24,14 +24,14 @@ using namespace mlir::tai;
 
 namespace {
 
-/// Fails and does not say why.
+/// Fails without a diagnostic.
 struct SilentFailure : PassWrapper<SilentFailure, OperationPass<ModuleOp>> {
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(SilentFailure)
   StringRef getArgument() const override { return "test-silent-failure"; }
   void runOnOperation() override { signalPassFailure(); }
 };
 
-/// Succeeds, and leaves functions behind that return less than they say.
+/// Succeeds, but leaves functions that return fewer values than they declare.
 struct BrokenReturns : PassWrapper<BrokenReturns, OperationPass<ModuleOp>> {
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(BrokenReturns)
   void runOnOperation() override {
@@ -39,7 +39,7 @@ struct BrokenReturns : PassWrapper<BrokenReturns, OperationPass<ModuleOp>> {
   }
 };
 
-/// Leaves a cast behind, as conversions do that are not complete.
+/// Leaves a cast behind, as incomplete conversions do.
 struct LeftCast : PassWrapper<LeftCast, OperationPass<ModuleOp>> {
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(LeftCast)
   StringRef getArgument() const override { return "test-left-cast"; }
@@ -130,12 +130,12 @@ TEST_F(EngineCompiler, SilentFailuresLeaveAReproducer) {
   ASSERT_TRUE(static_cast<bool>(file)) << path.str();
   EXPECT_TRUE((*file)->getBuffer().contains("llvm.func @helper"));
   EXPECT_TRUE((*file)->getBuffer().contains("test-silent-failure"));
-  // What --run-reproducer reads.
+  // The file can be read with --run-reproducer.
   EXPECT_TRUE(parseSourceString<ModuleOp>((*file)->getBuffer(), &context));
   llvm::sys::fs::remove(path);
 }
 
-/// Sets an environment variable for a while.
+/// Sets an environment variable during its lifetime.
 struct Environment {
   Environment(const char *name, const char *value) : name(name) {
     if (const char *given = std::getenv(name))
@@ -152,7 +152,7 @@ struct Environment {
   std::optional<std::string> before;
 };
 
-/// The file that a failure names, or nothing. The file is removed.
+/// Reads and removes the file that a failure names; empty if there is none.
 std::string takeReproducer(const Failure &failure) {
   StringRef path = StringRef(failure.message).split("; reproducer: ").second;
   auto file = llvm::MemoryBuffer::getFile(path);
@@ -162,7 +162,7 @@ std::string takeReproducer(const Failure &failure) {
   return (*file)->getBuffer().str();
 }
 
-// The verifier says something, but not about the program.
+// The verifier's error is not about the program.
 TEST_F(EngineCompiler, ModulesThatAreNotValidLeaveAReproducer) {
   Environment verify("TAI_VERIFY_EACH", "1");
   Failure failure = compileWith<BrokenReturns>();
@@ -175,7 +175,7 @@ TEST_F(EngineCompiler, ModulesThatAreNotValidLeaveAReproducer) {
   EXPECT_TRUE(StringRef(takeReproducer(failure)).contains("llvm.func @helper"));
 }
 
-// An operation that no pass has lowered is no error of the program's.
+// An operation that no pass has lowered is not the program's fault.
 TEST_F(EngineCompiler, OperationsThatAreLeftLeaveAReproducer) {
   Compiler::Pipelines pipelines;
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
@@ -215,7 +215,7 @@ TEST_F(EngineCompiler, FailuresOfLLVMLeaveAReproducer) {
   }
 }
 
-// A failing kernel whose stages are printed.
+// Prints the stages of a kernel whose compilation fails.
 TEST_F(EngineCompiler, PrintingLeavesAReproducer) {
   Compiler::Pipelines pipelines;
   pipelines.toLLVM = [](OpPassManager &manager, const CompileOptions &) {
@@ -229,7 +229,7 @@ TEST_F(EngineCompiler, PrintingLeavesAReproducer) {
       StringRef(takeReproducer(failure)).contains("test-silent-failure"));
 }
 
-// A launch that is tried again.
+// Repeats a launch that fails.
 TEST_F(EngineCompiler, AFailureLeavesOneFile) {
   Failure first = compileWith<SilentFailure>();
   Failure second = compileWith<SilentFailure>();
@@ -264,7 +264,7 @@ TEST(Background, RunsTakesOverAndCancels) {
   std::atomic<int> ran{0};
   auto count = [&] { ++ran; };
   {
-    // Without threads a job waits until it is wanted.
+    // Without threads, a job runs only when its result is needed.
     Background none(0);
     auto wanted = none.start(count), dropped = none.start(count);
     EXPECT_EQ(ran, 0);

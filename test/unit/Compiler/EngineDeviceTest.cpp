@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// From a lowered module to the host's function and the image, which is run here
-// without a runtime.
+// Compiles a lowered module to the host's function and an image, which is run
+// here without a runtime.
 //
 //===----------------------------------------------------------------------===//
 
@@ -116,7 +116,7 @@ TEST_F(EngineDevice, EmulatedImageRuns) {
   ASSERT_TRUE(static_cast<bool>(linked));
   double target = 0.5;
   uint64_t slots[4];
-  // The bytes behind a parameter in its slot are undefined.
+  // In a slot, the bytes after a small parameter are undefined.
   std::memset(slots, 0xff, sizeof(slots));
   double *pointer = &target, x = 0.25;
   bool on = true;
@@ -133,7 +133,7 @@ TEST_F(EngineDevice, EmulatedImageRuns) {
   std::memcpy(&slots[1], &on, sizeof(on));
   early(slots);
   EXPECT_EQ(target, 0.5 + (3 - 10 + 0.25));
-  // Nothing else can be called by name.
+  // Other functions cannot be called by name.
   auto hidden = (*linker)->link(bytes, {"helper"});
   EXPECT_FALSE(static_cast<bool>(hidden));
   llvm::consumeError(hidden.takeError());
@@ -169,11 +169,11 @@ TEST_F(EngineDevice, ImagesAreCached) {
   EXPECT_FALSE(made.image->key.empty());
   EXPECT_EQ(made.image->key, kept.image->key);
   EXPECT_NE(made.image->bytes.find(".target sm_80"), std::string::npos);
-  // Each kind and target of a device has its own entry of the cache.
+  // Each kind of device and each target has a separate entry of the cache.
   EXPECT_FALSE(compileOnce(emulated).fromCache);
   cuda.deviceTarget = "sm_90";
   EXPECT_FALSE(compileOnce(cuda).fromCache);
-  // Whatever of an entry is cut off, it is no longer one.
+  // An entry that is cut off anywhere is not accepted.
   for (const auto &[key, bytes] : store) {
     ASSERT_TRUE(CompiledObject::deserialize(bytes));
     size_t image = bytes.size() / 2;
@@ -241,7 +241,7 @@ TEST_F(EngineDevice, FatalErrorsOfLLVM) {
              }
            })");
   Compiler compiler(&context, pipelines, {});
-  // The second time with tools that have not met the error.
+  // The second time, the tools are new ones, without the error.
   for (int repeat = 0; repeat < 2; ++repeat) {
     Failure failure;
     EXPECT_FALSE(compiler.compile(request(), cuda, failure));

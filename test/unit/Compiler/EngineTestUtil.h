@@ -15,7 +15,7 @@
 
 namespace tai_test {
 
-/// A context without a compile cache, unless one is set.
+/// A context without a compile cache, unless a test sets one.
 class Context {
 public:
   Context() : context(taiContextCreate()) { set("cache_dir", ""); }
@@ -41,7 +41,8 @@ public:
     return made;
   }
 
-  /// Fields x and gx of four f64, y and gy of one, with adjoints.
+  /// Adds fields x and gx of four f64, and y and gy of one f64; gx and gy are
+  /// adjoints.
   void addFields() {
     ok(taiContextAddTree(
         context, "t",
@@ -89,7 +90,7 @@ inline std::string squares(const std::string &factor) {
          "}\n";
 }
 
-/// A folder that is removed at the end.
+/// A temporary folder that is removed at the end.
 struct TemporaryFolder {
   TemporaryFolder() {
     EXPECT_FALSE(llvm::sys::fs::createUniqueDirectory("tai-test", path));

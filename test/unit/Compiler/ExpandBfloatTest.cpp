@@ -17,7 +17,7 @@
 
 using namespace llvm;
 
-/// How many operations round to bf16 before and after.
+/// The number of operations that round to bf16, before and after the pass.
 static std::pair<int, int> countRoundings(StringRef text) {
   LLVMContext context;
   SMDiagnostic error;
@@ -60,8 +60,7 @@ define <8 x bfloat> @vectors(<8 x float> %x) {
   EXPECT_EQ(after, 0);
 }
 
-/// A function of the runtime rounds f64, and other types are left
-/// alone.
+/// A function of the runtime rounds f64; other types are not changed.
 TEST(ExpandBfloat, OthersStay) {
   auto [before, after] = countRoundings(R"(
 define half @halves(float %x, half %y) {

@@ -17,8 +17,8 @@
 
 using namespace llvm;
 
-/// The comparisons that atomic operations of the text are behind; "none" for
-/// one that is behind none.
+/// The comparisons that guard the atomic operations of the text; "none" for an
+/// operation without a guard.
 static SmallVector<StringRef> findTests(StringRef text) {
   LLVMContext context;
   SMDiagnostic error;
@@ -59,7 +59,7 @@ define void @all(ptr %p, i32 %i, float %x, half %h) {
             (SmallVector<StringRef>{"sge", "sle", "uge", "ule", "ogt", "olt"}));
 }
 
-/// The old value is that of the load where nothing is exchanged.
+/// If nothing is exchanged, the old value is the loaded value.
 TEST(ExtremeAtomics, WhoseResultIsUsed) {
   EXPECT_EQ(findTests(R"(
 define double @used(ptr %p, double %x) {
@@ -71,7 +71,8 @@ define double @used(ptr %p, double %x) {
             SmallVector<StringRef>{"ogt"});
 }
 
-/// Sums always change the element; stronger orders say more than a load.
+/// Sums always change the element, and stronger memory orders than a load's
+/// must be kept.
 TEST(ExtremeAtomics, OthersStay) {
   EXPECT_EQ(findTests(R"(
 define void @others(ptr %p, i32 %i, float %x) {

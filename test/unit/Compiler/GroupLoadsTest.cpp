@@ -52,7 +52,7 @@ std::string order(StringRef body, StringRef parameters = "") {
   return result;
 }
 
-/// Adds one to an element of x.
+/// Code that adds one to an element of x.
 std::string increment(int at) {
   std::string n = std::to_string(at);
   return "  %p" + n + " = getelementptr float, ptr %x, i64 " + n + "\n  %v" +
@@ -95,12 +95,13 @@ TEST(GroupLoads, AddressesThatAreLoadedStay) {
                        "  %p = getelementptr float, ptr %x, i64 %j\n"
                        "  %v = load float, ptr %p\n"
                        "  store float %v, ptr %y\n";
-  // The first of the two joins, the second needs it and meets the store.
+  // The first of the two loads joins the group; the second depends on it, and
+  // may alias the store.
   EXPECT_EQ(order(increment(0) + loaded), "LLSLS");
 }
 
 TEST(GroupLoads, DivisionsAndRootsArePassed) {
-  // Letters as above, and D for what ptxas makes branches of.
+  // Letters as above, and D for operations that ptxas expands to branches.
   auto divided = [](StringRef how) {
     return order(("  %a = load float, ptr %x\n" + how +
                   "  %p = getelementptr float, ptr %y, i64 %i\n"
@@ -110,9 +111,9 @@ TEST(GroupLoads, DivisionsAndRootsArePassed) {
   };
   EXPECT_EQ(divided("  %d = fdiv float 1.0, %a\n"), "LLDS");
   EXPECT_EQ(divided("  %d = call float @llvm.sqrt.f32(float %a)\n"), "LLDS");
-  // An approximate division has no branch: the loads stay where they are.
+  // An approximate division needs no branch: the loads stay where they are.
   EXPECT_EQ(divided("  %d = fdiv afn float 1.0, %a\n"), "LDLS");
-  // An address that depends on the quotient waits for it.
+  // An address that depends on the quotient cannot be computed earlier.
   EXPECT_EQ(order("  %a = load float, ptr %x\n  %d = fdiv float 1.0, %a\n"
                   "  %n = fptosi float %d to i64\n"
                   "  %p = getelementptr float, ptr %y, i64 %n\n"

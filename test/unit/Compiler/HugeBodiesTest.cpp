@@ -27,9 +27,9 @@ using namespace mlir::tai;
 namespace {
 std::string number(int n) { return std::to_string(n); }
 
-/// A loop whose body has a chain of so many steps. Values of several types are
-/// used near, far, in the next iteration and behind the loop; memory that the
-/// function has of its own is used in between.
+/// A loop whose body is a chain of `steps` steps. Values of several types are
+/// used nearby, far away, in the next iteration and after the loop; local
+/// memory of the function is used in between.
 std::string getLoopText(int steps) {
   std::string text = R"(
 define i64 @f(ptr %x, i64 %n, double %scale) {
@@ -100,7 +100,7 @@ HugeBodyLimits getLimits(unsigned block, unsigned part,
   return limits;
 }
 
-/// The result and the memory of the function, divided or not.
+/// The result and the memory contents of the function, divided or not.
 std::vector<int64_t> run(int steps, unsigned part, int64_t n) {
   LLVMContext context;
   std::unique_ptr<Module> module = parse(getLoopText(steps), context);
@@ -140,7 +140,7 @@ TEST(HugeBodies, PartsGrowWithTheBodyAndNoFaster) {
     size_t count = 0;
     for (Function &function : *module)
       count += function.getInstructionCount();
-    // A part has its instructions, and two for each value that it shares.
+    // A part has its own instructions, and two for each value that it shares.
     for (Function &function : drop_begin(*module))
       EXPECT_LE(function.getInstructionCount(), 500u);
     return std::make_pair(module->size(), count);
@@ -161,7 +161,7 @@ TEST(HugeBodies, OtherBlocksStay) {
   divideHugeBlocks(*module, nullptr, getLimits(largest, 10));
   EXPECT_EQ(module->size(), 1u);
   EXPECT_EQ(getLargestBlock(*module), largest);
-  // 102 writes among 203 reads and writes, less those outside the loop.
+  // Of 102 writes and 203 accesses, 101 and 202 are in the loop's block.
   divideHugeBlocks(*module, nullptr, getLimits(largest, 10, 101 * 202));
   EXPECT_EQ(module->size(), 1u);
   divideHugeBlocks(*module, nullptr, getLimits(largest, 10, 101 * 202 - 1));
@@ -178,7 +178,7 @@ std::unique_ptr<TargetMachine> makeMachine() {
       triple, host.name, host.features, {}, Reloc::PIC_));
 }
 
-/// Whether a loop over so many calls of `callee` may be vectorised.
+/// Whether a loop over `calls` calls of `callee` may be vectorised.
 bool staysVectorizable(const std::string &callee, int calls,
                        unsigned vectorized) {
   std::string text = "declare float @" + callee + "(float)\n" + R"(
@@ -225,7 +225,7 @@ exit:
 } // namespace
 
 TEST(HugeBodies, LoopsThatWouldBeHugeStayScalar) {
-  // Eight calls with the moves around them, or one instruction.
+  // A call becomes eight calls with moves around them, or one instruction.
   EXPECT_TRUE(staysVectorizable("llvm.sin.f32", 10, 1000));
   EXPECT_FALSE(staysVectorizable("llvm.sin.f32", 100, 1000));
   EXPECT_TRUE(staysVectorizable("llvm.fabs.f32", 100, 1000));
@@ -262,7 +262,7 @@ TEST(HugeBodies, StatementsOfHugeBlocksAreNoVectors) {
 }
 
 namespace {
-/// So many calls of a library function of 20 instructions.
+/// A function with `calls` calls of a library function of 20 instructions.
 std::string getCalls(int calls, const std::string &name) {
   std::string text = "define i32 @" + name + "(i32 %v0) alwaysinline {\n";
   for (int k = 1; k < 20; ++k)
@@ -274,7 +274,7 @@ std::string getCalls(int calls, const std::string &name) {
   return text + "  ret i32 %v" + number(calls) + "\n}\n";
 }
 
-/// The calls that stay of so many.
+/// The number of calls that are kept out of `calls`.
 int countKept(int calls, const std::string &name, uint64_t inlined) {
   LLVMContext context;
   std::unique_ptr<Module> module = parse(getCalls(calls, name), context);

@@ -21,8 +21,8 @@ using namespace llvm;
 using namespace mlir::tai;
 
 namespace {
-/// The number of calls of the runtime that the pass adds, or -1. Each must be
-/// followed by a way out of the function.
+/// The number of polls that the pass adds, or -1 if the text is invalid. Checks
+/// that each poll adds a return from the function.
 int countPolls(StringRef signature, StringRef body) {
   LLVMContext context;
   SMDiagnostic error;
@@ -48,7 +48,7 @@ int countPolls(StringRef signature, StringRef body) {
   return polls;
 }
 
-/// One loop that stores, over `from` to `to`.
+/// A loop that stores up to `to`, with `extra` instructions.
 std::string loop(StringRef to, StringRef extra = "") {
   return ("entry:\n"
           "  br label %loop\n"
@@ -74,7 +74,7 @@ TEST(InsertSafepoints, PollsWhereTheEndIsNotKnown) {
   EXPECT_EQ(countPolls(body, loop("%last") + "  ret void\n"), 1);
 }
 
-/// A kernel that calls the body for so many iterations.
+/// A kernel that calls the body for `count` iterations.
 std::string caller(StringRef count) {
   return "}\n"
          "declare void @tai_rt_parallel_for(ptr, ptr, ptr, i64, i64)\n"
@@ -94,7 +94,7 @@ TEST(InsertSafepoints, KnowsTheIterationsOfParallelLoops) {
 }
 
 TEST(InsertSafepoints, TakesNoOtherLoopForTheParallelOne) {
-  // The outer loop is gone, as where all of its iterations were peeled off.
+  // The outer loop is missing, as if all of its iterations had been peeled off.
   std::string text = "entry:\n"
                      "  %n = load i64, ptr %closure\n"
                      "  br label %loop\n" +
@@ -119,7 +119,7 @@ TEST(InsertSafepoints, TakesNoCallForShort) {
                                             "0.0)\n") +
                                    "  ret i32 0\n"),
             1);
-  // An intrinsic is an instruction, or ends soon.
+  // An intrinsic counts as one instruction.
   EXPECT_EQ(countPolls(kernel, loop("1000", "  %s = call double "
                                             "@llvm.sin.f64(double 0.0)\n") +
                                    "  ret i32 0\n"),
@@ -179,7 +179,7 @@ TEST(Safepoint, AsksTheHostOnceATick) {
   safepoint::request();
   EXPECT_TRUE(watch.look());
   EXPECT_GE(asked, 1);
-  // The watch looks at the clock again after a while, so this loop ends.
+  // The watch checks the clock again after a while, so this loop ends.
   while (asked < 2)
     (void)watch.look();
   asked = 2;

@@ -13,8 +13,8 @@
 
 namespace mlir::tai {
 
-/// Runs a pass of LLVM with all analyses, those of a target included if one is
-/// given.
+/// Runs a pass of LLVM with all analyses, including those of a target if a
+/// machine is given.
 template <typename Pass>
 void runPass(llvm::Function &function, Pass pass,
              llvm::TargetMachine *machine = nullptr) {

@@ -29,7 +29,7 @@ protected:
     return parseSourceString<ModuleOp>(text, &context);
   }
 
-  /// Bytes of the tree claimed by the elements of a field, by their address.
+  /// Collects the bytes of the tree that elements of a field occupy.
   void claim(FieldOp field, std::set<uint64_t> &bytes) {
     FailureOr<FieldLayout> layout = getFieldLayout(field);
     ASSERT_TRUE(succeeded(layout));

@@ -26,7 +26,7 @@ using namespace llvm;
 using namespace mlir::tai;
 
 namespace {
-/// Links a module as kernels are linked; the address of its function `f`.
+/// Links a module like kernels are linked; has the address of its function `f`.
 template <typename Function> class Code {
 public:
   explicit Code(StringRef text) {
@@ -55,10 +55,10 @@ private:
   std::unique_ptr<Linker> linker;
 };
 
-/// Whether LLVM may call a function of that name for a kernel: one of the math
-/// library or of strings, or of types that no processor has instructions for.
+/// Whether LLVM may call a function of this name in kernels: functions of the
+/// math library or of strings, and functions for types without instructions.
 /// Kernels have neither long double nor f128. LLVM converts from f16 and bf16
-/// by way of f32, and multiplies and shifts 128 bits in place.
+/// by way of f32, and multiplies and shifts 128-bit integers inline.
 bool isForKernels(StringRef name) {
   bool isMath = !name.contains('_') && !name.contains("f128");
   if (isMath)

@@ -25,9 +25,9 @@ using namespace mlir::tai;
 namespace {
 std::string number(int n) { return std::to_string(n); }
 
-/// So many loops one behind the other, around them another one. Each uses
-/// values of the loop before, of one far before and of the last iteration, and
-/// memory that the function has of its own; behind every fifth is a branch.
+/// `count` consecutive loops inside another loop. Each uses values of the
+/// previous loop, of a loop far before and of the last iteration, and local
+/// memory of the function; after every fifth loop there is a branch.
 std::string getBody(int count) {
   std::string text = R"(
   %own = alloca i64
@@ -113,8 +113,8 @@ ManyLoopsLimits getLimits(unsigned loops, unsigned part) {
   return limits;
 }
 
-/// The result and the memory of the function for several numbers of iterations,
-/// divided or not.
+/// The result and the memory contents of the function for several numbers of
+/// iterations, divided or not.
 std::vector<int64_t> run(int count, unsigned part) {
   LLVMContext context;
   std::unique_ptr<Module> module = parse(getText(count), context);
@@ -171,8 +171,8 @@ TEST(ManyLoops, OtherFunctionsStay) {
   std::unique_ptr<Module> module = parse(getText(199), context);
   EXPECT_FALSE(divideManyLoops(*module));
   EXPECT_EQ(module->size(), 1u);
-  // An iteration may end in between: the code behind it has more than one
-  // beginning.
+  // An iteration may end between the loops: the code after each loop then has
+  // more than one predecessor.
   std::string text = getText(60);
   for (int k = 1; k <= 60; ++k) {
     std::string from = "  br label %head" + number(k) + "\nafter";
@@ -188,8 +188,8 @@ TEST(ManyLoops, OtherFunctionsStay) {
   EXPECT_EQ(module->size(), 1u);
 }
 
-/// A kernel may return at a poll, and so may its parts: upon that the kernel
-/// returns.
+/// A kernel may return at a poll, and so may its parts; the kernel then returns
+/// as well.
 TEST(ManyLoops, PartsLookAsWell) {
   LLVMContext context;
   std::string text =

@@ -21,7 +21,7 @@ class ModuleFile : public testing::Test {
 protected:
   ModuleFile() { context.loadDialect<TaiDialect>(); }
 
-  /// The error on reading, or nothing.
+  /// The error when reading the bytes; empty if there is none.
   std::string read(StringRef bytes) {
     DiagnosticCollector collector(&context);
     ParserConfig config(&context, /*verifyAfterParse=*/false);
@@ -55,7 +55,7 @@ TEST_F(ModuleFile, WhatIsWrittenIsRead) {
   EXPECT_EQ(last, fromText);
 }
 
-// The magic number apart, without which a file is text.
+// Except in the magic number, without which a file is text.
 TEST_F(ModuleFile, EveryDamagedByteIsSeen) {
   std::string bytes = write();
   for (size_t i = 0; i < bytes.size(); ++i) {
@@ -87,7 +87,7 @@ TEST_F(ModuleFile, BytecodeWithoutAChecksumIsRefused) {
           .starts_with("given:1:1: error: this is MLIR bytecode without a "
                        "checksum"))
       << read(bytes);
-  // A checksum does not make bytecode of something else.
+  // A valid checksum does not turn other bytes into bytecode.
   std::string other = write();
   EXPECT_TRUE(StringRef(read(other.substr(0, 24))).contains("damaged"));
 }
@@ -99,14 +99,14 @@ TEST_F(ModuleFile, ZerosAreNoText) {
   EXPECT_EQ(read(""), "");
 }
 
-// Text that ends the process in MLIR's parser.
+// Text that would end the process in MLIR's parser.
 TEST_F(ModuleFile, FatalTextIsRefused) {
   EXPECT_EQ(read("module attributes {\n  a = array < index : 1>} {}"),
             "given:2:13: error: an array attribute holds integers of known "
             "width or floats, not 'index'\n");
   EXPECT_EQ(read("\"a\"(%r#2147483647) : (i32) -> ()"),
             "given:1:7: error: no operation has so many results\n");
-  // Neither in comments nor in strings nor in other places.
+  // In comments, strings and other contexts, the same text is allowed.
   EXPECT_EQ(read("// array<index: 1> #12345678\n"
                  "module attributes {a = \"array<index: 1> \\\" #12345678\","
                  "b = array<i32: 1>, c = index, d = \"/\"} {} // \""),
@@ -126,7 +126,7 @@ std::string nest(StringRef before, StringRef open, StringRef inside,
       .str();
 }
 
-// The parser descends by recursion, and the stack ends.
+// The parser is recursive, and would overflow the stack.
 TEST_F(ModuleFile, NestedTextIsRefused) {
   auto make = [](size_t n) -> std::vector<std::string> {
     std::string names = "!a0 = tuple<i1>\n", lists = "#a0 = [1]\n";
@@ -155,7 +155,7 @@ TEST_F(ModuleFile, NestedTextIsRefused) {
         nest("module attributes {tai.x = #tai.y", "<", "", ">", "} {}", n),
         names + "func.func private @f(!a" + last + ")",
         lists + "module attributes {tai.x = #a" + last + "} {}",
-        // Quotes and comments hide nothing.
+        // Nested brackets after quotes and comments are found as well.
         nest("// \"\nmodule attributes {tai.x = [\"\\\"\", ", "[", "", "]",
              "]} {}", n),
     };
@@ -165,7 +165,7 @@ TEST_F(ModuleFile, NestedTextIsRefused) {
                     .contains("the text is nested more than 512 levels deep "
                               "here, which is not read"))
         << text.substr(0, 60);
-  // Less is read or refused by the parser itself.
+  // Less nesting is accepted, or rejected by the parser itself.
   for (const std::string &text : make(200))
     EXPECT_FALSE(StringRef(read(text)).contains("nested more than"))
         << text.substr(0, 60);
@@ -199,14 +199,14 @@ TEST_F(ModuleFile, LongMapsAreRefused) {
     EXPECT_FALSE(
         StringRef(nestMap(name, "<(", ") -> (0)", 1000)).contains(message));
   }
-  // A map may have many results, and a word alone is no map.
+  // A map may have many results, and the word alone is no map.
   EXPECT_EQ(read(nest("module attributes {m = affine_map<(d) -> (", "d, ", "d",
                       "", ")>} {}", 2000)),
             "");
   EXPECT_NE(read("module attributes {m = affine_map(1)} {}"), "");
 }
 
-// In bytecode the dimensions are numbers, and the layout of a memref is text.
+// In bytecode, dimensions are numbers, but the layout of a memref is text.
 TEST_F(ModuleFile, LongTypesInBytecodeAreRefused) {
   SmallVector<int64_t> shape(100000, 1);
   Type element = Float32Type::get(&context);
@@ -232,7 +232,7 @@ TEST_F(ModuleFile, LongTypesInBytecodeAreRefused) {
   EXPECT_EQ(readType(VectorType::get(shape, element)), "");
 }
 
-// Braces of text, and what a file holds one after another, nest nothing.
+// Brackets in strings, and consecutive ops of a file, are not nested.
 TEST_F(ModuleFile, LongTextIsRead) {
   EXPECT_EQ(read(nest("", "module {}\n", "", "", "", 2000)), "");
   EXPECT_EQ(read(nest("module {} loc(\"", "[", "", "", "\")", 2000)), "");

@@ -19,7 +19,7 @@ using namespace llvm;
 using namespace mlir::tai;
 
 namespace {
-/// Starts of eight rows, 464 bytes one after another, from row %i on.
+/// The starts of eight rows from row %i on, 464 bytes apart.
 constexpr StringLiteral evenRows =
     "  %s = insertelement <8 x i64> poison, i64 %i, i64 0\n"
     "  %b = shufflevector <8 x i64> %s, <8 x i64> poison, "
@@ -29,8 +29,8 @@ constexpr StringLiteral evenRows =
     "  %m = mul <8 x i64> %n, splat (i64 464)\n"
     "  %rows = getelementptr i8, ptr %x, <8 x i64> %m\n";
 
-/// The accesses of a function after the pass, in order, with how often: gathers
-/// (G), scatters (C), loads (L) and stores (S).
+/// The accesses of a function after the pass, in order, each with its number of
+/// repetitions: gathers (G), scatters (C), loads (L) and stores (S).
 std::string order(const std::string &body,
                   const std::string &rows = evenRows.str()) {
   LLVMContext context;
@@ -76,7 +76,7 @@ std::string order(const std::string &body,
   return result;
 }
 
-/// %v<n>: column n.
+/// Gathers column n into %v<n>.
 std::string gather(int n, const std::string &mask = "splat (i1 true)",
                    const std::string &rows = "%rows") {
   std::string number = std::to_string(n);
@@ -160,14 +160,14 @@ TEST(TransposeColumns, UpdatesOfRowsAreThose) {
 }
 
 TEST(TransposeColumns, OverlappingRowsKeepTheirOrder) {
-  // Rows 8 bytes apart: column 2 of one is column 0 of the next.
+  // Rows are 8 bytes apart: column 2 of a row is column 0 of the next row.
   std::string rows = evenRows.str();
   rows.replace(rows.find("464"), 3, "8");
   std::string body;
   for (int n : {3, 2, 1, 0})
     body += gather(n) + scatter(n);
   EXPECT_EQ(order(body, rows), "G1 C1 G1 C1 G1 C1 G1 C1");
-  // Columns at an unknown distance are not combined.
+  // Scatters to rows at unknown distances are not combined.
   EXPECT_EQ(order(body, "  %rows = getelementptr i8, <8 x ptr> %any, i64 16\n"),
             "G1 C1 G1 C1 G1 C1 G1 C1");
 }

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs a kernel on the CPU, all threads one after another, as it is and with
-// its loop unrolled.
+// Runs a kernel on the CPU, one thread after another, with its loop unrolled
+// and not.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,15 +28,15 @@ using namespace mlir::tai;
 namespace {
 constexpr int blocks = 2, threads = 4;
 
-/// Where the special registers come from.
+/// The values of the special registers.
 int32_t places[3];
 int32_t getThread() { return places[0]; }
 int32_t getBlock() { return places[1]; }
 int32_t getThreads() { return threads; }
 int32_t getBlocks() { return blocks; }
 
-// y[i] = (y[i] + x[i]) * 3, then z[i] = y[i], read again; the sum of x and the
-// last index of each thread.
+// y[i] = (y[i] + x[i]) * 3, then z[i] = y[i], which is loaded again; and for
+// each thread, the sum of x and the last index.
 constexpr char kernelText[] = R"(
 declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
@@ -91,7 +91,7 @@ using Kernel = void (*)(int32_t *x, int32_t *y, int32_t *z, int32_t *ends,
 
 class UnrollGridLoops : public testing::Test {
 protected:
-  /// The kernel for the CPU. `carried` is the term of the sum.
+  /// Compiles the kernel for the CPU. `carried` is the term of the sum.
   Kernel compile(const std::string &carried, bool unrolls, size_t &blockCount) {
     LLVMContext context;
     std::string text = kernelText;
@@ -148,8 +148,8 @@ protected:
 };
 
 TEST_F(UnrollGridLoops, DoTheSame) {
-  // A sum of values that are read early, and one of values that were written
-  // before, which keeps the iterations in order.
+  // A sum of values that are loaded early, and a sum of values loaded after a
+  // store, which keeps the iterations in order.
   for (const char *carried : {"%vx", "%again"}) {
     size_t plainBlocks, unrolledBlocks;
     Kernel plain = compile(carried, false, plainBlocks);
@@ -158,7 +158,7 @@ TEST_F(UnrollGridLoops, DoTheSame) {
     for (int32_t n : {-3, 0, 1, 7, 8, 9, 24, 25, 31, 32, 33, 40, 63, 64, 100})
       EXPECT_EQ(run(plain, n), run(unrolled, n)) << carried << ", n = " << n;
   }
-  // And the expected values: thread 1 has 1, 9, 17, …, 97.
+  // Check expected values: thread 1 has the indices 1, 9, 17, ..., 97.
   size_t count;
   std::vector<int32_t> result = run(compile("%vx", true, count), 100);
   EXPECT_EQ(result[9], 3 * ((5 - 81) + (1 + 63)));

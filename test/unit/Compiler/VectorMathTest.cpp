@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Loops call forms for vectors where the processor and its libraries have them.
-// Compared with libm in a wider float.
+// Loops call vector forms of functions where the processor and its libraries
+// have them. Results are compared with libm in a wider float.
 //
 //===----------------------------------------------------------------------===//
 
@@ -41,7 +41,7 @@ const Function functions[] = {
     {"atanh", atanhl, -1, 1},   {"cbrt", cbrtl, -30, 30},
     {"erf", erfl, -3, 3}};
 
-/// The function's results, in a loop over `x`.
+/// The results of the function for each element of `x`, computed in a loop.
 template <typename T>
 std::vector<T> map(const std::string &name, const std::vector<T> &x,
                    const char *option = nullptr, const char *value = nullptr,
@@ -79,8 +79,8 @@ std::vector<T> map(const std::string &name, const std::vector<T> &x,
   return z;
 }
 
-/// In units in the last place of the exact number as a T; 0 where both are the
-/// same infinity, zero or NaN.
+/// The distance from the exact number rounded to T, in units in the last place;
+/// 0 if both are the same infinity, zero or NaN.
 template <typename T> double distance(T found, long double exact) {
   T nearest = static_cast<T>(exact);
   if (std::isnan(nearest) || std::isinf(nearest) || nearest == 0) {
@@ -103,10 +103,10 @@ template <typename T> std::vector<T> makeArguments(double least, double most) {
   for (int i = 0; i < 4000; ++i) {
     T value = std::uniform_real_distribution<T>(least, most)(random);
     x.push_back(value);
-    // Of all sizes.
+    // Add numbers of all magnitudes.
     x.push_back(std::ldexp(value, -int(random() % 100)));
   }
-  // Special numbers stand among ordinary ones, in the same vector.
+  // Special numbers are placed among ordinary numbers, in the same vector.
   using Limits = std::numeric_limits<T>;
   T special[] = {0, -T(0), 1, -1, Limits::infinity(), -Limits::infinity(),
                  Limits::quiet_NaN(), Limits::denorm_min(),
@@ -137,8 +137,8 @@ void expectAccurate(const char *option, const char *mode) {
         worst = off;
         where = x[i];
       }
-    // Functions of libm are up to three units off, and these have no other
-    // form.
+    // Functions of libm are off by up to three units; these functions have no
+    // other form.
     std::string name = function.name;
     bool isHyperbolic = name == "sinh" || name == "cosh";
     bool isOfLibm = !hasVectorForms() || (isHyperbolic && sizeof(T) == 8) ||
@@ -172,7 +172,7 @@ template <typename T>
 void expectAccuratePairs(const char *name,
                          long double (*exact)(long double, long double)) {
   std::vector<T> x = makeArguments<T>(-4, 40), y = makeArguments<T>(-9, 9);
-  // Each special number meets others.
+  // Pair each special number with others.
   std::rotate(y.begin(), y.begin() + 22, y.end());
   std::vector<T> z = map<T>(name, x, nullptr, nullptr, &y);
   for (size_t i = 0; i < x.size(); ++i)
@@ -188,8 +188,8 @@ TEST(VectorMath, FunctionsOfTwoNumbersAreWithinOneUnit) {
     expectAccuratePairs<float>("atan2", atan2l);
 }
 
-/// The result for an element depends neither on its place in a loop, nor on the
-/// length of the loop, nor on the processor's vectors.
+/// The result for an element must not depend on its place in a loop, on the
+/// length of the loop, or on the processor's vectors.
 template <typename T> void expectSameBits(const char *deterministic) {
   std::vector<T> x = makeArguments<T>(-1, 1);
   x.resize(1031);

@@ -20,8 +20,8 @@ using namespace llvm;
 using namespace mlir::tai;
 
 namespace {
-/// The contents of a function after the pass: numbers of phis of f32 and of
-/// f64, of additions of f32 and of f64, and of roundings to f32.
+/// Counts in a function after the pass: phis of f32 and of f64, additions of
+/// f32 and of f64, and roundings to f32.
 struct Counts {
   int phis32 = 0, phis64 = 0, sums32 = 0, sums64 = 0, roundings = 0;
   std::string text;
@@ -57,7 +57,8 @@ Counts widen(const std::string &function) {
   return counts;
 }
 
-/// Two vectors of sums, and their use behind the loop.
+/// A loop with two vectors of partial sums, and code that adds them up after
+/// it.
 std::string lanes(const std::string &flags, const std::string &in = "",
                   const std::string &behind = "") {
   return "define double @f(ptr %x, i64 %n, double %before) \"tai.free_sums\" "
@@ -89,7 +90,7 @@ std::string lanes(const std::string &flags, const std::string &in = "",
          "  ret double %s\n}\n";
 }
 
-/// A sum of single numbers.
+/// A loop with a scalar sum.
 std::string scalar(const std::string &sum, const std::string &in = "") {
   return "define float @f(ptr %x, i64 %n) \"tai.free_sums\" {\n"
          "entry:\n  br label %loop\n"
@@ -110,9 +111,9 @@ TEST(WidenSumsTest, LanesAreOneVectorOfF64) {
   Counts counts = widen(lanes("reassoc"));
   EXPECT_EQ(counts.phis32, 0) << counts.text;
   EXPECT_EQ(counts.phis64, 1) << counts.text;
-  // The two terms of an iteration.
+  // The two terms of an iteration are added in f32.
   EXPECT_EQ(counts.sums32, 1) << counts.text;
-  // The sum was widened at once, so that it is not rounded.
+  // The sum is used in f64, so that it is not rounded.
   EXPECT_EQ(counts.roundings, 0) << counts.text;
 }
 
@@ -170,7 +171,7 @@ std::string sums(int count) {
          "exit:\n  ret float %b0\n}\n";
 }
 
-/// More sums of f64 would have no registers.
+/// For more sums in f64 there would be no registers.
 TEST(WidenSumsTest, ManySumsAtOnceStay) {
   EXPECT_EQ(widen(sums(8)).phis64, 1);
   EXPECT_EQ(widen(sums(9)).phis64, 0);
@@ -180,7 +181,7 @@ TEST(WidenSumsTest, DifferencesToo) {
   Counts counts = widen(scalar("fsub reassoc float %a, %u"));
   EXPECT_EQ(counts.phis64, 1) << counts.text;
   EXPECT_NE(counts.text.find("fneg"), std::string::npos) << counts.text;
-  // Here the sign of the sum changes, too.
+  // This also changes the sign of the sum.
   EXPECT_EQ(widen(scalar("fsub reassoc float %u, %a")).phis64, 0);
 }
 
