@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A queue whose programs are compiled by jobs that the tests end by hand. The
-// sequence must run as a graph until then, with the same results throughout.
+// A queue whose programs are compiled by jobs that the tests end by hand. Until
+// a job ends, the sequence must run as a graph, with the same results
+// throughout.
 //
 //===----------------------------------------------------------------------===//
 
@@ -60,7 +61,8 @@ protected:
         [this](const ProgramPlan &plan) -> std::unique_ptr<ProgramJob> {
           auto outcome = std::make_shared<Outcome>();
           outcome->scope = plan.scope;
-          // The fake driver cannot run a kernel made of others.
+          // The fake driver cannot run a kernel that is composed of other
+          // kernels.
           outcome->succeeds = plan.scope == TAI_SCOPE_LAUNCHES;
           jobs.push_back(outcome);
           DeviceImage made = image();
@@ -86,8 +88,8 @@ protected:
     apply(add, -0.125);
     EXPECT_OK(queue->endCollecting());
   }
-  /// Replays until `isReached`, and checks the result. The bound is far above
-  /// the replays that fit into the time after which a compilation begins.
+  /// Replays until `isReached`, and checks the result. The bound on replays is
+  /// far above the number that run before a compilation begins.
   template <typename Condition> void replayUntil(const Condition &isReached) {
     constexpr int most = 20'000'000;
     int i = 0;
@@ -121,7 +123,8 @@ TEST_F(BackgroundPrograms, TheGraphRunsUntilThePrograms) {
   replayUntil([&] { return !jobs.empty(); });
   EXPECT_NE(jobs.front()->scope, TAI_SCOPE_LAUNCHES);
   EXPECT_TRUE(explains("is being compiled")) << queue->explain();
-  // One at a time, and each replay is one submission of the graph.
+  // Programs are compiled one at a time, and each replay submits the graph
+  // once.
   int before = submissions();
   for (int i = 0; i < 100; ++i)
     replay();
@@ -140,7 +143,7 @@ TEST_F(BackgroundPrograms, WhatCannotBeCompiledIsRefusedAndTheNextOneTried) {
     return reached && explains("(chosen)");
   });
   EXPECT_TRUE(explains("refused: the test says so")) << queue->explain();
-  // The overlapping graph was made, and both graphs were measured.
+  // The overlapping graph was created, and both graphs were measured.
   std::string text = queue->explain();
   size_t at = text.find("a graph of launches that overlap");
   ASSERT_NE(at, std::string::npos) << text;
@@ -157,7 +160,7 @@ TEST_F(BackgroundPrograms, AChoiceOfAnEarlierProcessIsTakenWithoutTrials) {
   });
   ASSERT_EQ(kept.size(), 1u);
   kept.begin()->second = "a graph of launches that overlap";
-  // Another process: the same kernels under other addresses.
+  // Another process has the same kernels at other addresses.
   open();
   replay();
   replay();

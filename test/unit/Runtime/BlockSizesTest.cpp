@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Above a driver that needs no GPU: its function "where" stores the number of
-// blocks and threads that it has been launched with.
+// The driver of these tests needs no GPU: its function "where" stores the
+// number of blocks and threads that it was launched with.
 //
 //===----------------------------------------------------------------------===//
 
@@ -51,13 +51,13 @@ public:
         std::make_shared<const DeviceImage>(std::move(image)));
   }
 
-  /// Blocks and threads of a launch over n iterations.
+  /// The numbers of blocks and threads of a launch over n iterations.
   Shape launch(int64_t n, uint64_t function = 0) {
     uint64_t args[] = {uint64_t(n), function};
     EXPECT_OK(runtime.launch(*kernel, args, 2, nullptr));
     return {get(*x, {0}), get(*x, {1})};
   }
-  /// Threads of some launches, one after the other.
+  /// The numbers of threads of consecutive launches.
   std::vector<double> threads(int64_t n, int count) {
     std::vector<double> all;
     for (int i = 0; i < count; ++i)
@@ -82,7 +82,7 @@ protected:
     unsetenv("TAI_CUDA_DRIVER");
     unsetenv("TAI_FAKE_CUDA");
   }
-  /// Keeps the choices in memory, where a session has a folder.
+  /// Keeps the choices in memory; a session keeps them in a folder.
   KeptChoices keep() {
     return {[this](const std::string &key) -> std::optional<std::string> {
               auto found = kept.find(key);
@@ -97,18 +97,18 @@ protected:
 };
 
 constexpr int64_t kLarge = int64_t(1) << 21;
-/// Launches by which all sizes have been tried and one has been chosen.
+/// After this many launches, all sizes have been tried and one has been chosen.
 constexpr int kEnough = 40;
 } // namespace
 
 //===----------------------------------------------------------------------===//
-// Loops that say their size
+// Loops that specify their block size
 //===----------------------------------------------------------------------===//
 
 TEST_F(BlockSizes, AreThoseThatLoopsSay) {
   Program program({32, 0, 8, 96, 512, 1024});
   auto check = [&](uint64_t function, int threads) {
-    // 2048 threads run at a time on each of 10 multiprocessors.
+    // On each of 10 multiprocessors, 2048 threads run at a time.
     double most = 10 * (2048 / threads);
     EXPECT_EQ(program.launch(1, function), Shape(1, threads));
     EXPECT_EQ(program.launch(20, function),
@@ -125,7 +125,7 @@ TEST_F(BlockSizes, AreThoseThatLoopsSay) {
   check(4, 512);
   // This device has registers for 512 threads of such a function.
   check(5, 512);
-  // The loop that says nothing is as it was.
+  // A loop that specifies no size is not affected.
   EXPECT_EQ(program.launch(640, 1), Shape(10, 64));
 }
 
@@ -168,11 +168,11 @@ TEST_F(BlockSizes, StayForTheNextProcess) {
   }
   Program next({}, "key");
   next.runtime.keepBlockSizes(keep());
-  // All sizes up to the power of two are one.
+  // Launches up to the next power of two of iterations share a choice.
   EXPECT_EQ(next.threads(kLarge, kEnough), std::vector<double>(kEnough, 512));
   EXPECT_EQ(next.launch(kLarge / 2 + 1000).second, 512);
   EXPECT_EQ(kept.size(), 1u);
-  // Launches of another size have trials of their own.
+  // Launches with other numbers of iterations have trials of their own.
   EXPECT_EQ(next.threads(2 * kLarge, 3), (std::vector<double>{256, 256, 64}));
   EXPECT_EQ(next.threads(2 * kLarge, kEnough).back(), 512);
   EXPECT_EQ(kept.size(), 2u);
@@ -180,14 +180,14 @@ TEST_F(BlockSizes, StayForTheNextProcess) {
   Program other({}, "other");
   other.runtime.keepBlockSizes(keep());
   EXPECT_EQ(other.threads(kLarge, 3), (std::vector<double>{256, 256, 64}));
-  // And those that may not have all of the sizes.
+  // So have kernels for which not all of the sizes are allowed.
   Program narrow({}, "key");
   narrow.runtime.keepBlockSizes(keep());
   narrow.runtime.setMostBlockThreads(128);
   EXPECT_EQ(narrow.threads(kLarge, 3), (std::vector<double>{128, 128, 64}));
 }
 
-// The result that the usual size is best is kept, too.
+// The choice is kept even if the usual size is best.
 TEST_F(BlockSizes, StayWhereNothingIsGained) {
   setenv("TAI_FAKE_CUDA", "", 1);
   for (bool first : {true, false}) {
@@ -227,13 +227,13 @@ TEST_F(BlockSizes, AreNotKeptWithoutTrials) {
   EXPECT_EQ(run([](Runtime &r) { r.setTriesBlocks(false); }), 256);
   EXPECT_EQ(run([](Runtime &r) { r.setBlockThreads(128); }), 128);
   EXPECT_EQ(run(nothing, "key", {64}), 64);
-  // Without a cache the compiler knows no key, and the trials are this
-  // process's.
+  // Without a cache, the compiler computes no key, and only this process uses
+  // the choices.
   EXPECT_EQ(run(nothing, ""), 512);
   EXPECT_EQ(run([](Runtime &r) { r.keepBlockSizes({}); }), 512);
 }
 
-// A folder of the cache, and the possible faults of an entry there.
+// The choices in a folder of the cache, with possible defects of an entry.
 TEST_F(BlockSizes, LieInTheCache) {
   std::string folder = ::testing::TempDir() + "tai-block-sizes-XXXXXX";
   ASSERT_NE(mkdtemp(folder.data()), nullptr);
@@ -260,7 +260,7 @@ TEST_F(BlockSizes, LieInTheCache) {
   EXPECT_EQ(run()[2], 64);
   EXPECT_EQ(warnings.size(), 1u);
   EXPECT_EQ(run(), std::vector<double>(kEnough, 512));
-  // A change of one byte is seen.
+  // A change of one byte is detected.
   std::fstream file(entry, std::ios::binary | std::ios::in | std::ios::out);
   file.seekp(-1, std::ios::end);
   file.put('3');

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// On a device whose time is a number that launches add to.
+// Uses a device whose time is a counter that launches advance.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,7 +19,7 @@ struct Instant : DeviceEvent {
   int64_t ns = 0;
 };
 
-/// Has a time and nothing else.
+/// A device that has a clock and nothing else.
 class Clock : public Device {
 public:
   int64_t now = 0;
@@ -90,7 +90,7 @@ private:
   }
 };
 
-/// Launches that take so many nanoseconds an iteration with each size.
+/// Runs launches that take `costOf(threads)` nanoseconds for each iteration.
 struct Launches {
   Clock clock;
   BlockTrial trial{{{256, 8}, {128, 16}, {512, 4}}};
@@ -114,7 +114,7 @@ struct Launches {
 TEST(BlockTrial, KeepsTheQuickest) {
   Launches launches;
   launches.run(40, [](unsigned threads) { return threads == 512 ? 7 : 10; });
-  // Each is tried three times.
+  // Each size is tried three times.
   EXPECT_EQ(
       std::vector<unsigned>(launches.sizes.begin(), launches.sizes.begin() + 7),
       (std::vector<unsigned>{256, 256, 128, 512, 256, 128, 512}));
@@ -125,7 +125,8 @@ TEST(BlockTrial, KeepsTheQuickest) {
 
 TEST(BlockTrial, ComparesIterations) {
   Launches launches;
-  // A launch with one size has ten times as many as with the others.
+  // Launches with one size have ten times as many iterations as those with
+  // others.
   int number = 0;
   for (int i = 0; i < 40; ++i, ++number)
     launches.run(

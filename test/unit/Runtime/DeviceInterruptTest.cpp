@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Above a driver without a GPU, whose function "until" runs until it is told to
-// end. The code that the compiler makes of loops is tested from Python.
+// Uses a driver without a GPU, whose function "until" runs until it is told to
+// end. Compiled loops are tested from Python.
 //
 //===----------------------------------------------------------------------===//
 
@@ -40,14 +40,14 @@ protected:
     FakeCudaTest::TearDown();
   }
 
-  /// Starts a loop that goes on until there is a number at the address.
+  /// Starts a loop that runs until the number at the address is not zero.
   void start(DevicePtr word) {
     LaunchShape shape;
     shape.threads = 1;
     uint64_t slots[] = {word};
     ASSERT_OK(queue->launch(*until, shape, slots, 1));
   }
-  /// Waits as a thread that gets Ctrl-C.
+  /// Waits for the device, and interrupts the wait as Ctrl-C does.
   Status interruptedWait() {
     safepoint::setHandler([] { return 0; });
     std::atomic<bool> isOver{false};
@@ -63,7 +63,7 @@ protected:
     safepoint::setHandler(nullptr);
     return status;
   }
-  // Memory of this device is the host's.
+  // The memory of this device is host memory.
   static uint32_t &at(DevicePtr word, int which = 0) {
     return reinterpret_cast<uint32_t *>(word)[which];
   }
@@ -74,7 +74,7 @@ protected:
 } // namespace
 
 TEST_F(DeviceInterrupts, EndLoopsThatAsk) {
-  // Twice: the device is as before.
+  // Twice, since the first interrupt must leave no trace on the device.
   for (int round = 0; round < 2; ++round) {
     at(told, 1) = 0;
     ASSERT_NO_FATAL_FAILURE(start(told));
@@ -96,7 +96,8 @@ TEST_F(DeviceInterrupts, LeaveOtherLoopsToThemselves) {
 }
 
 TEST_F(DeviceInterrupts, AreToldToLoopsThatLookLate) {
-  // As where other processes use the GPU: nothing of ours runs meanwhile.
+  // As if other processes used the GPU: meanwhile, no work of this process
+  // runs.
   ASSERT_NO_FATAL_FAILURE(start(other));
   EXPECT_EQ(interruptedWait().code(), StatusCode::Interrupted);
   EXPECT_EQ(at(told), safepoint::threadNumber());

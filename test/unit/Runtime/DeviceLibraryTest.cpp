@@ -29,7 +29,7 @@ using namespace mlir::tai;
 using namespace mlir::tai::runtime;
 
 namespace {
-// The number of this thread of the emulated device.
+// The block number of this thread on the emulated device.
 thread_local int32_t blockId = 0;
 int32_t gridDim = 1;
 int32_t getZero() { return 0; }
@@ -37,7 +37,7 @@ int32_t getOne() { return 1; }
 int32_t getBlock() { return blockId; }
 int32_t getGrid() { return gridDim; }
 
-/// Programs bring their own.
+/// Programs have dispatch functions of their own.
 static void dispatch(uint64_t, const uint64_t *) {}
 
 class DeviceLibrary : public testing::Test {
@@ -73,7 +73,7 @@ protected:
     code = nullptr;
   }
 
-  /// The library's function of this name, with the type of its declaration.
+  /// The library's function `name`, with the type of its declaration.
   template <typename Fn> Fn *find(Fn &, const char *name) {
     auto linked = linker->link(*code, {std::string(name)});
     if (!linked) {
@@ -84,7 +84,7 @@ protected:
   }
 #define TAI_FIND(name) find(name, #name)
 
-  /// A state with so many bytes of output behind it.
+  /// A device state with space for `outputBytes` bytes of output.
   TaiFrame *makeState(uint64_t outputBytes, uint64_t stackLimit = 1 << 20) {
     memory.assign((sizeof(TaiDeviceState) + outputBytes) / 8, 0xabababababu);
     state = reinterpret_cast<TaiDeviceState *>(memory.data());
@@ -167,7 +167,7 @@ TEST_F(DeviceLibrary, OneOfManyThreadsFails) {
 
 TEST_F(DeviceLibrary, LinesComeInOrderUntilThereIsNoRoom) {
   auto *print = TAI_FIND(tai_rt_print);
-  // A record of one value and a text of four is 56 bytes.
+  // A record of one value and a text of four bytes takes 56 bytes.
   TaiFrame *frame = makeState(3 * 56 + 16);
   int32_t kind = TAI_VALUE_I64;
   for (uint64_t i = 0; i < 10; ++i)
@@ -201,7 +201,8 @@ TEST_F(DeviceLibrary, LinesOfManyThreadsAreWhole) {
   for (uint64_t i = 0; i < 4; ++i)
     threads.emplace_back([&, i] {
       int32_t kind = TAI_VALUE_U64;
-      // Records of different sizes, so that the last ones leave a gap.
+      // Records of different sizes, so that the last ones leave a gap at the
+      // end.
       std::string text(5 + 20 * i, 'x');
       for (int repeat = 0; repeat < 50; ++repeat)
         print(frame, text.c_str(), 1, &kind, nullptr, &i);
@@ -224,7 +225,8 @@ TEST_F(DeviceLibrary, WhatFindsNoRoomIsCounted) {
   TaiFrame *frame = makeState(1 << 14);
   std::string text(5000, 'y');
   print(frame, text.c_str(), 0, nullptr, nullptr, nullptr);
-  // 1000 values of one component: the text "{}" and those that fit.
+  // 1000 values of one component: the text "{}" and the values that fit are
+  // kept.
   std::vector<int32_t> kinds(1000, TAI_VALUE_U64);
   std::vector<uint64_t> slots(1000, 1);
   print(frame, "{}", 1000, kinds.data(), nullptr, slots.data());
@@ -235,7 +237,7 @@ TEST_F(DeviceLibrary, WhatFindsNoRoomIsCounted) {
   EXPECT_GT(kept, 1000u);
   EXPECT_EQ(report.lines[0].substr(kept),
             " ... (" + std::to_string(5000 - kept) + " more characters)");
-  // Each of the values that were kept takes a digit and a space.
+  // Each value that was kept takes a digit and a space.
   size_t end = report.lines[1].find(" ...");
   EXPECT_EQ(report.lines[1].substr(end),
             " ... (" + std::to_string(1000 - (end + 1) / 2) + " more values)");
@@ -295,7 +297,7 @@ TEST_F(DeviceLibrary, StacksGrowUpToTheLimit) {
   for (uint64_t i = 0; i < 8 * TAI_STACK_SLOTS; ++i)
     EXPECT_EQ(reinterpret_cast<uint64_t *>(stack.slots)[i], i);
   EXPECT_TRUE(read().failure.ok());
-  // 832 bytes, which 1024 do not allow to double.
+  // The stack has 832 bytes, which a limit of 1024 does not allow to double.
   push(0);
   EXPECT_EQ(stack.size, 1);
   release(&stack);
@@ -312,7 +314,7 @@ TEST_F(DeviceLibrary, SaysWhereTheHeapIsUsedUp) {
   setDeviceHeapBytes(4096);
   void *one = allocate(frame, 3000, "{} are too much", "a.py:3:4");
   ASSERT_NE(one, nullptr);
-  // An allocation of no bytes succeeds and takes no memory.
+  // An allocation of zero bytes succeeds and takes no memory.
   void *none = allocate(frame, 0, "{} are too much", "");
   EXPECT_NE(none, nullptr);
   EXPECT_TRUE(read().failure.ok());
@@ -326,7 +328,7 @@ TEST_F(DeviceLibrary, SaysWhereTheHeapIsUsedUp) {
   one = allocate(frame, 4096, "", "");
   EXPECT_NE(one, nullptr);
   release(one);
-  // A stack that may be larger finds no room either.
+  // A stack below its limit fails to grow as well if the heap is full.
   auto *grow = TAI_FIND(tai_rt_stack_grow_at);
   frame = makeState(0);
   setDeviceHeapBytes(8);
@@ -347,7 +349,7 @@ TEST_F(DeviceLibrary, SaysWhereTheHeapIsUsedUp) {
 // Reductions and barriers
 //===----------------------------------------------------------------------===//
 
-/// The result of a reduction on a target and a value.
+/// The target after a reduction of a value into it.
 template <typename T> T combined(void (*reduce)(T *, T), T target, T value) {
   reduce(&target, value);
   return target;
@@ -380,7 +382,7 @@ TEST_F(DeviceLibrary, Reductions) {
   EXPECT_EQ(combined<int64_t>(TAI_FIND(tai_dev_reduce_xor_i64), 6, 3), 5);
 }
 
-/// NaN wins on either side, and -0 is less than 0, as by arith.minimumf.
+/// As in arith.minimumf, NaN wins on either side, and -0 is less than 0.
 template <typename T>
 void checkExtremes(void (*min)(T *, T), void (*max)(T *, T)) {
   T nan = std::numeric_limits<T>::quiet_NaN();
@@ -448,14 +450,14 @@ TEST_F(DeviceLibrary, GridBarrier) {
   for (std::thread &thread : threads)
     thread.join();
   EXPECT_EQ(wrong, 0);
-  // Alone, nobody is waited for.
+  // A single block waits for no other block.
   word = 0;
   barrier(&word, 1);
   barrier(&word, 1);
 }
 
-/// A tree of 4 cells, each a list of up to 100 numbers; or, with bits in both
-/// levels, 4 cells of 100.
+/// A tree of 4 cells, each with a list of up to 100 numbers, or with 100 cells
+/// whose activity is in bits, like that of the outer cells.
 struct SparseTree {
   explicit SparseTree(bool isList) {
     nodes[0] = {0,
@@ -533,11 +535,11 @@ TEST_F(DeviceLibrary, ActivatesCells) {
     EXPECT_EQ(activity.changes, TAI_DEVICE_ACTIVITY_CHANGED);
     EXPECT_EQ(activity.isNew, 1u);
   }
-  // Words 2, 3 and 4 hold the cells from 130 on.
+  // Words 2, 3 and 4 contain the bits of the cells from 130 on.
   EXPECT_EQ(tree.marks[0], 1u);
   EXPECT_EQ(tree.marks[1], 0x1cu);
 
-  // Cell 1 with all that is in it; its neighbour stays.
+  // Deactivates cell 1 with all of its contents, but not the next cell.
   std::fill(tree.numbers() + 130, tree.numbers() + 270, 7);
   deactivate(frame, tree.base(), 0, 1, "");
   EXPECT_EQ(tree.bits()[0], 4u);
@@ -551,7 +553,7 @@ TEST_F(DeviceLibrary, ActivatesCells) {
   EXPECT_EQ(tree.gone[0], 2u);
   EXPECT_TRUE(tree.activity[1].changes & TAI_DEVICE_CELLS_REMOVED);
 
-  // An unchanged cell prints nothing.
+  // Operations that change no activity leave no marks.
   tree.activity[0] = tree.activity[1] = {0, 0, 1};
   EXPECT_EQ(activate(frame, tree.base(), 1, 200, ""), 1);
   deactivate(frame, tree.base(), 0, 1, "");
@@ -584,7 +586,7 @@ TEST_F(DeviceLibrary, AppendsToLists) {
     });
   for (std::thread &thread : threads)
     thread.join();
-  // Each place once, and no more than there are.
+  // Each place was appended once, up to the capacity of the list.
   EXPECT_EQ(refused, 4);
   EXPECT_EQ(std::vector<int64_t>(tree.numbers(), tree.numbers() + 400), [] {
     std::vector<int64_t> expected(400);
@@ -603,7 +605,7 @@ TEST_F(DeviceLibrary, AppendsToLists) {
   EXPECT_EQ(reinterpret_cast<int32_t *>(&tree.gone[1])[2], 100);
 }
 
-/// One level of many cells: bits, or lists of at most 50.
+/// One level of many cells: bits, or lists of at most 50 elements.
 struct ManyCells {
   static constexpr int64_t listCapacity = 50;
   ManyCells(bool isList, int64_t units)
@@ -614,7 +616,7 @@ struct ManyCells {
         gone(static_cast<size_t>(units)),
         list(static_cast<size_t>(4 + units * perUnit())),
         sums(static_cast<size_t>(units / TAI_DEVICE_LIST_TILE + 1)) {
-    // The cells lie elsewhere, so that there is room for bits alone here.
+    // The cells are at another address, so that there is only memory for bits.
     node = {isList,
             -1,
             0,
@@ -672,7 +674,8 @@ TEST_F(DeviceLibrary, ListsActiveCells) {
   static_assert(sizeof(TaiDeviceListHeader) == 4 * sizeof(int64_t));
   for (bool isList : {false, true})
     for (bool inParts : {false, true}) {
-      // Not a whole number of tiles, with empty ones among them.
+      // A number of cells that is no multiple of a tile, with empty tiles among
+      // them.
       ManyCells cells(isList, 5 * TAI_DEVICE_LIST_TILE + 77);
       auto inBlocks = [&](int32_t blocks, auto body) {
         gridDim = blocks;
@@ -718,7 +721,7 @@ TEST_F(DeviceLibrary, ListsActiveCells) {
       expect();
       ASSERT_GT(expected.size(), 10000u);
 
-      // A list that shows the active cells is not made again.
+      // A list that is up to date is not rebuilt.
       uint64_t version = cells.activity.version;
       cells.list[4] = -7;
       update();

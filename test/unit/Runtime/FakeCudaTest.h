@@ -34,7 +34,7 @@ protected:
           "TAI_COLLECT_RECORDINGS", "TAI_FILLS_TOGETHER_BYTES"})
       unsetenv(name);
   }
-  /// `words`: options of the fake driver (TAI_FAKE_CUDA).
+  /// Opens a queue. `words` are options of the fake driver (TAI_FAKE_CUDA).
   void openQueue(const char *words) {
     close();
     setenv("TAI_CUDA_DRIVER", TAI_FAKE_CUDA_LIBRARY, 1);
@@ -62,8 +62,8 @@ protected:
   void *library = nullptr;
 };
 
-/// Two functions that do not commute, and the expected result of running them
-/// one by one.
+/// Two device functions that do not commute, and the expected result of running
+/// them one after another.
 class FakeCudaSteps : public FakeCudaTest {
 protected:
   void openSteps(const char *words) {

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The table of fills, whose code is that of the GPU, and the queue's treatment
-// of fills in sequences, above a CUDA driver that needs no GPU. Memory must be
-// the same as after the same work one by one.
+// Tests the table of fills, whose code is the GPU's, and how the queue handles
+// fills in sequences, with a CUDA driver that needs no GPU. Memory must be the
+// same as if each operation had run alone.
 //
 //===----------------------------------------------------------------------===//
 
@@ -49,7 +49,7 @@ void run(const TaiFillTable &table, unsigned blocks) {
       taiFillAll(&table, block, blocks, thread);
 }
 
-/// Rows with addresses from the start of some memory.
+/// Checks fills whose addresses are offsets into a block of memory.
 void expectRight(const std::vector<DeviceFill> &fills, unsigned blocks) {
   constexpr size_t bytes = 1 << 16;
   alignas(16) static char found[bytes];
@@ -131,7 +131,7 @@ TEST(FillTable, CountsMoreThanFourGigabytes) {
   EXPECT_EQ(taiFillPlace(&spread, spread.units - 1, &at),
             static_cast<uint64_t>(rows - 1) * 16);
   EXPECT_EQ(at, 0u);
-  // Groups of rows, as many bytes as an entry takes.
+  // Groups of rows, with as many bytes as an entry can describe.
   add(table, {4096, 8, 3, 1000, 1 << 20, 1342177}, pattern);
   const TaiFillEntry &groups = table.entries[2];
   EXPECT_EQ(groups.units, uint64_t(1342177) * 3000);
@@ -178,7 +178,7 @@ TEST(FillRun, LaterOnesCount) {
     char expected[bytes] = {}, found[bytes] = {};
     FillRun run;
     auto finish = [&] {
-      // In any order.
+      // The fills of a run may be done in any order.
       for (size_t i = run.get().size(); i-- > 0;)
         fillBytes(found, run.get()[i]);
       kept += run.get().size();
@@ -205,7 +205,7 @@ TEST(FillRun, LaterOnesCount) {
     finish();
     ASSERT_EQ(std::memcmp(found, expected, bytes), 0) << "trial " << trial;
   }
-  // Both happen.
+  // Both cases occur.
   EXPECT_GT(refused, 100u);
   EXPECT_GT(kept, 4000u);
 }
@@ -223,7 +223,7 @@ protected:
         image.functions.push_back(part.function);
       return Status::success();
     });
-    // Each changes n numbers, and touches nothing else.
+    // Each launch changes n numbers, and accesses no other memory.
     FunctionAccesses accesses;
     accesses.isGridStride = true;
     accesses.extents = {n};
@@ -254,7 +254,7 @@ protected:
   void fill(int64_t first, int64_t count, double value) {
     fill({static_cast<uint64_t>(first * 8), 0, count * 8, 1}, value);
   }
-  /// Adds one to n numbers from the first on.
+  /// Launches a kernel that adds one to n numbers from `first` on.
   void launch(int64_t first) {
     double one = 1;
     uint64_t slots[] = {memory + static_cast<uint64_t>(first * 8), n, 0};
@@ -275,7 +275,7 @@ protected:
     std::memcpy(&expected[size_t(to * 8)], &expected[size_t(from * 8)],
                 size_t(count * 8));
   }
-  /// Repeats the work until the queue has chosen its final form.
+  /// Repeats the work until the queue has chosen the form in which it runs.
   template <typename Work> void replay(const Work &work, int times = 8) {
     for (int i = 0; i < times; ++i) {
       queue->beginCollecting();
@@ -310,7 +310,7 @@ TEST_F(QueuedFills, InFrontOfASequenceAreOneKernel) {
       launch(64);
     });
     EXPECT_EQ(counter("nodes"), 5);
-    // The first launch, too, is made ready while memory is filled.
+    // The first launch, too, is prepared while memory is filled.
     EXPECT_EQ(counter("overlapping"), overlaps ? 4 : 0);
     check();
   }
@@ -331,7 +331,7 @@ TEST_F(QueuedFills, BetweenLaunchesMoveToTheFront) {
     EXPECT_EQ(counter("nodes"), 5);
     EXPECT_EQ(counter("overlapping"), overlaps ? 4 : 0);
     check();
-    // No fill stands in front of these launches.
+    // No fill precedes the first launches.
     replay([&] {
       launch(0);
       launch(8);
@@ -358,14 +358,15 @@ TEST_F(QueuedFills, StayBehindWhatTouchesTheirMemory) {
       copy(200, 30, 4);
       fill(32, 2, 5);
       launch(8);
-      // Not before the copy, but together with the fill behind that.
+      // This fill cannot move before the copy, but joins the fill after the
+      // copy.
       fill(202, 3, 7);
     };
     replay(work);
     EXPECT_EQ(counter("nodes"), 8);
     EXPECT_EQ(counter("overlapping"), overlaps ? 7 : 0);
     check();
-    // Other memory, which is free to be filled earlier: the graph changes.
+    // Memory that can be filled earlier: the graph changes.
     at = 50;
     replay(work);
     EXPECT_EQ(counter("nodes"), 7);
@@ -401,13 +402,13 @@ TEST_F(QueuedFills, HaveOtherParametersInEachReplay) {
 TEST_F(QueuedFills, ThatLieSideBySideAreOneWhateverComesBetween) {
   open(ProgramMode::Graph);
   replay([&] {
-    // Both halves of cells, with others in between, in two orders.
+    // Fills both halves of cells, with other fills in between, in two orders.
     fill({0, 32, 16, 20}, 0);
     fill(300, 1, 1);
     fill({16, 32, 8, 20}, 0);
     fill(310, 1, 2);
     fill({24, 32, 8, 20}, 0);
-    // And again memory that is filled already.
+    // Fills memory again that is filled already.
     fill(300, 1, 1);
     fill(303, 2, 0);
     launch(0);
@@ -424,8 +425,8 @@ TEST_F(QueuedFills, ThatLieSideBySideAreOneWhateverComesBetween) {
   check();
 }
 
-/// They may be pieces of memory that lie side by side by chance, which the
-/// driver does not fill in one go.
+/// The fills may be of different allocations that are adjacent by chance, which
+/// the driver does not fill at once.
 TEST_F(QueuedFills, ThatWereJoinedAreNotLeftToTheDriver) {
   open(ProgramMode::Automatic);
   fill(0, 4, 0);
@@ -451,7 +452,7 @@ TEST_F(QueuedFills, OfMuchMemoryAreByThemselves) {
     launch(16);
   };
   replay(work);
-  // A fill by the driver, rows, and the others.
+  // One fill by the driver, one of rows, and one of the remaining fills.
   EXPECT_EQ(counter("nodes"), 5);
   check();
 }
@@ -476,7 +477,7 @@ TEST_F(QueuedFills, RunBesideLaunchesThatDoNotTouchTheirMemory) {
     auto work = [&] {
       fill(0, 100, 1);
       fill(1000, large, 2.5);
-      // Another value at an end of the memory that was just filled.
+      // Another value at the start of the memory that was just filled.
       fill(1004, 2, 3);
       for (int64_t i = 0; i < 40; ++i)
         launch(i == 30 ? touched : i % 10 * 8);
@@ -484,15 +485,16 @@ TEST_F(QueuedFills, RunBesideLaunchesThatDoNotTouchTheirMemory) {
       launch(1000 + large - 8);
     };
     replay(work);
-    // The fill in front, those beside, and the launches: but for the first, and
-    // the one that waits for both, all of these overlap.
+    // The fill in front, the fills beside the launches, and the launches. All
+    // but the first node and the node that waits for both branches overlap.
     EXPECT_EQ(counter("nodes"), 43);
     EXPECT_EQ(counter("overlapping"), 40);
     std::string text = queue->explain();
     EXPECT_NE(text.find("fills beside them (42 nodes)"), std::string::npos)
         << text;
     check();
-    // With 8, only the last launch touches the memory that is filled beside.
+    // With 8, only the last launch accesses the memory that is filled
+    // meanwhile.
     for (int64_t next : {int64_t(1001), int64_t(8)}) {
       touched = next;
       replay(work, 3);
@@ -513,7 +515,7 @@ TEST_F(QueuedFills, RunBesideWhatComesBehindAHead) {
       for (int64_t at = 0; at < 40; ++at)
         launch(at < 30 ? at % 10 * 8 : 1000 + at);
       EXPECT_OK(queue->endCollecting());
-      // It reads the filled memory.
+      // This launch reads the filled memory.
       launch(1000);
       launch(2000);
     }
@@ -534,7 +536,7 @@ TEST_F(QueuedFills, MoreThanATableHolds) {
     launch(16);
   });
   EXPECT_EQ(counter("nodes"), 6);
-  // All but the first.
+  // All nodes but the first overlap.
   EXPECT_EQ(counter("overlapping"), 5);
   check();
 }
@@ -544,7 +546,7 @@ TEST_F(QueuedFills, OfRowsThatAreTooManyForOneEntry) {
   std::unique_ptr<Device> device;
   ASSERT_OK(openCudaDevice(0, device));
   ASSERT_OK(device->beginCapture());
-  // Recorded, not run: there is no such memory.
+  // The fills are recorded, not run: such memory does not exist.
   int64_t rows = (int64_t(1) << 31) + 1;
   uint64_t zero = 0;
   ASSERT_OK(device->fillRows({4096, 16, 8, rows}, &zero, 8));

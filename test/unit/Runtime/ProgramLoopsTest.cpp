@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Plays the segments back, as the code of a program does, and compares with the
-// steps.
+// Plays the segments back, as the code of a program does, and compares the
+// result with the original steps.
 //
 //===----------------------------------------------------------------------===//
 
@@ -29,7 +29,7 @@ struct Steps {
   }
 };
 
-/// All parts with their parameters, in the order of a program.
+/// All parts with their parameters, in the order in which a program runs them.
 std::vector<std::vector<uint64_t>> list(const std::vector<LoopStep> &steps) {
   std::vector<std::vector<uint64_t>> result;
   for (const LoopStep &step : steps) {
@@ -76,8 +76,8 @@ std::vector<std::vector<uint64_t>> play(const ProgramLoops &loops,
   return result;
 }
 
-/// Two kernels a step: one with an address and the number of the step, counted
-/// down, the other with a number that follows no rule.
+/// Two kernels in each step: one with an address and a number that counts down,
+/// the other with a number that follows no rule.
 Steps simulate(int count, uint64_t address) {
   Steps steps;
   steps.add(0, {address});
@@ -104,7 +104,8 @@ TEST(ProgramLoops, StepsThatRepeatBecomeALoop) {
   ASSERT_TRUE(loop.isLoop());
   EXPECT_EQ(loop.count, 10u);
   EXPECT_EQ(loop.listWidth, 1u);
-  // The address once, and the number that falls with its step.
+  // The address is stored once, and so is the number that counts down, with its
+  // step.
   EXPECT_EQ(loops.numWords(), 3u);
   EXPECT_EQ(loops.numLoopSteps(), 20u);
   EXPECT_EQ(play(loops, steps.steps), list(steps.steps));
@@ -119,7 +120,7 @@ TEST(ProgramLoops, OtherParametersOfTheSameKindFit) {
 
 TEST(ProgramLoops, ParametersThatChangeInAnotherWayDoNot) {
   Steps one = simulate(12, 4096), other = simulate(12, 4096);
-  // In the second of three rounds.
+  // Change a number in the second of three rounds.
   other.slots[3][1] += 1;
   ProgramLoops loops(one.steps, true);
   std::vector<uint64_t> words, table;

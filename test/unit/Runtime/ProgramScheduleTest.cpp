@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Steps over fields of 10 x 8 floats, 320 bytes a row of the tape. A function
-// has two parameters: the address of a field and a row.
+// Steps over fields of 10 x 8 floats, 320 bytes for each row of the tape. A
+// function has two parameters: the address of a field and the number of a row.
 //
 //===----------------------------------------------------------------------===//
 
@@ -20,7 +20,8 @@ constexpr auto reads = DeviceAccess::Read;
 constexpr auto writes = DeviceAccess::Write;
 constexpr auto sums = DeviceAccess::Sum;
 
-/// An access to row `row` + the second parameter, `shift` bytes further on.
+/// An access to row `row` + the second parameter, at an offset of `shift`
+/// bytes.
 DeviceAccess at(DeviceAccess::Kind kind, int64_t row = 0, int64_t shift = 0) {
   DeviceAccess access;
   access.kind = kind;
@@ -31,7 +32,7 @@ DeviceAccess at(DeviceAccess::Kind kind, int64_t row = 0, int64_t shift = 0) {
   return access;
 }
 
-/// Any element of a row.
+/// An access to unknown elements of a row.
 DeviceAccess anyOf(DeviceAccess::Kind kind, int64_t row = 0) {
   DeviceAccess access = at(kind, row);
   access.window = 320;
@@ -78,7 +79,7 @@ TEST_F(ProgramSchedules, RowsAreApart) {
 TEST_F(ProgramSchedules, ThreadsKeepTheirElements) {
   EXPECT_EQ(relate(function({at(writes)}), function({at(reads), at(writes)})),
             StepRelation::SameThread);
-  // A neighbour was another thread's.
+  // Another thread wrote the neighbouring element.
   EXPECT_EQ(relate(function({at(writes)}), function({at(reads, 0, 4)})),
             StepRelation::Barrier);
   EXPECT_EQ(relate(function({at(writes)}), function({at(reads, 0, 32)})),
@@ -88,8 +89,8 @@ TEST_F(ProgramSchedules, ThreadsKeepTheirElements) {
 }
 
 TEST_F(ProgramSchedules, OtherLoopsHaveOtherThreads) {
-  // Row 2 is of the same threads in a loop over fewer rows, but not over
-  // shorter ones.
+  // In a loop over fewer rows of the same length, the same threads run row 2;
+  // in a loop over shorter rows, other threads do.
   EXPECT_EQ(relate(function({at(writes)}), function({at(reads)}, {5, 8})),
             StepRelation::SameThread);
   EXPECT_EQ(relate(function({at(writes)}), function({at(reads)}, {10, 4})),
@@ -121,7 +122,7 @@ TEST_F(ProgramSchedules, DenseMemoryIsOneDimension) {
 }
 
 TEST_F(ProgramSchedules, RowsLieBetweenThoseThatAreFilled) {
-  // Every other row, the second one first.
+  // Fill every other row, beginning with the second.
   StepMemory fill;
   fill.addRows(writes, 4096 + 320, 640, 320, 5);
   for (uint64_t row = 0; row < 10; ++row) {
@@ -130,7 +131,7 @@ TEST_F(ProgramSchedules, RowsLieBetweenThoseThatAreFilled) {
     EXPECT_EQ(getRelation(fill, touched), expected) << row;
     EXPECT_EQ(getRelation(touched, fill), expected) << row;
   }
-  // Not all of it lies between two.
+  // These accesses extend into a filled row.
   EXPECT_EQ(getRelation(fill, step(function({anyOf(reads)}), 4096 + 4, 2)),
             StepRelation::Barrier);
   EXPECT_EQ(getRelation(fill, step(function({anyOf(reads)}), 4096 - 4, 2)),
@@ -138,7 +139,7 @@ TEST_F(ProgramSchedules, RowsLieBetweenThoseThatAreFilled) {
 }
 
 TEST_F(ProgramSchedules, FieldsThatShareCellsAreApart) {
-  // Cells of 8 bytes with a float of either field.
+  // Cells of 8 bytes, with a float of each field.
   DeviceAccess first = at(writes), second = at(reads, 0, 4);
   for (DeviceAccess *access : {&first, &second}) {
     access->strides = {64, 8};
@@ -149,7 +150,7 @@ TEST_F(ProgramSchedules, FieldsThatShareCellsAreApart) {
   neighbour.offset += 4;
   EXPECT_EQ(relate(function({first}), function({neighbour})),
             StepRelation::Barrier);
-  // Two components of one iteration.
+  // Two components that one iteration accesses.
   DeviceAccess both = first;
   both.window = 8;
   both.step = 4;
@@ -177,7 +178,7 @@ TEST_F(ProgramSchedules, WhatIsUnknownWaits) {
             StepRelation::Barrier);
   EXPECT_EQ(getRelation(step(function({}), 4096), StepMemory()),
             StepRelation::Barrier);
-  // A product in 32 bits that may have wrapped.
+  // A 32-bit product may have wrapped.
   DeviceAccess product = at(reads);
   product.unit = 4;
   EXPECT_TRUE(step(function({product}), 4096, 10).isKnown);
@@ -199,7 +200,7 @@ TEST_F(ProgramSchedules, StepsFillEarlierGroups) {
 }
 
 TEST_F(ProgramSchedules, AllStepsSinceTheLastBarrierCount) {
-  // The third step does not meet the second one, but the first.
+  // The third step depends on the first step, not on the second.
   std::vector<StepMemory> steps{step(function({at(writes)}), 4096),
                                 step(function({at(writes)}), 1 << 20),
                                 step(function({anyOf(reads)}), 4096)};
@@ -218,8 +219,8 @@ TEST_F(ProgramSchedules, NothingPassesWhatIsUnknown) {
 }
 
 TEST_F(ProgramSchedules, ThreadsRunTheirStepsInOrder) {
-  // The last step needs the second one's elements from the same thread, and
-  // must not come before it.
+  // The last step needs elements that the same thread stores in the second
+  // step, and must not move before it.
   std::vector<StepMemory> steps{step(function({at(writes)}), 1 << 20),
                                 step(function({at(writes)}), 4096),
                                 step(function({at(reads)}), 4096)};

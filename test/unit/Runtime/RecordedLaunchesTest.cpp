@@ -5,9 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The queue above a CUDA driver that needs no GPU and counts its calls.
-// Whatever is collected, memory must be the same as after the same work one by
-// one.
+// Uses a CUDA driver that needs no GPU and counts its calls. Whatever the queue
+// collects, memory must be the same as if each operation had run alone.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,15 +23,15 @@ class RecordedAgain : public FakeCudaSteps {
 protected:
   void SetUp() override { open(""); }
 
-  /// Whatever comes again is collected, and launches are kept as long as it
-  /// takes.
+  /// Opens a queue that collects everything that is repeated, and keeps
+  /// launches for as long as needed.
   void open(const char *trouble, const char *collect = "1") {
     setenv("TAI_KEEP_LAUNCHES_US", "1000000000", 1);
     setenv("TAI_COLLECT_RECORDINGS", collect, 1);
     openSteps(trouble);
   }
 
-  /// Launches that do not commute.
+  /// Runs launches that do not commute.
   void forward(double value = 0.25, int count = 6) {
     for (int i = 0; i < count; ++i)
       apply(i % 2 ? scale : add, i % 2 ? 0.5 : value + i);
@@ -181,7 +180,7 @@ TEST_F(RecordedAgain, WhateverElseComesQueuesThemFirst) {
   std::unique_ptr<DeviceEvent> event;
   DevicePtr spare = 0;
   double value = 1;
-  // Each has memory of its own.
+  // Each operation has memory of its own.
   auto rows = [&] { return DeviceRows{y, 8, 8, 2}; };
   const std::pair<const char *, std::function<Status()>> others[] = {
       {"synchronize", [&] { return queue->synchronize(); }},
@@ -225,7 +224,7 @@ TEST_F(RecordedAgain, WhateverElseComesQueuesThemFirst) {
     EXPECT_OK(queue->endRecording(/*isSwept=*/true));
     sweep();
     expectAsOneByOne();
-    // And goes on as before.
+    // The queue continues as before.
     for (int i = 0; i < 4; ++i)
       iterate(i / 8.0);
     expectAsOneByOne();
@@ -277,7 +276,7 @@ TEST_F(RecordedAgain, RecordingsOfSeveralLengths) {
   for (int i = 0; i < 9; ++i)
     iterate(i / 4.0, i % 3 == 0 ? 4 : i % 3 == 1 ? 6 : 9);
   EXPECT_EQ(submissions() - before, 9);
-  // A sequence whose end is in the midst of all former ones.
+  // A sequence that ends in the middle of all previous sequences.
   iterate(0.5, 5);
   expectAsOneByOne();
 }
@@ -294,7 +293,7 @@ TEST_F(RecordedAgain, WhatIsCollectedForNothingTwiceIsNotCollected) {
   };
   for (int i = 0; i < 2; ++i)
     readEarly();
-  // It must come four times to be known again.
+  // The sequence must be repeated four times to be collected again.
   for (int i = 0; i < 6; ++i) {
     EXPECT_OK(queue->beginRecording());
     int before = submissions();
@@ -397,7 +396,7 @@ TEST_F(RecordedAgain, DevicesWithoutGraphs) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Recordings of so many launches that take the host some time each.
+/// Recordings of `count` launches, each of which takes the host `launchNs`.
 class RecordedPays : public ::testing::Test {
 protected:
   void SetUp() override { unsetenv("TAI_COLLECT_RECORDINGS"); }
@@ -413,7 +412,7 @@ protected:
           return 0;
         });
   }
-  /// Whether it was collected, and then ran as that.
+  /// Whether the recording was collected and then ran as one sequence.
   bool iterate(double chosenMs, double graphMs = -1, bool isPrepared = true) {
     record();
     if (!launches.interrupt())
@@ -431,7 +430,8 @@ protected:
 TEST_F(RecordedPays, WhereTheDeviceIsQuickerThanTheHostLaunches) {
   EXPECT_FALSE(iterate(0));
   EXPECT_FALSE(iterate(0));
-  // Half of it are launches of the recording: 0.05 ms by at least 0.4 ms.
+  // Half of the steps are launches of the recording: the device takes 0.05 ms
+  // for these, the host at least 0.4 ms.
   for (int i = 0; i < 10; ++i)
     EXPECT_TRUE(iterate(0.1)) << i;
   EXPECT_EQ(launches.explain().find("at once"), std::string::npos);
@@ -440,7 +440,7 @@ TEST_F(RecordedPays, WhereTheDeviceIsQuickerThanTheHostLaunches) {
 TEST_F(RecordedPays, NotWhereTheDeviceTakesLong) {
   iterate(0);
   iterate(0);
-  // Without a measured time (-1), sequences go on being collected.
+  // Without a measured time (-1), sequences continue to be collected.
   for (int i = 0; i < 6; ++i)
     EXPECT_TRUE(iterate(-1)) << i;
   for (int i = 0; i < 3; ++i)

@@ -25,7 +25,7 @@
 using namespace mlir::tai::runtime;
 
 namespace {
-/// A folder of its own for each test, and the warnings.
+/// Provides a folder for each test, and collects the warnings.
 class RuntimeCache : public ::testing::Test {
 protected:
   void SetUp() override {
@@ -45,7 +45,7 @@ protected:
     }
     rmdir(root.c_str());
   }
-  /// All but the journal.
+  /// All files but the journal.
   static std::vector<std::string> files(const std::string &path) {
     std::vector<std::string> names;
     if (DIR *stream = opendir(path.c_str())) {
@@ -78,7 +78,7 @@ protected:
 };
 } // namespace
 
-// Values of the reference implementation.
+// The values are from the reference implementation.
 TEST(RuntimeHash, KnownAnswers) {
   EXPECT_EQ(xxh64("", 0), 0xEF46DB3751D8E999u);
   EXPECT_EQ(xxh64("a", 1), 0xD24EC4F1A98C6E5Bu);
@@ -102,7 +102,7 @@ TEST_F(RuntimeCache, GivesBackWhatWasStored) {
   EXPECT_EQ(store.get(""), large);
   EXPECT_EQ(store.get("empty"), "");
   EXPECT_TRUE(store.put("key", "newer"));
-  // Another process would see the same.
+  // Another process would see the same entries.
   CacheStore other(folder);
   EXPECT_EQ(other.get("key"), "newer");
   EXPECT_EQ(store.size().entries, 3);
@@ -165,8 +165,8 @@ TEST_F(RuntimeCache, NoFolderIsNoCache) {
   EXPECT_TRUE(warnings.empty());
 }
 
-// Every way to damage one entry, at every byte: never trusted, one warning in
-// all, and the entry can be made again.
+// Damages an entry in every way, at every byte: the entry is never used, one
+// warning is issued in all, and the entry can be stored again.
 TEST_F(RuntimeCache, DetectsEveryDamage) {
   CacheStore store(folder, 1 << 30, collect());
   ASSERT_TRUE(store.put("the key", "the compiled code of a kernel"));
@@ -193,7 +193,7 @@ TEST_F(RuntimeCache, DetectsEveryDamage) {
   EXPECT_EQ(warnings.size(), 1u);
   EXPECT_TRUE(store.put("the key", "again"));
   EXPECT_EQ(store.get("the key"), "again");
-  // verify() removes the broken and keeps the good.
+  // verify() removes the broken entry and keeps the intact one.
   spill(fileOf("other"), good);
   EXPECT_EQ(store.verify(), 1);
   EXPECT_EQ(store.size().entries, 1);
@@ -210,8 +210,8 @@ TEST_F(RuntimeCache, FollowsNoLinkInTheFolder) {
   EXPECT_EQ(store.get("k"), "w");
 }
 
-// Whatever has the name of an entry, nobody waits for it, and a new entry takes
-// its place.
+// Whatever file has the name of an entry, no reader waits for it, and a new
+// entry replaces it.
 TEST_F(RuntimeCache, WaitsForNothingInTheFolder) {
   CacheStore store(folder, 1 << 30, collect());
   auto expectReplaced = [&](const char *what) {
@@ -221,7 +221,7 @@ TEST_F(RuntimeCache, WaitsForNothingInTheFolder) {
     EXPECT_EQ(store.get("k"), what);
     unlink(fileOf("k").c_str());
   };
-  // Instead of waiting for ever.
+  // Ends the test if something does wait.
   alarm(100);
   ASSERT_EQ(mkfifo(fileOf("k").c_str(), 0600), 0);
   ASSERT_FALSE(store.get("k"));
@@ -246,7 +246,7 @@ TEST_F(RuntimeCache, WaitsForNothingInTheFolder) {
       bind(server, reinterpret_cast<sockaddr *>(&address), sizeof(address)), 0);
   expectReplaced("socket");
   close(server);
-  // A FIFO in the place of the lock is replaced, too.
+  // A FIFO in place of the lock file is replaced, too.
   std::string lock = folder + "/.lock-" + CacheStore::fileName("k");
   ASSERT_EQ(mkfifo(lock.c_str(), 0600), 0);
   (void)store.claim("k");
@@ -256,7 +256,7 @@ TEST_F(RuntimeCache, WaitsForNothingInTheFolder) {
   EXPECT_TRUE(files(folder).empty());
 }
 
-// A file that says it holds more than memory does.
+// A file whose header claims more bytes than there is memory.
 TEST_F(RuntimeCache, BelievesNoSize) {
   CacheStore store(folder, 1 << 30, collect());
   ASSERT_TRUE(store.put("k", "v"));
@@ -272,7 +272,7 @@ TEST_F(RuntimeCache, BelievesNoSize) {
   EXPECT_EQ(warnings.size(), 1u);
 }
 
-// A user who may rename a folder above can replace it by another one.
+// A user who may rename a folder above can replace the cache by another folder.
 TEST_F(RuntimeCache, RefusesFoldersBelowOpenOnes) {
   mkdir((root + "/a").c_str(), 0700);
   chmod((root + "/a").c_str(), 0777);
@@ -284,7 +284,7 @@ TEST_F(RuntimeCache, RefusesFoldersBelowOpenOnes) {
     EXPECT_NE(warnings[0].find("/a' above it"), std::string::npos)
         << warnings[0];
   }
-  // In a sticky folder, each user renames their own entries only.
+  // In a sticky folder, users can rename only their own entries.
   chmod((root + "/a").c_str(), 01777);
   CacheStore store(root + "/a/b", 1 << 30, collect());
   EXPECT_TRUE(store.usable());
@@ -325,7 +325,7 @@ TEST_F(RuntimeCache, DoesWithoutAFolder) {
     EXPECT_FALSE(store.put("k", "v"));
   }
   EXPECT_EQ(warnings.size(), 1u);
-  // A file where the folder should be.
+  // A file is where the folder should be.
   spill(folder, "file");
   CacheStore store(folder, 1 << 30, collect());
   EXPECT_FALSE(store.usable());
@@ -335,7 +335,7 @@ TEST_F(RuntimeCache, DoesWithoutAFolder) {
 TEST_F(RuntimeCache, SurvivesAFullDisk) {
   CacheStore store(folder, 1 << 30, collect());
   ASSERT_TRUE(store.put("small", "v"));
-  // A child, since a limit on file sizes is the process's.
+  // In a child, since a limit on file sizes affects the whole process.
   pid_t child = fork();
   ASSERT_GE(child, 0);
   if (child == 0) {
@@ -386,7 +386,7 @@ TEST_F(RuntimeCache, PrunesWhatWasUsedLongAgo) {
   EXPECT_FALSE(store.get("b"));
   EXPECT_TRUE(store.get("e"));
   EXPECT_GE(store.stats().pruned, 1);
-  // Files that a killed process left behind are deleted after a while.
+  // Files that a killed process left are deleted after a while.
   spill(folder + "/.tmp-1-2-3", "half");
   store.prune();
   EXPECT_EQ(access((folder + "/.tmp-1-2-3").c_str(), F_OK), 0);
@@ -396,8 +396,8 @@ TEST_F(RuntimeCache, PrunesWhatWasUsedLongAgo) {
   EXPECT_NE(access((folder + "/.tmp-1-2-3").c_str(), F_OK), 0);
 }
 
-// A session that begins does not look through the folder again; all of them
-// together keep the bound.
+// A new session does not scan the folder again; all sessions together keep the
+// limit.
 TEST_F(RuntimeCache, LooksThroughTheFolderNowAndThen) {
   std::string journal = folder + "/.stored", bytes(20000, 'x');
   auto exists = [&](const std::string &path) {
@@ -419,12 +419,12 @@ TEST_F(RuntimeCache, LooksThroughTheFolderNowAndThen) {
   std::string left = leave(".tmp-1-2-3");
   store("second", 1 << 30);
   EXPECT_TRUE(exists(left)) << "the folder was looked through again";
-  // A day later.
+  // A day later, the folder is scanned again.
   int64_t begun = time(nullptr) - 2 * 24 * 3600;
   spill(journal, std::string(reinterpret_cast<char *>(&begun), sizeof begun));
   store("third", 1 << 30);
   EXPECT_FALSE(exists(left));
-  // Journals that cannot be read.
+  // Unreadable journals have no effect.
   for (const char *text : {"", "abc"}) {
     left = leave(".tmp-1-2-3");
     spill(journal, text);
@@ -437,14 +437,15 @@ TEST_F(RuntimeCache, LooksThroughTheFolderNowAndThen) {
   store("fifth", 1 << 30);
   EXPECT_FALSE(exists(left));
   store("sixth", 1 << 30);
-  // 100 sessions, each of which stores a fifth of the limit.
+  // Each of 100 sessions stores a fifth of the limit.
   for (int i = 0; i < 100; ++i)
     store("k" + std::to_string(i), 100000);
   EXPECT_LE(CacheStore(folder).size().bytes, 100000 + 100000 / 16 + 20100);
   EXPECT_TRUE(warnings.empty());
 }
 
-// Processes that want the same entries at once: each entry is made by one.
+// Several processes need the same entries at once: only one process creates
+// each entry.
 TEST_F(RuntimeCache, OneProcessMakesAnEntry) {
   constexpr int keys = 6;
   std::string log = root + "/log";
@@ -482,12 +483,12 @@ TEST_F(RuntimeCache, OneProcessMakesAnEntry) {
   }
   EXPECT_EQ(slurp(log).size(), 5u * keys);
   unlink(log.c_str());
-  // No locks are left behind.
+  // No lock files are left.
   EXPECT_EQ(files(folder).size(), size_t(keys));
 }
 
-// The owner of a claim is killed: the next one has it at once, and whoever
-// waits does not wait for ever.
+// When the owner of a claim is killed, the next process gets the claim at once,
+// and waiting processes stop waiting.
 TEST_F(RuntimeCache, ClaimsEndWithTheirOwners) {
   CacheStore store(folder, 1 << 30, collect());
   int ready[2];
@@ -505,7 +506,7 @@ TEST_F(RuntimeCache, ClaimsEndWithTheirOwners) {
   char byte = 0;
   ASSERT_EQ(read(ready[0], &byte, 1), 1);
   ASSERT_EQ(byte, 'y');
-  // Somebody has it, and keeps it: others go on without.
+  // While another process holds the claim, processes continue without it.
   EXPECT_FALSE(store.claim("k", /*mostSeconds=*/0.01));
   EXPECT_TRUE(store.claim("another", /*mostSeconds=*/0));
   kill(child, SIGKILL);
@@ -518,7 +519,7 @@ TEST_F(RuntimeCache, ClaimsEndWithTheirOwners) {
   EXPECT_TRUE(warnings.empty());
 }
 
-// A claim ends its wait when it is asked to, though it would wait for days.
+// A claim stops waiting when it is asked to, even if it would wait for days.
 TEST_F(RuntimeCache, ClaimsAreWaitedForAsLongAsIsWanted) {
   CacheStore store(folder, 1 << 30, collect());
   CacheStore::Claim claim = store.claim("k");
@@ -529,7 +530,8 @@ TEST_F(RuntimeCache, ClaimsAreWaitedForAsLongAsIsWanted) {
   EXPECT_EQ(asked, 3);
 }
 
-// A child that is forked meanwhile does not keep what its parent gives back.
+// A child that is forked meanwhile does not keep a claim that its parent
+// releases.
 TEST_F(RuntimeCache, ClaimsAreNotInherited) {
   CacheStore store(folder, 1 << 30, collect());
   CacheStore::Claim claim = store.claim("k");
@@ -546,8 +548,8 @@ TEST_F(RuntimeCache, ClaimsAreNotInherited) {
   waitpid(child, nullptr, 0);
 }
 
-// Processes that write and read the same keys, some of them killed on the way:
-// every read gives the whole of some write.
+// Processes write and read the same keys, and some are killed meanwhile: every
+// read returns the complete contents of one write.
 TEST_F(RuntimeCache, ConcurrentProcesses) {
   auto contentOf = [](int key, int writer) {
     return std::to_string(key) + ":" +

@@ -5,9 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Launches on the emulated device with device functions that are written here,
-// in the place of those that the compiler makes, and the CUDA device above a
-// driver that needs no GPU.
+// Launches on the emulated device with hand-written device functions instead of
+// compiled ones, and on the CUDA device with a driver that needs no GPU.
 //
 //===----------------------------------------------------------------------===//
 
@@ -43,7 +42,7 @@ static void addIndex(const uint64_t *slots) {
     x[i] += double(i + 1);
 }
 
-/// sum += the n numbers at x; one thread.
+/// sum += the n numbers at x; run by one thread.
 static void sum(const uint64_t *slots) {
   auto *x = slot<double *>(slots[0]);
   auto *result = slot<double *>(slots[2]);
@@ -51,14 +50,14 @@ static void sum(const uint64_t *slots) {
     *result += x[i];
 }
 
-/// Counts each thread in its own element.
+/// Each thread counts its runs in its own element.
 static void countThreads(const uint64_t *slots) {
   auto *counts = slot<int32_t *>(slots[0]);
   ++counts[tai_emu_block_id()];
   counts[8] = tai_emu_grid_dim();
 }
 
-/// Leaves a failure in the state of the device.
+/// Stores a failure in the device state.
 static void failOnDevice(const uint64_t *slots) {
   auto *state = slot<TaiDeviceState *>(slots[0]);
   state->failed = 1;
@@ -101,8 +100,8 @@ static KernelPtr onDevice(Runtime &runtime, std::string name,
   return kernel;
 }
 
-/// The host's part of a kernel: x[i] += i + 1 for all of the first tree, whose
-/// number of elements is the first argument.
+/// The host part of a kernel: x[i] += i + 1 for all elements of the first tree;
+/// the first argument is their number.
 static int32_t addIndexHost(TaiFrame *frame) {
   uint64_t slots[] = {reinterpret_cast<uint64_t>(frame->trees[0]),
                       frame->args[0]};
@@ -138,7 +137,7 @@ TEST_F(RuntimeDevice, RunsKernelsAndMirrorsTrees) {
   KernelPtr kernel = addIndexKernel(x);
   EXPECT_OK(launch(*kernel, {1000}));
   EXPECT_EQ(get(*x, {7}), 8.5);
-  // Written between launches, both ways.
+  // Write between launches, on the host and on the device.
   set(*x, {7}, 1.0);
   EXPECT_OK(launch(*kernel, {1000}));
   EXPECT_EQ(get(*x, {7}), 9.0);
@@ -156,7 +155,7 @@ TEST_F(RuntimeDevice, RunsKernelsAndMirrorsTrees) {
   EXPECT_EQ(get(*x, {30}), 130.0);
 }
 
-// One tree of a megabyte and more, so that elements go one by one.
+// A tree of more than a megabyte, so that elements are copied one by one.
 TEST_F(RuntimeDevice, CopiesSingleElementsOfLargeTrees) {
   constexpr int64_t n = 1 << 20;
   FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {n});
@@ -175,8 +174,8 @@ TEST_F(RuntimeDevice, CopiesSingleElementsOfLargeTrees) {
   EXPECT_EQ(get(*x, {n - 1}), 3.0 * n);
 }
 
-/// Fields that take turns in one tree: elements lie evenly, with others
-/// between.
+/// Two fields that share the cells of a tree, so that the elements of each are
+/// evenly spaced.
 static void makeShared(Runtime &runtime, ScalarKind scalar, int64_t n,
                        FieldPtr &a, FieldPtr &b) {
   TreePtr tree;
@@ -305,11 +304,11 @@ TEST_F(RuntimeDevice, SaysWhatFailedWhenItWaits) {
   EXPECT_EQ(status.message(), "it broke");
   EXPECT_EQ(status.where(), "a.py:3:4");
   EXPECT_OK(runtime.synchronize());
-  // In debug mode the launch itself says it.
+  // In debug mode the launch itself reports the failure.
   runtime.setDebug(true);
   EXPECT_EQ(launch(*kernel, {}).message(), "it broke");
   EXPECT_OK(runtime.synchronize());
-  // So does reading a field that the kernel has written.
+  // Reading a field that the kernel has written reports the failure, too.
   runtime.setDebug(false);
   EXPECT_OK(launch(*kernel, {}));
   double value;
@@ -333,8 +332,8 @@ TEST_F(RuntimeDevice, KernelsWithoutDeviceCodeRunOnTheHost) {
   EXPECT_EQ(get(*x, {3}), 44.0);
 }
 
-/// Sums a field of ten numbers into a loss, then changes it; the adjoint of the
-/// sum reads the field.
+/// Sums a field of ten numbers into a loss, then changes the field; the adjoint
+/// of the sum reads the field.
 static void checkTape(Runtime &runtime, const FieldPtr &x,
                       const FieldPtr &beside, Kernel &changes) {
   FieldPtr loss = makeDifferentiable(runtime, "loss", ScalarKind::F64, {});
@@ -374,7 +373,7 @@ static void checkTape(Runtime &runtime, const FieldPtr &x,
     EXPECT_OK(runtime.launch(changes, &n, 1, nullptr));
     double first = get(*x, {4});
     EXPECT_OK(tape->backward());
-    // The sweep has used the values that x had during the recording.
+    // The sweep used the values that x had while the tape recorded.
     double sum = get(*loss);
     EXPECT_EQ(get(*x->adjoint(), {0}), sum);
     EXPECT_EQ(get(*x, {4}), first);
@@ -384,7 +383,7 @@ static void checkTape(Runtime &runtime, const FieldPtr &x,
     EXPECT_OK(tape->replay(false, true));
     EXPECT_EQ(get(*x->adjoint(), {0}), get(*loss));
   }
-  // The loss, the adjoint of x, and nothing that the tape has kept.
+  // Only the loss and the adjoint of x remain, no memory of the tape.
   EXPECT_EQ(runtime.getDevice()->allocatedBytes(),
             before + int64_t(sizeof(double)) * (1 + 10));
 }
@@ -453,7 +452,7 @@ TEST(RuntimeDeviceLimits, SaysWhoHoldsTheMemory) {
               "KiB, a limit of 9.8 KiB is set; this program holds 8.6 KiB: "
               "tree 'y_tree' 7.8 KiB, tree 'x_tree' 800 B");
   }
-  // The context goes on.
+  // The context can still be used.
   EXPECT_OK(runtime.destroyTree("x_tree"));
   EXPECT_EQ(get(*y, {3}), 4.0);
 }
@@ -516,7 +515,7 @@ TEST_F(RuntimeCuda, SaysWhyThereIsNoDevice) {
                       "is needed");
 }
 
-// The driver is asked for its version once, when it is loaded.
+// The driver's version is queried once, when it is loaded.
 TEST_F(RuntimeCuda, RefusesOldDrivers) {
   std::string copy = ::testing::TempDir() + "tai-old-cuda.so";
   ASSERT_EQ(symlink(TAI_FAKE_CUDA_LIBRARY, copy.c_str()), 0);
@@ -527,7 +526,8 @@ TEST_F(RuntimeCuda, RefusesOldDrivers) {
   unlink(copy.c_str());
 }
 
-/// The host's part: scales the first tree of n numbers by the second argument.
+/// The host part of a kernel: scales the n numbers of the first tree by the
+/// second argument.
 static int32_t scaleHost(TaiFrame *frame) {
   uint64_t slots[] = {reinterpret_cast<uint64_t>(frame->trees[0]),
                       frame->args[0], frame->args[1]};
@@ -556,7 +556,7 @@ static void checkScaling() {
   EXPECT_OK(runtime.launch(*kernel, args, 2, nullptr));
   EXPECT_EQ(get(*x, {12345}), 1.0);
   EXPECT_EQ(get(*x, {12344}), 12.0);
-  // A pattern that is not the same in both halves, on the device.
+  // A pattern whose halves differ, on the device.
   EXPECT_OK(runtime.fillF64(*x, 0.1));
   EXPECT_OK(runtime.launch(*kernel, args, 2, nullptr));
   EXPECT_EQ(get(*x, {19999}), 0.2);
@@ -566,7 +566,7 @@ static void checkScaling() {
 TEST_F(RuntimeCuda, HasAHeapOfTheSizeThatIsWanted) {
   use(TAI_FAKE_CUDA_LIBRARY, "heap-in-use");
   std::unique_ptr<Device> device;
-  // A size that was not asked for causes no error.
+  // A heap size that was not requested causes no error.
   EXPECT_OK(openCudaDevice(0, device));
   setDeviceHeapBytes(1 << 20);
   EXPECT_OK(openCudaDevice(0, device));
@@ -580,7 +580,7 @@ TEST_F(RuntimeCuda, HasAHeapOfTheSizeThatIsWanted) {
 
 TEST_F(RuntimeCuda, RunsKernels) { checkScaling(); }
 
-// By units of one byte and of four.
+// Rows are moved by units of one byte and of four bytes.
 TEST_F(RuntimeCuda, MovesRows) {
   for (ScalarKind scalar :
        {ScalarKind::F16, ScalarKind::F32, ScalarKind::F64}) {
@@ -683,11 +683,12 @@ TEST_F(RuntimeCuda, ChoosesBlocks) {
     using Shape = std::pair<double, double>;
     EXPECT_EQ(shape(1), Shape(1, 1));
     EXPECT_EQ(shape(20), Shape(1, 32));
-    // No more blocks than run at a time: 2048 threads on each of 10.
+    // Use no more blocks than run at a time: 2048 threads on each of 10
+    // multiprocessors.
     EXPECT_EQ(shape(int64_t(1) << 40),
               wanted ? Shape(160, 128) : Shape(80, 256));
     EXPECT_EQ(shape(-1), wanted ? Shape(160, 128) : Shape(80, 256));
-    // Few iterations reach all multiprocessors.
+    // With few iterations, use smaller blocks, to occupy all multiprocessors.
     EXPECT_EQ(shape(640), Shape(10, 64));
     EXPECT_EQ(shape(12800), wanted ? Shape(100, 128) : Shape(50, 256));
   }
@@ -724,7 +725,7 @@ TEST_F(RuntimeCuda, MakesCodeOfTheCacheAgainThatTheDriverRefuses) {
   EXPECT_OK(x->readF64(&index, 0, value));
   EXPECT_EQ(value, 12);
   EXPECT_EQ(made, 1);
-  // Once: a driver that takes neither says so.
+  // A driver that accepts neither form of the code reports so once.
   KernelPtr bad = makeScale("refused too", "scale");
   for (int round = 0; round < 2; ++round) {
     Status status = launch(*bad);
@@ -733,7 +734,7 @@ TEST_F(RuntimeCuda, MakesCodeOfTheCacheAgainThatTheDriverRefuses) {
               std::string::npos);
   }
   EXPECT_EQ(made, 2);
-  // Code of another shape does not go with the host's part.
+  // Code with other functions does not fit the host part.
   KernelPtr other = makeScale("// PTX", "add");
   EXPECT_FALSE(launch(*other).ok());
 }

@@ -38,7 +38,7 @@ TEST(RuntimeTree, RefusesWhatDoesNotFit) {
   EXPECT_EQ(status.message(),
             "out of memory: tree 'large' needs 700.0 KiB, 600.0 KiB of 1.0 MiB "
             "are taken by 1 other trees");
-  // The runtime is alive, and freed memory can be allocated again.
+  // The runtime still works, and freed memory can be allocated again.
   ASSERT_OK(runtime.destroyTree("small"));
   EXPECT_OK(runtime.addTree("large", 700 << 10, large));
   EXPECT_EQ(runtime.addTree("huge", INT64_MAX, small).code(),
@@ -76,8 +76,8 @@ TEST(RuntimeTree, HandlesOutliveTheTree) {
   EXPECT_EQ(get(*x, {3}), 2.5);
 }
 
-// A kernel was compiled for a layout; a later tree of the same name may have
-// another.
+// A kernel was compiled for the layout of a tree; a later tree of the same name
+// may have another layout.
 TEST(RuntimeTree, KernelsStayWithTheirTree) {
   Runtime runtime;
   FieldPtr x = makeField(runtime, "x", ScalarKind::F32, {8});
@@ -177,8 +177,8 @@ TEST(RuntimeField, ReadsAndWritesEveryKind) {
   }
 }
 
-// Every half and every bfloat16 must survive, and values between two of them
-// must go to the nearest, ties to even.
+// Every f16 and every bf16 is preserved, and values between two of these are
+// rounded to the nearest, ties to even.
 TEST(RuntimeField, RoundsToSixteenBits) {
   Runtime runtime;
   for (ScalarKind kind : {ScalarKind::F16, ScalarKind::BF16}) {
@@ -251,7 +251,7 @@ TEST(RuntimeField, CountsFromItsOffset) {
 }
 
 namespace {
-/// Layouts whose elements are found in different ways by the bulk copies.
+/// Layouts whose elements the bulk copies locate in different ways.
 struct LayoutCase {
   const char *name;
   int64_t treeBytes;
@@ -279,7 +279,7 @@ std::vector<LayoutCase> layoutCases() {
   FieldLayout nested = rowMajor(ScalarKind::F32, {6, 10}, {2});
   nested.indices = {{{1, 6, 80}}, {{5, 2, 40}, {1, 5, 8}}};
   cases.push_back({"nested", 6 * 10 * 8, nested, true});
-  // Components that lie apart: arrays of x and of y.
+  // Components are apart: an array of x and an array of y.
   FieldLayout planar = rowMajor(ScalarKind::F32, {6, 10}, {2});
   planar.componentStride = 240;
   planar.indices = {{{1, 6, 40}}, {{1, 10, 4}}};
@@ -309,7 +309,7 @@ TEST(RuntimeField, BulkCopiesFollowTheLayout) {
           ASSERT_EQ(get(*x, {i, j}, c), in[(i * 10 + j) * 2 + c]);
     ASSERT_OK(runtime.copyToHost(*x, out.data()));
     EXPECT_EQ(in, out);
-    // Nothing but the field may change.
+    // No memory outside the field may change.
     std::string before(info.tree->base(), info.tree->bytes());
     ASSERT_OK(runtime.fillF64(*x, 7));
     ASSERT_OK(runtime.copyToHost(*x, out.data()));
@@ -324,7 +324,7 @@ TEST(RuntimeField, CopiesLargeFieldsOnAllThreads) {
   options.threads = 4;
   Runtime runtime(options);
   int64_t n = 1 << 18;
-  // A record of three values, x in the middle.
+  // A record of three values, with x in the middle.
   FieldInfo info;
   ASSERT_OK(runtime.addTree("t", n * 12, info.tree));
   info.name = "x";
@@ -378,7 +378,7 @@ TEST(RuntimeField, ClearsDirtyAdjointsOnly) {
   EXPECT_EQ(runtime.counters().clearedFields, 1);
   EXPECT_TRUE(runtime.clearGradients());
   EXPECT_EQ(runtime.counters().clearedFields, 1);
-  // A launch that changes an adjoint makes it dirty.
+  // A launch that changes an adjoint marks it as dirty.
   FieldPtr yGrad = runtime.findField("y_grad");
   auto kernel = makeKernel(runtime, "k",
                            [](TaiFrame *frame) {

@@ -5,7 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A child has none of the threads of its parent, and must not wait for them.
+// A child process has none of the threads of its parent, and must not wait for
+// these.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,7 +18,8 @@ using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::test;
 
 #ifdef TAI_TEST_THREAD_SANITIZER
-// It refuses threads in a forked child unless told otherwise.
+// The thread sanitizer refuses threads in a forked child, unless told
+// otherwise.
 extern "C" const char *__tsan_default_options() { return "die_after_fork=0"; }
 #endif
 
@@ -64,10 +66,10 @@ TEST(RuntimeFork, ChildrenLaunch) {
   };
   for (int i = 0; i < 10; ++i) {
     EXPECT_TRUE(inChild(launches));
-    // The parent goes on as before.
+    // The parent works as before.
     EXPECT_TRUE(launches());
   }
-  // Children of children.
+  // Children of children can launch, too.
   EXPECT_TRUE(inChild([&] { return launches() && inChild(launches); }));
 }
 

@@ -28,7 +28,7 @@ TEST(RuntimeInterop, LendsFieldsByTheirStrides) {
   EXPECT_EQ(exported.strides, (std::vector<int64_t>{32, 8, 4}));
   static_cast<float *>(exported.address)[2 * 8 + 1 * 2 + 1] = 5;
   EXPECT_EQ(get(*x, {2, 1}, 1), 5.0);
-  // An owner of the address may have written.
+  // The owner of an exported address may have written to the memory.
   EXPECT_TRUE(x->dirty());
   // The memory outlives the tree.
   EXPECT_OK(runtime.destroyTree("x_tree"));
@@ -55,7 +55,7 @@ TEST(RuntimeInterop, RefusesWhatHasNoStrides) {
   info.name = "blocked";
   ASSERT_OK(runtime.addTree("t", 16 * 4, info.tree));
   info.layout = rowMajor(ScalarKind::F32, {16});
-  // Blocks of four, one behind the other in turns.
+  // Interleaved blocks of four elements.
   info.layout.indices[0] = {{4, 4, 4}, {1, 4, 16}};
   FieldPtr field;
   ASSERT_OK(runtime.addField(std::move(info), field));
@@ -81,8 +81,8 @@ TEST(RuntimeInterop, PutsStreamsInOrder) {
     };
     int before = events();
     waits += std::strlen(waits);
-    // Ours is s. With the default stream, whose handle is 1 or 0, it is in
-    // order by itself; one event does for all others.
+    // The runtime's stream is s. Work in the default stream, whose handle is 1
+    // or 0, is ordered anyway; one event suffices for all other streams.
     EXPECT_OK(runtime.waitForStream(3));
     EXPECT_OK(runtime.letStreamWait(4));
     EXPECT_OK(runtime.waitForStream(0));
@@ -90,7 +90,7 @@ TEST(RuntimeInterop, PutsStreamsInOrder) {
     EXPECT_OK(runtime.waitForStream(2));
     EXPECT_STREQ(waits, "3>s s>4 2>s ");
     EXPECT_EQ(events(), before + 1);
-    // Device memory, which stays when the tree goes.
+    // Device memory remains while it is exported, even without the tree.
     FieldPtr x = makeField(runtime, "x", ScalarKind::F64, {100});
     set(*x, {7}, 2.5);
     ExportedField exported;

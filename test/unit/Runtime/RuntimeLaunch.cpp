@@ -21,7 +21,7 @@ using namespace mlir::tai::runtime::test;
 // Random numbers
 //===----------------------------------------------------------------------===//
 
-// The known answers that come with the definition of the generator.
+// The known answers that were published with the generator.
 TEST(RuntimeRandom, KnownAnswers) {
   using Counter = std::array<uint32_t, 4>;
   EXPECT_EQ(philox4x32({0, 0, 0, 0}, {0, 0}),
@@ -56,7 +56,7 @@ TEST(RuntimeRandom, IsUniform) {
     sum += u;
     squares += u * u;
   }
-  // Five standard deviations.
+  // Allow five standard deviations.
   EXPECT_NEAR(sum / n, 0.5, 5 * 0.2887 / std::sqrt(n));
   EXPECT_NEAR(squares / n, 1.0 / 3, 5 * 0.2982 / std::sqrt(n));
 }
@@ -81,7 +81,7 @@ TEST(RuntimeLaunch, PassesArgumentsAndResults) {
   uint64_t args[] = {3, 4}, result = 0;
   ASSERT_OK(runtime.launch(*kernel, args, 2, &result));
   EXPECT_EQ(result, 49u);
-  // A result that nobody wants goes nowhere.
+  // A result that the caller does not request is dropped.
   ASSERT_OK(runtime.launch(*kernel, args, 2, nullptr));
   EXPECT_EQ(runtime.launch(*kernel, args, 1, &result).message(),
             "kernel 'add' takes 2 argument slots, but got 1");
@@ -147,7 +147,7 @@ TEST(RuntimeLaunch, KeepsTheFirstFailure) {
   EXPECT_EQ(status.code(), StatusCode::Assert);
   EXPECT_EQ(status.message(), "i = -3, v = [0.1, 2.0]");
   EXPECT_EQ(status.where(), "k.py:7:2");
-  // The next launch starts afresh.
+  // A failure does not affect the next launch.
   EXPECT_OK(launchOnce(runtime, [](TaiFrame *) { return 0; }));
   EXPECT_EQ(launchOnce(runtime, [](TaiFrame *) { return 5; }).message(),
             "kernel 'k' failed");
@@ -358,7 +358,7 @@ TEST(RuntimeLoop, CanBeInterrupted) {
   std::atomic<int64_t> done{0};
   auto arg = reinterpret_cast<uint64_t>(&done);
   auto endless = [](TaiFrame *frame) {
-    // Ten seconds, if it were to finish.
+    // The loop would take ten seconds if it were not stopped.
     tai_rt_parallel_for(
         frame,
         [](TaiFrame *, void *closure, int64_t begin, int64_t end, int64_t) {
@@ -381,15 +381,15 @@ TEST(RuntimeLoop, CanBeInterrupted) {
 
 TEST(RuntimeLoop, CutsByCost) {
   Runtime runtime(withThreads(4));
-  // Too small to pay for a fork, whatever it is.
+  // These loops are too small to pay for a fork.
   EXPECT_EQ(runtime.partition(1000, 1, false), 1);
   EXPECT_EQ(runtime.partition(1, 1000000000, false), 1);
   EXPECT_EQ(runtime.partition(0, 1, true), 1);
-  // Worth it.
+  // These loops are worth a fork.
   EXPECT_EQ(runtime.partition(1000000, 1, true), 4);
   EXPECT_GE(runtime.partition(1000000, 1, false), 4);
   EXPECT_EQ(runtime.partition(3, 1000000, true), 3);
-  // No overflow.
+  // The computation does not overflow.
   EXPECT_EQ(runtime.partition(INT64_MAX / 2, 0x1p62, true), 4);
   runtime.setThreads(1);
   EXPECT_EQ(runtime.partition(1000000, 1000, false), 1);
@@ -401,7 +401,7 @@ TEST(RuntimeLoop, MeasuresWhatEstimatesLeaveOpen) {
   ASSERT_TRUE(entry);
   EXPECT_EQ(times.find(375), entry);
   EXPECT_NE(times.find(376), entry);
-  // The first runs are measured, the later ones now and then.
+  // The first runs are measured, later runs only now and then.
   int measured = 0;
   for (int i = 0; i < 1024; ++i) {
     measured += entry->wantsRun();
@@ -409,12 +409,12 @@ TEST(RuntimeLoop, MeasuresWhatEstimatesLeaveOpen) {
   }
   EXPECT_GE(measured, 4);
   EXPECT_LE(measured, 10);
-  // A disturbance of a run only makes it longer.
+  // A disturbance can only make a run longer.
   for (double nanoseconds : {500.0, 20.0, 30000.0, 21.0})
     entry->add(nanoseconds);
   EXPECT_GE(entry->perIteration(), 20);
   EXPECT_LE(entry->perIteration(), 2000);
-  // A kernel with more loops goes by their estimates.
+  // For a kernel with more loops than this, the estimates are used.
   int known = 0;
   for (int64_t cost = 1; cost <= 100; ++cost)
     known += times.find(cost) != nullptr;
@@ -453,8 +453,8 @@ TEST(RuntimeSymbols, AreTheFunctions) {
   EXPECT_EQ(symbols["tai_rt_host_launch"],
             reinterpret_cast<void *>(&tai_rt_host_launch));
   for (const auto &[name, address] : symbols) {
-    // LLVM calls the others, conversions and arithmetic of compiler-rt, by
-    // these names.
+    // The other symbols are conversions and arithmetic of compiler-rt, which
+    // LLVM calls by these names.
     bool isLibraryCall = false;
     for (const char *start : {"__trunc", "__extendhfsf2", "__powi", "__div",
                               "__mod", "__udiv", "__umod", "__float", "__fix"})
@@ -472,7 +472,8 @@ TEST(RuntimeSymbols, ConvertToHalfWithOneRounding) {
     if (std::string(symbol.name) != "__truncdfhf2")
       continue;
     auto convert = reinterpret_cast<_Float16 (*)(double)>(symbol.address);
-    // By way of float it would be a tie, which goes to the even neighbour.
+    // Rounded to f32 first, this number would be a tie, which is rounded to
+    // even.
     EXPECT_EQ(static_cast<float>(convert(1 + 0x1p-11 + 0x1p-40)), 1 + 0x1p-10);
     EXPECT_EQ(static_cast<float>(convert(1 + 0x1p-11)), 1);
     return;

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// No test here makes a Runtime: a part is used with those alone that it is made
-// of.
+// No test here creates a Runtime: each part is used only with the parts that it
+// is composed of.
 //
 //===----------------------------------------------------------------------===//
 
@@ -58,7 +58,7 @@ struct Hosted : Stored {
   HostWrites writes{store, memory, recordings, copies, devices};
 };
 
-/// A tape that notes its calls.
+/// A tape that records its calls.
 struct Heard final : Recorder {
   explicit Heard(const FieldPtr &used = nullptr) : used(used) {}
 
@@ -252,7 +252,7 @@ TEST(Recordings, RefuseWhatWouldChangeAnotherGradient) {
               StatusCode::Usage);
     scene.recordings.release(second, *x);
   }).join();
-  // The thread itself may do as it likes.
+  // The recording thread itself is not restricted.
   EXPECT_OK(scene.recordings.check(*x, HoldKind::Write));
   scene.recordings.release(tape, *x);
   std::thread([&] {
@@ -263,7 +263,7 @@ TEST(Recordings, RefuseWhatWouldChangeAnotherGradient) {
 }
 
 namespace {
-/// A kernel that another thread runs and that changes a field.
+/// Stands for a kernel that another thread runs and that changes a field.
 struct RunsElsewhere final : OtherLaunches {
   bool areAny() const override { return true; }
   void publishState() const override { ++numSeen; }
@@ -295,7 +295,7 @@ TEST(Recordings, RefuseWhatAnotherThreadIsChanging) {
             "another thread runs kernel 'k', which adds to the gradient of "
             "field 'x', while a tape of this thread reads it: give each thread "
             "fields of its own, or wait until the kernel has returned");
-  // A refused field is not held.
+  // A field whose hold was refused is not held.
   std::thread([&] {
     EXPECT_OK(scene.recordings.check(*adjoint, HoldKind::Write));
     EXPECT_EQ(scene.recordings.check(*y, HoldKind::Read).code(),
@@ -315,7 +315,7 @@ TEST(HostWrites, GoToTheTapeThatRecords) {
   Heard tape;
   scene.recordings.begin(tape);
   ASSERT_OK(scene.writes.fillF64(*x, 4));
-  // Gradients are no values that a program computes from.
+  // Programs do not compute values from gradients.
   ASSERT_OK(scene.writes.fillF64(*adjoint, 5));
   scene.recordings.end(tape);
   EXPECT_EQ(tape.numWrites, 1);
@@ -342,8 +342,8 @@ TEST(Gradients, ClearWhatIsDirtyAndOfThisThread) {
   EXPECT_TRUE(scene.gradients.clear());
   EXPECT_EQ(scene.counters.get(SkipCount::FieldsNotCleared), 1);
   std::thread([&] { ASSERT_OK(scene.writes.fillF64(*adjoint, 2)); }).join();
-  // A gradient left by another thread does not concern a tape that does not use
-  // it.
+  // A gradient of another thread does not concern a tape that does not use the
+  // gradient.
   Heard apart, user(adjoint);
   EXPECT_TRUE(scene.gradients.clear(&apart));
   EXPECT_EQ(get(*adjoint, {0}), 2);

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The second launch of a kernel goes a shorter way than the first: invariants
-// that must hold all the same when something has changed between two launches,
-// and the number of driver calls for each.
+// The second launch of a kernel takes a shorter path than the first: tests
+// invariants that must hold even if something has changed between two launches,
+// and the number of driver calls of each launch.
 //
 //===----------------------------------------------------------------------===//
 
@@ -36,7 +36,7 @@ static Status add(Runtime &runtime, Kernel &kernel, double value) {
   return runtime.launch(kernel, &slot, 1, nullptr);
 }
 
-/// A kernel that adds to x, launched often enough to go its short way.
+/// A kernel that adds to x, launched often enough to take the short path.
 static KernelPtr makeAdding(Runtime &runtime, const FieldPtr &x) {
   KernelPtr kernel =
       makeKernel(runtime, "add", addHere, {{x, AccessKind::Accumulate}}, 1);
@@ -67,7 +67,7 @@ TEST(RuntimePrepared, GoesOnAfterFieldsArePlaced) {
   EXPECT_EQ(get(*x), 4.0);
 }
 
-// Whether a field is an adjoint may become known later.
+// A field may become an adjoint after launches that use it.
 TEST(RuntimePrepared, MarksAdjointsOfLaterFields) {
   Runtime runtime;
   FieldPtr g = makeField(runtime, "g", ScalarKind::F64, {});
@@ -80,8 +80,8 @@ TEST(RuntimePrepared, MarksAdjointsOfLaterFields) {
   EXPECT_EQ(get(*g), 0.0);
 }
 
-// A kernel that uses a gradient stores the zeros that are owed there, at each
-// launch; any other one leaves them.
+// At each launch, a kernel that uses a gradient stores the zeros that the
+// gradient still needs; other kernels do not.
 TEST(RuntimePrepared, StoresTheZerosOfItsGradients) {
   Runtime runtime;
   FieldPtr y = makeField(runtime, "y", ScalarKind::F64, {});
@@ -191,7 +191,7 @@ TEST(RuntimePrepared, CountsArgumentsAndWantsNoResults) {
     result = 0;
     EXPECT_OK(runtime.launch(*kernel, args, 1, &result));
     EXPECT_EQ(result, 42u);
-    // A caller that wants no results passes no memory for them.
+    // A caller that needs no results passes no memory for them.
     EXPECT_OK(runtime.launch(*kernel, args, 1, nullptr));
     EXPECT_EQ(runtime.launch(*kernel, args, 2, &result).message(),
               "kernel 'k' takes 1 argument slots, but got 2");
@@ -211,7 +211,7 @@ TEST(RuntimePrepared, ReportsFailures) {
     EXPECT_EQ(runtime.launch(*kernel, &fails, 1, nullptr).ok(), fails == 0);
 }
 
-// The seed and the number of a launch decide its random numbers.
+// The random numbers of a launch depend on its seed and number.
 TEST(RuntimePrepared, SeesTheSeedAndTheNumber) {
   Runtime runtime;
   static std::vector<std::pair<uint64_t, uint64_t>> seen;
@@ -232,7 +232,7 @@ TEST(RuntimePrepared, SeesTheSeedAndTheNumber) {
   EXPECT_EQ(seen, wanted);
 }
 
-// A kernel may launch others, and each launch has a frame of its own.
+// A kernel may launch other kernels; each launch has its own frame.
 TEST(RuntimePrepared, NestsAndComesFromManyThreads) {
   Runtime runtime;
   static Kernel *inner;
@@ -267,7 +267,7 @@ TEST(RuntimePrepared, NestsAndComesFromManyThreads) {
   launchMany();
   for (std::thread &thread : threads)
     thread.join();
-  // Threads that come when others have gone.
+  // New threads start after others have ended.
   for (int i = 0; i < 3; ++i)
     std::thread(launchMany).join();
   EXPECT_EQ(sum, 8 * (2000 + 2000 * 1999 / 2));
@@ -279,7 +279,7 @@ TEST(RuntimePrepared, NestsAndComesFromManyThreads) {
 //===----------------------------------------------------------------------===//
 
 #ifdef TAI_FAKE_CUDA_LIBRARY
-/// Scales the first n numbers of the first tree.
+/// Scales the first n numbers of the first tree, on the device.
 static int32_t scaleThere(TaiFrame *frame) {
   uint64_t slots[] = {reinterpret_cast<uint64_t>(frame->trees[0]),
                       frame->args[0], frame->args[1]};
@@ -326,7 +326,7 @@ protected:
     uint64_t args[] = {4, slotOf(factor)};
     return runtime->launch(*kernel, args, 2, nullptr);
   }
-  /// How often the driver is called meanwhile.
+  /// The number of driver calls that `work` makes.
   template <typename Work> long long countCalls(Work work) {
     auto *calls =
         static_cast<long long *>(dlsym(library, "tai_fake_cuda_calls"));
@@ -354,14 +354,15 @@ TEST_F(RuntimePreparedCuda, CallsTheDriverOnceForEachLaunch) {
     for (int i = 0; i < 100; ++i)
       EXPECT_OK(scale(1.0));
   };
-  // Once more each to make a graph, to put the kernel in and to make it ready.
+  // One more call each to create a graph, to add the kernel and to instantiate
+  // the graph.
   EXPECT_EQ(countCalls(launchOften), 100 + 3);
   EXPECT_EQ(countCalls(launchOften), 100);
   EXPECT_EQ(countGraphs(), 1);
   EXPECT_EQ(get(*x, {0}), 8.0);
 }
 
-// A changed parameter takes one call more.
+// A changed parameter takes one more call.
 TEST_F(RuntimePreparedCuda, ChangesParametersOfARepeatedLaunch) {
   for (int i = 0; i < 60; ++i)
     EXPECT_OK(scale(i % 2 ? 4.0 : 0.25));
@@ -370,7 +371,7 @@ TEST_F(RuntimePreparedCuda, ChangesParametersOfARepeatedLaunch) {
   EXPECT_EQ(countCalls([&] { EXPECT_OK(scale(3.0)); }), 2);
   EXPECT_EQ(countCalls([&] { EXPECT_OK(scale(3.0)); }), 1);
   EXPECT_EQ(get(*x, {0}), 72.0);
-  // A timed launch stands between events, in the same way.
+  // A timed launch is between events, and otherwise the same.
   runtime->setProfiler(true);
   EXPECT_OK(scale(0.5));
   EXPECT_EQ(get(*x, {0}), 36.0);
@@ -380,7 +381,8 @@ TEST_F(RuntimePreparedCuda, ChangesParametersOfARepeatedLaunch) {
   EXPECT_EQ(countGraphs(), 0);
 }
 
-// A graph that one thread has made, in a thread that was not on the device yet.
+// Another thread, which has not used the device before, repeats a launch of a
+// graph.
 TEST_F(RuntimePreparedCuda, RepeatsALaunchInAnotherThread) {
   for (int i = 0; i < 60; ++i)
     EXPECT_OK(scale(1.0));
@@ -402,7 +404,7 @@ TEST_F(RuntimePreparedCuda, LaunchesByItselfWhereThereAreNoGraphs) {
   }
 }
 
-// A kernel may need more than the limits of its function say.
+// A kernel may need more resources than the limits of its function say.
 TEST_F(RuntimePreparedCuda, LaunchesSmallerBlocksWhereTheDeviceHasNoRoom) {
   constexpr int64_t n = 4096;
   FieldPtr many = makeField(*runtime, "many", ScalarKind::F64, {n});
@@ -422,7 +424,7 @@ TEST_F(RuntimePreparedCuda, LaunchesSmallerBlocksWhereTheDeviceHasNoRoom) {
     Status status = launch();
     auto *threads = static_cast<int *>(dlsym(library, "tai_fake_cuda_threads"));
     if (hasSize) {
-      // A loop counts on the size that it has asked for.
+      // A loop relies on the block size that it specifies.
       EXPECT_EQ(status.code(), StatusCode::Internal);
     } else {
       EXPECT_OK(status);
@@ -433,7 +435,7 @@ TEST_F(RuntimePreparedCuda, LaunchesSmallerBlocksWhereTheDeviceHasNoRoom) {
   }
 }
 
-// Events stand around a profiled launch.
+// Profiled launches are between events.
 TEST_F(RuntimePreparedCuda, CallsItOnceAgainWithoutTheProfiler) {
   auto launch = [&] { EXPECT_OK(scale(2.0)); };
   runtime->setProfiler(true);
@@ -447,8 +449,8 @@ TEST_F(RuntimePreparedCuda, CallsItOnceAgainWithoutTheProfiler) {
   EXPECT_EQ(get(*x, {0}), 64.0);
 }
 
-// Another library has made its context that of the thread, or the thread has
-// none yet.
+// Another library has made its context current in the thread, or the thread has
+// no context yet.
 TEST_F(RuntimePreparedCuda, LaunchesFromThreadsWithOtherContexts) {
   int other;
   for (void *context :
@@ -468,7 +470,8 @@ TEST_F(RuntimePreparedCuda, SeesWhatTheHostWrites) {
   EXPECT_OK(runtime->copyFromHost(*x, values));
   EXPECT_OK(scale(2.0));
   EXPECT_EQ(get(*x, {3}), 16.0);
-  // All of it, so that it is the host that has the current values.
+  // Write the element often enough that the host gets the current values of the
+  // whole field.
   for (int i = 0; i < 200; ++i)
     set(*x, {1}, double(i));
   EXPECT_OK(scale(2.0));
@@ -509,7 +512,7 @@ TEST_F(RuntimePreparedCuda, FailsWhenATreeIsGone) {
             0);
 }
 
-// Kernels are compiled anew for other sizes of blocks, for example.
+// The code of a kernel may change, for example for another block size.
 TEST_F(RuntimePreparedCuda, TakesOtherCode) {
   runtime->setBlockThreads(64);
   kernel->setDeviceImage(imageOf("where"));
@@ -522,7 +525,7 @@ TEST_F(RuntimePreparedCuda, TakesOtherCode) {
   EXPECT_EQ(found[1], 64);
 }
 
-// The next launch reports an error that a call could not report.
+// The next launch reports an error that an earlier call could not report.
 TEST_F(RuntimePreparedCuda, ReportsWhatHasFailedBefore) {
   EXPECT_OK(scale(2.0));
   setenv("TAI_FAKE_CUDA", "fault", 1);

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The driver that stands in for CUDA has a clock that goes on by a microsecond
-// with each launch, and with each thousand numbers that one scales: times are
-// known to the last digit.
+// The fake CUDA driver has a clock that advances by a microsecond with each
+// launch, and with each thousand numbers that the launch scales: times are
+// known exactly.
 //
 //===----------------------------------------------------------------------===//
 
@@ -99,18 +99,18 @@ TEST_F(RuntimeProfiler, TakesTheTimesOfTheDevice) {
   ASSERT_TRUE(row);
   EXPECT_EQ(row->kind, ProfileKind::Device);
   EXPECT_EQ(row->times.launches, 3);
-  // A microsecond each, and one for each thousand.
+  // A microsecond for each launch, and one for each thousand numbers.
   EXPECT_NEAR(double(row->times.minNs), 2000, 1);
   EXPECT_NEAR(double(row->times.maxNs), 101000, 1);
   EXPECT_NEAR(double(row->times.totalNs), 109000, 3);
   EXPECT_EQ(row->place, "/home/someone/a.py:12:3");
-  // All of x, read and written.
+  // All of x is read and written.
   EXPECT_EQ(row->bytes, 2 * 100000 * 8);
   EXPECT_EQ(row->facts.registers, 40);
   EXPECT_EQ(row->facts.sharedBytes, 1024);
   EXPECT_EQ(row->facts.localBytes, 16);
   EXPECT_EQ(row->threads, 256u);
-  // 8 blocks of 256 threads fill the 2048 places of a multiprocessor.
+  // 8 blocks of 256 threads fill the 2048 threads of a multiprocessor.
   EXPECT_EQ(row->occupancy, 1.0);
   runtime->clearProfile();
   EXPECT_TRUE(runtime->profile().empty());
@@ -137,7 +137,8 @@ TEST_F(RuntimeProfiler, PutsBothSidesOnOneLineOfTime) {
   ASSERT_EQ(enqueued.size(), 2u);
   ASSERT_EQ(kernels.size(), 2u);
   EXPECT_EQ(kernels[0].row->kernel, "k");
-  // The first launch brings x to the device, which takes its time, too.
+  // The first launch is preceded by the copy of x to the device, which takes
+  // time, too.
   EXPECT_NEAR(double(device[0].durationNs), 2000, 1);
   EXPECT_NEAR(double(device[1].durationNs), 3000, 1);
   EXPECT_NEAR(double(device[1].startNs - device[0].startNs), 2000, 1);
@@ -146,7 +147,7 @@ TEST_F(RuntimeProfiler, PutsBothSidesOnOneLineOfTime) {
     EXPECT_GE(enqueued[i].startNs, kernels[i].startNs);
     EXPECT_LE(enqueued[i].startNs + enqueued[i].durationNs,
               kernels[i].startNs + kernels[i].durationNs);
-    // Nothing begins before it was asked for.
+    // No launch starts before it was queued.
     EXPECT_GE(device[i].startNs, device[i].queuedNs);
   }
 }
@@ -168,7 +169,7 @@ TEST_F(RuntimeProfiler, TimesCopiesAndFills) {
   }
 }
 
-// Launches that nobody asks about for long do not keep an event each.
+// Launches whose times are not queried for long do not keep an event each.
 TEST_F(RuntimeProfiler, ReadsEventsInBetween) {
   int before = 0;
   open();
@@ -183,7 +184,7 @@ TEST_F(RuntimeProfiler, ReadsEventsInBetween) {
   ASSERT_TRUE(row);
   EXPECT_EQ(row->times.launches, launches);
   EXPECT_NEAR(double(row->times.totalNs), 2000.0 * launches, launches);
-  // With all that holds on to the device.
+  // Destroys all objects that keep the device alive.
   kernel.reset();
   x.reset();
   runtime.reset();
@@ -216,13 +217,13 @@ TEST_F(RuntimeProfiler, NamesRangesForTools) {
   EXPECT_TRUE(runtime->wantsPlaces());
   scale(1000);
   EXPECT_EQ(logOfNvtx(), "+scale (a.py:12)\n-\n");
-  // By the name of the library of older versions; it is loaded already, and
-  // found by that.
+  // Older versions use the name of the library, which is loaded already and
+  // found by this name.
   unsetenv("NVTX_INJECTION64_PATH");
   open();
   scale(1000);
   EXPECT_EQ(logOfNvtx(), "+scale (a.py:12)\n-\n");
-  // A library that does not take part.
+  // A library without the functions for NVTX.
   setenv("NVTX_INJECTION64_PATH", TAI_FAKE_CUDA_LIBRARY, 1);
   open();
   EXPECT_FALSE(runtime->wantsPlaces());

@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Memory that a running kernel uses is not freed, and its changes are no part
+// Memory that a running kernel uses is not freed, and its changes are not part
 // of a tape that another thread begins meanwhile.
 //
 //===----------------------------------------------------------------------===//
@@ -33,7 +33,7 @@ struct Gate {
   }
 };
 
-/// x[0] = 1, between the two ends of the gate that is its argument.
+/// x[0] = 1, once the gate that is its argument opens.
 int32_t storeAtGate(TaiFrame *frame) {
   reinterpret_cast<Gate *>(frame->args[0])->pass();
   *static_cast<double *>(frame->trees[0]) = 1;
@@ -77,7 +77,7 @@ struct Scene {
 
 TEST(RuntimeRunning, TreesInUseStay) {
   Scene scene;
-  // The second launch goes the short way.
+  // The second launch takes the short path.
   for (int i = 0; i < 2; ++i)
     scene.whileStoring([&] {
       Status status = scene.runtime.destroyTree("x_tree");
@@ -86,7 +86,7 @@ TEST(RuntimeRunning, TreesInUseStay) {
                 "thread runs kernel 'store', which uses it: wait until the "
                 "kernel has returned");
       EXPECT_TRUE(scene.x->valid());
-      // Others go.
+      // Trees that the kernel does not use can be destroyed.
       if (i == 1)
         EXPECT_OK(scene.runtime.destroyTree("y_tree"));
     });
@@ -143,8 +143,8 @@ TEST(RuntimeRunning, ReadersDoNotMind) {
   other.join();
 }
 
-// The launch began before the tape, and its code runs after it has used the
-// field.
+// The launch began before the tape, and its kernel is compiled after the tape
+// has used the field.
 TEST(RuntimeRunning, CompilationIsPartOfALaunch) {
   Scene scene;
   Gate gate;
@@ -174,7 +174,7 @@ TEST(RuntimeRunning, CompilationIsPartOfALaunch) {
   tape->end();
 }
 
-// The thread that runs the kernel is not there in a child.
+// In a forked child, the thread that runs the kernel does not exist.
 TEST(RuntimeRunning, ChildrenFreeWhatTheirParentUses) {
   Scene scene;
   scene.whileStoring([&] {
@@ -189,7 +189,7 @@ TEST(RuntimeRunning, ChildrenFreeWhatTheirParentUses) {
   });
 }
 
-// A device that comes afterwards has launches of its own.
+// A device that is opened later has launches of its own.
 TEST(RuntimeRunning, LaunchesThatAreDroppedAreForgotten) {
   Scene scene;
   EXPECT_OK(scene.runtime.launch(*scene.read, nullptr, 0, nullptr));
@@ -199,8 +199,8 @@ TEST(RuntimeRunning, LaunchesThatAreDroppedAreForgotten) {
   EXPECT_OK(scene.runtime.destroyTree("x_tree"));
 }
 
-// Several threads launch one kernel, the short way too, while trees come and
-// go.
+// Several threads launch one kernel, also on the short path, while trees are
+// created and destroyed.
 TEST(RuntimeRunning, TreesComeAndGo) {
   Scene scene;
   std::atomic<bool> isOver{false};

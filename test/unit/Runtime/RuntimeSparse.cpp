@@ -19,13 +19,13 @@ using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::test;
 
 namespace {
-/// One level of a path.
+/// A level of a path.
 struct Level {
   char kind; // 'd'ense, 's'parse, or 'l'ist
   int64_t cells;
 };
 
-/// A tree of one path, with an i32 field in its innermost cells.
+/// A tree with a single path, which ends in cells with an i32 field.
 struct Path {
   TreePtr tree;
   FieldPtr field;
@@ -35,7 +35,7 @@ struct Path {
 
 static Status makePath(Runtime &runtime, const std::string &name,
                        const std::vector<Level> &levels, Path &path) {
-  // Strides from the inside out.
+  // Compute strides from the innermost level to the outermost.
   std::vector<int64_t> strides(levels.size());
   int64_t stride = 4;
   for (size_t i = levels.size(); i-- > 0;) {
@@ -127,7 +127,7 @@ TEST(RuntimeSparse, ThreadsActivateTheSameCells) {
       for (int64_t cell : order)
         changed += inner.activate(cell);
     });
-    // Each of them was made active once.
+    // Each cell was activated once.
     EXPECT_EQ(changed, inner.numCells());
     EXPECT_EQ(inner.numActive(), inner.numCells());
     EXPECT_EQ(outer.numActive(), outer.numCells());
@@ -196,7 +196,8 @@ TEST(RuntimeSparse, ThreadsDeactivateCellsOfOneWord) {
     inner.activate(cell);
     values[cell] = 1;
   }
-  // All but each eighth, which others activate at the same time.
+  // Deactivate all cells but every eighth, which other threads activate
+  // meanwhile.
   onThreads(kThreads, [&](int thread) {
     for (int64_t cell = thread; cell < 256; cell += kThreads)
       if (thread == 5)
@@ -210,7 +211,7 @@ TEST(RuntimeSparse, ThreadsDeactivateCellsOfOneWord) {
     ASSERT_EQ(values[cell], cell / 3 % kThreads == 5);
 }
 
-// The order of a list is that of memory, however many threads make it.
+// A list is in the order of memory, however many threads create it.
 TEST(RuntimeSparse, ListsMadeInParallelAreTheSame) {
   Options one, many;
   one.threads = 1;
@@ -224,7 +225,7 @@ TEST(RuntimeSparse, ListsMadeInParallelAreTheSame) {
     ASSERT_OK(makePath(parallel, name, levels, b));
     std::mt19937 random(7);
     for (int i = 0; i < 120000; ++i) {
-      // Dense in some places, empty in others.
+      // Dense in some regions, empty in others.
       int64_t cell =
           static_cast<int64_t>(std::min(random() % 700000, random() % 700000));
       a.nodes[1]->activate(cell);
@@ -235,7 +236,7 @@ TEST(RuntimeSparse, ListsMadeInParallelAreTheSame) {
     EXPECT_EQ(static_cast<int64_t>(cells.size()), a.nodes[1]->numActive());
     EXPECT_TRUE(std::is_sorted(cells.begin(), cells.end()));
     EXPECT_EQ(cells, activeCells(*b.nodes[1]));
-    // Again: it is kept. After a change: it is made anew.
+    // A second request reuses the list; after a change, the list is recreated.
     activeCells(*b.nodes[1]);
     EXPECT_EQ(b.nodes[1]->listsMade(), 1);
     EXPECT_EQ(b.nodes[1]->listsReused(), 1);
@@ -245,7 +246,7 @@ TEST(RuntimeSparse, ListsMadeInParallelAreTheSame) {
   }
 }
 
-// A list that is made while cells become active holds the cells that were
+// A list that is created while cells become active contains the cells that were
 // active before, each once.
 TEST(RuntimeSparse, ListsWhileOthersActivate) {
   Runtime runtime;
@@ -278,7 +279,7 @@ TEST(RuntimeSparse, ListsWhileOthersActivate) {
 }
 
 //===----------------------------------------------------------------------===//
-// Against sets
+// Comparison with sets
 //===----------------------------------------------------------------------===//
 
 TEST(RuntimeSparse, RandomActivityIsThatOfSets) {
@@ -385,8 +386,8 @@ TEST(RuntimeSparse, RoundsOfTreesLeakNothing) {
   EXPECT_EQ(runtime.activeCellBytes(), 0);
 }
 
-// Deactivation gives whole pages back: not those that a cell shares with the
-// next one.
+// Deactivation returns whole pages, except pages that a cell shares with the
+// next.
 TEST(RuntimeSparse, RoundsOfActivityLeakNothing) {
   Runtime runtime;
   Path path;
@@ -399,7 +400,7 @@ TEST(RuntimeSparse, RoundsOfActivityLeakNothing) {
       path.nodes[0]->deactivate(cell);
     }
 #ifndef TAI_TEST_SANITIZED
-    // 16 pages a cell have been written to.
+    // 16 pages of each cell were written to.
     EXPECT_LE(residentPages(), before + (1 << 10) + 256);
 #else
     (void)before;
@@ -412,7 +413,7 @@ TEST(RuntimeSparse, RunningOutNamesTheLevel) {
   options.memoryLimit = 1 << 20;
   Runtime runtime(options);
   Path path;
-  // 64 GiB of addresses in cells of 256 KiB, of which four fit.
+  // 64 GiB of addresses, in cells of 256 KiB; the limit allows four cells.
   ASSERT_OK(makePath(runtime, "x", {{'s', 1 << 18}, {'d', 1 << 16}}, path));
   auto write = [&](int64_t cell) {
     int64_t index = cell << 16;
@@ -426,7 +427,8 @@ TEST(RuntimeSparse, RunningOutNamesTheLevel) {
             "out of memory: one more cell of level 0 above @x of 256.0 KiB "
             "each; its 4 active cells take 1.0 MiB, and all fields take 1.0 "
             "MiB of 1.0 MiB");
-  // Active cells can be written to, and deactivated ones make room.
+  // Active cells can be written to, and deactivating cells frees memory for
+  // others.
   EXPECT_OK(write(1000));
   path.nodes[0]->deactivate(0);
   EXPECT_OK(write(5));
@@ -439,7 +441,7 @@ TEST(RuntimeSparse, RunningOutNamesTheLevel) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The function that a kernel has to call, and its cell.
+/// The function that a kernel has to call, and the cell.
 struct Call {
   Tree *tree;
   char what;

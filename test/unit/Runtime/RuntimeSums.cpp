@@ -87,7 +87,7 @@ TEST(RuntimeScratch, OutOfMemoryFailsTheLaunchOnly) {
   options.memoryLimit = 1 << 20;
   Runtime runtime(options);
   auto kernel = [](TaiFrame *frame) {
-    // The kernel may go on to write the memory that it has allocated.
+    // The kernel may still write to memory whose allocation exceeded the limit.
     auto *memory = static_cast<char *>(tai_rt_scratch(frame, 40 << 20));
     for (int64_t b = 0; b < (40 << 20); b += 1000)
       memory[b] = 1;
@@ -120,7 +120,7 @@ TEST(RuntimeScratch, OutOfMemoryFailsTheLaunchOnly) {
 // Partial sums
 //===----------------------------------------------------------------------===//
 
-/// Buffers of `T` are added to a field of `Target`, with one rounding.
+/// Adds buffers of `T` to a field of `Target`, rounding once.
 template <typename Target, typename T>
 static void combine(int threads, int64_t count, int64_t parts, int kind) {
   Runtime runtime(withThreads(threads));
@@ -128,7 +128,7 @@ static void combine(int threads, int64_t count, int64_t parts, int kind) {
   for (int64_t e = 0; e < count; ++e)
     target[e] = Target(e);
   for (int64_t e = 0; e < count; ++e) {
-    // In the order of the partitions, without a different association.
+    // In the order of the partitions, without another association.
     T sum = T(0) + T(1) / T(e % 13 + 1);
     for (int64_t p = 1; p < parts; ++p)
       sum += T(p + 1) / T(e % 13 + 1);
@@ -167,8 +167,7 @@ TEST(RuntimeCombine, AddsInPartitionOrder) {
       }
 }
 
-// Cells of three components in a record of five, so that two between them
-// must stay as they are.
+// Cells of three components in a record of five; the other two must not change.
 TEST(RuntimeCombine, AddsIntoCells) {
   for (int threads : {1, 4})
     for (int64_t cells : {1, 341, 342, 50000})
@@ -205,8 +204,8 @@ TEST(RuntimeCombine, AddsIntoCells) {
       }
 }
 
-/// Adds to every `step`th of `count` elements in buffers of all `parts`, if
-/// they were zero; a piece of other memory is dirtied before.
+/// Adds to every `step`th of `count` elements in the buffers of all `parts`, if
+/// these were zero; other memory is dirtied first.
 template <typename T> static int32_t addToSome(TaiFrame *frame) {
   int64_t count = frame->args[1], parts = frame->args[2], step = frame->args[3];
   int64_t other = frame->args[4], kind = frame->args[5];
@@ -226,8 +225,7 @@ template <typename T> static int32_t addToSome(TaiFrame *frame) {
   return 0;
 }
 
-// The memory of a launch is used again: memory that is known to be zero must be
-// zero.
+// Memory of a launch is reused: memory that must be zero must be zero again.
 TEST(RuntimeCombine, LeavesZeros) {
   for (int threads : {1, 3}) {
     Runtime runtime(withThreads(threads));
@@ -270,7 +268,7 @@ TEST(RuntimeCombine, ForgetsZerosOfFailedLaunches) {
   }
 }
 
-// Zeros that nothing was added to keep their sign, wherever they stand.
+// Zeros to which no term was added keep their sign.
 TEST(RuntimeCombine, AddsNothingToTheRest) {
   for (int kind : {int(kSumsF64), int(kSumsPairs)})
     for (int64_t step : {1, 2, 5000}) {

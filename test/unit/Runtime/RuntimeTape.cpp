@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The kernels are written by hand, with adjoints by hand: y = sin(x), z = y*y,
-// loss += z, over small fields, and variations.
+// Hand-written kernels with hand-written adjoints: y = sin(x), z = y*y, loss +=
+// z, over small fields, and variations of these.
 //
 //===----------------------------------------------------------------------===//
 
@@ -82,7 +82,7 @@ struct Scene {
     return runtime.findTree(field.tree().name());
   }
 
-  /// All elements, as the stores of a launch in any layout.
+  /// A box of all elements, as the stores of a launch in any layout.
   static std::shared_ptr<const std::vector<StoredBox>> everything() {
     return std::make_shared<const std::vector<StoredBox>>(
         std::vector<StoredBox>{{{{{0, 0, {}}, {0, n, {}}}}, {}}});
@@ -156,7 +156,7 @@ struct Scene {
     EXPECT_OK(runtime.beginTape(loss, clear, tape));
     return tape;
   }
-  /// d/dx of sum (s sin x)^2 at element i, with values as they were first set.
+  /// d/dx of sum (s sin x)^2 at element i, for the initial values of x.
   double expected(double first, int64_t i, double scale = 1) {
     double at = first + 0.1 * double(i);
     return 2 * scale * scale * std::sin(at) * std::cos(at);
@@ -185,8 +185,8 @@ TEST(RuntimeTape, RunsAdjointsInReverse) {
   EXPECT_EQ(tape->numSkipped(), 0);
 }
 
-// A replay clears the gradients first: those that the sweep before has left
-// reach nothing.
+// A replay clears the gradients first: gradients that an earlier sweep has left
+// make no launch replay.
 TEST(RuntimeTape, PlansAReplayByClearedGradients) {
   Scene scene;
   auto step = scene.sineOf(scene.x, scene.y);
@@ -286,7 +286,7 @@ TEST(RuntimeTape, StartsFromSeedsWithoutALoss) {
   EXPECT_EQ(get(*scene.x->adjoint(), {2}), 0);
 }
 
-// A seed that the caller set beside the loss is not lost by the skipping.
+// Skipping does not lose a seed that the caller set in addition to the loss.
 TEST(RuntimeTape, AddsSeedsToTheLoss) {
   Scene scene;
   auto step = scene.sineOf(scene.x, scene.w);
@@ -329,7 +329,7 @@ TEST(RuntimeTape, ReplaysOnNewContents) {
     }
     EXPECT_NEAR(get(*scene.loss), loss, 1e-14);
   }
-  // Without the forward part, the gradient is that of the stored values.
+  // Without the forward part, the gradient is taken at the stored values.
   ASSERT_OK(tape->replay(false, true));
   EXPECT_NEAR(get(*scene.x->adjoint(), {1}), scene.expected(1.2, 1, 2), 1e-14);
 }
@@ -346,11 +346,11 @@ TEST(RuntimeTape, AccumulatesOverTapesUnlessCleared) {
     ASSERT_OK(tape->backward());
   }
   EXPECT_NEAR(get(*scene.x->adjoint(), {0}), scene.expected(0.3, 0), 1e-15);
-  // The gradients of overwritten elements are zero.
+  // The adjoints of overwritten elements are zero.
   for (int64_t i = 0; i < n; ++i)
     EXPECT_EQ(get(*scene.y->adjoint(), {i}), 0);
-  // As in the paper's system: the former values of the adjoints are propagated
-  // too.
+  // As in the paper's system, values that the adjoints had before are
+  // propagated as well.
   set(*scene.y->adjoint(), {0}, 2 * std::sin(0.3));
   auto tape = scene.begin(/*clear=*/false);
   scene.launch(step);
@@ -364,7 +364,7 @@ TEST(RuntimeTape, CallsHostFunctionsInPlace) {
   auto step = scene.sineOf(scene.x, scene.y);
   auto sum = scene.squaresOf(scene.z);
   std::vector<std::string> calls;
-  // z = 3 y, with a gradient of its own.
+  // z = 3 y, with a custom gradient.
   auto tripled = [&] {
     calls.push_back("forward");
     for (int64_t i = 0; i < n; ++i)
@@ -407,8 +407,8 @@ TEST(RuntimeTape, CallsHostFunctionsInPlace) {
   EXPECT_EQ(tape->numRecords(), 4) << "a tape that has ended records nothing";
 }
 
-// A kernel launched inside a reverse callback reaches adjoints that no summary
-// on the tape speaks of.
+// A kernel that a reverse callback launches reaches adjoints that no summary on
+// the tape mentions.
 TEST(RuntimeTape, FollowsWhatCallbacksLaunch) {
   Scene scene;
   auto step = scene.sineOf(scene.x, scene.y);
@@ -484,8 +484,8 @@ TEST(RuntimeTape, GivesReverseTheSameRandomNumbers) {
             (std::vector<int64_t>{12, 0, 1, 2, 2, 1, 0, 3, 4, 5, 5, 4, 3}));
 }
 
-// A record that there is not cannot be launched again, nor one of a tape that
-// is still being recorded.
+// A record that does not exist cannot be launched again, nor can a record of a
+// tape that is still recording.
 TEST(RuntimeTape, RefusesRecordsThatAreNotThere) {
   Scene scene;
   scene.startAt(0.3);
@@ -498,7 +498,7 @@ TEST(RuntimeTape, RefusesRecordsThatAreNotThere) {
   EXPECT_EQ(tape->runRecord(1).message(), "the tape has no record 1");
   EXPECT_OK(tape->runRecord(0));
   EXPECT_FALSE(tape->setCheckpoints({CheckpointPolicy::Kind::Periodic}).ok());
-  // A host function in between is no overwrite.
+  // A host function between the stores does not count as an overwrite.
   tape = scene.begin();
   auto step = scene.sineOf(scene.x, scene.y);
   scene.launch(step);
@@ -523,7 +523,7 @@ TEST(RuntimeTape, RefusesWhatMakesNoSense) {
   EXPECT_EQ(scene.runtime.beginTape(scene.loss, true, second).code(),
             StatusCode::Usage);
   EXPECT_EQ(tape->replay(true, true).code(), StatusCode::Usage);
-  // A kernel that is needed and has no adjoint is an error, not a zero.
+  // A needed kernel without an adjoint is an error, not a zero gradient.
   auto opaque = makeKernel(
       scene.runtime, "opaque", [](TaiFrame *) { return 0; },
       {{scene.x, AccessKind::Read}, {scene.loss, AccessKind::Accumulate}});
@@ -635,7 +635,8 @@ TEST(RuntimeHost, ReportsErrors) {
   EXPECT_EQ(scene.runtime.recordingTape(), nullptr);
 }
 
-// Programs of the host have kernels, fields and trees; kernels have no program.
+// Host programs need their kernels, fields and trees; kernels belong to no
+// program.
 TEST(RuntimeHost, ReportsWhatIsMissing) {
   Scene scene;
   for (TaiKernelFn function : std::initializer_list<TaiKernelFn>{
@@ -665,7 +666,7 @@ TEST(RuntimeHost, ReportsWhatIsMissing) {
             }),
             "kernel '" + program.kernels["step"]->name() +
                 "' returns 0 slots, but the launch expects 1");
-  // A tape of no loss, and one within the other.
+  // A tape without a loss, and a nested tape.
   EXPECT_EQ(messageOf([](TaiFrame *frame) {
               return tai_rt_host_tape_begin(frame, nullptr);
             }),
@@ -695,7 +696,7 @@ TEST(RuntimeHost, ReportsWhatIsMissing) {
   wrt = "counts";
   EXPECT_EQ(messageOf(check), "field 'counts' has no adjoint to be checked");
 
-  // A program that knows no kernels, or whose tree has gone.
+  // A program without a lookup of kernels, or whose tree was destroyed.
   program.module.findKernel = nullptr;
   EXPECT_EQ(messageOf([](TaiFrame *frame) {
               return tai_rt_host_launch(frame, "step", nullptr, 0, nullptr, 0);
@@ -710,7 +711,7 @@ TEST(RuntimeHost, ReportsWhatIsMissing) {
                                 "', which has been destroyed");
 }
 
-// The region may fail at each of its evaluations.
+// The checked region may fail at any of its evaluations.
 TEST(RuntimeHost, ChecksOfWhatFails) {
   static int left;
   auto failing = [](TaiFrame *frame, void *) -> int32_t {
@@ -738,7 +739,8 @@ TEST(RuntimeHost, ChecksOfWhatFails) {
     ++failures;
     EXPECT_EQ(status.message(), "the host program failed");
   }
-  // The recorded run, one for what is written, and 4 by 18 pairs.
+  // The recorded run, a run that finds the written fields, and 4 times 18
+  // pairs.
   EXPECT_EQ(failures, 1 + 1 + 4 * 18 * 2);
 }
 
@@ -756,7 +758,7 @@ TEST(RuntimeHost, ChecksGradients) {
   scene.startAt(0.3);
   set(*scene.loss, {}, 10); // a tape starts from an empty loss
   ASSERT_OK(program.run(checkX));
-  // Everything is as the tape left it.
+  // All fields are as the tape left them.
   double loss = 0;
   for (int64_t i = 0; i < n; ++i) {
     EXPECT_EQ(get(*scene.x, {i}), 0.3 + 0.1 * double(i));
@@ -770,7 +772,7 @@ TEST(RuntimeHost, ChecksGradients) {
 TEST(RuntimeHost, FindsWrongGradients) {
   Scene scene;
   Program program(scene);
-  // An adjoint that is off by a part in a million, in one element.
+  // One element of the adjoint is off by a millionth.
   program.kernels["step"] = scene.pair(
       "step", scene.x, scene.y, AccessKind::Write, sine,
       [](TaiFrame *frame) {
@@ -787,7 +789,7 @@ TEST(RuntimeHost, FindsWrongGradients) {
   EXPECT_NE(status.message().find("the gradient of 'loss' by 'x' disagrees"),
             std::string::npos)
       << status.message();
-  // A gradient that is NaN fails, too.
+  // A NaN in the gradient fails, too.
   program.kernels["step"] = scene.pair(
       "step", scene.x, scene.y, AccessKind::Write, sine,
       [](TaiFrame *frame) {

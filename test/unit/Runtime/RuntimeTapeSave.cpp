@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// States without a time axis. Kernels and adjoints are written by hand, with
-// plans of the values that the adjoints read; the derivatives are closed forms.
+// States without a time axis. Kernels and adjoints are hand-written, with plans
+// of the values that the adjoints read; the expected derivatives are closed
+// forms.
 //
 //===----------------------------------------------------------------------===//
 
@@ -33,7 +34,8 @@ struct Scene {
   TreePtr tree(const Field &field) {
     return runtime.findTree(field.tree().name());
   }
-  /// A kernel over `fields`; its adjoint gets them and then their adjoints.
+  /// A kernel over `fields`; its adjoint gets the fields and then their
+  /// adjoints.
   KernelPtr make(const std::string &name, const std::vector<FieldPtr> &fields,
                  std::vector<Access> summary, TaiKernelFn function,
                  TaiKernelFn reverse, const AdjointPlan &plan,
@@ -62,7 +64,7 @@ struct Scene {
     return runtime.createKernel(info);
   }
 
-  /// x[i] = x[i]^2 in place: the adjoint needs x as it was before.
+  /// x[i] = x[i]^2 in place: the adjoint needs x from before the launch.
   KernelPtr square() {
     return make(
         "square", {x}, {{x, AccessKind::Read}, {x, AccessKind::Write}},
@@ -78,7 +80,7 @@ struct Scene {
         },
         {{{x, AccessKind::Read}}, {x}, false, {}});
   }
-  /// The same with an adjoint that squares once more while it runs.
+  /// Like square(), with an adjoint that squares again while it runs.
   KernelPtr squareByRerun() {
     return make(
         "rerun", {x}, {{x, AccessKind::Read}, {x, AccessKind::Write}},
@@ -97,7 +99,7 @@ struct Scene {
         },
         {{{x, AccessKind::Read}}, {x}, true, {}});
   }
-  /// y[i] += sin(x[i]); the adjoint reads x after the launch.
+  /// y[i] += sin(x[i]); the adjoint reads the x after the launch.
   KernelPtr addSine() {
     return make(
         "sine", {x, y}, {{x, AccessKind::Read}, {y, AccessKind::Accumulate}},
@@ -113,7 +115,7 @@ struct Scene {
         },
         {{{x, AccessKind::Read}}, {}, false, {}});
   }
-  /// x[i] += 0.5 y[i]: linear, reads nothing in reverse.
+  /// x[i] += 0.5 y[i]: linear, so the adjoint reads no values.
   KernelPtr drift() {
     return make(
         "drift", {x, y}, {{y, AccessKind::Read}, {x, AccessKind::Accumulate}},
@@ -170,8 +172,8 @@ struct Scene {
   std::vector<double> gradient() { return values(*x->adjoint()); }
 };
 
-/// The derivative of the final x by the first, of `steps` of y += sin x,
-/// x += y / 2, by forward differentiation.
+/// The derivative of the final x with respect to the initial x after `steps`
+/// steps of y += sin x, x += y / 2, by forward differentiation.
 double swing(double x, int steps) {
   double y = 0.2, dx = 1, dy = 0;
   for (int s = 0; s < steps; ++s) {
@@ -196,7 +198,7 @@ TEST(RuntimeTapeSave, StateWithoutTime) {
   }
   scene.launch(sum);
   auto last = scene.values(*scene.x);
-  // x is saved once a step; y, which nothing reads in reverse, never.
+  // x is saved once in each step; y, which no adjoint reads, is never saved.
   EXPECT_EQ(tape->stats().savedBytes, steps * n * 8);
   for (int round = 0; round < 2; ++round) {
     EXPECT_TRUE(scene.runtime.clearGradients());
@@ -206,7 +208,7 @@ TEST(RuntimeTapeSave, StateWithoutTime) {
                   1e-12);
     EXPECT_EQ(scene.values(*scene.x), last) << "memory is left as it was";
   }
-  // On other contents.
+  // Replay with other contents.
   scene.startAt(-0.7);
   ASSERT_OK(tape->replay(true, true));
   for (int64_t i = 0; i < n; ++i)
@@ -250,7 +252,7 @@ TEST(RuntimeTapeSave, OnlyWhatReallyChanges) {
   scene.launch(kick);
   scene.launch(none);
   EXPECT_EQ(tape->stats().savedBytes, 0);
-  // The first launch still needs these values.
+  // The first launch still needs the values that this launch overwrites.
   scene.launch(scene.drift());
   EXPECT_EQ(tape->stats().savedBytes, n * 8);
 }
@@ -303,14 +305,14 @@ TEST(RuntimeTapeSave, FixedIndicesDoNotMeet) {
   for (uint64_t t = 0; t + 1 < steps; ++t)
     run(t);
   EXPECT_EQ(tape->stats().savedBytes, 0);
-  // Once more from the start: slab 1 is read by launch 1.
+  // Again from the start: launch 1 reads slab 1.
   set(*path, {0, 0}, 0.5);
   run(0);
   EXPECT_EQ(tape->stats().savedBytes, 8 * 3);
 }
 
 TEST(RuntimeTapeSave, StridedLayouts) {
-  // Interleaved with another field, blocked, and with the slow index last.
+  // Interleaved with another field, in blocks, and with the slow index last.
   Scene scene;
   TreePtr tree;
   ASSERT_OK(scene.runtime.addTree("cells", 8 * 2 * 12, tree));
@@ -320,7 +322,7 @@ TEST(RuntimeTapeSave, StridedLayouts) {
     info.tree = tree;
     info.layout.scalar = ScalarKind::F64;
     info.layout.placeOffset = place;
-    // 4 x 3: along the first index two blocks of two.
+    // 4 x 3, with two blocks of two along the first index.
     info.layout.indices = {{{2, 2, 96}, {1, 2, 48}}, {{1, 3, 16}}};
     FieldPtr field;
     EXPECT_OK(scene.runtime.addField(info, field));
@@ -360,8 +362,8 @@ TEST(RuntimeTapeSave, StridedLayouts) {
                         }});
   for (uint64_t j : {1, 2, 1})
     EXPECT_OK(scene.runtime.launch(*touch, &j, 1, nullptr));
-  // The third launch overwrites elements that the first reads: a column of a
-  // and of b.
+  // The third launch overwrites elements that the first launch reads: a column
+  // of a and a column of b.
   EXPECT_EQ(tape->stats().savedBytes, 2 * 4 * 8);
   ASSERT_OK(tape->backward());
   EXPECT_EQ(seen, (std::vector<double>{102, 112, 122, 132, 503, 513, 523, 533}))
@@ -389,7 +391,7 @@ TEST(RuntimeTapeSave, WritesOfTheHost) {
     double by = i == 1 ? 0.5 * std::cos(at) : 1 + std::cos(at);
     EXPECT_NEAR(scene.gradient()[i], by, 1e-14);
   }
-  // The write is part of the sequence.
+  // The write of the host is part of the sequence.
   scene.startAt(0.8);
   ASSERT_OK(tape->replay(true, true));
   EXPECT_NEAR(get(*scene.x, {1}),
@@ -417,7 +419,7 @@ TEST(RuntimeTapeSave, HostFunctions) {
   Scene scene;
   auto kick = scene.addSine(), drift = scene.drift(), sum = scene.sum();
   scene.startAt(0.3);
-  // kick and drift as one step with its own gradient, which reads x.
+  // kick and drift as one step with a custom gradient, which reads x.
   auto forward = [&] {
     scene.launch(kick);
     scene.launch(drift);
@@ -427,7 +429,8 @@ TEST(RuntimeTapeSave, HostFunctions) {
     Status status = scene.runtime.launchAdjoint(*drift, nullptr, 0);
     if (!status)
       return status;
-    // The adjoint of the first kernel needs x before the second.
+    // The adjoint of the first kernel needs the x that preceded the second
+    // kernel.
     for (int64_t i = 0; i < n; ++i)
       set(*scene.x, {i}, get(*scene.x, {i}) - 0.5 * get(*scene.y, {i}));
     return scene.runtime.launchAdjoint(*kick, nullptr, 0);
@@ -475,7 +478,7 @@ TEST(RuntimeTapeSave, Parts) {
   ASSERT_OK(tape->backward());
   for (int64_t i = 0; i < n; ++i)
     EXPECT_NEAR(scene.gradient()[i], swing(0.3 + 0.1 * double(i), 3), 1e-13);
-  // Without a tape it is one launch.
+  // Without a tape, the kernel is launched as a whole.
   int64_t before = scene.runtime.counters().launches;
   scene.launch(whole);
   EXPECT_EQ(scene.runtime.counters().launches, before + 1);
@@ -501,7 +504,7 @@ TEST(RuntimeTapeSave, ChangedAfterwards) {
   scene.launch(drift);
   EXPECT_FALSE(tape->backward().ok()) << "changed by a kernel";
   ASSERT_OK(tape->replay(true, true));
-  // An element that no adjoint reads is worth a warning only.
+  // An element that no adjoint reads only causes a warning.
   ASSERT_OK(scene.runtime.fillF64(*scene.y, 3));
   EXPECT_TRUE(scene.runtime.clearGradients());
   ASSERT_OK(tape->backward());
@@ -590,8 +593,8 @@ TEST(RuntimeTapeSave, DestroyedTrees) {
 // Recomputing
 //===----------------------------------------------------------------------===//
 
-/// The least number of steps to run again, by trying all places of the next
-/// snapshot.
+/// The smallest number of steps to recompute, determined by trying all
+/// positions of the next snapshot.
 static int64_t
 leastSteps(int64_t steps, int64_t snapshots,
            std::map<std::pair<int64_t, int64_t>, int64_t> &known) {
@@ -644,7 +647,7 @@ TEST(RuntimeTapeSave, RecomputesTheSame) {
       if (s % 8 == 5)
         scene.launch(square);
       if (s == 9) {
-        // A host function without a gradient of its own.
+        // A host function without a custom gradient.
         tape->suspend();
         EXPECT_OK(both());
         ASSERT_OK(tape->resume());
@@ -707,7 +710,7 @@ TEST(RuntimeTapeSave, RefusesBadPolicies) {
   EXPECT_NE(status.message().find("a memory budget of 10 B is too small"),
             std::string::npos)
       << status.message();
-  // A launch that cannot be run again.
+  // A launch that cannot be repeated.
   tape.reset();
   tape = scene.begin();
   ASSERT_OK(tape->setCheckpoints({Kind::Periodic, 0, 0}));
@@ -719,7 +722,8 @@ TEST(RuntimeTapeSave, RefusesBadPolicies) {
 }
 
 TEST(RuntimeTapeSave, WhatWasNotPlannedIsNotLaunched) {
-  // There is an adjoint, but no plan of the values that the tape keeps for it.
+  // The kernel has an adjoint, but no plan of the values that the tape must
+  // save.
   Scene scene;
   KernelInfo info;
   info.name = "square";

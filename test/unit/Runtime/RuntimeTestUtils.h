@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Short forms for the tests of the runtime. Kernels are plain functions here.
+// Helpers for the tests of the runtime. Kernels are plain functions here.
 //
 //===----------------------------------------------------------------------===//
 
@@ -41,7 +41,8 @@ inline ::testing::AssertionResult isOk(const Status &status) {
 #define ASSERT_OK(expression)                                                  \
   ASSERT_TRUE(::mlir::tai::runtime::test::isOk(expression))
 
-/// A provider with callbacks for a test, and the defaults otherwise.
+/// A provider with the callbacks of a test; defaults for callbacks that are not
+/// set.
 class TestProvider final : public KernelProvider {
 public:
   std::function<Status(Kernel &, TaiKernelFn &)> onCompile;
@@ -71,7 +72,7 @@ public:
   }
 };
 
-/// The test provider of a kernel that will be created.
+/// The test provider in the description of a kernel.
 inline TestProvider &provide(KernelInfo &info) {
   if (!info.provider)
     info.provider = std::make_shared<TestProvider>();

@@ -19,7 +19,7 @@ using namespace mlir::tai::runtime::test;
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The action of the handler of a test; handlers are plain functions.
+/// The action of the signal handler in a test; handlers are plain functions.
 std::function<void()> handled;
 
 class Sections : public ::testing::Test {
@@ -54,13 +54,13 @@ TEST_F(Sections, AreClosedToHandlersInTheirMiddle) {
     EXPECT_EQ(Section::Entry(section).check().code(), StatusCode::Usage);
     Section::Entry entry(other);
     EXPECT_OK(entry.check());
-    // The handler may enter the section of its own work.
+    // The handler may enter a section for its own work.
     EXPECT_OK(Section::Entry(other).check());
   };
   {
     Section::Entry entry(section);
     EXPECT_TRUE(safepoint::look());
-    // The work goes on behind it.
+    // The interrupted work continues after the handler.
     EXPECT_OK(Section::Entry(section).check());
   }
   EXPECT_EQ(calls, 1);
@@ -69,8 +69,8 @@ TEST_F(Sections, AreClosedToHandlersInTheirMiddle) {
   EXPECT_TRUE(safepoint::look());
 }
 
-// Values that are put back are put back whole, and the handler's own work may
-// stop.
+// Work that restores values is not stopped half-way, whereas the handler's own
+// work may stop.
 TEST_F(Sections, GoOnWhileTheyAreUnstoppable) {
   static int inner;
   inner = 0;
@@ -136,8 +136,8 @@ protected:
 };
 } // namespace
 
-// A copy that waits for a kernel has a piece of pinned memory: copies of a
-// handler, which come in between, leave it alone.
+// A copy that waits for a kernel uses pinned memory: copies of a handler, which
+// run meanwhile, must not use the same memory.
 TEST_F(DeviceHandlers, CopyWhileACopyWaits) {
   ASSERT_NO_FATAL_FAILURE(openQueue(""));
   DeviceImage image{DeviceKind::Cuda, "//", {"until"}, {}, nullptr};
@@ -158,7 +158,7 @@ TEST_F(DeviceHandlers, CopyWhileACopyWaits) {
 
   int calls = 0;
   handled = [&] {
-    // Nested waits have safepoints, too.
+    // Nested waits call the handler, too.
     if (calls++ > 0)
       return;
     reinterpret_cast<std::atomic<uint32_t> *>(word)->store(1);
@@ -195,8 +195,8 @@ TEST_F(DeviceHandlers, CopyWhileACopyWaits) {
 // Threads
 //===----------------------------------------------------------------------===//
 
-// Fields that owe zeros, or have stored them, are looked at by all their users;
-// a look returns when the zeros are there.
+// All users of a field check whether it still needs zeros to be stored; the
+// check returns once the zeros are stored.
 TEST(OwedZerosOfThreads, AreStoredOnceAndSeenByAll) {
   constexpr int64_t n = 1 << 12;
   constexpr int numThreads = 4, rounds = 200;
@@ -235,7 +235,8 @@ TEST(OwedZerosOfThreads, AreStoredOnceAndSeenByAll) {
   EXPECT_EQ(get(*field, {n - 1}), 1.0);
 }
 
-// Tapes come and go while others ask whether there are any, and number theirs.
+// Tapes begin and end while other threads query whether there are tapes, and
+// number their own.
 TEST(TapesOfThreads, AreListedUnderALock) {
   constexpr int numThreads = 4, rounds = 200;
   Runtime runtime;

@@ -5,9 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The queue above a CUDA driver that needs no GPU and counts its calls.
-// Whatever is kept, memory must be the same as after the same work one by
-// one.
+// Uses a CUDA driver that needs no GPU and counts its calls. Whatever launches
+// the queue keeps, memory must be the same as if each operation had run alone.
 //
 //===----------------------------------------------------------------------===//
 
@@ -23,13 +22,13 @@ class KeptLaunches : public FakeCudaSteps {
 protected:
   void SetUp() override { open(""); }
 
-  /// Launches are kept as long as it takes.
+  /// Opens a queue that keeps launches for as long as needed.
   void open(const char *trouble, const char *longestUs = "1000000000") {
     setenv("TAI_KEEP_LAUNCHES_US", longestUs, 1);
     openSteps(trouble);
   }
 
-  /// Work that does not commute with the steps behind it.
+  /// Replays work that does not commute with the steps after it.
   void replay(double value = 0.25, int extra = 0, bool isReplay = true) {
     queue->beginCollecting(isReplay);
     apply(scale, 0.5);
@@ -40,7 +39,7 @@ protected:
       apply(scale, 0.75);
     EXPECT_OK(queue->endCollecting());
   }
-  /// Until nothing is tried any more, and the step is known.
+  /// Repeats the step until all trials have ended and the step is known.
   template <typename Step> void learn(const Step &step) {
     for (int i = 0; i < 12; ++i) {
       replay();
@@ -106,7 +105,7 @@ TEST_F(KeptLaunches, WhateverElseComesQueuesThemFirst) {
   std::unique_ptr<DeviceModule> other;
   DevicePtr spare = 0;
   double value = 1;
-  // Each has memory of its own.
+  // Each operation has memory of its own.
   auto rows = [&] { return DeviceRows{y, 8, 8, 2}; };
   const std::pair<const char *, std::function<Status()>> others[] = {
       {"synchronize", [&] { return queue->synchronize(); }},
@@ -158,7 +157,7 @@ TEST_F(KeptLaunches, WhateverElseComesQueuesThemFirst) {
     EXPECT_OK(queue->synchronize());
     EXPECT_EQ(submissions(), after);
     expectAsOneByOne();
-    // And goes on as before.
+    // The queue continues as before.
     for (int i = 0; i < 4; ++i) {
       replay();
       apply(scale, 0.75 + i / 32.0);
@@ -188,13 +187,13 @@ TEST_F(KeptLaunches, AnUnexpectedLaunchComesInItsPlace) {
   apply(scale, 0.75);
   EXPECT_EQ(submissions(), before + 1);
   apply(add, 3);
-  // Both of them.
+  // Both launches are submitted.
   EXPECT_EQ(submissions(), before + 3);
   replay();
   apply(add, 5);
   EXPECT_EQ(submissions(), before + 5);
   expectAsOneByOne();
-  // The longer step is learnt in the place of the other one.
+  // The longer step is learnt instead of the shorter one.
   auto longer = [&] {
     apply(scale, 0.75);
     apply(add, 3);
@@ -206,7 +205,7 @@ TEST_F(KeptLaunches, AnUnexpectedLaunchComesInItsPlace) {
     longer();
   }
   EXPECT_EQ(submissions() - before, 5);
-  // And fewer than are expected.
+  // Fewer launches than expected.
   for (int i = 0; i < 5; ++i) {
     replay();
     apply(scale, 0.75);
@@ -265,7 +264,7 @@ TEST_F(KeptLaunches, ValuesThatAreReadNowAndThen) {
     if (i % 5 == 4)
       expectAsOneByOne();
   }
-  // The steps that values were read after are launches by themselves.
+  // The steps after which values were read are submitted separately.
   EXPECT_EQ(submissions() - before, 24);
 }
 
@@ -278,7 +277,7 @@ TEST_F(KeptLaunches, WhatIsKeptForNothingTwiceIsNotKept) {
     EXPECT_EQ(submissions(), before);
     expectAsOneByOne();
   }
-  // It must come four times to be known again.
+  // The step must be repeated four times to be known again.
   for (int i = 0; i < 6; ++i) {
     replay();
     int before = submissions();

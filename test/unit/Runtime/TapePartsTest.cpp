@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The parts of a tape that hold, keep, launch and look, each without the others
-// that stand on it.
+// Tests the parts of a tape that hold fields, save values, launch and check,
+// each without the parts that depend on it.
 //
 //===----------------------------------------------------------------------===//
 
@@ -27,7 +27,7 @@ using namespace mlir::tai::runtime::test;
 namespace {
 constexpr int64_t n = 4;
 
-/// The calls of kernels, with their arguments and numbers.
+/// The calls of kernels and host functions, with their arguments and numbers.
 struct Call {
   char kind;
   uint64_t argument, number;
@@ -49,7 +49,7 @@ int32_t doubles(TaiFrame *frame) {
   return 0;
 }
 
-/// One float goes from the first field of a summary to the second.
+/// Reports that floats flow from the first field of a summary to the second.
 class OneFlow final : public KernelProvider {
 public:
   KernelFlows findFlows(const Kernel &kernel) override {
@@ -70,7 +70,7 @@ struct Scene {
   FieldPtr x = makeDifferentiable(runtime, "x", ScalarKind::F64, {n});
   FieldPtr y = makeDifferentiable(runtime, "y", ScalarKind::F64, {n});
   FieldPtr loss = makeDifferentiable(runtime, "loss", ScalarKind::F64, {});
-  /// The tape in whose name fields are held; its records are not looked at.
+  /// The tape that holds fields; its records are not used.
   std::unique_ptr<Tape> tape = begin();
   TapeHolds holds{services, *tape, true};
 
@@ -80,7 +80,7 @@ struct Scene {
     made->end();
     return made;
   }
-  /// y = f(x), with an adjoint that notes its calls.
+  /// y = f(x), with an adjoint that records its calls.
   KernelPtr noting() {
     KernelInfo info;
     info.name = "f";
@@ -114,7 +114,8 @@ TEST(TapeHolds, KeepsOtherThreadsOff) {
     EXPECT_OK(other.hold());
     EXPECT_OK(other.add(scene.x, HoldKind::Read));
     EXPECT_FALSE(other.add(scene.x, HoldKind::Write).ok());
-    // It reads no more either, so that nothing is left of a failure.
+    // The refused field is no longer held for reading either, so that a failure
+    // leaves no holds.
     EXPECT_FALSE(other.has(scene.x));
     other.release();
   }).join();
@@ -144,7 +145,7 @@ TEST(SweepSeeds, StartsFromLosses) {
   EXPECT_OK(seeds.store());
   EXPECT_EQ(get(*scene.loss->adjoint()), 3);
 
-  // More than one number has no seed of its own.
+  // A field of more than one number has no default seed.
   EXPECT_OK(seeds.add(scene.y, scene.holds));
   EXPECT_FALSE(seeds.store().ok());
 }
@@ -156,7 +157,7 @@ TEST(SweepSeeds, RefusesWhatIsNoLoss) {
       makeDifferentiable(scene.runtime, "count", ScalarKind::I32, {});
   EXPECT_EQ(seeds.add(count, scene.holds).message(),
             "the loss 'count' is not a field of floating-point numbers");
-  // The loss may go before its adjoint, and before the sweep.
+  // The loss may be destroyed before its adjoint, and before the sweep.
   ASSERT_OK(seeds.add(scene.loss, scene.holds));
   ASSERT_OK(scene.runtime.destroyTree(scene.loss->tree().name()));
   seeds.clearSums();
@@ -174,7 +175,7 @@ TEST(SweepSeeds, FindsLiveFields) {
   EXPECT_EQ(seeds.liveFields(false, scene.holds),
             (Fields{scene.x.get(), scene.loss.get()}));
   EXPECT_EQ(seeds.liveFields(true, scene.holds), Fields{scene.loss.get()});
-  // A gradient left by another thread counts if the tape uses it.
+  // A gradient of another thread counts only if the tape uses it.
   std::thread([&] { scene.y->adjoint()->markDirty(); }).join();
   EXPECT_EQ(seeds.liveFields(false, scene.holds).size(), 2u);
   ASSERT_OK(scene.holds.add(scene.runtime.findField("y_grad"), HoldKind::Add));
@@ -187,7 +188,7 @@ TEST(ChangeWatch, TellsWhatMatters) {
       scene.runtime, "k", doubles,
       {{scene.x, AccessKind::Read}, {scene.y, AccessKind::Accumulate}});
   TapeMemory memory(scene.runtime);
-  // Without a plan the adjoint may read all that the kernel does.
+  // Without a plan, the adjoint may read every field that the kernel reads.
   const TapeMemory::KernelUses &uses = memory.usesOf(*kernel);
   ASSERT_OK(memory.beforeLaunch(uses, nullptr, 0, false));
   memory.afterLaunch(uses, nullptr, 0);
@@ -202,7 +203,7 @@ TEST(ChangeWatch, TellsWhatMatters) {
   EXPECT_FALSE(changes.check(memory, notes, lostStored).ok());
   changes.begin(memory);
   EXPECT_OK(changes.check(memory, notes, lostStored));
-  // A change that does not concern the sequence.
+  // A change of a field that the sequence does not use.
   ASSERT_OK(scene.runtime.fillF64(*scene.loss, 3));
   EXPECT_OK(changes.check(memory, notes, lostStored));
   EXPECT_TRUE(notes.empty());
@@ -333,7 +334,7 @@ TEST(ForwardReplay, RunsAllKindsOfRecords) {
           .run());
   EXPECT_EQ(get(*scene.x, {2}), 6);
   EXPECT_EQ(called, 1);
-  // One by one, as snapshots want it.
+  // Record by record, as snapshots need it.
   EXPECT_OK(replayRecord(scene.services, recording, launch.get(), 1, true));
   EXPECT_EQ(get(*scene.x, {2}), 12);
   EXPECT_OK(replayRecord(scene.services, recording, launch.get(), 3, false));
@@ -369,7 +370,8 @@ TEST(ReverseSweep, CallsAdjointsAndHostFunctions) {
                      memory, topology, health);
   HeldLaunch launch(scene.services);
   calls.clear();
-  // Nothing is live behind the host function; it makes y so.
+  // No adjoint is live after the host function; its reverse function makes y
+  // live.
   ASSERT_OK(memory.beginReverse());
   EXPECT_OK(sweep.runDeciding(launch.get()));
   EXPECT_EQ(calls, (std::vector<Call>{{'h', 0, 0}, {'r', 1, 1}}));
@@ -442,11 +444,12 @@ TEST(Rematerialiser, RefusesBadPolicies) {
       rematerialiser.setPolicy({CheckpointPolicy::Kind::Mixed, 0, -1}).ok());
   EXPECT_FALSE(rematerialiser.isOn());
   EXPECT_OK(rematerialiser.setPolicy({CheckpointPolicy::Kind::Periodic, 2}));
-  // A sequence of nothing has nothing to be recomputed.
+  // An empty sequence has no steps to recompute.
   EXPECT_OK(rematerialiser.sweep());
   EXPECT_TRUE(rematerialiser.isOn());
 
-  // Four doublings, and back without any adjoint: memory is as it was.
+  // Four doublings, and back without any adjoint: memory has its initial
+  // contents.
   KernelPtr kernel = makeKernel(scene.runtime, "doubles", doubles,
                                 {{scene.x, AccessKind::Write}});
   recording.keep(*kernel);

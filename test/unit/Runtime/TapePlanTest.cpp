@@ -5,7 +5,7 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The parts of a tape that launch nothing. The kernels are never called.
+// Tests the parts of a tape that launch nothing. The kernels are never called.
 //
 //===----------------------------------------------------------------------===//
 
@@ -94,7 +94,7 @@ TEST(TapeRecording, KeepsArgumentsAndDistances) {
   EXPECT_EQ(recording.args(recording[1])[0], 5u);
   EXPECT_EQ(recording.number(recording[1]), 9u);
   EXPECT_EQ(recording.numLaunches(), 3u);
-  // Launches of a host function lie between its first and the next.
+  // The host function contains the launches with the numbers 10 to 12.
   recording.addCallback({nullptr, nullptr}, 10, 13);
   EXPECT_EQ(recording.numLaunches(), 6u);
   recording.renumber(100);
@@ -161,7 +161,8 @@ TEST(StoredOutputs, LosesWhatIsStoredAgain) {
   outputs.mark(SlabRange::one(1), n, 7, lost);
   EXPECT_TRUE(isLost(5));
   EXPECT_FALSE(isLost(6));
-  // At an unknown place it may be any, and its own slabs stay its own.
+  // At an unknown place, a store may overwrite any slab, except its record's
+  // own.
   outputs.mark({}, n, 7, lost);
   EXPECT_TRUE(isLost(6));
   EXPECT_FALSE(isLost(7));
@@ -172,8 +173,8 @@ TEST(StoredOutputs, LosesWhatIsStoredAgain) {
   EXPECT_FALSE(outputs.any());
 }
 
-// The records whose stored outputs are overwritten, against a list of all
-// stores.
+// Compares the records whose stored outputs are overwritten with an enumeration
+// of all stores.
 TEST(StoredOutputs, AgreesWithEnumeration) {
   std::mt19937_64 random(20251128);
   auto pick = [&](int64_t low, int64_t high) {
@@ -182,7 +183,7 @@ TEST(StoredOutputs, AgreesWithEnumeration) {
   for (int round = 0; round < 2000; ++round) {
     StoredOutputs outputs;
     std::vector<bool> lost;
-    // Stores of (record, slabs), and whether they are lost.
+    // All stores as (record, slabs), and the records whose stores are lost.
     std::vector<std::pair<uint32_t, SlabRange>> stores;
     std::set<uint32_t> expected;
     uint32_t stamp = 0;
@@ -214,7 +215,8 @@ TEST(StoredOutputs, AgreesWithEnumeration) {
   }
 }
 
-// Slabs of up to three fixed dimensions, against the elements themselves.
+// Compares slabs with up to three fixed dimensions with the elements
+// themselves.
 TEST(SlabSet, AgreesWithEnumeration) {
   std::mt19937_64 random(20251128);
   auto pick = [&](int64_t low, int64_t high) {
@@ -258,7 +260,7 @@ TEST(SlabSet, AgreesWithEnumeration) {
       bool meets = std::any_of(slab.begin(), slab.end(), [&](const Element &e) {
         return expected.count(e);
       });
-      // Elements may stay when a slab is removed, and none is lost.
+      // Elements may remain when a slab is removed, but no element is lost.
       EXPECT_TRUE(set.meets(located) || !meets) << round;
       if (isExact)
         EXPECT_EQ(set.meets(located), meets) << round;
@@ -291,7 +293,7 @@ TEST(SlabSet, TakesAPlaceBeyondTheFieldForAny) {
   EXPECT_TRUE(set.meets(set.locate(shape, fixed, before)));
 }
 
-// x -> y -> z, and p -> z: of the launches only the last leads to p.
+// x -> y -> z, and p -> z: only the last launch leads to p.
 TEST(TapePlan, SkipsWhatLeadsToNoWantedField) {
   Scene scene;
   FieldPtr x = scene.field("x"), y = scene.field("y"), z = scene.field("z"),
@@ -310,7 +312,7 @@ TEST(TapePlan, SkipsWhatLeadsToNoWantedField) {
             (std::vector(3, Decision::Replay)));
 }
 
-// x[a] -> x[b], (a, b) by the arguments of each launch.
+// x[a] -> x[b], where a and b are arguments of each launch.
 TEST(TapePlan, IsUsedAgainForTheSameRecords) {
   Scene scene;
   FieldPtr x = scene.field("x"), y = scene.field("y");
@@ -356,7 +358,7 @@ TEST(TapePlan, IsUsedAgainForTheSameRecords) {
   };
   EXPECT_EQ(decide(same, {x.get()}), first);
   EXPECT_TRUE(isKnown());
-  // Each of these is another plan.
+  // Each of these calls needs a new plan.
   EXPECT_EQ(decide(same, {y.get()}), std::vector(2, Decision::SkipUnreached));
   EXPECT_FALSE(isKnown());
   EXPECT_EQ(decide(same, {x.get()}, {y}),
@@ -366,13 +368,14 @@ TEST(TapePlan, IsUsedAgainForTheSameRecords) {
   EXPECT_FALSE(isKnown());
   (void)decide(other, {x.get()});
   EXPECT_FALSE(isKnown());
-  // Storage of another field begins a new epoch.
+  // Adding another field begins a new epoch.
   FieldPtr z = scene.field("z");
   (void)decide(other, {x.get()});
   EXPECT_FALSE(isKnown());
   (void)decide(other, {x.get()});
   EXPECT_TRUE(isKnown());
-  // With host functions and writes, each sweep decides for itself.
+  // With host functions and writes, each sweep decides again, and keeps no
+  // plan.
   other.addCallback({nullptr, [] { return Status::success(); }}, 12, 12);
   (void)decide(other, {x.get()});
   (void)decide(other, {x.get()});
@@ -409,7 +412,7 @@ TEST(Overwrites, TellsFixedIndicesApart) {
   scene.record(kernel, {2});
   Overwrites found = findOverwrites(scene.recording);
   EXPECT_EQ(found.isRepeated, (std::vector<bool>{false, false, true, false}));
-  // The elements that they store are not known.
+  // The elements that these kernels store are unknown.
   EXPECT_TRUE(found.storedOnce.empty());
 }
 
@@ -452,7 +455,7 @@ TEST(TapePlan, FollowsAdjointsBackwards) {
   EXPECT_FALSE(scene.plan.replaysAny());
   EXPECT_EQ(scene.plan.numSkipped(), 4);
 
-  // The third overwrites y, of which the adjoint ends there.
+  // The third launch overwrites y: the adjoint of y ends there.
   EXPECT_EQ(scene.decide({y.get()}),
             (std::vector<D>{D::Replay, D::SkipUnreached, D::Replay,
                             D::SkipUnreached}));
@@ -487,7 +490,7 @@ TEST(TapePlan, CountsOnNothingBeforeAHostFunction) {
   using D = Decision;
   EXPECT_EQ(scene.decide({z.get()}),
             (std::vector<D>{D::Replay, D::Callback, D::SkipUnreached}));
-  // The touched fields are known when its turn has come.
+  // The fields that the host function touches are known once it has run.
   scene.plan.decideAgain(scene.recording, 0);
   EXPECT_EQ(scene.plan[0], D::SkipUnreached);
   y->adjoint()->markDirty();
@@ -521,7 +524,8 @@ TEST(AdjointForms, NamesEachPendingFormOnce) {
   AdjointForms forms(scene.services, scene.recording, scene.plan, memory);
   scene.decide({y.get()});
   std::vector<PendingAdjoint> pending = forms.pending();
-  // The first launch stores y first; the others end what stood there.
+  // The first launch stores y first; the later launches end the adjoint of the
+  // overwritten y.
   ASSERT_EQ(pending.size(), 2u);
   EXPECT_EQ(pending[0], (PendingAdjoint{&second, true, false}));
   EXPECT_EQ(pending[1], (PendingAdjoint{&first, false, false}));
@@ -550,8 +554,8 @@ TEST(TapeReport, SaysWhatBecomesOfRecords) {
   EXPECT_EQ(report.notes.size(), 1u);
 }
 
-// A launch without effect is replayed where nothing is skipped, and a constant
-// that is stored first has no one to tell.
+// If launches are not skipped, a launch without effect is replayed, and the
+// report says so.
 TEST(TapeReport, SaysWhyNothingIsDone) {
   for (bool skips : {true, false}) {
     Options options;

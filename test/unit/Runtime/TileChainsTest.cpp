@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Launches over 10 x 8 floats, 320 bytes a row of the tape. A function has
-// three parameters: the address of a field and two rows, which it reads and
+// Launches over 10 x 8 floats, 320 bytes for each row of the tape. A function
+// has three parameters: the address of a field, and the rows that it reads and
 // writes.
 //
 //===----------------------------------------------------------------------===//
@@ -21,7 +21,8 @@ namespace {
 constexpr auto reads = DeviceAccess::Read;
 constexpr auto writes = DeviceAccess::Write;
 
-/// The cell of the iteration, shifted, in the row that parameter `slot` names.
+/// An access to the iteration's cell, shifted, in the row that parameter `slot`
+/// names.
 TileSite at(DeviceAccess::Kind kind, int64_t slot, int64_t i = 0, int64_t j = 0,
             bool wraps = true) {
   TileSite site;
@@ -34,7 +35,7 @@ TileSite at(DeviceAccess::Kind kind, int64_t slot, int64_t i = 0, int64_t j = 0,
   return site;
 }
 
-/// Any cell of the row.
+/// An access to unknown cells of the row.
 TileSite anyOf(int64_t slot) {
   TileSite site = at(reads, slot);
   site.isRegular = false;
@@ -94,7 +95,7 @@ TEST_F(TileChains, EarlierLaunchesHaveWiderHalos) {
   EXPECT_EQ(chain->stages[0].halo, (TileHalo{{2, 0}, {2, 4}}));
   EXPECT_EQ(chain->stages[1].halo, (TileHalo{{1, 0}, {1, 2}}));
   EXPECT_EQ(chain->stages[2].halo, (TileHalo{{0, 0}, {0, 0}}));
-  // The first row is not written, and stays where it is.
+  // The first row is not written, and is not copied to the overlay.
   ASSERT_EQ(chain->rows.size(), 3u);
   EXPECT_EQ(chain->stages[0].rows, (std::vector<int>{-1, -1, -1, 0}));
   EXPECT_EQ(chain->stages[2].rows, (std::vector<int>{1, 1, 1, 2}));
@@ -104,7 +105,7 @@ TEST_F(TileChains, EarlierLaunchesHaveWiderHalos) {
   EXPECT_FALSE(chain->mustWait);
   EXPECT_TRUE(chain->isCyclic[0] && chain->isCyclic[1]);
   EXPECT_EQ(chain->stages[1].firstSlot, 3u);
-  // The chosen tiling has the fewest cells of all that make four tiles.
+  // Of all tilings with four tiles, the one with the fewest cells is chosen.
   EXPECT_EQ(chain->numTiles(), 4);
   EXPECT_EQ(chain->tile, (std::vector<int64_t>{5, 4}));
   EXPECT_EQ(chain->mostCells(), 9 * 8);
@@ -159,7 +160,7 @@ TEST_F(TileChains, StoresThatMayBeLeftOutKeepTheOld) {
 }
 
 TEST_F(TileChains, TheLoadedIsKeptFromWritersWhoeverReadsFirst) {
-  // Row 1 is read around each cell before it is written.
+  // Row 1 is read at the neighbours of each cell before it is written.
   add(sweep, 1, 2);
   add(sweep, 2, 1);
   std::optional<TileChain> chain = make();
@@ -182,7 +183,7 @@ TEST_F(TileChains, RowsThatOverlapAreNoRows) {
   add(sweep, 0, 1);
   add(sweep, 1, 2);
   EXPECT_TRUE(make());
-  // A field that starts in the middle of another one.
+  // A field that starts in the middle of another field.
   slots.back()[0] = 4096 + 32;
   EXPECT_FALSE(make());
 }
@@ -204,7 +205,7 @@ TEST_F(TileChains, FieldsThatShareCellsAreApart) {
 TEST_F(TileChains, EachIterationWritesItsOwnCell) {
   add(function({at(reads, 1), at(writes, 2, 1)}), 0, 1);
   EXPECT_FALSE(make());
-  // The same cell for all iterations along a dimension.
+  // All iterations along a dimension write the same cell.
   functions.back().sites[1] = at(writes, 2);
   functions.back().sites[1].digits[0] = {};
   EXPECT_FALSE(make());
@@ -224,7 +225,7 @@ TEST_F(TileChains, AllRunOverOneBox) {
   smaller.extents = {10, 7};
   add(smaller, 1, 2);
   EXPECT_FALSE(make());
-  // Nor do wrapped indices of a part of an array go around its border.
+  // Indices that wrap within a part of an array are not supported either.
   functions.front().extents = {10, 7};
   EXPECT_FALSE(make());
 }
