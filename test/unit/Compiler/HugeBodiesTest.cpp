@@ -161,7 +161,7 @@ TEST(HugeBodies, OtherBlocksStay) {
   divideHugeBlocks(*module, nullptr, getLimits(largest, 10));
   EXPECT_EQ(module->size(), 1u);
   EXPECT_EQ(getLargestBlock(*module), largest);
-  // Of 102 writes and 203 accesses, 101 and 202 are in the loop's block.
+  // The block of the loop has 101 of 102 writes and 202 of 203 accesses.
   divideHugeBlocks(*module, nullptr, getLimits(largest, 10, 101 * 202));
   EXPECT_EQ(module->size(), 1u);
   divideHugeBlocks(*module, nullptr, getLimits(largest, 10, 101 * 202 - 1));

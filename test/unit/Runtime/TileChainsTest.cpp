@@ -105,7 +105,7 @@ TEST_F(TileChains, EarlierLaunchesHaveWiderHalos) {
   EXPECT_FALSE(chain->mustWait);
   EXPECT_TRUE(chain->isCyclic[0] && chain->isCyclic[1]);
   EXPECT_EQ(chain->stages[1].firstSlot, 3u);
-  // Of all tilings with four tiles, the one with the fewest cells is chosen.
+  // The chosen tiling has the fewest cells of all tilings with four tiles.
   EXPECT_EQ(chain->numTiles(), 4);
   EXPECT_EQ(chain->tile, (std::vector<int64_t>{5, 4}));
   EXPECT_EQ(chain->mostCells(), 9 * 8);
