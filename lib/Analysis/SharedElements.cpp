@@ -171,7 +171,7 @@ private:
                                 predicate == arith::CmpFPredicate::ONE;
       isUnknown = true;
     } else {
-      // A boolean of unknown origin, such as a mask, may hold in a single
+      // A boolean of unknown origin, such as a mask, may be true in only one
       // iteration.
       isEquality |= !matchPattern(condition, m_Constant());
       isUnknown = true;

@@ -12,8 +12,8 @@ namespace mlir {
 class Operation;
 namespace tai {
 
-/// Updates the skip counters of writes to sparse fields below `root`: those
-/// whose cell is known to be active, and those that test or activate it.
+/// Updates the skip counters of writes to sparse fields below `root`: of writes
+/// to cells known to be active, and of writes that test or activate their cell.
 void countWrites(Operation *root);
 
 } // namespace tai

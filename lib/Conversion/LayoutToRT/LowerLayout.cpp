@@ -212,7 +212,7 @@ static Value emitOnCell(OpBuilder &builder, DeactivateOp op,
 }
 
 namespace {
-/// An op that asks whether the cell of an element is active, or changes that.
+/// An op that tests or changes whether the cell of an element is active.
 template <typename Op> struct LowerCell final : FieldPattern<Op> {
   using FieldPattern<Op>::FieldPattern;
 

@@ -195,7 +195,7 @@ LogicalResult KernelOffload::run() {
   if (failed(replaceArguments(kernel, frame, builder, runtime, arrayAddress)))
     return failure();
   SmallVector<LLVM::CallOp> arrays(entry->getOps<LLVM::CallOp>());
-  // The ops of the kernel stand after this one.
+  // The ops of the kernel follow this op.
   auto start = LLVM::ZeroOp::create(builder, loc, runtime.getPointerType());
   entry->getOperations().splice(entry->end(), body.getOperations());
   for (LLVM::CallOp array : arrays) {

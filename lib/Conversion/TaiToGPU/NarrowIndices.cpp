@@ -60,7 +60,7 @@ static bool isInList(Value address) {
 }
 
 namespace {
-/// Looks at the kernels and trees of one module.
+/// Proves that 32 bits are enough for the kernels and trees of one module.
 class Proof {
 public:
   Proof(ModuleOp module, bool remarks)

@@ -88,7 +88,7 @@ LogicalResult prepareSums(ParallelForOp loop, Value frame,
 LogicalResult outlineLoop(ParallelForOp loop, Value frame, StringRef name,
                           DeviceLowering &lowering);
 
-/// Fails where a GPU has no blocks of the size that the loop asks for.
+/// Fails if GPUs do not support the block size that the loop specifies.
 LogicalResult checkBlockSize(ParallelForOp loop);
 
 /// Sets the block size on the function of a loop, if the loop specifies one,

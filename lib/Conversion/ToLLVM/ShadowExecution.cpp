@@ -240,8 +240,8 @@ Value Shadows::emitIsTainted(Value value) {
   return tainted[value] = any;
 }
 
-/// The address of the copy of the float at an address; its shadow's part is
-/// behind it.
+/// The address of the copy of the float at `address`. The copy is followed by
+/// the shadow minus the float.
 Value Shadows::entryOf(Value address) {
   Type i64 = b.getI64Type();
   Value bits = LLVM::PtrToIntOp::create(b, i64, address);

@@ -8,7 +8,7 @@
 // Additions of 16-bit floats, additions of many f32 terms to each element, and
 // additions in kernels with compensated sums go to sums of f64 beside the field
 // (lib/DeviceLibrary/WideSums.cpp). A loop over the elements adds the sums to
-// it.
+// the field.
 //
 //===----------------------------------------------------------------------===//
 
