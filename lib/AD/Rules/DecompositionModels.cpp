@@ -64,10 +64,10 @@ struct PolarModel
     return success();
   }
 
-  /// R, the rotation by an angle with cosine c and sine s, turns by the angle
-  /// of (x, y) = (a₀₀ + a₁₁, a₁₀ - a₀₁), whose length c x + s y is the sum of
-  /// the singular values. Here is (x, y) divided by the square of that length,
-  /// or zero where R jumps.
+  /// R is the rotation by the angle of (x, y) = (a₀₀ + a₁₁, a₁₀ - a₀₁), with
+  /// cosine c and sine s. The length of (x, y), c x + s y, is the sum of the
+  /// singular values. Returns (x, y) divided by the square of that length, or
+  /// zero where R jumps.
   static std::pair<S, S> getPlanarSlopes(DerivativeBuilder &b, Value matrix,
                                          S c, S s) {
     M a{&b, matrix};
@@ -117,7 +117,7 @@ struct PolarModel
   }
 
   /// The solution w of (tr(S) I - S) w = axial(P - Pᵀ). The system is singular
-  /// where two singular values cancel.
+  /// where the sum of two singular values is zero.
   static Value createAxis(DerivativeBuilder &b, Value stretchMatrix, M p) {
     auto type = cast<VectorType>(stretchMatrix.getType());
     Type element = type.getElementType();
@@ -131,8 +131,8 @@ struct PolarModel
       for (int64_t j = 0; j != 3; ++j)
         k.push_back((i == j ? trace - stretch(i, j) : -stretch(i, j)).v);
     Value system = b.createVector(type, k);
-    // Far from singular, elimination will do: its eigenvalues are the sums of
-    // two singular values.
+    // Elimination is accurate where the system is far from singular. The
+    // eigenvalues of the system are the sums of two singular values.
     S determinant{&b, DeterminantOp::create(b, element, system)};
     S size = 2 * abs(trace);
     Value isRegular =
@@ -150,7 +150,8 @@ struct PolarModel
     return branch.getResult(0);
   }
 
-  /// The same by the eigenvectors of S, with zero for the turns that jump.
+  /// Solves the system of createAxis by the eigenvectors of S, with zero for
+  /// the components of w along which R jumps.
   static Value createNearAxis(DerivativeBuilder &b, Value stretch, Value axial,
                               S noise) {
     auto type = cast<VectorType>(stretch.getType());
@@ -183,7 +184,7 @@ struct PolarModel
   }
 };
 
-/// Uᵀ G, or zeros.
+/// Uᵀ G, or zeros if `g` is null.
 M getTurned(DerivativeBuilder &b, Value u, Value g) {
   if (!g)
     return {&b, b.createZero(u.getType())};
@@ -357,7 +358,8 @@ FactorRotations mlir::tai::createFactorRotations(TangentBuilder &b, SvdOp svd) {
       evens[j * n + i] = (-even).v;
       odds[i * n + j] = odd.v;
       odds[j * n + i] = (-odd).v;
-      // Where U and V are not told to turn, Σ takes the rest.
+      // `rests` gets the part of P that the rotations of U and V leave, which
+      // can be non-zero only where a quotient was set to zero.
       S first = symmetric - even * difference, second = skew - odd * sum;
       rests[i * n + j] = (first + second).v;
       rests[j * n + i] = (first - second).v;

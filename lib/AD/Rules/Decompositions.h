@@ -39,15 +39,15 @@ inline S operator*(double a, S c) {
   return S{c.b, c.b->createConstant(c.v.getType(), a)} * c;
 }
 inline S abs(S a) { return {a.b, math::AbsFOp::create(*a.b, a.v)}; }
-/// The larger one, and `c` if either is NaN; a single instruction on most
-/// targets.
+/// The larger of `a` and `c`, and `c` if either is NaN; a single instruction on
+/// most targets.
 inline S max(S a, S c) {
   Value isLarger =
       arith::CmpFOp::create(*a.b, arith::CmpFPredicate::OGT, a.v, c.v);
   return {a.b, arith::SelectOp::create(*a.b, isLarger, a.v, c.v)};
 }
 
-/// `value`, and 0 where |a| is not above `floor`. NaN stays.
+/// `value`, or 0 where |a| <= `floor`. Where `a` is NaN, `value` as well.
 inline S keepAbove(S a, S floor, S value) {
   DerivativeBuilder &b = *a.b;
   Value isSmall =
@@ -56,10 +56,10 @@ inline S keepAbove(S a, S floor, S value) {
                   b, isSmall, b.createZero(value.v.getType()), value.v)};
 }
 
-/// a / c, and 0 where |c| is not above `floor`.
+/// a / c, or 0 where |c| <= `floor`.
 inline S divideAbove(S a, S c, S floor) { return keepAbove(c, floor, a / c); }
 
-/// a, and 0 where |a| is not above `floor`.
+/// a, or 0 where |a| <= `floor`.
 inline S dropBelow(S a, S floor) { return keepAbove(a, floor, a); }
 
 /// A small matrix with access to its entries.
@@ -92,7 +92,7 @@ inline double getTolerance(Type type) { return 8 * getEpsilon(type); }
 /// jumps, and the rounding error in place of that zero must not be divided by.
 inline double getJumpTolerance(Type type) { return 1024 * getEpsilon(type); }
 
-/// The least divisor.
+/// The magnitude up to which a divisor counts as zero, whatever the matrix is.
 inline double getLeast(Type type) {
   return getElementTypeOrSelf(type).isF64() ? 1e-300 : 1e-37;
 }
@@ -119,8 +119,8 @@ struct FactorRotations {
 };
 FactorRotations createFactorRotations(TangentBuilder &b, SvdOp svd);
 
-/// The tangent of a product of matrices in which the two factors of one
-/// decomposition stand as U M Uᵀ, U M Vᵀ and the like, null if it is none: the
+/// The tangent of a product of matrices that contains two factors of one
+/// decomposition, as in U M Uᵀ or U M Vᵀ; null if `product` does not. The
 /// common rotation E of U and V is cancelled analytically, not by subtracting
 /// rounded products.
 Value createFactorProductTangent(TangentBuilder &b, MatmulOp product);

@@ -22,8 +22,9 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The factors of a chain of matrix products, from left to right, of which few
-/// are taken apart: a power by squares would have many.
+/// Appends the factors of a chain of matrix products to `factors`, from left to
+/// right. No product is taken apart once there are 64 factors: a power computed
+/// by repeated squaring would have too many.
 static void flatten(Value value, SmallVectorImpl<Value> &factors) {
   constexpr size_t most = 64;
   auto product = value.getDefiningOp<MatmulOp>();
@@ -33,14 +34,14 @@ static void flatten(Value value, SmallVectorImpl<Value> &factors) {
   flatten(product.getRhs(), factors);
 }
 
-/// The decomposition that `value` is U or V of.
+/// The decomposition whose factor U or V is `value`, or null.
 static SvdOp getDecomposition(Value value) {
   auto svd = value.getDefiningOp<SvdOp>();
   return svd && value != svd.getSigma() ? svd : SvdOp();
 }
 
 namespace {
-/// The positions of the two factors in a chain.
+/// The positions in a chain of two factors of one decomposition.
 struct FactorFrame {
   SvdOp svd;
   size_t first, last;
@@ -94,8 +95,9 @@ static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
     for (int64_t j = 0; j != n; ++j) {
       Value sum;
       auto add = [&](S term) { sum = addTerms(b, sum, term.v); };
-      // The same difference for both, and as in E: a target may compute two
-      // of them from products that it rounds in one and not in the other.
+      // Entries (i, j) and (j, i) use the same difference, in the order in
+      // which the divisor of E has it: of two orders, a target may fuse the
+      // product of one with an addition and round the product of the other.
       if (int64_t low = std::min(i, j), high = std::max(i, j); low != high)
         add(e(low, high) * (m(high, high) - m(low, low)));
       for (int64_t k = 0; k != n; ++k) {
@@ -109,7 +111,7 @@ static Value createCommutator(TangentBuilder &b, Value turn, Value matrix) {
   return b.createVector(cast<VectorType>(turn.getType()), entries);
 }
 
-/// [E, M] for a product M of matrices, null for none.
+/// [E, M] for the product M of `factors`, null if there are none.
 static Value createCommutator(TangentBuilder &b, Value turn,
                               ArrayRef<Value> factors) {
   Value sum, before;
@@ -164,7 +166,7 @@ Value mlir::tai::createFactorProductTangent(TangentBuilder &b,
   std::optional<FactorFrame> frame = findFrame(factors);
   if (!frame || !b.getTangent(frame->svd.getMatrix()))
     return {};
-  // The guards of infinite tangents are in the product rule.
+  // Factors that may be infinite or NaN need the guards of the product rule.
   for (Value factor : factors) {
     auto svd = factor.getDefiningOp<SvdOp>();
     if (auto transpose = factor.getDefiningOp<TransposeOp>())

@@ -54,8 +54,8 @@ inline Value createScaled(DerivativeBuilder &b, Value vector, Value scalar) {
   return arith::MulFOp::create(b, vector, factor);
 }
 
-/// Zero where the whole adjoint is zero: a component of the result can depend
-/// on all components of it.
+/// `value`, or zero where the whole of `adjoint` is zero: each component of
+/// `value` can depend on all components of `adjoint`.
 inline Value createMatrixGuard(DerivativeBuilder &b, Value adjoint,
                                Value value) {
   Value any = adjoint;

@@ -49,7 +49,7 @@ Value mlir::tai::createBilinearTangent(
 
 namespace {
 
-/// An op with one result and a rule that gets the adjoint of it.
+/// The model of an op with one result; `build` gets the adjoint of that result.
 template <typename Model, typename OpTy>
 struct MatrixModel : DifferentiableOpInterface::ExternalModel<Model, OpTy> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
@@ -224,8 +224,8 @@ struct NormModel : MatrixModel<NormModel, NormOp> {
                                             arith::DivFOp::create(b, g, r));
       product = createScaled(b, a, ratio);
     } else {
-      // The components of a / r are at most 1: g / r may overflow where the
-      // product is a number. Where r = 0, so is a.
+      // The components of a / r are at most 1, while g / r may overflow where g
+      // (a / r) is finite. Where r = 0, a = 0 is divided by 1.
       Value one = b.createConstant(r.getType(), 1);
       Value divisor = arith::SelectOp::create(b, isZero, one, r);
       Value length = vector::BroadcastOp::create(b, a.getType(), divisor);
@@ -251,7 +251,7 @@ struct NormModel : MatrixModel<NormModel, NormOp> {
   }
 };
 
-/// Nothing passes.
+/// No derivative passes.
 struct StopGradientModel
     : DifferentiableOpInterface::ExternalModel<StopGradientModel,
                                                StopGradientOp> {
@@ -294,8 +294,8 @@ struct TraceModel : MatrixModel<TraceModel, TraceOp> {
   }
 };
 
-/// The determinant of the rows and columns listed, by cofactors of its first
-/// row.
+/// The determinant of the submatrix with these rows and columns, by cofactors
+/// of its first row.
 Value createMinor(DerivativeBuilder &b, Value matrix, ArrayRef<int64_t> rows,
                   ArrayRef<int64_t> columns) {
   int64_t n = getRows(matrix);

@@ -17,8 +17,9 @@ using namespace mlir::tai;
 
 namespace {
 
-/// Calls `action` with the indices of each component of an element of this type
-/// in the array of its adjoints, which holds components as elements.
+/// For each component of an element of `type`, calls `action` with its position
+/// and with its indices in the array of adjoints, which has one element for
+/// each component.
 void forEachComponent(
     OpBuilder &b, Location loc, Type type, ValueRange indices,
     function_ref<void(ArrayRef<int64_t>, ValueRange)> action) {
@@ -134,7 +135,7 @@ struct AtomicModel : AccessModel<AtomicModel, memref::AtomicRMWOp> {
                              Storage tangents) const;
 };
 
-// As for `tai.atomic`.
+// The same rule as for `tai.atomic`: see TaiModels.cpp.
 LogicalResult AtomicModel::buildTangent(Operation *op, TangentBuilder &b,
                                         Storage tangents) const {
   using Kind = arith::AtomicRMWKind;

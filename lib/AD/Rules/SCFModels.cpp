@@ -58,7 +58,8 @@ struct IfModel : AdjointLoopInterface::ExternalModel<IfModel, scf::IfOp> {
         return failure();
     }
 
-    // Values to which either arm contributes; the other contributes zero.
+    // The values to which either arm contributes; an arm that does not
+    // contribute to a value yields zero for it.
     llvm::SetVector<Value> values;
     SmallVector<Type> types;
     for (Captured &arm : captured)
@@ -106,7 +107,7 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
           << "count in 'index', from zero to the number of iterations";
       return failure();
     }
-    // Adjoints of carried values are carried the other way.
+    // The reversed loop carries the adjoints of the carried values.
     SmallVector<unsigned> carried;
     SmallVector<Value> inits;
     for (auto [i, argument] : llvm::enumerate(primal.getRegionIterArgs()))
@@ -149,10 +150,10 @@ struct ForModel : AdjointLoopInterface::ExternalModel<ForModel, scf::ForOp> {
   }
 };
 
-/// A loop that carries no derivative and does not read its own writes has
-/// iterations that are independent as far as derivatives go: their reverses run
-/// in the order in which the loop finds them. Any other loop is run forward
-/// first, and its reverse is a loop over the iterations that it took.
+/// The iterations of a loop that carries no derivative and does not read its
+/// own writes are independent as far as derivatives go: a copy of the loop runs
+/// their reverses in the original order. Any other loop is run forward first,
+/// and its reverse is a loop over the iterations that it took.
 struct WhileModel
     : AdjointLoopInterface::ExternalModel<WhileModel, scf::WhileOp> {
   LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
@@ -208,7 +209,7 @@ struct WhileModel
     if (failed(b.reverseBlock(primal.getAfterBody(), after, begin, end)))
       return failure();
 
-    // The sums of captured adjoints go round with the primal values.
+    // The loop carries the sums of captured adjoints with the primal values.
     auto condition = cast<scf::ConditionOp>(before->getTerminator());
     SmallVector<Type> types(primal.getResultTypes());
     SmallVector<Value> passed(condition.getArgs());
@@ -247,7 +248,8 @@ struct WhileModel
                             [&](Value result) { return b.getAdjoint(result); });
     LoopHistory history(b, primal);
 
-    // The last evaluation of the condition, whose values are the results.
+    // The last evaluation of the condition, whose operands are the results of
+    // the loop.
     SmallVector<Value> inits;
     Captured captured;
     auto beginLast = [&](Frame &frame) {
@@ -308,7 +310,7 @@ struct WhileModel
   }
 };
 
-/// Stays parallel. Reductions by addition pass their adjoint to each
+/// The loop stays parallel. Reductions by addition pass their adjoint to each
 /// iteration.
 struct ParallelModel
     : AdjointLoopInterface::ExternalModel<ParallelModel, scf::ParallelOp> {

@@ -27,7 +27,7 @@ static SmallVector<unsigned> getVaried(TangentBuilder &b, ValueRange values) {
   return positions;
 }
 
-/// Puts the tangents of some values behind `values`.
+/// `values`, followed by the tangents of those at `positions`.
 static SmallVector<Value> addTangents(TangentBuilder &b, ValueRange values,
                                       ArrayRef<unsigned> positions) {
   SmallVector<Value> all(values);
@@ -44,7 +44,8 @@ static SmallVector<Type> addTypes(ValueRange values,
   return types;
 }
 
-/// Adds arguments for the tangents of some arguments of a block.
+/// For each i in `positions`, adds the tangent of argument `first + i` to the
+/// arguments of `block`.
 static void addArguments(TangentBuilder &b, Block &block, unsigned first,
                          ArrayRef<unsigned> positions) {
   for (unsigned i : positions) {
@@ -54,7 +55,8 @@ static void addArguments(TangentBuilder &b, Block &block, unsigned first,
   }
 }
 
-/// Hands the tangents of some operands of a terminator on, behind them.
+/// For each i in `positions`, appends the tangent of operand `first + i` to the
+/// operands of the terminator.
 static void extendTerminator(TangentBuilder &b, Operation *terminator,
                              unsigned first, ArrayRef<unsigned> positions) {
   OpBuilder::InsertionGuard guard(b);
@@ -65,7 +67,8 @@ static void extendTerminator(TangentBuilder &b, Operation *terminator,
   terminator->insertOperands(terminator->getNumOperands(), tangents);
 }
 
-/// Puts `made` in the place of `op`; its last results are the tangents.
+/// Replaces `op` by `made`, whose last results are the tangents of the results
+/// at `positions`.
 static void finish(TangentBuilder &b, Operation *op, Operation *made,
                    ArrayRef<unsigned> positions) {
   unsigned own = op->getNumResults();

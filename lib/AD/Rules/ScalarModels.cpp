@@ -33,8 +33,9 @@ static const ScalarRule &getRule(Operation *op) {
   return *rules.at(op->getName().getStringRef());
 }
 
-/// Builds a contribution, of the operands without the shared factor. Where that
-/// is zero, an arc tangent is zero whatever the rest is.
+/// Builds the contribution of `partial`; of the cofactors, if the operands have
+/// a shared factor. Where that factor is zero, the contribution of atan2 is
+/// zero whatever the cofactors are.
 static Value build(const Partial &partial, RuleArgs &args,
                    const std::optional<SharedFactor> &shared) {
   if (!shared)
@@ -57,7 +58,7 @@ static void applyRule(Operation *op, AdjointBuilder &adjoint) {
       continue;
     RuleArgs args(adjoint, op, seed);
     Value contribution = build(partial, args, shared);
-    // A partial that is zero takes nothing of an adjoint that does not exist.
+    // Where the partial is zero, an undefined (NaN) adjoint contributes zero.
     if (adjoint.isSeedUndefined()) {
       RuleArgs unit(adjoint, op, adjoint.createConstant(seed.getType(), 1));
       Value slope = build(partial, unit, shared);
@@ -69,7 +70,8 @@ static void applyRule(Operation *op, AdjointBuilder &adjoint) {
       if (adjoint.wantsGuards())
         adjoint.markInfinite(operand);
     }
-    // The only derivative that can be missing where the value is finite.
+    // The derivative of pow by the exponent is the only derivative that may not
+    // exist where the value is finite.
     if (isa<math::PowFOp>(op) && partial.operand == 1 &&
         adjoint.wantsGuards() &&
         !adjoint.getFacts().isNonNegative(op->getOperand(0), op))
@@ -78,9 +80,9 @@ static void applyRule(Operation *op, AdjointBuilder &adjoint) {
   }
 }
 
-/// Functions that stay finite where their operand does not. A tangent may
-/// overflow together with such an operand though all that is read is finite,
-/// and then meets a partial that is zero.
+/// True for functions whose value is finite where the operand is infinite. The
+/// tangent of such an operand may overflow, too, although all values that the
+/// program reads are finite; the partial is zero there.
 static bool saturates(Operation *op, unsigned operand) {
   return isa<math::ExpOp, math::Exp2Op, math::TanhOp, math::AtanOp,
              math::Atan2Op, math::ErfOp, math::ErfcOp, math::RsqrtOp>(op) ||

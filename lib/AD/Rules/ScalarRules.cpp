@@ -50,7 +50,8 @@ static bool unlessYNonZero(RuleArgs &a) {
   Value y = a.getOperand(1);
   return y && !a.facts().isNonZero(y, a.getOperation());
 }
-/// A condition of powers: x^(y - 1) is finite then.
+/// False if y is a constant of at least 1: then x^(y - 1) is finite for finite
+/// x.
 static bool unlessYAtLeastOne(RuleArgs &a) {
   APFloat number(0.0f);
   APInt integer;
@@ -80,8 +81,9 @@ static Num copysign(Num a, Num b) { return make<math::CopySignOp>(a, b); }
 /// ±g by the sign of x, and 0 at x = 0.
 static Num bySign(Num x, Num g) { return select(x > 0, g, where(x < 0, -g)); }
 
-/// The gradient of the first operand of max or min if it wins by `wins`; the
-/// second gets the rest, and so all of a tie.
+/// The contribution to the first operand of max or min, which is chosen where
+/// `wins` holds. In a tie the contribution goes to the second operand, or half
+/// to each operand if the convention splits ties.
 static Num toFirst(RuleArgs &a, Truth wins) {
   if (!a.getConventions().splitTies)
     return where(wins, a.g());
@@ -93,12 +95,13 @@ static Num toSecond(RuleArgs &a, Truth wins) {
   return unless(wins, select(a.x() == a.y(), 0.5 * a.g(), a.g()));
 }
 
-/// 1 / sqrt(1 - x^2).
+/// sqrt(1 - x^2), the reciprocal of the slope of asin.
 static Num arcSlope(RuleArgs &a) {
   Num x = a.x();
   if (!a.getConventions().clampArcs)
     return sqrt((1 - x) * (1 + x));
-  // At ±1 as at the next number inside: 1 - x^2 is at least 2 (1 - inside).
+  // At ±1 the slope is that of the nearest number inside (-1, 1), where 1 - x^2
+  // is about 2 (1 - inside).
   const llvm::fltSemantics &semantics =
       cast<FloatType>(getElementTypeOrSelf(x.value.getType()))
           .getFloatSemantics();
@@ -109,8 +112,9 @@ static Num arcSlope(RuleArgs &a) {
   return sqrt(select(square < constant(x, least), constant(x, least), square));
 }
 
-/// The root of `square`, which is x^2 + 1 or x^2 - 1: |x| to the last bit where
-/// x is large, also where the square overflows.
+/// The square root of `square`, which is x^2 + 1 or x^2 - 1. For large x the
+/// result is |x|, which is correct to the last bit, also where the square
+/// overflows.
 static Num rootBeside(Num x, Num square) {
   Num size = make<math::AbsFOp>(x);
   return select(size > 0x1p+30, size, sqrt(square));
@@ -145,8 +149,9 @@ static Num powerByX(RuleArgs &a) {
              : unless(a.y() == 0, contribution);
 }
 
-/// g n / (x^2 + y^2), 0 where both are 0 or one is infinite. Scaled by a power
-/// of two where the squares would over- or underflow.
+/// g n / (x^2 + y^2) with n = y or -x; 0 where x and y are both 0 or one of
+/// them is infinite. Both are scaled by a power of two where their squares
+/// would over- or underflow.
 static Num atan2By(RuleArgs &a, bool byX) {
   Num x = a.x(), y = a.y();
   bool isDouble = getElementTypeOrSelf(x.value.getType()).isF64();

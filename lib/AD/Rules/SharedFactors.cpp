@@ -14,7 +14,8 @@ using namespace mlir::tai;
 
 using Ways = SmallVector<std::pair<Value, Value>, 3>;
 
-/// The ways to write an operand as a factor and a rest, of the same block.
+/// The ways to write `value` as a factor and a cofactor, null for 1. Products
+/// are taken apart if they are in the block of `user`.
 static Ways split(Value value, Operation *user) {
   Ways ways = {{value, Value()}};
   if (auto product = value.getDefiningOp<arith::MulFOp>();

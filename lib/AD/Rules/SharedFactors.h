@@ -11,8 +11,8 @@
 // factor is removed from both operands, and u / v is differentiated. The same
 // holds for atan2.
 //
-// In forward mode it holds for sums, too: the tangent of s u - s v is that of s
-// times (u - v), also where it is infinite.
+// In forward mode a common factor is removed from sums, too: s u - s v has the
+// tangent of s times (u - v), also where the tangent of s is infinite.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,7 +35,7 @@ struct SharedFactor {
 std::optional<SharedFactor> findFactorOfRatio(Operation *op);
 
 /// Sets the tangent of a sum or difference with a common factor whose tangent
-/// may be infinite. False if `op` is not of this form, or if a cofactor has a
+/// may be infinite. False if `op` has no such factor, or if a cofactor has a
 /// tangent.
 bool extendSharedSum(Operation *op, TangentBuilder &b);
 

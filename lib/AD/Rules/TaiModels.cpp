@@ -18,8 +18,8 @@ using namespace mlir::tai;
 
 namespace {
 
-/// The shared part of accesses: the adjoint of an element is read and
-/// accumulated at the same indices of the adjoint field.
+/// The methods that the models of all accesses share: the adjoint of an element
+/// is read and accumulated at the same indices of the adjoint field.
 template <typename Model, typename OpTy>
 struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
   Storage getAccessedStorage(Operation *op) const {
@@ -59,8 +59,9 @@ struct AccessModel : DifferentiableAccessInterface::ExternalModel<Model, OpTy> {
   }
 
 private:
-  /// `type` in the floats of the field, which may be wider: gradients of
-  /// narrow floats are sums, which would lose digits in narrow floats.
+  /// `type` with the float type of the field in `storage`, which may be wider:
+  /// gradients of narrow floats are sums, which would lose digits in narrow
+  /// floats.
   static Type getStoredType(Operation *op, Storage storage, Type type) {
     FieldOp field = lookupField(op, storage.field);
     Type element = getElementTypeOrSelf(field.getType());
@@ -114,9 +115,10 @@ struct AtomicModel : AccessModel<AtomicModel, AtomicOp> {
                              Storage tangents) const;
 };
 
-// A sum of tangents is a sum, in any order. All else depends on the element
-// before the update, which other iterations may change between the update of
-// the element and that of its tangent.
+// The tangent of an atomic addition is an atomic addition, in any order. The
+// tangents of other kinds depend on the element before the update, which other
+// iterations may change between the update of the element and the update of its
+// tangent.
 LogicalResult AtomicModel::buildTangent(Operation *op, TangentBuilder &b,
                                         Storage tangents) const {
   auto atomic = cast<AtomicOp>(op);
@@ -149,7 +151,7 @@ LogicalResult AtomicModel::buildTangent(Operation *op, TangentBuilder &b,
   return success();
 }
 
-/// A parallel loop stays parallel: its iterations are reversed each for itself.
+/// A parallel loop stays parallel: each iteration is reversed on its own.
 struct ParallelForModel
     : AdjointLoopInterface::ExternalModel<ParallelForModel, ParallelForOp> {
   bool runsInParallel(Operation *) const { return true; }
@@ -178,7 +180,7 @@ struct ParallelForModel
       for (auto [i, iv] : llvm::enumerate(primal.getInductionVars())) {
         Value position = mirror->getArgument(i);
         if (primal.getSerialize()) {
-          // Iterations may build on one another: run them backwards.
+          // An iteration may depend on earlier ones: run them backwards.
           Value last = arith::SubIOp::create(
               b, arith::AddIOp::create(b, lower[i], upper[i]),
               arith::ConstantIndexOp::create(b, 1));

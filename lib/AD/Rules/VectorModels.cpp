@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Ops that move components around. Their adjoints move them back, one by one
-// where positions are static: a component that no one used then stays a zero
-// that is never added to anything.
+// Ops that move components around. Their adjoints move components back, one by
+// one where positions are static: the adjoint of an unused component then stays
+// a zero that is never added to anything.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,8 +21,8 @@ using namespace mlir::tai;
 
 namespace {
 
-/// The row-major number of the first component below a static position, and how
-/// many components lie below it.
+/// A static position selects a slice of the vector. Returns the row-major
+/// number of the first component of the slice, and its number of components.
 std::pair<int64_t, int64_t> getComponents(VectorType type,
                                           ArrayRef<int64_t> position) {
   int64_t first = 0, count = 1;
@@ -40,7 +40,7 @@ bool isPoison(ArrayRef<int64_t> position) {
   return llvm::is_contained(position, vector::ExtractOp::kPoisonIndex);
 }
 
-/// Adds `component` of the adjoint of `from` to a component of that of `to`.
+/// Adds `components` to the adjoint of `to`, from component `toFirst` on.
 void addComponents(AdjointBuilder &b, Value to, int64_t toFirst,
                    ArrayRef<Value> components) {
   if (!isa<VectorType>(to.getType())) {
@@ -51,7 +51,8 @@ void addComponents(AdjointBuilder &b, Value to, int64_t toFirst,
     b.addAdjointComponent(to, toFirst + i, component);
 }
 
-/// A model of an op that is linear: it takes tangents as it takes values.
+/// The model of a linear op: applied to the tangents of its operands, the op
+/// yields the tangent of its result.
 template <typename Model, typename Op>
 struct LinearModel : DifferentiableOpInterface::ExternalModel<Model, Op> {
   LogicalResult buildTangent(Operation *op, TangentBuilder &b) const {
@@ -72,7 +73,7 @@ struct BroadcastModel : LinearModel<BroadcastModel, vector::BroadcastOp> {
         b.addAdjoint(source, seed);
       return success();
     }
-    // Leading dimensions are new, and dimensions of extent 1 are stretched.
+    // A broadcast adds leading dimensions and repeats dimensions of extent 1.
     for (int64_t i = 0, e = type.getNumElements(); i != e; ++i) {
       int64_t rest = i, component = 0, stride = 1;
       for (int64_t dim = type.getRank() - 1,
@@ -178,7 +179,7 @@ struct ShapeCastModel : LinearModel<ShapeCastModel, vector::ShapeCastOp> {
 struct ShuffleModel : LinearModel<ShuffleModel, vector::ShuffleOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto shuffle = cast<vector::ShuffleOp>(op);
-    // The mask speaks of the leading dimension; each entry moves a slice.
+    // The mask selects along the leading dimension; each entry moves a slice.
     VectorType first = shuffle.getV1VectorType();
     int64_t extent = first.getRank() ? first.getDimSize(0) : 1;
     int64_t slice = first.getNumElements() / extent;
@@ -217,20 +218,22 @@ struct TransposeModel : LinearModel<TransposeModel, vector::TransposeOp> {
   }
 };
 
-/// Sum, product, least or greatest of the components. A tie of components goes
-/// to the last, as for two operands of `arith.maximumf`, or is shared.
+/// The sum, product, least or greatest of the components. In a tie the
+/// derivative goes to the last component, as to the second operand of
+/// `arith.maximumf`, or is shared.
 struct ReductionModel
     : DifferentiableOpInterface::ExternalModel<ReductionModel,
                                                vector::ReductionOp> {
   using Kind = vector::CombiningKind;
 
-  /// For the kinds of floats that are neither sums nor products.
+  /// For minimum and maximum: the comparison of an operand with the result that
+  /// holds only if they are equal.
   static arith::CmpFPredicate getPredicate(Kind kind) {
     bool isMax = kind == Kind::MAXIMUMF || kind == Kind::MAXNUMF;
     return isMax ? arith::CmpFPredicate::OGE : arith::CmpFPredicate::OLE;
   }
-  /// Tests each operand for the value of the result, and counts those that have
-  /// it.
+  /// Tests for each operand whether it equals `result`, and counts the operands
+  /// that do.
   static std::pair<SmallVector<Value>, Value>
   findWinners(DerivativeBuilder &b, Kind kind, ArrayRef<Value> operands,
               Value result) {
@@ -320,7 +323,8 @@ struct ReductionModel
     if (acc)
       operands.push_back(b.getPrimal(acc));
     if (kind == Kind::MUL) {
-      // The product of all others: the product before times the product behind.
+      // The seed of a factor: the product of the factors before it times the
+      // product of the factors after it.
       Value before = seed;
       for (Value operand : operands) {
         seeds.push_back(before);
