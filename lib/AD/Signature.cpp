@@ -13,8 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-// The elements of vectors are dimensions of their own, because no atomic
-// addition takes a vector.
+// The dimensions of a vector become dimensions of the memref, because atomic
+// additions take scalars alone.
 MemRefType mlir::tai::getShadowType(Type type) {
   SmallVector<int64_t> shape;
   auto memref = dyn_cast<MemRefType>(type);
@@ -27,7 +27,7 @@ MemRefType mlir::tai::getShadowType(Type type) {
   if (memref && isa<FloatType>(type))
     return memref;
   if (auto vector = dyn_cast<VectorType>(type)) {
-    // No shape says how many components there are.
+    // The number of components of a scalable vector is not a constant.
     if (vector.isScalable())
       return {};
     llvm::append_range(shape, vector.getShape());
@@ -56,7 +56,8 @@ LogicalResult mlir::tai::checkHasDerivative(FunctionOpInterface function,
     takes |= counts && isRead;
     gives |= counts && !isRead;
   });
-  // An array that is only written has its gradient read, which is a use too.
+  // Without `positions`, writes alone suffice: the adjoint reads the gradient
+  // of a written array.
   if (gives && (takes || positions.empty()))
     return success();
   InFlightDiagnostic diag = function.emitError()

@@ -39,7 +39,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Names the extended copy, as an attribute of the original. See
+/// The attribute of a primal function that names its forward-mode copy. See
 /// getFunctionAttrName.
 static constexpr StringLiteral kTangent = "tangent";
 
@@ -48,7 +48,7 @@ static bool hasTangentAlready(FunctionOpInterface function) {
 }
 
 /// Adds an argument for the tangents of each argument that is an array of
-/// floats, and returns which belongs to which.
+/// floats. Returns the tangent argument of each array argument.
 static DenseMap<Value, Value> addArrays(FunctionOpInterface function) {
   DenseMap<Value, Value> tangents;
   for (unsigned i = 0, e = function.getNumArguments(); i != e; ++i) {
@@ -79,7 +79,7 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
         failed(checkNested(getOperation())))
       return signalPassFailure();
     bool failedAny = false;
-    // One error does not hide the next: every kernel is tried.
+    // Continue after a failure, to report the errors of all functions.
     for (FunctionOpInterface function : functions)
       failedAny |= failed(differentiate(function, symbols));
     erasePrepared(getOperation());
@@ -186,7 +186,8 @@ struct ForwardDiff : tai::impl::ForwardDiffBase<ForwardDiff> {
                  ? Storage(field.getDualAttr())
                  : Storage();
     };
-    // The value and the tangent of an element come from one iteration.
+    // The stores that iterations can race for: one iteration must provide both
+    // the value and the tangent of an element.
     auto changesTangent = [&](DifferentiableAccessInterface store) {
       return tangentOf(store.getAccessedStorage()) &&
              !matchPattern(store.getAccessedValue(), m_Constant());

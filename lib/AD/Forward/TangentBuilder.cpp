@@ -133,7 +133,7 @@ LogicalResult TangentBuilder::extendBlock(Block *block) {
     if (!op.hasTrait<OpTrait::IsTerminator>())
       ops.push_back(&op);
   LogicalResult result = success();
-  // One error does not hide the next.
+  // Continue after a failure, to report the errors of all ops.
   for (Operation *op : ops) {
     setLoc(op->getLoc());
     setInsertionPointAfter(op);
@@ -169,7 +169,8 @@ LogicalResult TangentBuilder::extendOp(Operation *op) {
     return rule.buildTangent(*this);
   if (llvm::any_of(op->getResultTypes(), isFloatOrVector))
     return refuseTangent(op, *this);
-  // Output and checks take any values, and discrete results are constant.
+  // Printing and checking ops accept values with tangents, and results that are
+  // not floats have no tangent.
   if (isMemoryEffectFree(op) || isa<PrintOp, AssertOp, PreconditionOp>(op))
     return success();
   InFlightDiagnostic diag =
@@ -211,8 +212,9 @@ LogicalResult TangentBuilder::extendAccess(Operation *op) {
   Storage storage = access.getAccessedStorage();
   if (Storage tangent = getTangentStorage(storage))
     return access.buildTangent(*this, tangent);
-  // A field without a dual is constant, as one without an adjoint is. A tangent
-  // stored to an array would be read back as a constant without a word.
+  // A field without a dual is constant, like a field without an adjoint in
+  // reverse mode. A tangent stored to an array is refused: a read of the array
+  // would silently return a constant.
   if (storage.memref && access.getAccessKind() != AccessKind::Read &&
       getTangent(value)) {
     emitError(op, "a tangent is lost in an array, which has none").attachNote()
@@ -245,7 +247,7 @@ std::optional<LogicalResult> TangentBuilder::extendLocal(Operation *op) {
     if (!isVaried(storage))
       return success();
     if (isa<MemRefType>(storage.getType()) && failed(checkUsers(storage))) {
-      // One error is enough: all accesses would report another.
+      // Accesses to this array must not report the error again.
       shadows[storage] = storage;
       return failure();
     }
@@ -273,7 +275,8 @@ std::optional<LogicalResult> TangentBuilder::extendLocal(Operation *op) {
       StackDestroyOp::create(*this, shadow);
     return success();
   }
-  // Both stacks are pushed to and popped from together, whatever the tangent.
+  // The stack of tangents is pushed and popped with the primal stack, with zero
+  // for a missing tangent.
   if (auto push = dyn_cast<StackPushOp>(op)) {
     if (Value shadow = shadows.lookup(push.getStack()))
       StackPushOp::create(*this, getTangentOrZero(push.getValue()), shadow);
@@ -289,7 +292,7 @@ std::optional<LogicalResult> TangentBuilder::extendLocal(Operation *op) {
 }
 
 //===----------------------------------------------------------------------===//
-// Iterations that meet
+// Iterations that access one element
 //===----------------------------------------------------------------------===//
 
 bool TangentBuilder::isExclusive(Operation *op) {

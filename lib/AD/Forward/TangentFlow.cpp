@@ -22,14 +22,14 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// One walk over the function adds to the two sets.
+/// One walk over the function, which adds values to both sets of TangentFlow.
 class FlowWalk {
 public:
   FlowWalk(TangentFlow &flow, FloatFacts &facts,
            function_ref<bool(Storage)> hasTangent)
       : flow(flow), facts(facts), hasTangent(hasTangent) {}
 
-  /// True if something was added.
+  /// Returns true if a set has grown.
   bool run(FunctionOpInterface function) {
     grown = false;
     function.walk<WalkOrder::PreOrder>([&](Operation *op) { visit(op); });
@@ -49,7 +49,7 @@ private:
     if (mayBeNonFinite)
       grown |= flow.nonFinite.insert(value).second;
   }
-  /// `to` gets the tangent of `from`.
+  /// If `from` may have a tangent, so may `to`.
   void pass(Value from, Value to) {
     if (flow.varied.contains(from))
       mark(to, flow.nonFinite.contains(from));
@@ -108,7 +108,7 @@ void FlowWalk::visit(Operation *op) {
   for (OpOperand &operand : op->getOpOperands()) {
     Value value = operand.get();
     usesNonFinite |= facts.mayBeNonFinite(value);
-    // A view of an array passes its tangents on, too.
+    // Views count as well: a view of an array passes on the array's tangents.
     if (!flow.varied.contains(value) || !carriesDerivative(operand))
       continue;
     isVaried = true;
