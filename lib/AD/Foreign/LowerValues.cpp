@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Rules are about real numbers: a complex number becomes two, also where a loop
-// carries it. Arithmetic of the LLVM dialect becomes that of arith and math.
-//
+// Derivative rules are about real numbers: a complex number becomes two of
+// them, also where a loop carries it. Arithmetic of the LLVM dialect becomes
+// that of arith and math.
 //===----------------------------------------------------------------------===//
 
 #include "mlir/Conversion/ComplexToStandard/ComplexToStandard.h"
@@ -27,7 +27,7 @@ using namespace mlir::tai;
 // Complex numbers
 //===----------------------------------------------------------------------===//
 
-/// Loops and branches that hand on complex numbers hand on their parts.
+/// Loops and branches carry and yield the parts of complex numbers instead.
 static LogicalResult splitCarried(func::FuncOp function) {
   MLIRContext *context = function.getContext();
   TypeConverter converter;
@@ -110,7 +110,7 @@ struct OpPair {
 };
 } // namespace
 
-/// Ops with the same operands and results.
+/// Pairs of ops with equal operands and results.
 static constexpr OpPair kArithmetic[] = {
     {"llvm.fadd", "arith.addf"},
     {"llvm.fsub", "arith.subf"},

@@ -21,7 +21,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Components of a vector beyond which code of one op for each is too long.
+/// Vectors with more components are not lowered: the code has at least one op
+/// for each component.
 static constexpr int64_t kMostComponents = 1024;
 
 namespace {
@@ -51,7 +52,8 @@ private:
     return offset == 0 ? index
                        : b.createOrFold<arith::AddIOp>(index, constant(offset));
   }
-  /// The indices of a component: the last dimensions move.
+  /// The indices of a component at `position`, which counts along the last
+  /// dimensions.
   SmallVector<Value> move(ValueRange indices, const Position &position) {
     SmallVector<Value> moved(indices);
     size_t first = moved.size() - position.size();
@@ -116,8 +118,9 @@ static bool isTooLong(Type type) {
          (vector.isScalable() || vector.getNumElements() > kMostComponents);
 }
 
-/// The elements of a transfer: dimension `d` of the array moves with that of
-/// the vector which the map names, and those beyond the end are not there.
+/// Accesses each element of a transfer by itself. Dimension `d` of the array
+/// follows the dimension of the vector that the permutation map assigns to it;
+/// elements beyond the end of the array are not accessed.
 LogicalResult Lowering::lowerTransfer(VectorTransferOpInterface transfer) {
   auto vectorType = cast<VectorType>(transfer.getVectorType());
   Value memref = transfer.getBase();

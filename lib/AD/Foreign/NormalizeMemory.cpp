@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The adjoint of an array is another array, found by the array's name. So each
-// access gets the array that was allocated or passed, in place of a view of it;
-// an access of an array that a loop carries, or that a branch chooses, becomes
-// a branch over the arrays that it can be, decided by a number that is carried
-// in the array's place.
+// The adjoint of an array is another array, found by the array's SSA value. So
+// each access of a view becomes an access of the array that was allocated or
+// passed. Loops and branches carry a number in place of an array, and an access
+// of such an array becomes a branch over the possible arrays, decided by the
+// number.
 //
 //===----------------------------------------------------------------------===//
 
@@ -53,7 +53,7 @@ bool isView(Operation *op) {
       op);
 }
 
-/// Sizes and indices, as code in front of an op.
+/// Emits sizes and indices before an op.
 class Elements {
 public:
   explicit Elements(Operation *before)
@@ -70,7 +70,7 @@ public:
   Value multiply(Value lhs, Value rhs) {
     return b.createOrFold<arith::MulIOp>(lhs, rhs);
   }
-  /// The size of a dimension, from where the array was made.
+  /// The size of a dimension, from the op that makes the array.
   Value getSize(Value array, int64_t dim);
   SmallVector<Value> getSizes(Value array) {
     SmallVector<Value> sizes;
@@ -78,8 +78,8 @@ public:
       sizes.push_back(getSize(array, i));
     return sizes;
   }
-  /// Rewrites an access of a view to one of its source. Fails for a view that
-  /// is not understood.
+  /// Rewrites an access of a view to an access of the view's source. Fails for
+  /// an unsupported view.
   LogicalResult step(Value &array, SmallVector<Value> &indices);
 
 private:
@@ -172,7 +172,8 @@ LogicalResult Elements::step(Value &array, SmallVector<Value> &indices) {
         sizes.push_back(getSize(source, dim));
       delinearize(indices[i], sizes, moved);
     }
-    // Without groups the source has one element.
+    // A view without reassociation groups has one element, at index 0 in all
+    // dimensions of the source.
     if (view.getReassociationIndices().empty())
       moved.resize(cast<MemRefType>(source.getType()).getRank(),
                    toValue(b.getIndexAttr(0)));
@@ -243,7 +244,7 @@ void mlir::tai::serialize(scf::ParallelOp loop) {
       b, loop.getLoc(), loop.getLowerBound(), loop.getUpperBound(),
       loop.getStep(), loop.getInitVals(),
       [&](OpBuilder &nested, Location, ValueRange ivs, ValueRange sums) {
-        // The ops move: whoever knows them finds them.
+        // The ops are moved, not copied, so that pointers to them stay valid.
         for (auto [from, to] : llvm::zip(loop.getInductionVars(), ivs))
           from.replaceAllUsesWith(to);
         Block *body = nested.getInsertionBlock();
@@ -267,8 +268,8 @@ void mlir::tai::serialize(scf::ParallelOp loop) {
   loop.erase();
 }
 
-/// An update of an element whose order matters becomes a load, the operation
-/// and a store; the parallel loops around it become serial.
+/// An update of an element whose order matters becomes a load, an operation and
+/// a store; the parallel loops around such an update become serial.
 static void expandUpdates(func::FuncOp function) {
   auto isSimple = [](Operation *op) {
     auto atomic = dyn_cast<memref::AtomicRMWOp>(op);
@@ -295,7 +296,7 @@ static void expandUpdates(func::FuncOp function) {
     if (found.wasInterrupted())
       loops.push_back(loop);
   });
-  // From the inside: the copy of an outer loop holds the loops inside.
+  // Inner loops first: the serial copy of an outer loop contains them.
   for (scf::ParallelOp loop : llvm::reverse(loops))
     serialize(loop);
   SmallVector<Operation *> updates;
@@ -329,7 +330,7 @@ static void expandUpdates(func::FuncOp function) {
                                          atomic.getValue());
     }
     memref::StoreOp::create(b, made, array, indices);
-    // The former returns the new value, the latter the old one.
+    // A generic_atomic_rmw returns the new value, an atomic_rmw the old one.
     op->replaceAllUsesWith(
         ValueRange{isa<memref::GenericAtomicRMWOp>(op) ? made : old});
     op->erase();
@@ -340,7 +341,7 @@ static void expandUpdates(func::FuncOp function) {
 // Chosen arrays
 //===----------------------------------------------------------------------===//
 
-/// The values that an array which a loop carries or a branch chooses can be;
+/// The possible values of an array that a loop carries or a branch chooses;
 /// empty for other arrays.
 static SmallVector<OpOperand *> getSources(Value array) {
   SmallVector<OpOperand *> sources;
@@ -396,13 +397,14 @@ private:
 
   func::FuncOp function;
   DominanceInfo dominance;
-  /// The chosen arrays, each with those that it can be.
+  /// The chosen arrays, each with the arrays that it can be.
   llvm::MapVector<Value, SmallVector<Value>> chosen;
   llvm::MapVector<Value, Value> numbers;
 };
 } // namespace
 
-/// True if `array` is known in front of `before`, to where its views are moved.
+/// Makes `array` available before `before`, by moving the views that make it.
+/// False if that is impossible.
 bool ChosenArrays::hoist(Value array, Operation *before) {
   if (dominance.properlyDominates(array, before))
     return true;
@@ -439,7 +441,7 @@ LogicalResult ChosenArrays::collect() {
         if (seen.insert(source->get()))
           pending.push_back(source->get());
     }
-    // Where the first of the ops stands that choose.
+    // Find the first op that makes one of the choices.
     Operation *first = nullptr;
     for (Value value : seen)
       if (!getSources(value).empty()) {
@@ -476,7 +478,8 @@ Value ChosenArrays::getNumber(Value array) {
   return numbers[array] = number;
 }
 
-/// The same op on one of the arrays that its array can be.
+/// A copy of `op` for each array that its operand can be, in a chain of
+/// branches on the number of the array.
 static SmallVector<Value> branch(ImplicitLocOpBuilder &b, Operation *op,
                                  unsigned operand, Value number,
                                  ArrayRef<std::pair<Value, Value>> arrays) {
@@ -495,7 +498,7 @@ static SmallVector<Value> branch(ImplicitLocOpBuilder &b, Operation *op,
                                 /*withElseRegion=*/true);
   for (auto [i, region] : llvm::enumerate(made->getRegions())) {
     OpBuilder::InsertionGuard guard(b);
-    // Without results there are terminators already.
+    // An scf.if without results is created with terminators.
     if (region.front().mightHaveTerminator())
       region.front().getTerminator()->erase();
     b.setInsertionPointToEnd(&region.front());
@@ -530,7 +533,7 @@ void ChosenArrays::replaceUses() {
   }
 }
 
-/// Loops and branches hand numbers on in place of arrays.
+/// Loops and branches carry and yield numbers in place of arrays.
 void ChosenArrays::carryNumbers() {
   Type index = IndexType::get(function.getContext());
   SmallVector<std::pair<OpOperand *, Value>> handed;
@@ -552,7 +555,8 @@ LogicalResult ChosenArrays::run() {
     return failure();
   if (chosen.empty())
     return success();
-  // The number of a selected array is selected; others are carried.
+  // The number of an array that an arith.select chooses is selected as well;
+  // loops and branches carry other numbers.
   for (auto &[array, grounds] : chosen)
     for (Value ground : grounds)
       getNumber(ground);
@@ -562,13 +566,14 @@ LogicalResult ChosenArrays::run() {
   for (auto &[array, grounds] : chosen)
     if (auto select = array.getDefiningOp<arith::SelectOp>()) {
       OpBuilder b(select);
-      // The walk is in program order, so the operands have their numbers.
+      // `chosen` is in program order, so the operands already have their
+      // numbers.
       numbers[array] = arith::SelectOp::create(
           b, select.getLoc(), IndexType::get(b.getContext()),
           select.getCondition(), getNumber(select.getTrueValue()),
           getNumber(select.getFalseValue()));
     }
-  // First, so that an op that compares numbers finds them to be numbers.
+  // Done first, so that a comparison of numbers has operands of type index.
   carryNumbers();
   replaceUses();
   for (auto &[array, grounds] : chosen)
@@ -639,7 +644,7 @@ static LogicalResult foldViews(func::FuncOp function) {
   return success();
 }
 
-/// Erases what nothing uses now.
+/// Erases the views and sizes that are no longer used.
 static void eraseDeadViews(func::FuncOp function) {
   SmallVector<Operation *> ops;
   function.walk([&](Operation *op) {
@@ -655,8 +660,8 @@ static void eraseDeadViews(func::FuncOp function) {
 // Lifetimes
 //===----------------------------------------------------------------------===//
 
-/// Local arrays live to the end of their blocks: nothing outside knows them
-/// now.
+/// Frees local arrays at the ends of their blocks, because their values are no
+/// longer used outside of them.
 static LogicalResult freeAtEnds(func::FuncOp function) {
   SmallVector<Operation *> makers;
   SmallVector<memref::DeallocOp> deallocs;
@@ -687,7 +692,7 @@ static LogicalResult freeAtEnds(func::FuncOp function) {
   for (Operation *op : makers) {
     Value array = op->getResult(0);
     if (auto alloca = dyn_cast<memref::AllocaOp>(op)) {
-      // The stack of a loop would hold as many as it has iterations.
+      // An alloca in a loop would take stack space in every iteration.
       if (!op->getParentOfType<LoopLikeOpInterface>())
         continue;
       OpBuilder b(op);
@@ -708,7 +713,8 @@ LogicalResult mlir::tai::normalizeMemory(func::FuncOp function) {
   if (failed(expandCopies(function)))
     return failure();
   expandUpdates(function);
-  // Views of a chosen array, then those that it is chosen from.
+  // The first call folds views of a chosen array, the second one views of the
+  // arrays that it is chosen from.
   if (failed(foldViews(function)) || failed(ChosenArrays(function).run()) ||
       failed(foldViews(function)))
     return failure();

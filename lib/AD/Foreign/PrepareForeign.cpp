@@ -55,7 +55,7 @@ using namespace mlir;
 using namespace mlir::tai;
 
 //===----------------------------------------------------------------------===//
-// Copies and their originals
+// Prepared copies and their originals
 //===----------------------------------------------------------------------===//
 
 FunctionOpInterface mlir::tai::getOriginal(FunctionOpInterface function) {
@@ -83,7 +83,7 @@ bool mlir::tai::isWrapped(FunctionOpInterface prepared) {
 }
 
 //===----------------------------------------------------------------------===//
-// What needs it
+// Functions that need preparation
 //===----------------------------------------------------------------------===//
 
 static bool isSumOrUnused(memref::AtomicRMWOp atomic) {
@@ -139,7 +139,7 @@ static bool needsPreparation(func::FuncOp function) {
 // Control flow
 //===----------------------------------------------------------------------===//
 
-/// Makes structured control flow of several blocks.
+/// Replaces the blocks of a region by structured control flow.
 static LogicalResult liftBlocks(func::FuncOp function) {
   SmallVector<Region *> regions;
   function.walk([&](Operation *op) {
@@ -154,7 +154,7 @@ static LogicalResult liftBlocks(func::FuncOp function) {
       return function.emitError(
           "cannot make structured control flow of the blocks of this function");
   }
-  // A value that is never used is needed all the same.
+  // Poison stands for values that are never used; zeros replace it.
   function.walk([](ub::PoisonOp poison) {
     OpBuilder b(poison);
     Type type = poison.getType();
@@ -188,7 +188,7 @@ static void lowerSwitches(func::FuncOp function) {
                                       /*withElseRegion=*/true);
       takeRegion(region, branch.getThenRegion());
       if (first) {
-        // Behind the branch in the region of the one before.
+        // Yield the results of this branch from the else region around it.
         b.setInsertionPointAfter(branch);
         scf::YieldOp::create(b, branch.getResults());
       } else {
@@ -199,7 +199,7 @@ static void lowerSwitches(func::FuncOp function) {
       b.setInsertionPointToEnd(other);
     }
     if (first) {
-      // The innermost alternative takes the default.
+      // The innermost else region takes the default case.
       Block *end = b.getInsertionBlock();
       end->getOperations().splice(end->end(),
                                   op.getDefaultBlock().getOperations());
@@ -244,8 +244,8 @@ private:
   LogicalResult inlineCall(func::CallOp call) {
     auto callee = symbols.lookup<func::FuncOp>(call.getCallee());
     if (!callee || callee.isExternal()) {
-      // A call without results that takes numbers prints, say: no derivative
-      // depends on it.
+      // A call without results that takes numbers alone, such as one that
+      // prints, has no influence on derivatives.
       bool takesNumbers = llvm::all_of(call.getOperandTypes(), [](Type type) {
         return isa<IntegerType, IndexType, FloatType, VectorType>(type);
       });
@@ -257,7 +257,7 @@ private:
     }
     func::FuncOp body = callee.clone();
     OwningOpRef<func::FuncOp> owner(body);
-    // The pass that lifts looks up symbols around the function.
+    // The transformation looks up symbols in the module around the function.
     symbols.getOp()->getRegion(0).front().push_back(body);
     LogicalResult lifted = liftBlocks(body);
     body->remove();
@@ -299,10 +299,10 @@ static bool callsItself(func::FuncOp function, SymbolTable &symbols) {
 }
 
 /// Refuses a call of a function that calls itself, or that has a derivative of
-/// its own, which inlining would leave out.
+/// its own, which inlining would ignore.
 static LogicalResult checkCalls(func::FuncOp function, SymbolTable &symbols) {
   llvm::SetVector<Operation *> reached;
-  // The call in the function itself by which another one is reached.
+  // For each reached function, the call in `function` that leads to it.
   DenseMap<Operation *, func::CallOp> reachedBy;
   reached.insert(function);
   for (size_t i = 0; i != reached.size(); ++i) {
@@ -356,8 +356,8 @@ static bool hasFloats(Type type) {
          isa<FloatType, RankedTensorType>(type);
 }
 
-/// Gives the copy memrefs for tensors, and one more for each result with
-/// floats; other results go.
+/// Gives the copy memrefs in place of tensors, and an additional memref for
+/// each result with floats; other results are dropped.
 static LogicalResult passMemory(func::FuncOp function) {
   auto isArray = [](Type type) { return isa<BaseMemRefType>(type); };
   if (function->hasAttr("tai.gradients"))
@@ -432,7 +432,8 @@ static LogicalResult bufferize(func::FuncOp function) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Fills a function of values from one of memory.
+/// Builds a function of values around a derivative that takes and returns
+/// memrefs.
 class Wrapper {
 public:
   Wrapper(func::FuncOp original, func::FuncOp inner)
@@ -454,7 +455,7 @@ private:
 };
 } // namespace
 
-/// Memory for a value of this type, with the sizes of `like`.
+/// Allocates memory for a value of this type, with the sizes of `like`.
 Value Wrapper::createBuffer(Type type, Value like) {
   MemRefType buffer = getBufferType(type);
   SmallVector<Value> sizes;
@@ -527,8 +528,8 @@ func::FuncOp Wrapper::create(bool isForward) {
   Block *block = wrapper.addEntryBlock();
   b.setInsertionPointToStart(block);
 
-  // As the copy has them: the arguments, the memory of results, and the
-  // derivatives of both.
+  // The arguments in the order of `inner`: arguments of the original, memory of
+  // results, and the derivatives of both.
   SmallVector<Value> given, shadows;
   auto extra = block->getArguments().drop_front(count).begin();
   auto values = block->getArguments().take_front(count);
@@ -547,7 +548,8 @@ func::FuncOp Wrapper::create(bool isForward) {
   }
   SmallVector<Value> outs, outShadows;
   for (Type type : made) {
-    // The sizes of a result are those of its seed, or, forwards, fixed.
+    // A result has the sizes of its seed in reverse mode, and static sizes in
+    // forward mode.
     Value like = isForward ? Value() : Value(*extra);
     outs.push_back(createBuffer(type, like));
     outShadows.push_back(isForward ? createZeros(type, like)
@@ -601,7 +603,7 @@ func::FuncOp mlir::tai::wrapDerivative(func::FuncOp original,
 // The pass
 //===----------------------------------------------------------------------===//
 
-/// Replaces ops that stand for several, such as a softmax.
+/// Replaces ops that stand for several ops, such as a softmax.
 static LogicalResult decomposeOps(func::FuncOp function) {
   SmallVector<linalg::AggregatedOpInterface> ops;
   function.walk([&](linalg::AggregatedOpInterface op) {
@@ -695,7 +697,8 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
     return failure();
   }
 
-  /// Memory of the LLVM dialect becomes values, and its arithmetic ours.
+  /// Memory of the LLVM dialect becomes SSA values, and its arithmetic that of
+  /// arith and math.
   LogicalResult promoteSlots(func::FuncOp copy) {
     WalkResult found = copy.walk([](Operation *op) {
       return isa_and_present<LLVM::LLVMDialect>(op->getDialect())

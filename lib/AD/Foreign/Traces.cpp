@@ -19,18 +19,19 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Where the executions of one block are in a trace.
+/// The numbering of the executions of a block in its traces.
 struct Slot {
   /// In the primal: the number of the execution.
   Value number;
-  /// In the primal, where the first loop begins: how many executions there are,
-  /// or null if that is not known.
+  /// In the primal, before the first loop: the number of all executions, or
+  /// null if it cannot be computed there.
   Value count;
   /// In the gradient: the memref that holds the number of the next execution.
   Value next;
 };
 
-/// A value that is recorded: a read of the program, or where a loop begins.
+/// A recorded value: the result of a read, or the number at which a loop
+/// begins.
 struct Recorded {
   /// In the primal: the value, or null for the beginning of a loop.
   Value value;
@@ -74,7 +75,7 @@ private:
   ImplicitLocOpBuilder b;
   llvm::MapVector<Block *, Slot> slots;
   SmallVector<Recorded> all;
-  /// From the primal to its second execution.
+  /// Maps values of the primal to those of the second execution.
   IRMapping again;
   SmallVector<std::pair<unsigned, Value>> copies;
   SmallVector<Value> toFree;
@@ -83,8 +84,8 @@ private:
 };
 } // namespace
 
-/// The loops around a block, from the outermost to the innermost, each with its
-/// block that holds this one.
+/// The loops around a block, from the outermost to the innermost, each with the
+/// block of the loop that contains `block`.
 static SmallVector<std::pair<Operation *, Block *>> getLoops(Block *block) {
   SmallVector<std::pair<Operation *, Block *>> loops;
   while (!isa<FunctionOpInterface>(block->getParentOp())) {
@@ -106,7 +107,7 @@ static Block *getLoopBlock(Operation *op) {
   return block;
 }
 
-/// True if the bounds of `loop` are known where `outer` begins.
+/// True if the bounds of `loop` are computed outside of `outer`.
 bool Recorder::isKnownOutside(Operation *loop, Operation *outer) {
   if (isa<scf::WhileOp>(loop))
     return false;
@@ -120,7 +121,8 @@ bool Recorder::isKnownOutside(Operation *loop, Operation *outer) {
   });
 }
 
-/// The same, for the function: where its outermost op begins that holds `loop`.
+/// True if the bounds of `loop` are computed in the body of the function,
+/// before its outermost op that contains `loop`.
 static bool isKnownInFunction(Operation *loop, FunctionOpInterface function) {
   if (isa<scf::WhileOp>(loop))
     return false;
@@ -135,7 +137,8 @@ static bool isKnownInFunction(Operation *loop, FunctionOpInterface function) {
   });
 }
 
-/// Executions whose numbers are given out in order must happen in order.
+/// Makes the parallel loops around `read` serial, unless all trip counts are
+/// computed before the first loop: executions are then numbered as they happen.
 void Recorder::serializeLoops(Operation *read) {
   SmallVector<scf::ParallelOp> parallel;
   bool isKnown = true;
@@ -150,7 +153,7 @@ void Recorder::serializeLoops(Operation *read) {
     serialize(loop);
 }
 
-/// Lets the loop carry the number of the iteration.
+/// Makes the loop carry the number of the current iteration.
 void Recorder::countIterations(scf::WhileOp loop) {
   if (counted.contains(loop))
     return;
@@ -177,7 +180,7 @@ void Recorder::countIterations(scf::WhileOp loop) {
   counted.insert(made);
 }
 
-/// The numbers of iterations of a loop whose length is known when it begins.
+/// The trip counts of a loop, one for each dimension.
 SmallVector<Value> Recorder::getTripCounts(Operation *loop) {
   auto count = [&](Value lower, Value upper, Value step) -> Value {
     lower = toIndex(lower);
@@ -197,8 +200,8 @@ SmallVector<Value> Recorder::getTripCounts(Operation *loop) {
   return counts;
 }
 
-/// The numbers of the current iteration, one for each dimension, as the number
-/// in all of them. `block` is the one inside of the loop.
+/// The number of the current iteration, linearized over the dimensions of the
+/// loop. `block` is the block of the loop that contains the insertion point.
 Value Recorder::getIteration(Operation *loop, Block *block) {
   if (isa<scf::WhileOp>(loop))
     return block->getArguments().back();
@@ -229,7 +232,7 @@ memref::LoadOp Recorder::readTrace(Type type, Value number) {
   return memref::LoadOp::create(b, array, number);
 }
 
-/// The number of the execution of a block, which is that of a loop or of the
+/// The numbering of the executions of `block`, the body of a loop or of the
 /// function.
 Slot &Recorder::getSlot(Block *block) {
   if (auto *it = slots.find(block); it != slots.end())
@@ -243,8 +246,8 @@ Slot &Recorder::getSlot(Block *block) {
   size_t first = 0;
   Value base;
   if (!isKnown) {
-    // The longest row of loops whose numbers of iterations, but for the first,
-    // are known when the first begins.
+    // Find the longest nest of loops down to `block` whose trip counts, but for
+    // that of its first loop, are computed before its first loop.
     first = loops.size() - 1;
     auto extendsTo = [&](size_t begin) {
       return llvm::all_of(
@@ -255,7 +258,7 @@ Slot &Recorder::getSlot(Block *block) {
     while (first > 0 && extendsTo(first - 1))
       --first;
     if (first > 0) {
-      // Where it begins is recorded itself.
+      // The number at which the nest begins is recorded in a trace of its own.
       Operation *begin = loops[first].first;
       Slot outer = getSlot(getLoopBlock(begin));
       b.setInsertionPoint(begin);
@@ -291,7 +294,7 @@ Slot &Recorder::getSlot(Block *block) {
   b.setInsertionPointToStart(block);
   Value number;
   for (size_t i = first; i < loops.size(); ++i) {
-    // In front of all that the blocks in between compute.
+    // All iteration numbers are computed at the start of `block`.
     Value one = getIteration(loops[i].first, loops[i].second);
     number = number ? b.createOrFold<arith::AddIOp>(
                           b.createOrFold<arith::MulIOp>(number, sizes[i]), one)
@@ -309,12 +312,12 @@ Slot &Recorder::getSlot(Block *block) {
 // The second execution
 //===----------------------------------------------------------------------===//
 
-/// Runs the function on copies of the arrays that it writes.
+/// Runs the function again; in mode Rerun, on copies of the arrays it writes.
 void Recorder::rerun() {
   Block &body = primal.getFunctionBody().front();
   Block &target = gradient.getFunctionBody().front();
   b.setInsertionPointToStart(&target);
-  // The first op of the reverse sweep comes behind this one.
+  // Marks the end of the second execution: the reverse sweep follows.
   end = arith::ConstantIndexOp::create(b, 0);
   b.setInsertionPoint(end);
   for (unsigned i = 0, e = primal.getNumArguments(); i != e; ++i) {
@@ -351,7 +354,8 @@ void Recorder::rerun() {
   }
 }
 
-/// The array of a trace, with room for the element `number`.
+/// Loads the array of a trace from `cell`; grows it if it has no element
+/// `number`.
 Value Recorder::ensureRoom(Value cell, Value number) {
   Value array = memref::LoadOp::create(b, cell, ValueRange());
   Value zero = arith::ConstantIndexOp::create(b, 0);
@@ -395,7 +399,7 @@ void Recorder::record(Recorded &what, Traces &traces) {
     value = again.lookup(what.value);
     b.setInsertionPointAfterValue(value);
   } else {
-    // The loop begins where the one before it has ended.
+    // The loop begins where its previous execution has ended.
     Operation *copy = again.lookup(what.fromTrace.getResult()).getDefiningOp();
     b.setInsertionPoint(copy);
     value = memref::LoadOp::create(b, slots[what.begins].next, ValueRange());
@@ -486,7 +490,7 @@ void Recorder::prune() {
       op.walk<WalkOrder::PreOrder>(
           [&](Operation *inner) { ops.push_back(inner); });
     }
-    // From the inside.
+    // Inner ops before outer ones, and users before their operands.
     for (Operation *op : llvm::reverse(ops))
       if (isOpTriviallyDead(op)) {
         op->erase();
@@ -512,7 +516,8 @@ Traces Recorder::run(ArrayRef<Operation *> reads) {
     traces.recorded[value] = fromTrace;
   }
   rerun();
-  // Where a row of loops begins is known from the one before.
+  // The number at which a loop begins is the end of its previous execution,
+  // which `next` holds.
   b.setInsertionPointToStart(&gradient.getFunctionBody().front());
   for (Recorded &what : all)
     if (what.begins) {

@@ -12,9 +12,9 @@
 //
 // A trace is an array with one element for each execution of the read. The
 // number of an execution follows from the iterations of the loops around it. If
-// the bounds of all loops are known when the first begins, the array has the
-// right size from the start. Else it grows, and where a loop begins in it is
-// recorded too, as the trace of that number.
+// the bounds of all loops are computed before the first loop, the array has its
+// final size from the start. Otherwise the array grows, and the number at which
+// a loop begins is recorded in a trace of its own.
 //
 //===----------------------------------------------------------------------===//
 
@@ -32,7 +32,8 @@ struct Traces {
   /// Arguments that stand for traces in the primal, and the traces in the
   /// gradient.
   SmallVector<std::pair<Value, Value>> arrays;
-  /// The arguments of the function that are read as they were before it.
+  /// The positions of arguments whose former elements the second execution
+  /// reads.
   SmallVector<int64_t> before;
 };
 
