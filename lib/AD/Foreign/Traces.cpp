@@ -38,7 +38,7 @@ struct Recorded {
   /// In the primal: the op that reads the trace.
   memref::LoadOp fromTrace;
   Block *block;
-  /// For the beginning of a loop: the block whose number begins there.
+  /// For the beginning of a loop: the block whose executions it numbers.
   Block *begins = nullptr;
 };
 

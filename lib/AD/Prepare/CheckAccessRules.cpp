@@ -37,7 +37,7 @@ static std::string getName(DifferentiableAccessInterface access) {
   return "array";
 }
 
-/// The number of iterations of a loop along `dim`, if it is known.
+/// The number of iterations of a loop along `dim`, if it is constant.
 static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
   auto getConstant = [](Value value) -> std::optional<int64_t> {
     APInt constant;
@@ -50,7 +50,7 @@ static std::optional<int64_t> getExtent(Operation *loop, unsigned dim) {
     if (parallel.isStructFor()) {
       FieldLayout layout =
           *getFieldLayout(lookupField(parallel, parallel.getFieldAttr()));
-      // The active cells of a sparse field are not known here.
+      // The active cells of a sparse field are not known at compile time.
       if (parallel.getLevel() || layout.path.getFirstSparse())
         return std::nullopt;
       return layout.shape[dim];
@@ -135,7 +135,8 @@ private:
     return activity.isActiveAccess(access);
   }
 
-  /// One store in a parallel loop that does not move with the loop.
+  /// Reports a store in a parallel loop whose indices do not depend on the
+  /// loop.
   void checkRepeated(DifferentiableAccessInterface access) {
     if (access.getAccessKind() != AccessKind::Write || !isActive(access))
       return;
@@ -151,7 +152,8 @@ private:
                          "element for each iteration";
   }
 
-  /// Rule 2 inside one parallel loop: other iterations still accumulate.
+  /// Reports a read of an element after an accumulation in the same parallel
+  /// loop: other iterations may still accumulate to the element (rule 2).
   void checkEarlyRead(DifferentiableAccessInterface accumulation,
                       DifferentiableAccessInterface read) {
     Operation *loop = getEnclosingParallelLoop(accumulation);
@@ -173,8 +175,8 @@ private:
     diag.attachNote() << "read it in a later loop";
   }
 
-  /// Checks iterations of a parallel loop that reach the same element, if one
-  /// of them stores to it, or reads stores of the others.
+  /// Reports iterations of a parallel loop that reach the same element, if one
+  /// of them stores to the element, or if one writes it and another reads it.
   void checkRaces(const Accesses &accesses) {
     for (size_t i = 0; i != accesses.size(); ++i) {
       DifferentiableAccessInterface write = accesses[i];

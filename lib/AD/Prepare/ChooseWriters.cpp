@@ -6,9 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Where iterations may store to the same element, a copy of the loop runs
-// first, of which nothing is left but what decides on the stores. It finds the
-// last iteration that stores to each element. The loop itself then stores only
-// where it runs that iteration:
+// first, reduced to the ops that decide which iteration stores to which
+// element. The copy finds the last iteration that stores to each element, its
+// owner. The loop itself then stores to an element only in the owner's
+// iteration:
 //
 //   owner[e] = -1                                  over all elements
 //   owner[e] = max(owner[e], number)               the loop, without the rest
@@ -53,7 +54,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// More elements than this get no owners.
+/// The owners of a storage with more elements are not computed.
 static constexpr int64_t kMaxElements = int64_t(1) << 28;
 
 namespace {
@@ -65,8 +66,8 @@ struct Place {
 };
 } // namespace
 
-/// A condition such as `i == 0` lets the loop index replace its value, as in
-/// `if i == 0: y[0] = ...`.
+/// The element that `access` reaches. In a branch on a condition such as `i ==
+/// 0`, the loop index i replaces an equal index, as in `if i == 0: y[0] = ...`.
 static Place getPlace(DifferentiableAccessInterface access,
                       ParallelForOp loop) {
   Place place{llvm::to_vector(access.getAccessIndices()),
@@ -117,19 +118,21 @@ static bool mayMeet(ParallelForOp loop, DifferentiableAccessInterface first,
 }
 
 //===----------------------------------------------------------------------===//
-// Open stores
+// Stores that different iterations make to one element
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The accesses of a parallel loop to a storage where iterations may meet.
+/// The accesses of a parallel loop to a storage in which different iterations
+/// may access one element.
 struct OpenStorage {
   SmallVector<DifferentiableAccessInterface> stores;
-  /// Accesses that may meet the stores of other iterations, and sums that
-  /// accesses of other iterations may meet.
+  /// `others` may reach elements that other iterations write; `sums` accumulate
+  /// to an element that belongs to their iteration.
   SmallVector<DifferentiableAccessInterface> others, sums;
-  /// Whether stores may meet each other.
+  /// Whether stores of different iterations may reach one element.
   bool collides = false;
-  /// Whether stores may meet sums: an element would have several owners.
+  /// Whether stores and `sums` of different iterations may reach one element,
+  /// which would then have several owners.
   bool isMixed = false;
   /// Whether a derivative passes through a store.
   bool isActive = false;
@@ -147,8 +150,8 @@ static bool isConstant(DifferentiableAccessInterface store) {
   return matchPattern(store.getAccessedValue(), m_Constant());
 }
 
-/// True if two of the stores may meet in different iterations. Stores of
-/// constants leave no derivative, whichever remains.
+/// True if two of the stores may reach one element in different iterations. Two
+/// stores of constants do not count: neither leaves a derivative.
 static bool anyMeet(ParallelForOp loop,
                     ArrayRef<DifferentiableAccessInterface> stores) {
   for (size_t i = 0; i != stores.size(); ++i)
@@ -159,9 +162,10 @@ static bool anyMeet(ParallelForOp loop,
   return false;
 }
 
-/// True if one of the accesses reads what another iteration writes, once the
-/// loop is long enough. Others that may do so are left alone, as time slots
-/// from arguments are: a look at each element would cost more than the loop.
+/// True if, in a loop that is long enough, one of the accesses certainly reads
+/// an element that another iteration writes. Merely possible races, as of time
+/// slots that are arguments, do not count: to check each element at run time
+/// would cost more than the loop.
 static bool readsWrites(ArrayRef<DifferentiableAccessInterface> accesses) {
   return llvm::any_of(accesses, [&](auto read) {
     return read.getAccessKind() == AccessKind::Read &&
@@ -172,8 +176,9 @@ static bool readsWrites(ArrayRef<DifferentiableAccessInterface> accesses) {
   });
 }
 
-/// A tangent is computed with the value, in whatever order; an adjoint is not,
-/// so that with `isReversed` reads must not meet what other iterations write.
+/// The storages of `loop` whose stores need a choice. A tangent is computed
+/// with its value, in any order of iterations. An adjoint is not: with
+/// `isReversed`, reads must not reach elements that other iterations write.
 static SmallVector<OpenStorage> findOpen(ParallelForOp loop,
                                          StoreFilter matters, bool isReversed) {
   llvm::MapVector<const void *, SmallVector<DifferentiableAccessInterface>>
@@ -204,14 +209,16 @@ static SmallVector<OpenStorage> findOpen(ParallelForOp loop,
                                     [&](auto store) { return matters(store); });
     bool isOpen = storage.collides && storage.isActive;
     for (DifferentiableAccessInterface other : rest) {
-      // A sum with an element of its own meets others as a store does.
+      // An accumulation to an element that belongs to the iteration conflicts
+      // with accesses of other iterations like a store.
       bool isSum = other.getAccessKind() != AccessKind::Read &&
                    !mayMeet(loop, other, other);
       bool meets = llvm::any_of(accesses, [&](auto write) {
         bool isRead = write.getAccessKind() == AccessKind::Read;
         bool areSums = other.getAccessKind() != AccessKind::Read &&
                        write.getAccessKind() != AccessKind::Write;
-        // Most pairs of a scatter are sums: comparing their indices is dear.
+        // Two accumulations do not conflict. They are most pairs of a scatter,
+        // and a comparison of their indices is expensive.
         if (isRead || areSums)
           return false;
         bool isOwn = write.getAccessKind() == AccessKind::Write ||
@@ -261,13 +268,13 @@ public:
   LoopWriters(ParallelForOp loop, SmallVector<OpenStorage> open)
       : loop(loop), open(std::move(open)), b(loop.getLoc(), loop) {}
 
-  /// False if what decides on the stores is not known before the loop.
+  /// False if the owners cannot be computed before the loop.
   bool decide();
-  /// Runs the loop on one thread instead.
+  /// Makes the loop run on one thread instead.
   LogicalResult serialize(bool isReversed);
 
 private:
-  /// A dimension of the owners of a storage.
+  /// A dimension of the buffer of owners.
   struct Dimension {
     unsigned position;
     int64_t first = 0;
@@ -298,13 +305,13 @@ private:
   ParallelForOp loop;
   SmallVector<OpenStorage> open;
   ImplicitLocOpBuilder b;
-  /// The iterations along each dimension.
+  /// The lower bound and the number of iterations of each dimension.
   SmallVector<Value> lower, extents;
   IntegerType type;
-  /// The copy that decides.
+  /// The copy of the loop that computes the owners.
   ParallelForOp decision;
   IRMapping copies;
-  /// Whether the decision takes the result of an op with an effect.
+  /// Whether the owners depend on the result of an op with a side effect.
   bool needsUpdate = false;
 };
 } // namespace
@@ -315,7 +322,7 @@ static SmallVector<Value> getPosition(DifferentiableAccessInterface access) {
   return position;
 }
 
-/// Fails where accesses are to whole elements and to components of them.
+/// Fails if some accesses reach whole elements and others reach components.
 bool LoopWriters::findDimensions(const OpenStorage &storage, Owned &owned) {
   SmallVector<DifferentiableAccessInterface> accesses = storage.getClaims();
   llvm::append_range(accesses, storage.others);
@@ -340,7 +347,7 @@ bool LoopWriters::findDimensions(const OpenStorage &storage, Owned &owned) {
   }
   for (size_t i = 0; i != rank; ++i) {
     // An index that is the same in all iterations, such as a time slot, needs
-    // no room.
+    // no dimension in the buffer of owners.
     Value same = getPosition(first)[i];
     auto isSame = [&](DifferentiableAccessInterface access) {
       Value value = getPosition(access)[i];
@@ -388,7 +395,7 @@ void LoopWriters::countIterations() {
       b.getIntegerType(known <= std::numeric_limits<int32_t>::max() ? 32 : 64);
 }
 
-/// The number of an iteration, in their order.
+/// The row-major number of the iteration with indices `ivs`.
 Value LoopWriters::createNumber(OpBuilder &builder, ValueRange ivs) {
   ImplicitLocOpBuilder at(loop.getLoc(), builder);
   Value number = arith::ConstantIndexOp::create(at, 0);
@@ -399,8 +406,9 @@ Value LoopWriters::createNumber(OpBuilder &builder, ValueRange ivs) {
   return arith::IndexCastOp::create(at, type, number);
 }
 
-/// Where the owner of the element of `access` stands, as far as it is in range,
-/// and whether it is not; emitted at the insertion point.
+/// Emits, at the insertion point, the position of the element of `access` in
+/// the buffer of owners, clamped to the buffer, and whether it had to be
+/// clamped.
 std::pair<SmallVector<Value>, Value>
 LoopWriters::createPosition(DifferentiableAccessInterface access,
                             const Owned &owned) {
@@ -422,7 +430,7 @@ LoopWriters::createPosition(DifferentiableAccessInterface access,
   return {position, isOutside};
 }
 
-/// True for ops of an iteration that nothing outside of it sees.
+/// True for ops whose effects are not visible outside of an iteration.
 static bool isPrivate(Operation *op, Operation *loop) {
   auto isInside = [&](Value memory) {
     return loop->isAncestor(memory.getParentBlock()->getParentOp());
@@ -440,8 +448,8 @@ static bool isPrivate(Operation *op, Operation *loop) {
   return isa<RandomOp>(op);
 }
 
-/// Leaves of a copy of a loop only what `kept` depends on. False if that needs
-/// the result of an op with an effect.
+/// Erases the ops of a copy of a loop that `kept` does not depend on. False if
+/// `kept` depends on the result of an op with a side effect.
 static bool reduceTo(ParallelForOp copy, const DenseSet<Operation *> &kept) {
   SmallVector<Operation *> effects;
   copy.getBody().walk([&](Operation *op) {
@@ -480,8 +488,8 @@ void LoopWriters::claim(const OpenStorage &storage, const Owned &owned,
   }
 }
 
-/// In the loop: only owners store. Other accesses must not meet the stores of
-/// other iterations.
+/// In the loop: only the owner of an element stores to it. The accesses in
+/// `others` assert that no other iteration owns their element.
 void LoopWriters::restrict(const OpenStorage &storage, const Owned &owned,
                            Value number) {
   auto createOwner = [&](DifferentiableAccessInterface access) {
@@ -494,7 +502,8 @@ void LoopWriters::restrict(const OpenStorage &storage, const Owned &owned,
   auto createOwnership = [&](Value owner, Value isOutside) {
     Value isMine =
         arith::CmpIOp::create(b, arith::CmpIPredicate::eq, owner, number);
-    // An index out of range is reported, or undefined, as ever.
+    // An access out of range is not restricted: it is reported, or undefined,
+    // as without owners.
     return isOutside ? arith::OrIOp::create(b, isMine, isOutside) : isMine;
   };
   std::string name = "an array";
@@ -544,14 +553,15 @@ static bool isUnchanged(DifferentiableAccessInterface read,
               .wasInterrupted();
 }
 
-/// Emits the copy of the loop, which claims nothing yet, and reduces it.
+/// Emits the copy of the loop and erases the ops that the owners do not depend
+/// on. False if the owners cannot be computed before the loop.
 bool LoopWriters::buildDecision() {
   decision = cast<ParallelForOp>(b.clone(*loop, copies));
   DenseMap<Operation *, Operation *> originals;
   loop.getBody().walk(
       [&](Operation *op) { originals[copies.lookup(op)] = op; });
-  // The stores are kept until owners stand for them, with a value that needs
-  // nothing.
+  // Stores stay in the copy until `claim` replaces them. They store zero, so
+  // that the ops that compute the stored values can be erased.
   DenseSet<Operation *> kept;
   for (const OpenStorage &storage : open)
     for (DifferentiableAccessInterface write : storage.getClaims()) {
@@ -645,7 +655,8 @@ LogicalResult LoopWriters::serialize(bool isReversed) {
   }
   FieldLayout layout = *getFieldLayout(lookupField(loop, loop.getFieldAttr()));
   if (layout.path.getFirstSparse() || loop.getLevel()) {
-    // The adjoint needs that result too, and says why it has none.
+    // The adjoint needs the result of the op with an effect as well, and
+    // reports why it cannot have it.
     if (needsUpdate &&
         llvm::all_of(open, [](auto &storage) { return storage.isActive; }))
       return success();
@@ -659,7 +670,8 @@ LogicalResult LoopWriters::serialize(bool isReversed) {
                          "loop and store them to fields";
     return failure();
   }
-  // The adjoint of a loop on one thread runs backwards over a range.
+  // A loop over a field cannot be reversed on one thread: a loop over the range
+  // of its indices replaces it.
   b.setInsertionPoint(loop);
   SmallVector<Value> from, to;
   for (auto [extent, first] : llvm::zip(layout.shape, layout.offset)) {
@@ -684,7 +696,7 @@ LogicalResult LoopWriters::serialize(bool isReversed) {
 
 LogicalResult mlir::tai::chooseWriters(FunctionOpInterface function,
                                        StoreFilter matters, bool isReversed) {
-  // All that is asked of the function is asked before it is changed.
+  // Analyze all loops before any of them is changed.
   SmallVector<std::pair<ParallelForOp, SmallVector<OpenStorage>>> loops;
   for (ParallelForOp loop : getParallelLoops(function))
     if (SmallVector<OpenStorage> open = findOpen(loop, matters, isReversed);
@@ -724,7 +736,8 @@ struct ChooseWriters
       return chooseWriters(function, isActive, /*isReversed=*/true);
     if (!hasOpenStores(kernel, isActive, /*isReversed=*/true))
       return success();
-    // Without a tape nobody asks whose value remains.
+    // The kernel itself stays as it is: without a tape it does not matter whose
+    // value remains.
     KernelOp part = kernel.clone();
     part.setSymName((kernel.getSymName() + ".0").str());
     part.setPartOfAttr(FlatSymbolRefAttr::get(kernel.getSymNameAttr()));

@@ -30,9 +30,9 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The minimum or maximum as a choice, in which the value wins a tie: the ops
-/// of that name commute, and an old value that turns out to be constant would
-/// become their second operand. NaN stays.
+/// The minimum or maximum as a select, in which `value` wins a tie. The ops for
+/// minimum and maximum commute: canonicalization would make a constant `old`
+/// their second operand, which wins a tie. NaN is propagated.
 static Value choose(OpBuilder &b, Location loc, arith::CmpFPredicate wins,
                     Value old, Value value) {
   Value stays = arith::CmpFOp::create(b, loc, wins, old, value);
@@ -42,12 +42,12 @@ static Value choose(OpBuilder &b, Location loc, arith::CmpFPredicate wins,
   return arith::SelectOp::create(b, loc, stays, old, value);
 }
 
-/// old (kind) value. In a tie of minimum and maximum, the value wins.
+/// The updated element. In a tie of minimum and maximum, `value` wins.
 static Value combine(OpBuilder &b, AtomicOp atomic, Value old, Value value) {
   Location loc = atomic.getLoc();
   AtomicKind kind = atomic.getKind();
   bool isFloat = isFloatOrVector(value.getType());
-  // Halves of a tie are the same in any order.
+  // If a tie is split in halves, the order of the operands does not matter.
   bool isOrdered = isFloat && !Conventions::of(atomic).splitTies;
   switch (kind) {
   case AtomicKind::Add:
@@ -107,7 +107,7 @@ static void expand(AtomicOp atomic) {
   atomic.erase();
 }
 
-/// Makes one atomic for each component: components are combined for themselves.
+/// Replaces an atomic update of a vector by one update for each component.
 static void split(AtomicOp atomic) {
   auto type = dyn_cast<VectorType>(atomic.getValue().getType());
   if (!type)
@@ -154,8 +154,8 @@ struct ExpandAtomics
       else if (!isSum(atomic) && hasAdjoint(atomic))
         contended.push_back(atomic);
     });
-    // Invariant indices around a contended atomic tell which part of the field
-    // it concerns.
+    // Indices that are computed outside of the loop show which part of the
+    // field a contended atomic updates.
     llvm::SetVector<Operation *> loops;
     for (AtomicOp atomic : contended)
       loops.insert(getEnclosingParallelLoop(atomic));

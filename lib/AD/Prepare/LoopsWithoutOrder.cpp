@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A store of `scf.parallel` that several iterations may make has a value, and a
-// gradient, of any of them.
+// If several iterations of `scf.parallel` store to one element, any of their
+// values may remain, and the gradient would be that of an arbitrary one.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,7 +22,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The dimensions of the loop that may have several steps.
+/// The dimensions in which the loop may have more than one iteration.
 static SmallVector<Value> getMovingDimensions(scf::ParallelOp loop) {
   SmallVector<Value> moving;
   for (auto [iv, lower, upper, step] :

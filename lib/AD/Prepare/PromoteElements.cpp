@@ -88,7 +88,8 @@ bool Scope::isCertain(Operation *access) {
   return true;
 }
 
-/// True if no state of memory, before or after the scope, has all that is read.
+/// True if neither the memory before the scope nor the memory after it holds
+/// all values that the group reads.
 bool Scope::needsVariable(const Group &group) {
   bool lost = false, changed = false;
   for (DifferentiableAccessInterface read : group.accesses) {
@@ -110,7 +111,7 @@ bool Scope::isOwned(Group &group) {
         return access.getAccessKind() == AccessKind::Write && isCertain(access);
       }))
     return true;
-  // A store makes cells of sparse fields active.
+  // To store a variable back could activate a cell of a sparse field.
   if (FlatSymbolRefAttr name =
           group.accesses.front().getAccessedStorage().field) {
     FieldLayout layout =
@@ -118,7 +119,7 @@ bool Scope::isOwned(Group &group) {
     if (layout.path.getFirstSparse())
       return false;
   }
-  // Other blocks of the loop may access it, too.
+  // Other blocks of the loop may access the element, too.
   Operation *loop = getOutermostParallelLoop(block->getTerminator());
   if (!loop)
     return true;
@@ -138,7 +139,8 @@ bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
       }))
     return false;
   for (DifferentiableAccessInterface access : group.accesses) {
-    // The result of other ops is not the former value for certain.
+    // Updates other than `tai.atomic` may return another value than the former
+    // one.
     if (access.getAccessKind() == AccessKind::Update ||
         (access.getAccessKind() == AccessKind::Accumulate &&
          !isa<AtomicOp>(access) && !access->use_empty()))
@@ -160,8 +162,8 @@ bool Scope::canLive(Group &group, ArrayRef<DifferentiableAccessInterface> all) {
   return isOwned(group);
 }
 
-/// An access whose indices are known before the first of the group; null if all
-/// of them are computed in an inner block.
+/// An access of the group whose indices are computed before the first access of
+/// the group; null if there is none.
 DifferentiableAccessInterface Scope::findLeader(const Group &group) {
   Operation *before = block->findAncestorOpInBlock(*group.accesses.front());
   auto isKnown = [&](Value value) {
@@ -241,7 +243,7 @@ void Scope::run() {
         group = &groups.emplace_back(Group{indices, components, {}});
       group->accesses.push_back(access);
     }
-    // One at a time: the next looks at the remaining ones.
+    // Rewrite one group, then look at the remaining accesses again.
     for (Group &group : groups)
       if (DifferentiableAccessInterface leader = findLeader(group);
           leader && canLive(group, all)) {

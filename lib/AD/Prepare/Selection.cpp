@@ -23,7 +23,8 @@ static bool hasAdjointAlready(FunctionOpInterface function) {
          isSplit(function);
 }
 
-/// Refuses a launch under a tape that would have to say where adjoints are.
+/// Refuses to launch a kernel under a tape if it is differentiated by arguments
+/// or results: a launch has no memory for their adjoints.
 static LogicalResult checkTaped(LaunchOp launch, ModuleOp module) {
   auto kernel = module.lookupSymbol<KernelOp>(launch.getKernel());
   if (!kernel || !kernel.getGradientsAttr())
@@ -38,8 +39,8 @@ static LogicalResult checkTaped(LaunchOp launch, ModuleOp module) {
   return diag;
 }
 
-/// The kernels launched where gradients are taken, or nothing if the module
-/// takes none.
+/// The kernels that are launched under a tape, or nullopt if the module has no
+/// tape.
 static FailureOr<std::optional<DenseSet<StringAttr>>>
 collectTaped(ModuleOp module) {
   DenseSet<StringAttr> kernels;
@@ -136,7 +137,7 @@ selectWhole(ModuleOp module, ArrayRef<std::string> names) {
     takePrepared(module, functions);
     return functions;
   }
-  // Adjoints need none of their own.
+  // Adjoints are not differentiated.
   DenseSet<StringAttr> adjoints;
   for (auto kernel : module.getOps<KernelOp>())
     if (FlatSymbolRefAttr adjoint = kernel.getAdjointAttr())

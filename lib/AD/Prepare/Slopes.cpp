@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // The ops between the source and the values are copied to a separate function,
-// which forward mode extends; the result is copied back, once for each
-// direction. So rules and conventions are those of forward mode.
+// which forward mode extends. Its body is copied back, once for each direction,
+// so that the rules and conventions are those of forward mode.
 //
 //===----------------------------------------------------------------------===//
 
@@ -60,7 +60,8 @@ struct Path {
 };
 } // namespace
 
-/// Values read from memory of the function's own may depend on the source.
+/// True for a read of memory that the function makes: the value may depend on
+/// the source.
 static bool isLocalRead(Value value) {
   Operation *op = value.getDefiningOp();
   if (auto load = dyn_cast_if_present<memref::LoadOp>(op))
@@ -81,7 +82,7 @@ static FailureOr<Path> findPath(Value source, ValueRange values) {
     if (!dependents.contains(value)) {
       if (isLocalRead(value))
         return failure();
-      // Constants may stand in the copy, where rules look for them.
+      // Constants are copied into the function, because rules look for them.
       if (op && op->hasTrait<OpTrait::ConstantLike>())
         path.ops.insert(op);
       else
@@ -112,7 +113,7 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
   if (path->ops.empty())
     return SmallVector<SmallVector<Value>>(positions.size(), nothing);
 
-  // (source, its tangent, captured values...)
+  // The arguments: the source, its tangent, then the captured values.
   auto memory = MemRefType::get({}, type);
   SmallVector<Type> inputs = {memory, memory};
   for (Value value : path->captured)
@@ -134,13 +135,15 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
     into.map(value, argument);
   for (Operation *op : path->ops)
     inner.clone(*op, into);
-  // Loops and branches are rebuilt there: the operands follow their results.
+  // Forward mode rebuilds loops and branches: the operands of this return
+  // follow their new results.
   auto ends = func::ReturnOp::create(
       inner, loc, llvm::map_to_vector(values, [&](Value value) {
         return into.lookup(value);
       }));
 
-  // A function that cannot be extended is no error: the product has its rules.
+  // A function that cannot be extended is no error: the product is then
+  // differentiated by the rules of its ops.
   SilencedDiagnostics silence(builder.getContext());
   auto extended = cast<FunctionOpInterface>(holder->getOperation());
   TangentBuilder tangents(extended, [&](Storage storage) -> Storage {
@@ -169,7 +172,7 @@ mlir::tai::createSlopes(ImplicitLocOpBuilder &builder,
         arith::ConstantOp::create(builder, DenseElementsAttr::get(type, seed));
     IRMapping out = known;
     for (Operation &op : body->without_terminator()) {
-      // All that the function reads is the source and its tangent.
+      // The function reads nothing but the source and its tangent.
       if (auto read = dyn_cast<memref::LoadOp>(op))
         out.map(read.getResult(),
                 read.getMemref() == body->getArgument(0) ? stopped : direction);

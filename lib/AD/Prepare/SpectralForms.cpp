@@ -40,8 +40,9 @@ struct Factor {
   bool isTransposed;
 };
 
-/// A product as it is written, and the numbers that it is times. The square of
-/// a square of a square is no chain of eight: few factors are taken apart.
+/// A chain of matrix products, and the scalars that it is multiplied by. No
+/// product is taken apart once there are 64 factors: a power computed by
+/// repeated squaring would have too many.
 struct Chain {
   SmallVector<Factor> factors;
   SmallVector<Value> scales;
@@ -84,7 +85,7 @@ static Operation *getDecomposition(Value factor) {
   return nullptr;
 }
 
-/// The number that all components of a vector are, null if there is none.
+/// The scalar that all components of a vector equal, null if there is none.
 static Value getSplat(OpBuilder &builder, Value vector) {
   if (auto broadcast = vector.getDefiningOp<vector::BroadcastOp>())
     return isa<VectorType>(broadcast.getSourceType()) ? Value()
@@ -123,8 +124,7 @@ static void flatten(OpBuilder &builder, Value value, bool isTransposed,
 }
 
 namespace {
-/// Whether the entries of square matrices off their diagonals are zero, each
-/// matrix asked once.
+/// Answers whether square matrices are diagonal; each matrix is analyzed once.
 class DiagonalMatrices {
 public:
   bool contains(Value matrix) {
@@ -215,9 +215,9 @@ Value mlir::tai::createConstantForm(ImplicitLocOpBuilder &builder,
   return DeriveAsOp::create(builder, type, value, zero);
 }
 
-/// numerator / divisor, or `slope`, the derivative of the one by the other,
-/// where no more than rounding tells them apart. At a difference δ of two
-/// values the one is off by ε/δ, the other by δ².
+/// numerator / divisor, or `slope`, the derivative of the numerator by the
+/// divisor, where the two differ by no more than rounding. For two values at a
+/// distance δ, the error of the quotient is ε/δ, and that of `slope` is δ².
 S FormMaker::createQuotient(S numerator, S divisor, S slope, S noise, S floor) {
   Value isSmooth =
       arith::CmpFOp::create(b, arith::CmpFPredicate::OLE,
@@ -286,14 +286,16 @@ Value FormMaker::createMiddle(Operation *decomposition,
         S noise = epsilon * (sizes + abs(by) * both);
         return createQuotient(numerator, divisor, by, noise, floor);
       };
-      // Half of the derivative by the difference or the sum of the two.
+      // A derivative by the difference or the sum of two values is half of a
+      // sum of partial derivatives.
       S own = slope(j, j) + slope(i, i), other = slope(j, i) + slope(i, j);
       S difference = makeQuotient(m[j] - m[i], sigma[j] - sigma[i],
                                   0.5 * (own - other), even);
       S symmetric = 0.5 * (p(i, j) + p(j, i));
       S upper = symmetric * difference, lower = upper;
       if (svd) {
-        // U turns by O and V by -O: O M and M O have one sign each.
+        // U turns by O and V by -O: U M Uᵀ changes by O M - M O, U M Vᵀ by O M
+        // + M O.
         S skew = 0.5 * (p(i, j) - p(j, i));
         bool isEqual = leftIsU == rightIsU;
         S along = slope(j, i) - slope(i, j);
@@ -314,8 +316,8 @@ Value FormMaker::createMiddle(Operation *decomposition,
   return vector::FromElementsOp::create(b, type, entries);
 }
 
-/// F M Hᵀ, derived by its form; null if it has none. `known` is its value, if
-/// that is at hand.
+/// F M Hᵀ, differentiated as a form that is linear in A and M; null if it
+/// cannot be. `known` is its value, or null if it is not computed yet.
 Value FormMaker::createCore(ArrayRef<Factor> factors, Value known) {
   Operation *decomposition = getDecomposition(factors.front().matrix);
   auto type = cast<VectorType>(factors.front().matrix.getType());

@@ -34,8 +34,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The segment of an op at the top level, or the mark that any part may repeat
-/// it.
+/// The segment number of an op at the top level without effects, which any part
+/// may repeat.
 constexpr int kShared = -1;
 
 /// True if the op changes anything but arrays that it makes itself.
@@ -58,7 +58,8 @@ static bool holdsParallelLoop(Operation *op) {
       .wasInterrupted();
 }
 
-/// The segments of the ops at the top level. Serial code in a row is one.
+/// The segments of the ops at the top level. Consecutive serial ops form one
+/// segment.
 static SmallVector<int> findSegments(KernelOp kernel, int &count) {
   SmallVector<int> segments;
   count = 0;
@@ -104,12 +105,12 @@ static bool sharesStorage(KernelOp kernel, ArrayRef<int> segments) {
   });
 }
 
-/// True if the adjoint cannot be made of the kernel as a whole, but might be of
-/// its parts.
+/// True if no adjoint can be made of the kernel as a whole, but possibly of its
+/// parts.
 static bool needsParts(KernelOp kernel) {
   SilencedDiagnostics silence(kernel.getContext());
   OpBuilder builder(kernel);
-  // Values that the kernel reads from its arrays are constant here.
+  // Arrays that are passed to the kernel have no adjoints in this trial.
   FailureOr<AdjointSignature> signature =
       AdjointSignature::get(kernel, /*arrays=*/false);
   if (failed(signature))
@@ -231,7 +232,8 @@ LogicalResult Splitter::check() {
   return result;
 }
 
-/// Differentiates a part that returns nothing by its arguments alone.
+/// A part has no results: removes them from the values by which the part is
+/// differentiated.
 static void dropResults(KernelOp part) {
   DenseI64ArrayAttr positions = part.getGradientsAttr();
   if (!positions)
