@@ -71,7 +71,7 @@ LogicalResult AdjointBuilder::build() {
 }
 
 //===----------------------------------------------------------------------===//
-// Operations of the parts
+// Delegation to the parts of the builder
 //===----------------------------------------------------------------------===//
 
 Value AdjointBuilder::getPrimal(Value value) {
@@ -124,8 +124,9 @@ Value AdjointBuilder::createTripCount(scf::ForOp loop) {
                ? value
                : createOrFold<arith::IndexCastOp>(getIndexType(), value);
   };
-  // The distance of two bounds may be beyond their signed type: of narrow ones
-  // it is taken in the wider index, of wide ones without a sign.
+  // The distance between the bounds may exceed the range of their signed type.
+  // Bounds of fewer than 64 bits are subtracted as indices, wider ones as
+  // unsigned numbers.
   Value lower = getPrimal(loop.getLowerBound());
   Value upper = getPrimal(loop.getUpperBound());
   Value step = getPrimal(loop.getStep());
@@ -170,7 +171,7 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   Frame frame(current, primal, mirror);
   current = &frame;
   begin(frame);
-  // Two ops that only mark places; they are gone when the block is done.
+  // Two placeholder ops mark insertion points until the block is complete.
   auto createMarker = [&] { return createConstant(getF32Type(), 0); };
   frame.recomputeBegin = createMarker().getDefiningOp();
   frame.sweepBegin = createMarker().getDefiningOp();
@@ -199,7 +200,7 @@ AdjointBuilder::reverseBlock(Block *primal, Block *mirror,
   return result;
 }
 
-/// Makes the adjoints, all zero, of the arrays that the block makes.
+/// Allocates zero adjoints of the arrays that the block allocates.
 void AdjointBuilder::createOwnAdjoints(Frame &frame) {
   Location loc = getLoc();
   for (Operation &op : *frame.primal) {
@@ -207,7 +208,7 @@ void AdjointBuilder::createOwnAdjoints(Frame &frame) {
         !plan.adjointOf(Storage(op.getResult(0))))
       continue;
     Value array = op.getResult(0);
-    // Without a derivative in it, zeroes would go round.
+    // The adjoint of an array without active accesses would always be zero.
     if (llvm::none_of(array.getUsers(), [&](Operation *user) {
           return plan.activity.isActiveAccess(user);
         }))
@@ -335,8 +336,9 @@ LogicalResult AdjointBuilder::reverseAccess(Operation *op) {
   return success();
 }
 
-/// The ops of the block of `value` that make it from reads, as far as they are
-/// active. False if one of them cannot be swept by itself, or they are many.
+/// Collects the active ops in the block of `value` that compute it from reads.
+/// False if one of the ops cannot be reversed on its own, or if there are too
+/// many.
 static bool collectMakers(AdjointBuilder &b, Value value,
                           llvm::SetVector<Operation *> &makers) {
   constexpr unsigned kMany = 32;
@@ -351,7 +353,7 @@ static bool collectMakers(AdjointBuilder &b, Value value,
     if (makers.size() > kMany)
       return false;
     if (auto read = dyn_cast<DifferentiableAccessInterface>(op)) {
-      // Accesses in between must not touch the adjoint of the element either.
+      // An overwritten element has the adjoint of its new value here.
       if (b.mayBeOverwritten(read))
         return false;
       continue;

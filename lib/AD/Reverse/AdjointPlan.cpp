@@ -28,7 +28,8 @@ AdjointZeroing::AdjointZeroing(FunctionOpInterface primal,
       if (access.getAccessKind() == AccessKind::Write)
         writes.push_back(access);
     }
-    // An array of the function's own has no adjoint where no derivative is.
+    // An array that the function allocates has no adjoint if no access is
+    // active.
     DifferentiableAccessInterface first = list.front();
     Value array = first.getAccessedStorage().memref;
     if (array && !isa<BlockArgument>(array) && active.empty())

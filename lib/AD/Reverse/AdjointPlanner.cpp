@@ -69,8 +69,8 @@ bool AdjointPlanner::findsStored(ArrayRef<Operation *> stores) const {
   });
 }
 
-/// Asks for these reads to be recorded, if their values are not in memory when
-/// the adjoint runs. False if they are.
+/// Requests a record of these reads, if their values are no longer in memory
+/// when the adjoint runs. Returns whether it has requested one.
 bool AdjointPlanner::chooseRecorded(
     ArrayRef<DifferentiableAccessInterface> reads) {
   if (!plan.local.toRecord)
@@ -89,8 +89,8 @@ bool AdjointPlanner::chooseRecorded(
   return isWanted;
 }
 
-/// Refuses reads of values that this launch wrote, in a storage that other
-/// operations need in its former version.
+/// Refuses reads of values that this launch wrote, in a storage of which other
+/// operations need the version before the launch.
 LogicalResult
 AdjointPlanner::checkBefore(ArrayRef<DifferentiableAccessInterface> reads,
                             const PrimalDemands &demands) {
@@ -113,8 +113,8 @@ AdjointPlanner::checkBefore(ArrayRef<DifferentiableAccessInterface> reads,
   return success();
 }
 
-/// Decides which version of one storage has the values of these reads, or
-/// refuses.
+/// Decides whether the version of a storage before or after the kernel holds
+/// the values of these reads. Emits an error and fails if neither can be used.
 LogicalResult
 AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
   DifferentiableAccessInterface lost, write;
@@ -128,7 +128,7 @@ AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
   FlatSymbolRefAttr field = lost.getAccessedStorage().field;
   if (plan.reexecution.isRewritten(getStorageKey(lost)) &&
       planReexecution(lost, reads)) {
-    // The second execution starts from the former version.
+    // The second execution starts from the version before the kernel.
     before.push_back(field);
     return success();
   }
@@ -163,9 +163,9 @@ AdjointPlanner::chooseVersion(ArrayRef<DifferentiableAccessInterface> reads) {
   return diag;
 }
 
-/// Extends the plan by executing again the operations that read and write the
-/// storage of `lost`. False if that does not happen in one place: in one
-/// iteration of a parallel loop that runs once, or in serial code.
+/// Extends the plan by a second execution of the operations that read and write
+/// the storage of `lost`. False if the operations are not all in one block: the
+/// body of a parallel loop that runs once, or serial code.
 bool AdjointPlanner::planReexecution(
     DifferentiableAccessInterface lost,
     ArrayRef<DifferentiableAccessInterface> reads) {
@@ -186,7 +186,8 @@ bool AdjointPlanner::planReexecution(
       if (isOverwritten || plan.accesses.findEarlierWrite(read))
         return false;
     } else if (isOverwritten) {
-      // Stacks cannot be handed to another function, which the body becomes.
+      // The body of a parallel loop becomes a function of its own, which cannot
+      // use stacks that serial code creates.
       if (read->getParentOfType<ParallelForOp>() &&
           block == &plan.primal.getFunctionBody().front())
         return false;

@@ -52,8 +52,8 @@ SmallVector<Value> mlir::tai::getElementPosition(AtomicOp atomic) {
 // Supported updates
 //===----------------------------------------------------------------------===//
 
-/// True if an index of the element or of the component that is the same in all
-/// iterations keeps the two apart.
+/// True if the accesses differ in an index of the element or of its component
+/// that is the same in all iterations.
 static bool areKeptApart(Operation *loop, DifferentiableAccessInterface lhs,
                          DifferentiableAccessInterface rhs) {
   auto isSame = [&](const IndexExpr &index) {
@@ -121,7 +121,7 @@ LogicalResult ContendedAtomics::check(FunctionOpInterface kernel,
   return failure(result.wasInterrupted());
 }
 
-/// The number of iterations of a loop along one dimension, as an index.
+/// The range of a loop along one dimension, as indices.
 static CountedLoop countLoop(AdjointBuilder &b, Value iv, Value lower,
                              Value upper, Value step) {
   auto toIndex = [&](Value value) -> Value {
@@ -130,7 +130,7 @@ static CountedLoop countLoop(AdjointBuilder &b, Value iv, Value lower,
                : b.createOrFold<arith::IndexCastOp>(b.getIndexType(), value);
   };
   lower = toIndex(lower);
-  // The distance may exceed the signed range.
+  // The extent is unsigned: it may exceed the signed range.
   Value extent = b.createOrFold<arith::SubIOp>(
       b.createOrFold<arith::MaxSIOp>(toIndex(upper), lower), lower);
   if (step && matchPattern(step, m_One()))
@@ -142,7 +142,8 @@ static CountedLoop countLoop(AdjointBuilder &b, Value iv, Value lower,
   return {iv, lower, step, extent};
 }
 
-// Fails where the number of times that the atomic runs is not known before.
+// Fails if the number of executions of the atomic cannot be computed before the
+// loop.
 FailureOr<SmallVector<CountedLoop>>
 ContendedAtomics::countLoops(ParallelForOp loop, AtomicOp atomic) {
   SmallVector<scf::ForOp> inner;
@@ -191,8 +192,8 @@ ContendedAtomics::countLoops(ParallelForOp loop, AtomicOp atomic) {
 // The loop, forward
 //===----------------------------------------------------------------------===//
 
-/// The number of earlier executions of the atomic at most, given the indices of
-/// the loops.
+/// The number of the current execution of the atomic, linearized over the
+/// iterations of the loops around it.
 static Value createRun(AdjointBuilder &b, const KeptValues &kept,
                        llvm::function_ref<Value(Value)> getIndex) {
   Value run = arith::ConstantIndexOp::create(b, 0);
@@ -209,8 +210,8 @@ static Value createRun(AdjointBuilder &b, const KeptValues &kept,
   return run;
 }
 
-/// Removes from a copy of a loop the effects that it had in the primal, and the
-/// ops that nothing needs without them.
+/// Erases the ops with side effects from a copy of a loop, and the ops that are
+/// unused without them.
 static LogicalResult
 removeEffects(AdjointBuilder &b, Operation *copy,
               const DenseMap<Operation *, Operation *> &originals) {
@@ -258,12 +259,12 @@ LogicalResult ContendedAtomics::keepValues(FunctionOpInterface kernel,
                             [&](Value iv) { return mapping.lookup(iv); });
       group.keepValue(kept[atomic], place, run);
     }
-  // The erased ops must not be asked for anything.
+  // Done first, so that no values are requested for the erased ops.
   if (failed(removeEffects(b, copy, originals))) {
     copy->erase();
     return failure();
   }
-  // Values from around the loop, and reads inside.
+  // The values from outside of the loop, and the reads inside of it.
   llvm::SetVector<Value> used;
   llvm::SetVector<Operation *> reads;
   copy->walk([&](Operation *op) {
@@ -274,7 +275,8 @@ LogicalResult ContendedAtomics::keepValues(FunctionOpInterface kernel,
       reads.insert(original);
   });
   for (Operation *read : reads) {
-    // Values of this iteration that overwrite others are not at hand here.
+    // The value of a re-executed read is available only in the reverse of its
+    // iteration.
     if (b.isReexecuted(read))
       b.emitError(read,
                   "the value read here decides on a value that iterations "

@@ -26,9 +26,9 @@ struct CountedLoop {
   Value lower, step, extent;
 };
 
-/// Buffers over the executions of an atomic: its value, replaced later by the
-/// adjoint of the value, and the number of the element, or -1 where it was not
-/// executed.
+/// Buffers over the executions of an atomic: the value of the atomic, replaced
+/// later by the adjoint of that value, and the number of the element, or -1 if
+/// the atomic was not executed.
 struct KeptValues {
   SmallVector<CountedLoop> loops;
   Value size, values, elements;
@@ -56,7 +56,7 @@ public:
 private:
   /// One dimension of the elements.
   struct Dimension {
-    Value fixed; // the index, where it is the same for all
+    Value fixed; // null unless all updates have the same index
     int64_t first, extent;
   };
   /// The current position of a loop over elements.
@@ -100,8 +100,9 @@ private:
   Type real;
   SmallVector<Dimension> dimensions;
   unsigned rank = 0; // of the field, without its components
-  /// Buffers by element: the extreme value, or the product without zeros; how
-  /// many values equal it, or are zero; the adjoint of each such value.
+  /// Buffers with an entry for each element. `total`: the extreme value, or the
+  /// product of the non-zero factors. `count`: how many values equal the
+  /// extreme one, or are zero. `weight`: the adjoint of each counted value.
   Value numElements, total, count, weight;
 };
 
@@ -114,7 +115,7 @@ public:
   /// In the reverse of the loop: the adjoint of the contribution of `atomic`,
   /// or null if it is not contended.
   Value getAdjoint(AtomicOp atomic);
-  /// After the reverse of the loop.
+  /// After the reverse of the loop: frees the buffers.
   void end();
 
 private:
@@ -129,7 +130,8 @@ private:
   llvm::MapVector<Operation *, KeptValues> kept;
 };
 
-/// True if `value` is the same in all iterations and known before the loop.
+/// True if `value` is computed before the loop, and so the same in all
+/// iterations.
 bool isKnownBefore(Operation *loop, Value value);
 
 /// The indices of the element, then those of its component.

@@ -25,7 +25,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// More elements than this are not kept for one field.
+/// The maximal number of elements of a field with contended updates.
 static constexpr int64_t kMaxElements = int64_t(1) << 28;
 
 //===----------------------------------------------------------------------===//
@@ -68,7 +68,7 @@ Value Contention::toReal(Value value) {
   return arith::ExtFOp::create(b, real, value);
 }
 
-/// Adjoints may be wider than their primals.
+/// The float type of a field; adjoints may be wider than their primals.
 static Type getNumberType(Storage storage, Operation *op) {
   return getElementTypeOrSelf(lookupField(op, storage.field).getType());
 }
@@ -173,7 +173,7 @@ void Contention::createElementLoop(
   });
 }
 
-/// Visits the runs of an atomic: (run, element, value).
+/// Emits create(run, element, value) for each execution of an atomic.
 void Contention::createValueLoop(
     const KeptValues &kept,
     llvm::function_ref<void(Value, Value, Value)> create) {
@@ -195,7 +195,7 @@ LogicalResult Contention::prepare() {
                                  "run 'tai-expand-atomics' first");
     return failure();
   }
-  // At least as wide as the adjoint is.
+  // The arithmetic is at least as wide as the adjoint.
   Type adjoint =
       getNumberType(b.getAdjointStorage(getStorage()), atomics.front());
   real = type.getIntOrFloatBitWidth() < 32 ? Type(b.getF32Type()) : type;
@@ -232,8 +232,8 @@ KeptValues Contention::createKept(ArrayRef<CountedLoop> loops) {
 // Values
 //===----------------------------------------------------------------------===//
 
-/// The former value is left out: it may be so small that its product with the
-/// factors has no digits.
+/// The product starts at 1, without the old value of the element: an old value
+/// may be so small that its product with the factors has no digits left.
 void Contention::startProduct() {
   createElementLoop([&](const Element &element) {
     store(constant(1), total, element.number);
@@ -283,8 +283,8 @@ void Contention::countDeciding(const KeptValues &kept) {
 // Adjoints
 //===----------------------------------------------------------------------===//
 
-/// The adjoint of one factor of an element, given the weight of the element:
-/// its adjoint times the former value and the factors but for zeros.
+/// The adjoint of one factor of an element. The weight of the element is its
+/// adjoint times its old value and all non-zero factors.
 Value Contention::createFactorAdjoint(Value factor, Value element) {
   Value all = load(weight, element), zeros = load(count, element);
   Value zero = constant(0);
@@ -299,7 +299,7 @@ Value Contention::createFactorAdjoint(Value factor, Value element) {
 void Contention::createProductWeights() {
   Storage adjoint = b.getAdjointStorage(getStorage());
   createElementLoop([&](const Element &element) {
-    // A zero adjoint contributes zero, whatever the product.
+    // Where the adjoint is zero, its product is zero whatever the factor is.
     auto times = [&](Value g, Value factor) {
       return select(isZero(g), constant(0),
                     arith::MulFOp::create(b, g, factor));
@@ -319,7 +319,7 @@ void Contention::createExtremeWeights() {
   createElementLoop([&](const Element &element) {
     Value g = loadElement(adjoint, element);
     Value number = load(count, element.number);
-    // The former value loses a tie.
+    // In a tie the contributions win against the old value.
     Value wins = compare(kind == AtomicKind::Max ? arith::CmpFPredicate::OGE
                                                  : arith::CmpFPredicate::OLE,
                          load(total, element.number),

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A loop that is recomputed for one of its values carries them all. A sum, for
-// example, feeds only itself there; no local rewrite sees that it is dead.
+// A loop that is recomputed for one of its carried values carries all of them.
+// A carried sum that feeds only itself is dead, but no local rewrite sees that.
 //
 //===----------------------------------------------------------------------===//
 
@@ -26,8 +26,8 @@ static SmallVector<Value> filter(Range &&values, ArrayRef<bool> kept) {
   return result;
 }
 
-/// Erases the arguments from `first` that are not kept. Only dead ops can still
-/// use them; they get the given values.
+/// Erases the arguments from `first` on that are not kept. Only dead ops can
+/// still use an erased argument; they use its entry of `values` instead.
 static void eraseArguments(Block *block, unsigned first, ArrayRef<bool> kept,
                            ValueRange values) {
   for (size_t i = kept.size(); i-- != 0;)
@@ -62,7 +62,8 @@ static void dropFromFor(scf::ForOp loop, ArrayRef<bool> kept) {
   replaceResults(loop, smaller, kept, inits);
 }
 
-/// `kept` are carried values, `passed` those that the first region hands on.
+/// `kept` marks the carried values to keep, `passed` the operands of the
+/// condition to keep.
 static void dropFromWhile(scf::WhileOp loop, ArrayRef<bool> kept,
                           ArrayRef<bool> passed) {
   OpBuilder builder(loop);

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Differentiates a copy of each function that a `tai.grad` names, so that
-// several choices of active arguments stand beside each other, and calls the
-// derivative of the copy.
+// Differentiates a copy of each function that a `tai.grad` names, so that one
+// function can be differentiated by several choices of active arguments. The
+// call of the derivative of the copy replaces the `tai.grad`.
 //
 //===----------------------------------------------------------------------===//
 
@@ -81,8 +81,8 @@ func::FuncOp copyFor(func::FuncOp function, ArrayRef<int64_t> positions,
   return copy;
 }
 
-/// Memory of one value, at the start of the function that `op` stands in, or of
-/// the innermost loop whose iterations may run side by side.
+/// Allocates memory for one value, at the start of the function around `op`, or
+/// of the innermost loop around `op` whose iterations may run in parallel.
 Value allocate(GradOp op, Type type) {
   Operation *scope = op->getParentOp();
   while (
@@ -93,8 +93,8 @@ Value allocate(GradOp op, Type type) {
   return memref::AllocaOp::create(builder, op.getLoc(), getShadowType(type));
 }
 
-/// Calls body(indices, number of the component) for each component of a memref
-/// of `allocate`.
+/// Calls body(indices, position) for each component of a memref that `allocate`
+/// has made.
 template <typename Body>
 void forEachComponent(OpBuilder &builder, Location loc, MemRefType type,
                       const Body &body) {
@@ -109,7 +109,7 @@ void forEachComponent(OpBuilder &builder, Location loc, MemRefType type,
   }
 }
 
-/// Stores a number or vector, or zero if it is null.
+/// Stores a number or vector to `memref`; zero if `value` is null.
 void store(OpBuilder &builder, Location loc, Value value, Value memref) {
   auto type = cast<MemRefType>(memref.getType());
   Value zero;
@@ -141,7 +141,8 @@ Value load(OpBuilder &builder, Location loc, Value memref, Type type) {
   return vector::FromElementsOp::create(builder, loc, type, components);
 }
 
-/// Replaces the op by a call of a derivative by all that it says is active.
+/// Replaces `op` by a call of the derivative by all its active arguments and
+/// results.
 void replace(GradOp op, func::FuncOp callee, StringRef derivative) {
   OpBuilder builder(op);
   Location loc = op.getLoc();
@@ -190,7 +191,8 @@ struct ExpandGradients : tai::impl::ExpandGradientsBase<ExpandGradients> {
     if (ops.empty())
       return markAllAnalysesPreserved();
     SymbolTable symbols(module);
-    // The function to call for each op: its own, or a copy.
+    // `sources` has the function to differentiate for each op: the function
+    // that the op names, or one of the copies.
     using Key = std::pair<Operation *, Attribute>;
     llvm::MapVector<Key, func::FuncOp> copies;
     SmallVector<func::FuncOp> sources;
@@ -235,7 +237,7 @@ struct ExpandGradients : tai::impl::ExpandGradientsBase<ExpandGradients> {
     for (auto [op, source] : llvm::zip(ops, sources))
       replace(op, source,
               source->getAttrOfType<FlatSymbolRefAttr>(kAdjoint).getValue());
-    // No derivative calls the function.
+    // Derivatives do not call the copies.
     for (auto &[key, copy] : copies)
       if (SymbolTable::symbolKnownUseEmpty(copy, module))
         copy.erase();

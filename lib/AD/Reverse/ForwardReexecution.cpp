@@ -13,8 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// On a read of a second execution, while the adjoint is emitted: which read it
-/// repeats.
+/// An attribute of re-executed reads while the adjoint is emitted: the index of
+/// the repeated primal read.
 constexpr llvm::StringLiteral kRepeatedReadAttrName = "tai.rerun_read";
 
 //===----------------------------------------------------------------------===//
@@ -22,18 +22,20 @@ constexpr llvm::StringLiteral kRepeatedReadAttrName = "tai.rerun_read";
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Copies the ops of a block that matter, into the mirror.
+/// Copies the ops of a block that re-execution needs into the block's mirror.
 class Slice {
 public:
   Slice(AdjointBuilder &builder, ReexecutedBlock &again,
         SmallVectorImpl<Operation *> &reads)
       : b(builder), again(again), reads(reads), unit(again.frame.primal) {}
 
-  /// `matters` says which accesses and draws do by themselves.
+  /// Finds the accesses and draws for which `matters` holds, and all ops that
+  /// they depend on.
   void find(llvm::function_ref<bool(Operation *)> matters);
   void copy() { copyBlock(unit, again.frame.mirror); }
 
-  /// Loops whose iterations are to be counted, and writes that are repeated.
+  /// True for loops whose iterations must be counted, and for writes to fields
+  /// that re-execution repeats.
   llvm::function_ref<bool(Operation *)> counts, writes;
 
 private:
@@ -78,7 +80,7 @@ void Slice::find(llvm::function_ref<bool(Operation *)> matters) {
     for (Region &region : op->getRegions())
       for (Block &block : region)
         markLive(block.getTerminator());
-    // Stores to an array that lives here belong to it.
+    // All accesses of an array that is allocated here are repeated.
     if (auto access = dyn_cast<DifferentiableAccessInterface>(op))
       if (Value array = access.getAccessedStorage().memref)
         if (Operation *owner = array.getDefiningOp();
@@ -88,7 +90,8 @@ void Slice::find(llvm::function_ref<bool(Operation *)> matters) {
   }
 }
 
-/// The value in the second execution; one from outside is rematerialised there.
+/// The value in the second execution. A value from outside of the block is
+/// rematerialised before it.
 Value Slice::lookup(Value value) {
   if (Value known = again.values.lookupOrNull(value))
     return known;
@@ -273,7 +276,7 @@ Value ForwardReexecution::fetchCount(scf::WhileOp loop) {
 void ForwardReexecution::leave(Frame &frame) {
   ReexecutedBlock *from = innermost.get();
   if (from && &frame == &from->frame) {
-    // Taken out of the way before its children are freed.
+    // Detach the parent before `from` is freed.
     std::unique_ptr<ReexecutedBlock> outer = std::move(from->parent);
     innermost = std::move(outer);
     frame.recomputeBegin->erase();

@@ -7,10 +7,10 @@
 //
 // Where neither the version of a field before a launch nor the one after it
 // holds all values that the reverse needs, the block is re-executed on the
-// version before, with its stores to such fields. So are random draws in serial
-// loops, which must come in the same order. Values that the reverse needs are
-// pushed on a stack, one for each value, when re-execution computes them; the
-// reverse pops them at the start of the mirror of the same block. Each
+// version before, with its stores to such fields. Random draws in serial loops
+// are re-executed as well, because their order must not change. Re-execution
+// pushes each value that the reverse needs on a stack of its own; the reverse
+// pops the value at the start of the mirror of the value's block. Each
 // execution of a block pushes once and each reversed execution pops once, so
 // that the orders agree however loops and branches are nested.
 //
@@ -72,7 +72,8 @@ public:
   /// values, which this one must then pop as well.
   void leave(Frame &frame);
 
-  /// The popped value of a recorded one, in the mirror of its block.
+  /// The recorded value `value`, popped at the start of the mirror of its
+  /// block.
   Value fetch(Frame &frame, Value value);
   /// The number of times that the second region of a loop around recorded ops
   /// ran.
@@ -87,8 +88,8 @@ private:
   const ReexecutionPlan &plan;
   /// The innermost block that is being re-executed.
   std::unique_ptr<ReexecutedBlock> innermost;
-  /// The primal reads that re-executed ones, marked by an attribute with an
-  /// index into this list, repeat.
+  /// The primal reads. Each re-executed read has an attribute with the index in
+  /// this list of the read that it repeats.
   SmallVector<Operation *> reads;
 };
 

@@ -34,8 +34,8 @@ LoopHistory::LoopHistory(AdjointBuilder &builder, scf::WhileOp loop)
   count = counted.getResults().back();
 }
 
-/// The loop once more, where the builder stands; `counted` adds a last carried
-/// value that counts how often the second region runs.
+/// Copies the loop to the insertion point; `counted` adds a last carried value
+/// that counts how often the second region runs.
 scf::WhileOp LoopHistory::createCopy(bool counted) {
   auto primal = cast<scf::WhileOp>(loop);
   SmallVector<Value> inits = b.getPrimals(primal.getInits());
@@ -67,9 +67,9 @@ scf::WhileOp LoopHistory::createCopy(bool counted) {
   return copy;
 }
 
-/// The loop that runs the iterations again: the recomputed one in the frame
-/// around, or, where the length had to be counted, a copy that knows it. Its
-/// results are the carried values after the last iteration.
+/// The loop that runs the iterations again: the loop that was recomputed in the
+/// frame around, or, if the iterations had to be counted, a for loop over their
+/// number. Its results are the carried values after the last iteration.
 scf::ForOp LoopHistory::getForward() {
   if (forward)
     return forward;
@@ -90,8 +90,7 @@ scf::ForOp LoopHistory::getForward() {
   Value zero = arith::ConstantIndexOp::create(b, 0);
   Value one = arith::ConstantIndexOp::create(b, 1);
   forward = scf::ForOp::create(b, zero, count, one, copy.getInits());
-  // Every iteration that is counted runs the condition, which holds, and the
-  // body.
+  // In each counted iteration the condition holds, and the body runs.
   Block *body = forward.getBody();
   if (!body->empty())
     body->back().erase();
@@ -142,8 +141,8 @@ Value LoopHistory::getCarried(Frame &frame, unsigned index) {
   return trajectory.load(frame, index, draft);
 }
 
-/// The primal value of an operand of a step, at the very beginning of the
-/// iteration. Nothing that the sweep recomputes there is known yet.
+/// The primal value of an operand of a step, computed at the very beginning of
+/// the iteration, before all values that the sweep recomputes there.
 Value LoopHistory::getEarly(Frame &frame, Value value) {
   value = b.getPlan().local.resolve(value);
   if (!loop->isAncestor(value.getParentBlock()->getParentOp()))
@@ -196,9 +195,9 @@ Value LoopHistory::getNext(unsigned index) {
   return next;
 }
 
-/// The number `x` with `value * x == 1` in as many bits.
+/// The inverse of the odd number `value` modulo 2^n, where n is its width.
 static APInt invertOdd(const APInt &value) {
-  APInt inverse = value; // right in 3 bits, and in twice as many each time
+  APInt inverse = value; // correct in 3 bits; each step doubles them
   APInt two(value.getBitWidth(), 2, false, /*implicitTrunc=*/true);
   for (unsigned bits = 3; bits < value.getBitWidth(); bits *= 2)
     inverse *= two - value * inverse;
@@ -264,7 +263,7 @@ void LoopHistory::endIteration() {
   if (b.getPlan().recordsAll())
     for (unsigned i = 0, e = static_cast<unsigned>(carried.size()); i != e; ++i)
       b.getPrimal(getArgument(i));
-  // Getting one may take the next value of another.
+  // `getPrimal` may add entries to `nexts`.
   for (size_t i = 0; i != nexts.size(); ++i)
     nextYields.push_back(
         b.getPrimal(getArgument(nexts.getArrayRef()[i].first)));
@@ -297,7 +296,7 @@ ResultRange LoopHistory::close(ArrayRef<Value> yields,
   trajectory.release();
   b.countCarried(static_cast<int64_t>(carried.size()),
                  static_cast<int64_t>(trajectory.size()));
-  // The remarks about the first form hold for the second.
+  // The stored form of the adjoint would repeat the remarks.
   if (loop->getContext()->getRemarkEngine() && !b.getPlan().options.loadsStored)
     remarkReversedLoop(summarize());
   return reverse.getResults().take_front(own);

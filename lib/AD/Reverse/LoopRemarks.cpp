@@ -20,7 +20,7 @@ static std::string printType(Type type) {
   return text;
 }
 
-/// The name that the program has for a value, or its number.
+/// The name of a value in the program, or its number.
 static std::string getName(Value value, unsigned index) {
   if (auto name = value.getLoc()->findInstanceOf<NameLoc>())
     return name.getName().str();
@@ -59,7 +59,7 @@ void mlir::tai::remarkReversedLoop(const ReversedLoop &summary) {
            << remark::metric("BytesPerIteration", isRecorded ? bytes : 0)
            << remark::metric("BytesPerChunk", entry.isKeptByChunks ? bytes : 0);
     };
-    // A record is a cost that one may want to change.
+    // A record costs memory, which a change of the program may avoid.
     if (isRecorded)
       says(remark::missed(entry.value.getLoc(), options("carried")));
     else

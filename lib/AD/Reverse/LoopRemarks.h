@@ -17,9 +17,9 @@ namespace mlir::tai {
 struct ReversedLoop {
   struct Carried {
     Value value;
-    /// How the reverse recovers it (see CarriedKind).
+    /// How the reverse recovers the value (see CarriedKind).
     StringRef kind;
-    /// Whether it is part of the checkpoint of each chunk.
+    /// Whether the value is part of the checkpoint of each chunk.
     bool isKeptByChunks;
   };
 
@@ -29,7 +29,7 @@ struct ReversedLoop {
   std::string trips = "counted by a run of the loop";
   /// Bytes of history for each iteration; 0 if nothing is recorded.
   int64_t bytesPerIteration = 0;
-  /// The bytes of history above which it is recorded in chunks; 0 for never.
+  /// A history of more bytes than this is recorded in chunks; 0 for never.
   int64_t chunkedFrom = 0;
   SmallVector<Carried> carried;
 };

@@ -26,8 +26,8 @@ static MemRefType getHistoryType(Type type) {
   return MemRefType::get(shape, getElementTypeOrSelf(type));
 }
 
-/// True for numbers, and vectors of a known length of them. A carried value may
-/// have any other type: nothing says how memory holds that.
+/// True for numbers and for vectors of a fixed number of numbers. Carried
+/// values of other types have no representation in memory here.
 static bool canRecord(Type type) {
   if (auto vector = dyn_cast<VectorType>(type)) {
     if (vector.isScalable())
@@ -87,8 +87,8 @@ static Value loadState(AdjointBuilder &b, Type type, Value buffer,
   return b.createVector(vector, components);
 }
 
-// The size and the writer of the buffer are decided when the reverse is
-// complete.
+// `record` sets the size of the buffer and emits the stores to it, once the
+// reverse is complete.
 Value LoopTrajectory::load(Frame &frame, unsigned index,
                            const ReverseDraft &draft) {
   Type type = forward.getRegionIterArg(index).getType();
@@ -111,9 +111,8 @@ int64_t LoopTrajectory::getBytesPerIteration() {
 }
 
 /// Stores the recorded values at the beginning of the body of `recorder`, at
-/// the position of the iteration among those of `recorder`. The distance from
-/// the lower bound has no sign: it may be beyond the signed numbers of the
-/// type.
+/// the number of the iteration in `recorder`. The distance from the lower bound
+/// is unsigned, because it may exceed the signed range of the type.
 void LoopTrajectory::storeRecorded(scf::ForOp recorder) {
   b.setInsertionPointToStart(recorder.getBody());
   Value position = recorder.getInductionVar();
@@ -139,8 +138,9 @@ static bool canLeave(Value value, Block *block, unsigned depth) {
          });
 }
 
-/// The square root of `trips`, but at least `most`, and how many of these there
-/// are. There is no integer division, which could not leave a loop around.
+/// The size of a chunk, which is the square root of `trips` but at least
+/// `most`, and the number of chunks. An integer division is avoided, because it
+/// could not be hoisted out of a loop around this one.
 static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
                                                  Value most) {
   Type integer = b.getI64Type(), real = b.getF64Type();
@@ -159,7 +159,7 @@ static std::pair<Value, Value> createSquareRoots(AdjointBuilder &b, Value trips,
   return {size, number};
 }
 
-/// The size and number of chunks, or nulls if there is to be one.
+/// The size and number of chunks, or nulls if one chunk is enough.
 LoopTrajectory::Chunks LoopTrajectory::createChunks() {
   int64_t limit = std::max<int64_t>(1, b.getPlan().options.historyBytes /
                                            getBytesPerIteration());
@@ -212,7 +212,7 @@ void LoopTrajectory::record() {
   if (!room)
     room = b.createOrFold<arith::MaxSIOp>(count,
                                           arith::ConstantIndexOp::create(b, 0));
-  // The start of a chunk stands behind the record of the value.
+  // The checkpoints of a value follow its record in the same buffer.
   if (chunks.number)
     room = b.createOrFold<arith::AddIOp>(room, chunks.number);
   for (auto [index, buffer] : histories) {
@@ -249,7 +249,7 @@ std::pair<Value, Value> LoopTrajectory::createRange(Value begin, Value end) {
     return position;
   };
   Value first = scale(begin), after = scale(end);
-  // The end of the last chunk may not be a number of the type.
+  // The end of the last chunk may exceed the range of the type.
   if (!isUnit)
     after = arith::SelectOp::create(
         b, arith::CmpIOp::create(b, arith::CmpIPredicate::eq, end, count),
@@ -257,8 +257,8 @@ std::pair<Value, Value> LoopTrajectory::createRange(Value begin, Value end) {
   return {first, after};
 }
 
-/// Turns the forward loop into one over chunks, which keeps the start of each,
-/// around one over the iterations of a chunk.
+/// Turns the forward loop into a loop over chunks, which stores a checkpoint at
+/// the start of each chunk, around a loop over the iterations of the chunk.
 void LoopTrajectory::recordChunks() {
   inner =
       scf::ForOp::create(b, forward.getLowerBound(), forward.getUpperBound(),
@@ -284,7 +284,8 @@ void LoopTrajectory::recordChunks() {
   forward.setStep(arith::ConstantIndexOp::create(b, 1));
   storeRecorded(inner);
 
-  // A chunk begins with all that its record depends on.
+  // A checkpoint has all carried values that the record of the chunk depends
+  // on.
   LiveValues live(forward.getRegion());
   for (BlockArgument argument : inner.getRegionIterArgs()) {
     unsigned index = argument.getArgNumber() - 1;
@@ -304,7 +305,7 @@ void LoopTrajectory::recordChunks() {
   }
 }
 
-/// The position of a chunk's start in the buffer of a carried value.
+/// The position of the checkpoint of a chunk in the buffer of a carried value.
 Value LoopTrajectory::getStart(unsigned index, Value chunk) {
   return histories.contains(index)
              ? arith::AddIOp::create(b, chunks.room, chunk).getResult()
@@ -322,8 +323,9 @@ scf::ForOp LoopTrajectory::finishReverse(scf::ForOp reverse,
   return reverse;
 }
 
-/// The loop over chunks from the last to the first: each but the last, of which
-/// there is a record, is recorded before the reverse of its iterations.
+/// The loop over chunks from the last to the first. The forward loop has
+/// recorded the last chunk; each other chunk is recorded before the reverse of
+/// its iterations.
 scf::ForOp LoopTrajectory::createReverseChunks(ReverseDraft &draft,
                                                ArrayRef<Value> inits,
                                                ArrayRef<Value> yields) {

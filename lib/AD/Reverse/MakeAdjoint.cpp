@@ -42,8 +42,8 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// The type of the adjoint: the same arguments, then the memrefs of adjoints;
-/// no results.
+/// The type of the adjoint: the arguments of `function`, then the memrefs of
+/// adjoints; no results.
 static FunctionType getAdjointType(FunctionOpInterface function,
                                    const AdjointSignature &signature) {
   SmallVector<Type> inputs(function.getArgumentTypes());
@@ -120,8 +120,8 @@ static void clearBody(FunctionOpInterface shell) {
   body.getOperations().clear();
 }
 
-/// Values that stand for the adjoints of arrays that a function makes, until
-/// these are made.
+/// Placeholders for the adjoints of arrays that a function allocates, until the
+/// adjoints are allocated.
 class OwnAdjoints {
 public:
   OwnAdjoints(FunctionOpInterface function, DenseMap<Value, Value> &arrays) {
@@ -226,7 +226,7 @@ static LogicalResult fillWith(FunctionOpInterface function,
     ReturnOp::create(builder, function.getLoc(), ValueRange());
   else
     func::ReturnOp::create(builder, function.getLoc());
-  // The primal decides the activity.
+  // The primal decides which cells are active.
   if (auto kernel = dyn_cast<KernelOp>(shell.getOperation());
       kernel && reachesSparse(shell))
     kernel.setKeepsActivity(true);
@@ -237,7 +237,7 @@ static LogicalResult fillWith(FunctionOpInterface function,
   return success();
 }
 
-/// Refuses an op that a second execution of the function would repeat.
+/// Refuses side effects that a second execution of the function would repeat.
 static LogicalResult checkRunsAgain(FunctionOpInterface function) {
   auto isOwn = [&](Value array) {
     auto argument = dyn_cast<BlockArgument>(array);
@@ -272,29 +272,29 @@ static LogicalResult checkRunsAgain(FunctionOpInterface function) {
   return failure(result.wasInterrupted());
 }
 
-/// Empties a function to be made, and takes away its arguments from `count` on.
+/// Erases the body of a function, and its arguments from `count` on.
 static void clearFunction(FunctionOpInterface shell, unsigned count) {
   clearBody(shell);
   Block &body = shell.getFunctionBody().front();
   body.eraseArguments(count, body.getNumArguments() - count);
 }
 
-/// Hands records to the adjoint as arguments, which stand for the results of
-/// the augmented function.
+/// Adds arguments to the adjoint for the records, which are results of the
+/// augmented function.
 static void passRecords(Traces &traces, FunctionOpInterface shell) {
   Block &body = shell.getFunctionBody().front();
   for (auto &[argument, record] : traces.arrays)
     record = body.addArgument(record.getType(), record.getLoc());
 }
 
-/// As `fillWith`, for a function of arrays: values that it overwrites or
-/// forgets are recorded by running it once more, or by its augmented form.
+/// Like `fillWith`, for a function of arrays: values that the function
+/// overwrites or frees are recorded by a second execution, or by `augmented`.
 static LogicalResult
 fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
              const AdjointSignature &signature, const AdjointOptions &options,
              bool recordsAll, FunctionOpInterface augmented) {
-  // Reads are known by their numbers in the order of the program: each attempt
-  // has its own copy.
+  // Reads are identified by their numbers in program order, because each
+  // attempt works on a copy of its own.
   llvm::SetVector<unsigned> numbers;
   unsigned numArguments = shell.getNumArguments();
   while (true) {
@@ -336,7 +336,7 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
       local.records = std::move(traces.arrays);
       before = std::move(traces.before);
     }
-    // An attempt that lacks values says so in vain.
+    // Hold diagnostics back: an attempt that lacks values is repeated.
     std::vector<Diagnostic> said;
     LogicalResult filled = failure();
     {
@@ -373,9 +373,9 @@ fillFunction(FunctionOpInterface function, FunctionOpInterface shell,
   }
 }
 
-/// As `fillAdjoint`. An empty function `augmented` with the arguments of the
-/// primal becomes the primal with further results: records of values that the
-/// adjoint needs. The adjoint gets these as further arguments.
+/// Like `fillAdjoint`. An empty function `augmented` with the arguments of the
+/// primal becomes the primal with additional results: records of values that
+/// the adjoint needs. The adjoint gets the records as additional arguments.
 static LogicalResult fill(FunctionOpInterface function,
                           FunctionOpInterface shell,
                           const AdjointSignature &signature,
@@ -388,7 +388,8 @@ static LogicalResult fill(FunctionOpInterface function,
     return fillWith(function, shell, signature, options, needsParts);
   };
   if (!options.skips.has(Skip::InactiveValues)) {
-    // Not all that is assumed to carry derivatives can be differentiated.
+    // Inactive values that count as active may lack a derivative: then they are
+    // skipped after all.
     SilencedDiagnostics silence(function.getContext());
     if (succeeded(fillOnce()))
       return success();
@@ -406,10 +407,10 @@ LogicalResult mlir::tai::fillAdjoint(FunctionOpInterface function,
               /*augmented=*/nullptr);
 }
 
-/// Fixes the cost of the loops as they were written, which the loops of the
-/// adjoint take over.
+/// Stores the estimated cost of the original loops in an attribute, which the
+/// loops of the adjoint inherit.
 static void fixCosts(FunctionOpInterface function) {
-  // A gradient zeroes about three times as long.
+  // A gradient takes about three times as long as its primal.
   constexpr double perPrimal = 3;
   Builder builder(function.getContext());
   function->walk([&](ParallelForOp loop) {
@@ -418,8 +419,8 @@ static void fixCosts(FunctionOpInterface function) {
   });
 }
 
-/// Says that the gradient is to be called with values that are gone after the
-/// function.
+/// Warns that the gradient must be called with the arrays as they are before
+/// the function runs.
 static void warnOfBefore(FunctionOpInterface function, func::FuncOp gradient) {
   auto before = gradient->getAttrOfType<DenseI64ArrayAttr>("tai.reads_before");
   if (!before)
@@ -448,11 +449,12 @@ struct MakeAdjoint
     return {zeroesAll, loadsStored, historyBytes, skip.getValue()};
   }
 
-  /// Makes the form of the adjoint that loads stored values, if it pays: beside
-  /// the adjoint, which names it.
+  /// Makes the stored form of the adjoint, which loads values that the kernel
+  /// has stored, if it saves time. The adjoint refers to it in an attribute.
   void makeStoredForm(FunctionOpInterface function, KernelOp adjoint,
                       const AdjointSignature &signature, SymbolTable &symbols) {
-    // Nanoseconds of an iteration. Work may be left that others ask for.
+    // Nanoseconds that an iteration must save. A load does not save work that
+    // other values need as well.
     constexpr double worthHaving = 4;
     std::string name = (adjoint.getName() + "_stored").str();
     if (symbols.lookup(name) || adjoint.getReexecutes() ||
@@ -462,7 +464,7 @@ struct MakeAdjoint
     auto shell =
         cast<KernelOp>(createShell(function, name, signature).getOperation());
     bool zeroes = adjoint.getZeroesAdjoint();
-    // All there is to say has been said of the adjoint.
+    // The adjoint has already emitted all diagnostics.
     SilencedDiagnostics silence(&getContext());
     if (failed(fillAdjoint(function, shell, signature,
                            getOptions(zeroes, /*loadsStored=*/true))) ||
@@ -479,8 +481,8 @@ struct MakeAdjoint
     adjoint.setStoredFormAttr(FlatSymbolRefAttr::get(&getContext(), name));
   }
 
-  /// Refuses to make two functions of the derivative where values would have to
-  /// be put into memory and taken out again.
+  /// Refuses to split the derivative of a kernel, or of a function of tensors,
+  /// into two functions.
   LogicalResult checkSplits(FunctionOpInterface function,
                             FunctionOpInterface original) {
     if (isa<func::FuncOp>(function.getOperation()) && !isWrapped(function))
@@ -529,7 +531,7 @@ struct MakeAdjoint
     Operation *taken = symbols.lookup(name);
     if (!taken && splits)
       taken = symbols.lookup(augmentedName);
-    // The arguments of a function are all that it can be differentiated by.
+    // Unlike a kernel, a function can be differentiated by its arguments alone.
     bool arrays = arrayAdjoints || !isa<KernelOp>(function.getOperation());
     FailureOr<AdjointSignature> signature =
         AdjointSignature::get(function, arrays);

@@ -53,15 +53,15 @@ static bool mayMakeInfinite(OpOperand &operand, FloatFacts &facts) {
 }
 
 namespace {
-/// The values that may have an infinite adjoint, or a NaN, according to the
-/// rules, and those among them that end a region or go into one.
+/// Finds the values whose adjoint may be infinite or NaN according to the
+/// rules, and which of these values enter or leave a region.
 class AdjointFlow {
 public:
   AdjointFlow(AdjointBuilder &b, DenseSet<Value> &infinite,
               DenseSet<Value> &undefined)
       : b(b), all{{}, {}}, handedOn{&infinite, &undefined} {}
 
-  /// One walk, from the end to the beginning. True if it has found more.
+  /// One walk from the end to the beginning. True if it has found more values.
   bool run(FunctionOpInterface function) {
     grown = false;
     function.walk<WalkOrder::PreOrder, ReverseIterator>(
@@ -76,8 +76,8 @@ private:
     if (b.isActive(value))
       grown |= all[kind].insert(value).second;
   }
-  /// `from` are the sources of the values `to` behind a region or at its
-  /// beginning.
+  /// The values `from` are forwarded to `to`, the arguments of a region or the
+  /// results of an op with regions.
   void pass(ValueRange from, ValueRange to) {
     for (auto [source, target] : llvm::zip(from, to))
       for (Kind kind : {Infinite, Undefined})
@@ -168,7 +168,7 @@ void NonFiniteAdjoints::findSeeds(Operation *op) {
     }
 }
 
-/// Whether some adjoint that the rule starts from is infinite.
+/// Tests whether an incoming adjoint of the current rule is infinite.
 Value NonFiniteAdjoints::createInfinityTest() {
   Value any;
   for (Value seed : infiniteSeeds) {
@@ -184,8 +184,9 @@ Value NonFiniteAdjoints::createInfinityTest() {
   return any;
 }
 
-/// The contribution of a rule with 1 in place of the adjoints: the partial
-/// derivative. Null where it is not made by a few plain ops.
+/// The partial derivative: the contribution of a rule with 1 in place of the
+/// incoming adjoints. Null unless a few ops without regions and side effects
+/// compute the contribution.
 Value NonFiniteAdjoints::createUnitContribution(Value contribution) {
   SmallVector<Operation *> slice;
   DenseMap<Value, bool> known;
@@ -225,7 +226,7 @@ Value NonFiniteAdjoints::createUnitContribution(Value contribution) {
   return mapping.lookup(contribution);
 }
 
-/// Whether no component is zero or NaN.
+/// Whether `value` is a constant without a component that is zero or NaN.
 static bool isNonZeroConstant(Value value) {
   Attribute constant;
   if (!matchPattern(value, m_Constant(&constant)))
@@ -247,8 +248,8 @@ Value NonFiniteAdjoints::createTagged(Value drops, Value contribution) {
 }
 
 /// The contribution of an infinite adjoint: zero if the partial derivative is
-/// zero, instead of the NaN of their product. A partial that is itself no
-/// number stays one.
+/// zero, instead of the NaN of their product. A partial derivative that is NaN
+/// is not replaced.
 Value NonFiniteAdjoints::guard(Value value, Value contribution) {
   if (seedIsUndefined)
     mayBeUndefined.insert(value);
@@ -258,8 +259,8 @@ Value NonFiniteAdjoints::guard(Value value, Value contribution) {
   if (movesOrSums(current))
     return contribution;
   Value partial = createUnitContribution(contribution);
-  // Component by component, from adjoints that are infinite or finite, the
-  // product is NaN through a partial of zero alone: one test does.
+  // In an elementwise op whose incoming adjoints are not NaN, a partial that is
+  // a number makes a NaN only if it is zero: one test is enough.
   if (partial && !seedIsUndefined &&
       OpTrait::hasElementwiseMappableTraits(current)) {
     if (isNonZeroConstant(partial))

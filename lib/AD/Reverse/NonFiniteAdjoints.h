@@ -49,14 +49,14 @@ private:
 
   AdjointBuilder &b;
   DenseSet<Value> mayBeInfinite, mayBeUndefined;
-  /// The op whose rule is being applied, its incoming adjoints, and those of
-  /// them that may be infinite.
+  /// The op whose rule is being applied, its incoming adjoints, and the
+  /// incoming adjoints that may be infinite.
   Operation *current = nullptr;
   llvm::SmallSetVector<Value, 2> seeds;
   SmallVector<Value, 2> infiniteSeeds;
-  /// An i1: whether one of them is infinite; null until first needed.
+  /// An i1: whether an incoming adjoint is infinite; null until first needed.
   Value seedIsInfinite;
-  /// Whether one of them may be NaN.
+  /// Whether an incoming adjoint may be NaN.
   bool seedIsUndefined = false;
 };
 

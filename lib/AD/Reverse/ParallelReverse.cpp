@@ -18,8 +18,9 @@ mlir::tai::reverseParallelBody(AdjointBuilder &b, Operation *loop,
                                Block &primal, Block &mirror,
                                llvm::function_ref<void(Frame &)> begin,
                                llvm::function_ref<void()> terminate) {
-  // One buffer for each captured value, of one element for each component. The
-  // lowering of loops sums into it in registers; see tai-relax-atomics.
+  // One buffer for each captured value, with one element for each component.
+  // The lowering of loops sums the elements in registers; see
+  // tai-relax-atomics.
   SmallVector<std::pair<Value, Value>> sums;
   auto end = [&](Frame &frame) {
     // Most captured values come from a few reads. The contributions of each

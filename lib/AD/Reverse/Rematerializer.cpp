@@ -34,7 +34,8 @@ Value Rematerializer::get(Value value) {
   return materialize(*frame, value);
 }
 
-/// True for a read of an array that the function makes, and that is gone.
+/// True for a read of an array that the function allocates: the array no longer
+/// exists when the adjoint runs.
 bool Rematerializer::isOwnRead(Operation *op) const {
   auto read = dyn_cast<DifferentiableAccessInterface>(op);
   Value array = read ? read.getAccessedStorage().memref : Value();
@@ -120,7 +121,7 @@ void Rematerializer::materializeArgument(Frame &frame, BlockArgument argument) {
     frame.values.map(argument, value);
 }
 
-/// Recomputed ops stand in the order of the primal.
+/// Keeps recomputed ops in the order of the primal.
 void Rematerializer::setInsertionPointFor(Frame &frame, Operation *op) {
   auto next = frame.recomputed.lower_bound(op);
   if (next != frame.recomputed.end())
@@ -132,8 +133,8 @@ void Rematerializer::setInsertionPointFor(Frame &frame, Operation *op) {
   b.setLoc(op->getLoc());
 }
 
-/// The owners of elements are decided again: see tai-choose-writers. One loop
-/// may decide for several fields; each has a copy of it.
+/// Computes the owners of elements again: see tai-choose-writers. A loop that
+/// computes the owners for several fields is copied for each field.
 void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
   SmallVector<Operation *> setters = findOwnerSetters(alloc);
   llvm::SetVector<Value> captured(llvm::from_range, alloc->getOperands());
@@ -172,7 +173,7 @@ void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
   IRMapping mapping;
   for (Value value : captured)
     mapping.map(value, get(value));
-  // Operands may stand between the setters.
+  // Operands may be computed between the setters: insert at the last setter.
   Operation *last = setters.empty() ? alloc : setters.back();
   setInsertionPointFor(frame, last);
   Operation *copy = b.clone(*alloc, mapping);
@@ -192,7 +193,7 @@ void Rematerializer::recompute(Frame &frame, Operation *op) {
   if (auto alloc = dyn_cast<memref::AllocOp>(op); alloc && holdsOwners(alloc))
     return recomputeOwners(frame, alloc);
   if (isOwnRead(op)) {
-    // The adjoint is emitted again, with the value from the record.
+    // The adjoint will be emitted again, with a recorded value for the read.
     demands.reads.insert(op);
     frame.values.map(op->getResults(), op->getResults());
     refused.insert(op);
@@ -279,8 +280,8 @@ bool Rematerializer::checkRecomputable(Operation *op) {
              "a field in a kernel of its own";
       return false;
     }
-    // A number that cannot be drawn again is drawn in the order of the kernel,
-    // and recorded.
+    // A number that cannot be drawn in the order of the adjoint is drawn by a
+    // second execution in the order of the kernel, and recorded.
     if (isInSerialLoop(op) || !recomputedDraws.insert(op).second) {
       demands.draws.insert(op);
     }
@@ -307,7 +308,7 @@ bool Rematerializer::checkRecomputable(Operation *op) {
 }
 
 bool Rematerializer::checkReadable(DifferentiableAccessInterface read) {
-  // Owners are decided again.
+  // Owners are computed again, not read.
   if (Value memref = read.getAccessedStorage().memref;
       memref && holdsOwners(memref))
     return true;

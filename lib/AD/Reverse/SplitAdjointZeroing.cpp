@@ -23,14 +23,14 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// True for ops that a loop may repeat, or leave out, without a change.
+/// True for ops that a copy of the loop may repeat or omit.
 static bool isHarmless(Operation *op) {
   return isa<LoadOp, AtomicOp, StoreOp>(op) || isMemoryEffectFree(op) ||
          op->hasTrait<OpTrait::HasRecursiveMemoryEffects>();
 }
 
-/// The stores of the loop, all of zero, if they can be made afterwards. Empty
-/// if not, or if nothing is gained.
+/// The stores of the loop, if all of them store zero and can be made in a later
+/// loop. Empty otherwise, or if the loop does not scatter.
 static SmallVector<StoreOp> findZeroed(ParallelForOp loop) {
   SmallVector<StoreOp> zeroed;
   SmallVector<LoadOp> loads;

@@ -16,8 +16,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 /// Nanoseconds of work that a load must save: a function of the math library,
-/// or a sum of some length. Less is no matter on a CPU, and memory traffic on a
-/// GPU.
+/// or a long sum. A smaller saving is negligible on a CPU, and less than the
+/// cost of the memory traffic on a GPU.
 constexpr double kWorthLoading = 8;
 
 //===----------------------------------------------------------------------===//
@@ -44,19 +44,19 @@ static bool isPlainIndex(Value value, unsigned depth = 16) {
 /// True if the element holds the stored value when the kernel is done, whatever
 /// other iterations do.
 static bool holdsAfterwards(StoreOp store, const AccessTable &accesses) {
-  // Where cells come and go, a store may find none.
+  // A store to a sparse field may find its cell inactive.
   FieldLayout layout =
       *getFieldLayout(lookupField(store, store.getFieldAttr()));
   if (layout.path.getFirstSparse())
     return false;
-  // A tape does not watch writes to gradients.
+  // A tape does not track writes to gradients.
   for (FieldOp other : store->getParentOfType<ModuleOp>().getOps<FieldOp>())
     if (other.getAdjointAttr() == store.getFieldAttr())
       return false;
   auto access = cast<DifferentiableAccessInterface>(store.getOperation());
   if (accesses.findLaterWrite(access))
     return false;
-  // The last of several iterations is not known.
+  // If several iterations write the element, the last one is not known.
   Operation *loop = getOutermostParallelLoop(store);
   if (!loop)
     return true;
@@ -85,8 +85,9 @@ StoredOutputs::StoredOutputs(FunctionOpInterface function,
         !llvm::all_of(store.getComponents(), isPlain) ||
         !holdsAfterwards(store, accesses))
       return;
-    // A value is stored for certain where its block stores it. A loop that is
-    // recomputed for one of its results is for all of them.
+    // Only values from the block of the store are certain to be stored. Results
+    // of loops are not loaded: a loop that is recomputed for one of its results
+    // is recomputed for all of them.
     auto add = [&](Value value, int64_t component) {
       Operation *op = value.getDefiningOp();
       if (op && op->getBlock() == store->getBlock() && !isa<LoadOp>(op) &&
@@ -101,7 +102,7 @@ StoredOutputs::StoredOutputs(FunctionOpInterface function,
 }
 
 //===----------------------------------------------------------------------===//
-// Loading it
+// Loading stored values
 //===----------------------------------------------------------------------===//
 
 /// True if to compute the value in the frame takes longer than to load it.
@@ -139,7 +140,8 @@ Value StoredOutputs::load(AdjointBuilder &b, Frame &frame, Value value) {
   auto scope = b.enter(frame);
   b.setInsertionPoint(frame.recomputeBegin);
   b.setLoc(store.getLoc());
-  // A copy of its own: others may be computed too late.
+  // Copies of the indices at the start of the mirror: values that the sweep
+  // recomputes may come after the load.
   DenseMap<Value, Value> copies;
   std::function<Value(Value)> copy = [&](Value index) -> Value {
     Operation *op = index.getDefiningOp();

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Constructs that are not supported would silently be left out of the gradient:
-// other uses of arrays, derivatives that end in ops without a rule, or in
-// memory without an adjoint.
+// Refuses constructs that would silently be left out of the gradient: uses of
+// arrays other than accesses, and derivatives that end in ops without a rule or
+// in memory without an adjoint.
 //
 //===----------------------------------------------------------------------===//
 
@@ -55,7 +55,7 @@ static bool isQuery(Operation *op) {
   return isa<memref::DimOp, memref::RankOp, memref::DeallocOp>(op);
 }
 
-/// Arrays with a derivative are used by accesses to their elements alone.
+/// Checks that arrays with a derivative are only accessed by elements.
 void Verifier::checkArrays() {
   DenseSet<Operation *> refused;
   for (BlockArgument argument : primal.getArguments()) {
@@ -80,15 +80,15 @@ void Verifier::checkArrays() {
   }
 }
 
-/// Deactivation overwrites with zeros whatever lies below a cell, as no store
-/// says. A tape undoes that between two launches, and an adjoint cannot do so
-/// in the middle of one.
+/// Deactivation sets all fields below a cell to zero, without a store. A tape
+/// undoes that between two launches, but an adjoint cannot undo it within a
+/// launch.
 void Verifier::checkDeactivation() {
   auto treeOf = [](Operation *op, FlatSymbolRefAttr name) {
     FieldOp field = name ? lookupField(op, name) : FieldOp();
     return field ? field.getTreeAttr() : FlatSymbolRefAttr();
   };
-  // The accesses that matter, by tree.
+  // One access of each tree of fields.
   DenseMap<Attribute, Operation *> accessed;
   bool any = false;
   primal.walk([&](DifferentiableAccessInterface access) {
@@ -111,7 +111,8 @@ void Verifier::checkDeactivation() {
   });
 }
 
-/// Arrays that the function makes for itself have no adjoint.
+/// Refuses to store active values to arrays without an adjoint that the
+/// function allocates.
 void Verifier::checkAccess(DifferentiableAccessInterface access) {
   Storage storage = access.getAccessedStorage();
   if (access.getAccessKind() == AccessKind::Read || !storage.memref ||
@@ -126,7 +127,8 @@ void Verifier::checkAccess(DifferentiableAccessInterface access) {
 
 /// Refuses active values in ops with side effects that have no derivative.
 void Verifier::checkSink(Operation *op) {
-  // Output and checks take any values; regions are looked into.
+  // Printing and checking ops accept all values, and the ops in a region are
+  // checked one by one.
   if (op->getNumRegions() != 0 || isMemoryEffectFree(op) ||
       isa<PrintOp, AssertOp, PreconditionOp>(op))
     return;
