@@ -16,7 +16,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Each condition doubles the rows of the table, and each row visits them all.
+/// Limits of the table: each condition doubles its rows, and the values of all
+/// ops are computed in each row.
 static constexpr unsigned kMostAtoms = 12;
 static constexpr unsigned kMostVisits = 100;
 
@@ -51,8 +52,8 @@ static bool isConversion(Operation *op) {
                          arith::ExtUIOp, arith::TruncIOp>(op);
 }
 
-/// The number before it was converted to the type of the element, or to the one
-/// that the program computes in.
+/// The number from which `value` was converted to the type of the element, or
+/// to the type in which the program computes.
 Value ChosenExtremum::getNumber(Value value) const {
   unsigned width = getNumberWidth(stored.getType());
   while (isConversion(value.getDefiningOp()) &&
@@ -111,8 +112,8 @@ bool ChosenExtremum::collectCondition(Value condition) {
          });
 }
 
-/// Puts the conversions of `value` from `number` on the path. False if integers
-/// have been extended in several ways.
+/// Adds the conversions from `number` to `value` to the path. False if the
+/// program extends integers in more than one way.
 bool ChosenExtremum::addConversions(Value value, Value number) {
   for (Value between = value; between != number;) {
     Operation *op = between.getDefiningOp();
@@ -127,7 +128,7 @@ bool ChosenExtremum::addConversions(Value value, Value number) {
   return true;
 }
 
-/// True if the given number has been extended like the element.
+/// True if the given number was extended by the same op as the element.
 bool ChosenExtremum::isExtendedAlike(Value number) const {
   return !extension || isa<FloatType>(number.getType()) ||
          matchPattern(number, m_Constant()) ||
@@ -135,7 +136,8 @@ bool ChosenExtremum::isExtendedAlike(Value number) const {
           number.getDefiningOp()->getName() == *extension);
 }
 
-/// True if the value is the given number, be it in the type of the element.
+/// True if `value` equals the given number, possibly in the type of the
+/// element.
 bool ChosenExtremum::isGiven(Value value) const {
   APInt longer, narrow;
   if (matchPattern(given, m_ConstantInt(&longer)) &&
@@ -211,7 +213,7 @@ bool ChosenExtremum::addExtremum(Value value, Operation *op) {
   return true;
 }
 
-/// Follows a value that is stored, or that a branch yields: `user` takes it.
+/// Collects the values that may reach `user`, a store or a yield, as `value`.
 bool ChosenExtremum::collectValue(Value value, Operation *user) {
   if (++visited > kMostVisits)
     return false;
@@ -239,7 +241,7 @@ bool ChosenExtremum::collectValue(Value value, Operation *user) {
            collectValue(select.getTrueValue(), user) &&
            collectValue(select.getFalseValue(), user);
   if (auto branch = dyn_cast<scf::IfOp>(op)) {
-    // The branch moves to the store, which must be in its block.
+    // The branch moves to its user, which must be in its block.
     if (branch->getNumResults() != 1 || branch->getBlock() != user->getBlock())
       return false;
     for (Operation *between = branch; between != user;
@@ -260,7 +262,7 @@ bool ChosenExtremum::collectValue(Value value, Operation *user) {
 // The table
 //===----------------------------------------------------------------------===//
 
-/// The result of a comparison in a row.
+/// The result of the comparison `op` in the rows of this order.
 bool ChosenExtremum::compares(Operation *op, Order order) const {
   bool isLess = order == Order::Less;
   bool isLeftOld = old.reaches(op->getOperand(0)),
@@ -305,7 +307,7 @@ bool ChosenExtremum::holds(Value condition, Row row) const {
   return holds(taken.front().getTerminator()->getOperand(number), row);
 }
 
-/// True if the value is the given one in this row.
+/// True if `value` is the given number, not the former one, in this row.
 bool ChosenExtremum::takes(Value value, Row row) const {
   if (formerValues.contains(value))
     return false;
@@ -365,9 +367,9 @@ bool ChosenExtremum::decide() {
          llvm::all_of(givenValues, [&](Value value) { return isGiven(value); });
 }
 
-/// True if an arm runs for no other iteration once the comparisons have gone,
-/// or may run for any. Where the result depends on a comparison, the program
-/// computes it, so that it is safe to compute its operands once more.
+/// True if no more iterations run an arm of `branch` once constants replace the
+/// comparisons, or if the arms may run in any iteration. Ops that compute
+/// compared values may, because the program runs them in any case.
 bool ChosenExtremum::mayRunMore(scf::IfOp branch,
                                 const llvm::SetVector<Operation *> &compared) {
   auto isHarmless = [&](Operation *op) {
@@ -448,7 +450,7 @@ bool ChosenExtremum::mayTake(Value value) const {
   });
 }
 
-/// Puts the update by a value into the arms of its choices.
+/// Emits the update by `value`, in the arms of the branches that choose it.
 void ChosenExtremum::sink(OpBuilder &b, Value value,
                           function_ref<void(OpBuilder &, Value)> emit) {
   if (formerValues.contains(value))
@@ -456,7 +458,7 @@ void ChosenExtremum::sink(OpBuilder &b, Value value,
   auto known = extrema.find(value);
   if (known != extrema.end() || !old.reaches(value)) {
     Value result = known == extrema.end() ? value : known->second.given;
-    // `given` has the same value as `result`, and is at hand.
+    // `given` has the same value as `result`, and dominates the store.
     if (isGivenKnown && given.getType() == result.getType())
       result = given;
     return emit(b, result);
@@ -505,7 +507,7 @@ void ChosenExtremum::rewrite(
   OpBuilder b(store);
   sink(b, stored, emit);
   store->erase();
-  // The arms of a branch that yields a number have gone.
+  // The arms of branches that yield numbers have been moved.
   for (OpResult result : llvm::reverse(branches)) {
     Operation *branch = result.getOwner();
     if (isTruthValue(result))

@@ -5,17 +5,18 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A program writes `x = v if c and v < x else x`, `if not (d or v >= x): x = v`
-// and the like. All are one minimum, under a condition that does not ask for x.
+// A program writes a minimum as `x = v if c and v < x else x`, as `if not (d or
+// v >= x): x = v` or in a similar way. Each is an update of x to min(x, v)
+// under a condition that does not depend on x.
 //
-// A table of truth finds it. Each condition that is computed without x is true
-// or false, and v is less or greater than x. If x becomes v where v is less,
-// and stays where v is greater, x becomes the minimum of both, where the
-// condition holds; if it stays in both cases, the condition does not hold.
-// Anything else is no minimum. Maxima are found in the same way.
+// A truth table recognises the update. Its rows are the combinations of
+// conditions that are computed without x, with v less or greater than x. If x
+// becomes v where v is less, and stays where v is greater, x is updated under
+// these conditions; if x stays in both cases, it is not. Any other table is no
+// minimum. Maxima are recognised in the same way.
 //
-// The condition is then left by putting the answer of "v is less" in the place
-// of the comparisons.
+// The condition of the update is obtained by replacing the comparisons of v and
+// x by their results where v is less.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,10 +36,10 @@ bool isExtremum(AtomicKind kind);
 /// The bits of a number; an index has 64.
 unsigned getNumberWidth(Type type);
 
-/// True if no op in `op` has an effect, except for `but`. It may read.
+/// True if no op in `op` other than `but` has an effect other than a read.
 bool hasNoEffectBut(Operation *op, Operation *but = nullptr);
 
-/// The branch that an op is in, and the side.
+/// A branch around an op, and the side of the branch that the op is on.
 struct SideOfBranch {
   scf::IfOp branch;
   bool inThen;
@@ -57,9 +58,10 @@ public:
   AtomicKind getKind() const { return kind; }
   /// The number that the program compares with the element.
   Value getGiven() const { return given; }
-  /// The value that it is compared with: the element, or an update of it.
+  /// The value that the given number is compared with: the element, or an
+  /// earlier update of the element.
   Value getFormer() const { return former; }
-  /// The extension by which the program has made the element wide.
+  /// The op by which the program extends the element to a wider type, if any.
   std::optional<OperationName> getExtension() const { return extension; }
   ArrayRef<DifferentiableAccessInterface> getLoads() const { return loads; }
   /// Ops between the loads and the store.
@@ -67,9 +69,9 @@ public:
   /// Results of branches on the path.
   ArrayRef<OpResult> getBranches() const { return branches; }
 
-  /// Calls `emit` where the element is to become the minimum of itself and a
-  /// value, and erases the store. Takes from `path` and `formerLoads` the ops
-  /// that it erases, and from `path` those that stay.
+  /// Calls `emit` wherever the element becomes the minimum of itself and a
+  /// value, and erases the store. Removes erased ops from `path` and
+  /// `formerLoads`, and ops that stay from `path`.
   void rewrite(llvm::SetVector<Operation *> &path,
                SmallVectorImpl<DifferentiableAccessInterface> &formerLoads,
                function_ref<void(OpBuilder &, Value)> emit);
@@ -82,7 +84,7 @@ private:
     Order order;
     unsigned holding;
   };
-  /// A value that is an extremum itself.
+  /// A value that is the extremum of the former and the given number.
   struct Extremum {
     AtomicKind kind;
     Value given;
@@ -122,20 +124,21 @@ private:
 
   AtomicKind kind = AtomicKind::Min;
   Value given, former;
-  /// Whether the given number is known at the store.
+  /// Whether `given` dominates the store.
   bool isGivenKnown = false;
   std::optional<OperationName> extension;
-  /// How comparisons take the bits of integers.
+  /// Whether comparisons interpret integers as signed or unsigned.
   enum class Signs { None, Signed, Unsigned, Both };
   Signs signs = Signs::None;
   bool asksForNaN = false;
   unsigned visited = 0;
   SmallVector<SideOfBranch, 1> guards;
-  /// Conditions that do not ask for the element; equal ones have one number.
+  /// Conditions that do not depend on the element. `numbers` has the position
+  /// of each condition in `atoms`; equal conditions share a position.
   SmallVector<Value, 4> atoms;
   llvm::DenseMap<Value, unsigned> numbers;
   SmallVector<Operation *, 1> comparisons;
-  /// Values that the store may take: those that are given, the former one, and
+  /// The values that may be stored: given numbers, the former value, and
   /// extrema of both.
   SmallVector<Value, 2> givenValues;
   llvm::DenseSet<Value> formerValues;

@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A number is -1 where nobody came, that of the iteration where one came, and
-// greater than all where several came. Atomic maxima keep it so: of two
-// iterations, the second one to come knows of both.
+// An entry is -1 if no iteration has reached its element, the number of the
+// iteration if one has, and greater than all numbers if several have. Atomic
+// maxima update the entries: of two iterations, the second one sees the number
+// of the first.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +22,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Numbers of iterations are below, so that f64 holds them.
+/// The entry of an element that several iterations have reached. Numbers of
+/// iterations are smaller; f64 represents all of them exactly.
 static constexpr int64_t kSeveral = int64_t(1) << 52;
 
 std::string mlir::tai::describeElement(DifferentiableAccessInterface access) {
@@ -101,8 +103,8 @@ void IterationShadow::moveTo(DifferentiableAccessInterface access) {
         scf::IfOp::create(b, isWanted, /*withElseRegion=*/false).thenBlock());
 }
 
-/// The components that the access reaches. Others report indices beyond the
-/// extents.
+/// The positions in the shadow of the components that the access reaches.
+/// Indices out of range wrap around; other checks report them.
 SmallVector<Value>
 IterationShadow::getNumbers(DifferentiableAccessInterface access) {
   Value first = index(0);
@@ -173,8 +175,8 @@ Value IterationShadow::isFree(Value array,
                               DifferentiableAccessInterface access) {
   Value own = getIteration(), isFree;
   for (Value number : getNumbers(access)) {
-    // An atomic read stays behind the store of the iteration's own number,
-    // which other iterations look for.
+    // An atomic read is not moved before the update that leaves the iteration's
+    // own number, which other iterations look for.
     Value found = memref::AtomicRMWOp::create(b, arith::AtomicRMWKind::maximumf,
                                               real(-1), array, number);
     Value isMine = isNoneOr(found, own);

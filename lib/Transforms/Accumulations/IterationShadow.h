@@ -25,21 +25,23 @@ std::string describeElement(DifferentiableAccessInterface access);
 /// The shadows of one storage in one loop: a number for each component.
 class IterationShadow {
 public:
-  /// Computes the extents of the storage before the loop. No value if there are
-  /// too many elements. Nothing is done unless `isWanted`, if it is given,
-  /// holds there.
+  /// Computes the extents of the storage before the loop; nullopt if there are
+  /// too many elements. If `isWanted` is given, accesses are only checked in
+  /// launches in which it holds.
   static std::optional<IterationShadow>
   create(ParallelForOp loop, DifferentiableAccessInterface access,
          Value isWanted = {});
 
-  /// An array without numbers, which is made before the loop and ends after it.
+  /// An array of -1, allocated before the loop and freed after it.
   Value createArray();
-  /// The following is emitted before `access`.
+  /// Moves the insertion point before `access`.
   void moveTo(DifferentiableAccessInterface access);
-  /// Leaves the number of the iteration at what `access` reaches. Returns
-  /// whether no other one did before.
+  /// Leaves the number of the iteration at all components that `access`
+  /// reaches. Returns whether no other iteration has left its number there
+  /// before.
   Value leave(Value array, DifferentiableAccessInterface access);
-  /// Whether no other iteration has left its number at what `access` reaches.
+  /// Whether no other iteration has left its number at a component that
+  /// `access` reaches.
   Value isFree(Value array, DifferentiableAccessInterface access);
   /// Fails the launch at `access` unless the condition holds. `message` follows
   /// the name of the element.
@@ -58,9 +60,9 @@ private:
   ParallelForOp loop;
   ImplicitLocOpBuilder b;
   SmallVector<Value> extents;
-  /// Of the element.
+  /// The shape of an element; empty for scalars.
   SmallVector<int64_t> shape;
-  /// All components.
+  /// The number of components of the storage.
   Value size;
   Value isWanted;
 };

@@ -47,8 +47,8 @@ LoopMemory::LoopMemory(ParallelForOp loop) : loop(loop) {
   });
 }
 
-/// True if the accesses reach different elements in any two iterations, equal
-/// or not.
+/// True if the accesses never reach the same element, neither in one iteration
+/// nor in two different ones.
 bool LoopMemory::areApart(const LoopAccess &first, const LoopAccess &second) {
   auto [entry, isNew] = compared.try_emplace({first.op, second.op}, false);
   if (!isNew || compared.size() > kMaxComparisons)
@@ -101,7 +101,7 @@ bool tai::canRecompute(Value value, LoopBox &box,
          });
 }
 
-/// True if `first` has always been done when `second` is, in one iteration.
+/// True if an iteration that runs `second` has run `first` before.
 static bool comesBefore(Operation *first, Operation *second) {
   return findCommonBlock(first, second) && first != second &&
          first->isBeforeInBlock(second);
@@ -112,7 +112,7 @@ bool LoopMemory::isMovable(StoreOp store, LoopBox &box) {
   std::optional<SmallVector<scf::IfOp>> conditions = getConditions(store, box);
   if (!matchPattern(store.getValue(), m_Constant(&value)) || !conditions)
     return false;
-  // The second loop decides again where to store.
+  // The second loop recomputes the operands and conditions of the store.
   auto isUntouched = [&](LoadOp load) {
     return llvm::all_of(
         accesses[getStorageKey(load)],
@@ -134,7 +134,7 @@ bool LoopMemory::isMovable(StoreOp store, LoopBox &box) {
         if (stored && matchPattern(stored.getValue(), m_Constant(&other)) &&
             other == value)
           return true;
-        // A read of the same iteration that comes first finds the same value.
+        // A read that precedes the store in its iteration is not affected.
         bool isEarlier =
             isa<LoadOp>(access.op) && comesBefore(access.op, store);
         return isEarlier ? !mayMeet(loop, access.place, own.place)
@@ -152,8 +152,8 @@ llvm::SmallPtrSet<Operation *, 4> LoopMemory::findMovableStores(LoopBox &box) {
   return movable;
 }
 
-/// True if `access` has the element of `own` in one iteration; none if it may
-/// have.
+/// Whether `access` reaches the element of `own` in the same iteration; nullopt
+/// if that is not certain.
 static std::optional<bool> isSameElement(const LoopAccess &own,
                                          const LoopAccess &access) {
   const ElementPlace &a = own.place, &b = access.place;

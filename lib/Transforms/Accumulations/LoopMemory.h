@@ -28,21 +28,22 @@ struct LoopAccess {
   static LoopAccess get(Operation *op);
 };
 
-/// The reads and writes of a loop, by storage. Pairs beyond a number are taken
-/// to meet, so that the time stays linear in the size of the program.
+/// The reads and writes of a loop, by storage. After a limited number of
+/// comparisons, all pairs count as conflicts, so that the time stays linear in
+/// the size of the program.
 class LoopMemory {
 public:
   explicit LoopMemory(ParallelForOp loop);
 
-  /// True if `load` finds the same value whenever, and in whichever iteration,
-  /// it is done again. Additions to `added` do not count: the caller compares
-  /// them. Stores of `later` do not count either; `needsLater` is set if that
-  /// matters.
+  /// True if `load` reads the same value when it is repeated at any time, in
+  /// any iteration. Additions to the storage `added` are ignored: the caller
+  /// checks them. Stores in `later` are ignored as well; `needsLater` is set if
+  /// the result depends on that.
   bool isStable(LoadOp load, const void *added,
                 const llvm::SmallPtrSetImpl<Operation *> &later,
                 bool &needsLater);
 
-  /// The stores of constants that may be done in a loop behind this one.
+  /// The stores of constants that may move to a loop after this one.
   llvm::SmallPtrSet<Operation *, 4> findMovableStores(LoopBox &box);
 
 private:
@@ -64,14 +65,15 @@ bool canRecompute(Value value, LoopBox &box,
                   llvm::function_ref<bool(LoadOp)> isStable,
                   llvm::SmallDenseSet<Operation *> &seen);
 
-/// The `scf.if` ops between an operation and the loop, outermost first; none if
-/// there is another op around it.
+/// The `scf.if` ops between an operation and the loop, outermost first; nullopt
+/// if an op of another kind is between them.
 std::optional<SmallVector<scf::IfOp>> getConditions(Operation *op,
                                                     LoopBox &box);
 
-/// Keeps the element of an exclusive addition in a value if the same block
-/// overwrites it afterwards: one result of a step is made of another, whose
-/// adjoint is added to before it is taken. Nothing else depends on the element.
+/// Replaces an exclusive addition by an addition in registers, if the same
+/// block reads and then overwrites the element, so that nothing else depends on
+/// it. This occurs in the adjoint of a step that computes one result from
+/// another.
 void forwardAddition(AtomicOp addition);
 
 } // namespace mlir::tai

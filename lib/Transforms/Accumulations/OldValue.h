@@ -20,12 +20,12 @@ namespace mlir::tai {
 
 class OldValue {
 public:
-  /// `reads` are those of the loop that read the storage of the store.
+  /// `reads` are the reads in the loop of the storage that `store` writes.
   OldValue(DifferentiableAccessInterface store, ParallelForOp loop,
            ArrayRef<DifferentiableAccessInterface> reads,
            const SameIteration &same);
 
-  /// True for a load of the element in this iteration.
+  /// True for a load of the element that the store of this iteration writes.
   bool isLoaded(Value value) const;
   /// True for a value that is computed from the element or from a component.
   bool reaches(Value value) const { return dependents.contains(value); }

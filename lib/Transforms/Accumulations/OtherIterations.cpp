@@ -6,14 +6,13 @@
 //===----------------------------------------------------------------------===//
 //
 // `x[i] = 2 * x[i - 1]`: an iteration reads an element that another one writes.
-// A pair of accesses is apart for certain (mayMeet), or meets for certain
-// (findRace, findExample), or is left to the run:
+// Two accesses certainly do not conflict (mayMeet), or certainly do (findRace,
+// findExample), or are checked at run time:
 //
-//   x[i] = x[i - k], i < n      the launch is refused where k and n say so
-//   x[i] = x[p[i]]              the loop is looked at with `debug`
+//   x[i] = x[i - k], i < n      the launch is refused if k and n say so
+//   x[i] = x[p[i]]              the loop checks its accesses with `debug`
 //
-// Two arrays of the caller may be one and the same array, which the launch
-// tells, too.
+// Two arguments may be the same array, which is checked at the launch as well.
 //
 //===----------------------------------------------------------------------===//
 
@@ -45,7 +44,7 @@ static bool haveSameStorage(DifferentiableAccessInterface lhs,
   return getStorageKey(lhs) == getStorageKey(rhs);
 }
 
-/// True for two arrays of the caller that may be one and the same.
+/// True for two array arguments that may be the same array.
 static bool mayBeOneArray(DifferentiableAccessInterface lhs,
                           DifferentiableAccessInterface rhs) {
   Value a = lhs.getAccessedStorage().memref;
@@ -54,7 +53,7 @@ static bool mayBeOneArray(DifferentiableAccessInterface lhs,
          isa<BlockArgument>(b);
 }
 
-/// Whether two arrays of the caller are one and the same.
+/// Whether two array arguments are the same array.
 static Value createIsOneArray(ImplicitLocOpBuilder &b,
                               DifferentiableAccessInterface lhs,
                               DifferentiableAccessInterface rhs) {
@@ -68,7 +67,7 @@ static Value createIsOneArray(ImplicitLocOpBuilder &b,
 }
 
 namespace {
-/// Answers mayMeet once for accesses with equal indices.
+/// Caches the answers of mayMeet by the indices of both accesses.
 class Places {
 public:
   explicit Places(ParallelForOp loop) : loop(loop) {}
@@ -159,13 +158,14 @@ void OtherIterations::report() {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Emits before a loop whether two accesses meet in different iterations.
+/// Emits, before a loop, whether two accesses reach the same element in
+/// different iterations.
 class MeetingBuilder {
 public:
   MeetingBuilder(ParallelForOp loop, Location loc)
       : loop(loop), b(loc, loop), rank(loop.getInductionVars().size()) {}
 
-  /// Null if that is not known before the loop.
+  /// Null if the answer cannot be computed before the loop.
   Value create(DifferentiableAccessInterface write,
                DifferentiableAccessInterface read);
 
@@ -195,7 +195,8 @@ private:
   ImplicitLocOpBuilder b;
   IndexBuilder builder;
   size_t rank;
-  /// By dimension: the index of the read less that of the write.
+  /// By dimension: the loop index of the reading iteration minus the loop index
+  /// of the writing iteration.
   SmallVector<std::optional<IndexExpr>> differences;
   Value meets;
 };
@@ -212,7 +213,7 @@ Value MeetingBuilder::widen(Value value) {
   return b.createOrFold<arith::ExtSIOp>(i64, value);
 }
 
-/// Null for operations that may fault.
+/// The value as i64; null for operations that may fault.
 Value MeetingBuilder::emit(const IndexAtom &atom) {
   const IndexNode *node = atom.getNode();
   if (!node) {
@@ -250,7 +251,7 @@ Value MeetingBuilder::emit(const IndexAtom &atom) {
   return {};
 }
 
-/// The sum, as a number that does not wrap.
+/// The sum in i64, in which it does not wrap.
 Value MeetingBuilder::emit(const IndexExpr &expr) {
   Value sum = number(expr.constant);
   for (const auto &[atom, factor] : expr.terms) {
@@ -263,8 +264,8 @@ Value MeetingBuilder::emit(const IndexExpr &expr) {
   return sum;
 }
 
-/// The one dimension whose index occurs in the form, and its factor; dimension
-/// -1 if none does.
+/// The only dimension whose loop index occurs in the form, and its factor;
+/// dimension -1 if no loop index occurs. Nullopt for other forms.
 std::optional<std::pair<int, int64_t>>
 MeetingBuilder::getLoopTerm(const IndexExpr &form) {
   std::pair<int, int64_t> found(-1, 0);
@@ -284,8 +285,8 @@ MeetingBuilder::getLoopTerm(const IndexExpr &form) {
   return isOfOutside ? std::optional(found) : std::nullopt;
 }
 
-/// Adds lhs(i) == rhs(j), as numbers that do not wrap: if those are equal, so
-/// are their low bits.
+/// Requires lhs(i) == rhs(j) in i64, without wrapping: if the numbers are
+/// equal, so are narrower indices, which wrap. False if that is not supported.
 bool MeetingBuilder::addEquation(const IndexExpr &lhs, const IndexExpr &rhs) {
   auto a = getLoopTerm(lhs), c = getLoopTerm(rhs);
   if (!a || !c || a->first != c->first || a->second != c->second)
@@ -374,7 +375,7 @@ Value MeetingBuilder::create(DifferentiableAccessInterface write,
       Value distance = emit(*differences[dim]);
       if (!distance)
         return {};
-      // Iterations that write, of which the one that reads is there too.
+      // The writing iterations whose reading iteration is in the loop as well.
       from = b.createOrFold<arith::MaxSIOp>(
           from, b.createOrFold<arith::SubIOp>(readFrom, distance));
       to = b.createOrFold<arith::MinSIOp>(
@@ -423,7 +424,7 @@ void OtherIterations::refuseLaunches() {
                        b.getI32IntegerAttr(TAI_FAIL_CHECK));
       continue;
     }
-    // At the top, where nothing has happened yet.
+    // At the top of the kernel, before all effects.
     Operation *condition = PreconditionOp::create(
         b, isApart, b.getStringAttr(message), ValueRange());
     SetVector<Operation *> slice;

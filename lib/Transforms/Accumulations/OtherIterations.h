@@ -13,8 +13,8 @@
 
 namespace mlir::tai {
 
-/// The reads of a parallel loop of what other iterations write: its result
-/// depends on which of them comes first.
+/// The reads of a parallel loop of elements that other iterations write: the
+/// result depends on which iteration comes first.
 class OtherIterations {
 public:
   explicit OtherIterations(ParallelForOp loop) : loop(loop) {}
@@ -22,17 +22,17 @@ public:
   using PairFilter = llvm::function_ref<bool(DifferentiableAccessInterface,
                                              DifferentiableAccessInterface)>;
 
-  /// Looks at all pairs of a write and a read, but for those that are known.
+  /// Examines all pairs of a write and a read for which `isKnown` is false.
   void find(ArrayRef<DifferentiableAccessInterface> writes,
             ArrayRef<DifferentiableAccessInterface> reads, PairFilter isKnown);
 
   bool anyCertain() const { return !certain.empty(); }
-  /// Reports what certainly is a race.
+  /// Reports the pairs that certainly conflict.
   void report();
-  /// Refuses the launches in which the rest is a race, where bounds and
-  /// arguments decide.
+  /// Refuses launches in which a possible conflict occurs, where bounds and
+  /// arguments decide that.
   void refuseLaunches();
-  /// Has the rest looked for as the loop runs.
+  /// Makes the loop check for possible conflicts as it runs.
   void check();
 
 private:

@@ -10,19 +10,19 @@
 // of the updates are lost, unless they are atomic.
 //
 // A store is followed backwards to the loads of its element. It is an update if
-// all that lies in between is one associative and commutative operation, at
-// which each step becomes an atomic:
+// all ops in between are one associative and commutative operation; each of
+// these steps becomes an atomic:
 //
 //   old                          nothing
 //   update + e, e + update, ...  the update, and then an atomic with e
 //   select c, update, update     each under its condition
 //   scf.if, whose branches yield updates of one update in front of it
 //   select (e < old), e, old     an atomic minimum with e
-//   if (e < old) { store e }     the same
-//   either under conditions      the same, under them (ChosenExtremum.h)
+//   if (e < old) { store e }     an atomic minimum with e
+//   a minimum under conditions   an atomic under them (ChosenExtremum.h)
 //   components of a vector       each for itself (SplitComponents.h)
 //
-// The last step of all is the store, which goes.
+// The store itself is erased.
 //
 // Other updates are refused where they certainly are races; so are reads of
 // elements that other iterations write (OtherIterations.cpp).
@@ -58,7 +58,8 @@ class LoopUpdates {
 public:
   explicit LoopUpdates(ParallelForOp loop) : loop(loop), same(loop) {}
 
-  /// Uncertain races are checked at the launch, or as the loop runs.
+  /// Possible races are checked at the launch (`atLaunch`), and as the loop
+  /// runs (`atRun`).
   LogicalResult run(bool oneThread, bool atLaunch, bool atRun);
 
 private:
@@ -80,8 +81,8 @@ private:
   SmallVector<DifferentiableAccessInterface> accesses;
   /// Updates of elements that other iterations may reach.
   SmallVector<std::unique_ptr<SharedUpdate>> updates;
-  /// Updates of elements that no other iteration reaches in the same way, but
-  /// in another one.
+  /// Updates of elements that no other iteration reaches by the same access,
+  /// but possibly by another access.
   SmallVector<std::unique_ptr<SharedUpdate>> owned;
 };
 } // namespace
@@ -106,7 +107,7 @@ bool LoopUpdates::isCandidate(DifferentiableAccessInterface access,
          reads.contains(getStorageKey(access));
 }
 
-/// True unless the indices or the components prove that they are apart.
+/// True unless the accesses provably reach different elements or components.
 bool LoopUpdates::mayMeet(DifferentiableAccessInterface store,
                           DifferentiableAccessInterface other) const {
   return getStorageKey(store) == getStorageKey(other) &&
@@ -143,7 +144,7 @@ void LoopUpdates::findOwned(Reads &reads) {
   }
 }
 
-/// True if all that the loop does with the element is updates of one kind.
+/// True if the loop accesses the element by updates of one kind alone.
 bool LoopUpdates::isAlone(SharedUpdate &update) {
   DifferentiableAccessInterface store = update.getStore();
   for (DifferentiableAccessInterface other : accesses) {
@@ -162,8 +163,8 @@ bool LoopUpdates::isAlone(SharedUpdate &update) {
             llvm::concat<std::unique_ptr<SharedUpdate>>(updates, owned),
             isOfUpdate))
       continue;
-    // Reads of an element that is not certainly the same are left to the
-    // program, as beside an atomic.
+    // A read that may reach another element is allowed, as it is beside an
+    // atomic.
     if (other.getAccessKind() == AccessKind::Read &&
         !same.reachSame(store, other))
       continue;
@@ -172,8 +173,8 @@ bool LoopUpdates::isAlone(SharedUpdate &update) {
   return true;
 }
 
-/// Has the loop report the store if another iteration has come to its element
-/// by it before.
+/// Makes the loop report the store if another iteration has reached its element
+/// by the same store before.
 void LoopUpdates::check(DifferentiableAccessInterface store) {
   std::optional<IterationShadow> shadow = IterationShadow::create(loop, store);
   if (!shadow)
@@ -186,10 +187,10 @@ void LoopUpdates::check(DifferentiableAccessInterface store) {
                   "and the result would depend on which of them comes first");
 }
 
-/// Finds reads of elements that other iterations write. An atomic on a shared
-/// element commutes with the others and is no such write; one on an element of
-/// the iteration itself is a store in another form. `known` are stores that are
-/// no updates: reads of the element that they store are not reported again.
+/// Finds reads of elements that other iterations write. Atomics on a shared
+/// element commute, and do not count as writes; an atomic on an element that
+/// belongs to its iteration does. `known` are stores that are not updates:
+/// reads of the element that they store are not reported again.
 OtherIterations
 LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
   SmallVector<DifferentiableAccessInterface> writes, reads;
@@ -200,7 +201,7 @@ LoopUpdates::findOthers(ArrayRef<DifferentiableAccessInterface> known) {
       return isOwn && (kind == AtomicKind::Add || kind == AtomicKind::Mul ||
                        kind == AtomicKind::Xor);
     }
-    // Iterations that store the same to an element tell each other something.
+    // A store of one value by all iterations, such as a flag, does not count.
     return isa<StoreOp, memref::StoreOp>(access.getOperation()) &&
            (isOwn || !storesTheSame(access, loop)) &&
            llvm::none_of(
@@ -247,7 +248,7 @@ LogicalResult LoopUpdates::run(bool oneThread, bool atLaunch, bool atRun) {
       others.push_back(access);
   }
   findOwned(reads);
-  // Taking one away may take the reason of another one away.
+  // To remove an update may leave another one with conflicting accesses.
   bool changed = true;
   while (changed) {
     changed = false;
@@ -293,7 +294,7 @@ struct RecognizeReductions
   using Base::Base;
 
   void runOnOperation() override {
-    // Kernels made by differentiation have their updates in order.
+    // Kernels made by differentiation already have atomics where necessary.
     llvm::StringSet<> derived;
     getOperation().walk([&](KernelOp kernel) {
       for (FlatSymbolRefAttr name :

@@ -55,14 +55,16 @@ using namespace mlir;
 using namespace mlir::tai;
 
 constexpr int64_t kWarpSize = 32;
-/// A sum of fewer terms is one addition, and fewer additions are no series.
+/// The minimal number of terms of a sum that is taken apart, and of members of
+/// a series.
 constexpr size_t kMinMembers = 4;
-/// Target iteration count: threads of a block that has many registers.
+/// The target number of iterations: the threads of a block that uses many
+/// registers.
 constexpr int64_t kThreads = 512;
 
 namespace {
-/// An operation of the body that adds, with the updates in it: one, or those of
-/// a branch or a loop.
+/// An operation of the body that adds: an update, or a branch or loop that
+/// contains the listed updates.
 struct Effect {
   Operation *op;
   SmallVector<AtomicOp> updates;
@@ -76,27 +78,27 @@ struct Addition {
   bool isAlone = true;
 };
 
-/// An operand that is a constant index.
+/// The op and number of an operand that is a constant index.
 using Hole = std::pair<Operation *, unsigned>;
 
-/// Additions that differ in constant indices alone, each of which takes even
-/// steps.
+/// Additions that differ in constant indices alone. Each index changes by a
+/// constant step from one member to the next.
 struct Series {
   SmallVector<unsigned> members;
-  /// The addition that the holes are of.
+  /// The addition to which the holes belong.
   unsigned model = 0;
   SmallVector<Hole> holes;
   SmallVector<int64_t> first, step;
 };
 
-/// The expressions of additions, with constant indices left open.
+/// Compares the expressions of additions, apart from constant indices.
 class Shapes {
 public:
   explicit Shapes(Block &body) : body(body) {}
 
   llvm::hash_code hash(const Addition &addition);
-  /// True if `other` has the shape of `model`; `values` are its indices at the
-  /// holes of the model.
+  /// True if `other` has the shape of `model`. `values` gets the indices that
+  /// `other` has in place of the holes of `model`.
   bool match(const Addition &model, const Addition &other,
              SmallVectorImpl<Hole> &holes, SmallVectorImpl<int64_t> &values);
 
@@ -113,12 +115,12 @@ private:
   SmallVectorImpl<int64_t> *values = nullptr;
 };
 
-/// Turns the body of one loop into iterations.
+/// Turns the additions in the body of one loop into iterations.
 class Spreading {
 public:
   Spreading(LoopBox box, int64_t count) : box(std::move(box)), count(count) {}
 
-  /// False where the body stays as it is.
+  /// False if the body stays unchanged.
   FailureOr<bool> plan(FieldTable &fields, size_t minAdditions);
   void rewrite();
 
@@ -136,7 +138,7 @@ private:
   LoopBox box;
   int64_t count;
   std::vector<Effect> effects;
-  /// The storage that is added to, by the update.
+  /// The storage that each update adds to.
   llvm::DenseMap<Operation *, Attribute> places;
   std::vector<Addition> additions;
   std::vector<Series> series;
@@ -145,7 +147,7 @@ private:
 };
 } // namespace
 
-/// The operations of `body` that `op` takes values from.
+/// Appends the operations of `body` whose results `op` uses to `worklist`.
 static void addOperands(Operation *op, Block &body,
                         SmallVectorImpl<Operation *> &worklist) {
   op->walk([&](Operation *nested) {
@@ -161,7 +163,7 @@ static void addOperands(Operation *op, Block &body,
 
 using OpSet = llvm::SmallPtrSet<Operation *, 32>;
 
-/// Adds the operations on `worklist` and all that is behind them.
+/// Adds the operations on `worklist`, and all operations they depend on.
 static void addNeeded(SmallVector<Operation *> worklist, Block &body,
                       OpSet &needed) {
   while (!worklist.empty()) {
@@ -172,7 +174,7 @@ static void addNeeded(SmallVector<Operation *> worklist, Block &body,
 }
 
 //===----------------------------------------------------------------------===//
-// What is alike
+// Additions of one shape
 //===----------------------------------------------------------------------===//
 
 static bool isComponent(OpOperand &operand) {
@@ -186,7 +188,8 @@ static bool isComponent(OpOperand &operand) {
          operand.getOperandNumber() >= components.getBeginOperandIndex();
 }
 
-/// Components stay constants: they are part of an address as it is written.
+/// Returns a constant index that may differ between members. Component indices
+/// may not: they stay constants, as addresses require.
 static std::optional<int64_t> getOpenIndex(OpOperand &operand) {
   if (!operand.get().getType().isIndex() || isComponent(operand))
     return std::nullopt;
@@ -242,7 +245,7 @@ bool Shapes::matchOperands(OpOperand &model, OpOperand &other) {
          matchOps(a.getOwner(), b.getOwner());
 }
 
-/// Also goes through shared operands, so that all members have the same holes.
+/// Compares shared operands as well, so that all members have the same holes.
 bool Shapes::matchOps(Operation *model, Operation *other) {
   auto [found, isNew] = matched.try_emplace(model, other);
   if (!isNew)
@@ -305,7 +308,8 @@ FailureOr<bool> Spreading::collect(FieldTable &fields) {
       } else if (nested->getNumRegions() != 0) {
         isSupported &= isa<scf::IfOp, scf::ForOp>(nested);
       } else {
-        // Arrays of the caller are no fields, and are not written here.
+        // Array arguments are not fields; a body that writes to one is not
+        // supported.
         isSupported &= isPure(nested) || isa<memref::LoadOp>(nested);
       }
       return WalkResult::advance();
@@ -314,7 +318,7 @@ FailureOr<bool> Spreading::collect(FieldTable &fields) {
       return failure();
     if (effect.updates.empty())
       continue;
-    // A user of a value computed beside an update would add again.
+    // A user of a result would repeat the op, and with it the updates.
     isSupported &= isa<AtomicOp>(op) || op.getNumResults() == 0;
     effects.push_back(std::move(effect));
   }
@@ -323,7 +327,8 @@ FailureOr<bool> Spreading::collect(FieldTable &fields) {
          });
 }
 
-/// Updates of one element that are not atomic stay in one thread.
+/// Unites effects whose updates may reach one element, unless all are atomic:
+/// united effects stay in one thread.
 void Spreading::uniteConflicts(llvm::EquivalenceClasses<unsigned> &united) {
   llvm::MapVector<Attribute, SmallVector<std::pair<unsigned, AtomicOp>>>
       byPlace;
@@ -351,7 +356,7 @@ void Spreading::uniteConflicts(llvm::EquivalenceClasses<unsigned> &united) {
       }
 }
 
-/// Takes a sum that nothing else reads apart.
+/// Splits an update by a sum, if the sum has no other use, into its terms.
 void Spreading::addTerms(Operation *effect) {
   auto update = dyn_cast<AtomicOp>(effect);
   SmallVector<Addition> terms;
@@ -379,8 +384,8 @@ void Spreading::addTerms(Operation *effect) {
   llvm::append_range(additions, terms);
 }
 
-/// Finds series among additions of one shape, which stand in the order of the
-/// program: from each that is left, the longest that starts there.
+/// Finds series among additions of one shape in program order: for each
+/// addition that is left, the longest series that starts with it.
 void Spreading::findSteps(ArrayRef<unsigned> alike, Shapes &shapes) {
   SmallVector<Hole> holes;
   std::vector<std::pair<unsigned, SmallVector<int64_t>>> points;
@@ -398,7 +403,8 @@ void Spreading::findSteps(ArrayRef<unsigned> alike, Shapes &shapes) {
     points.push_back({number, values});
   }
   SmallVector<bool> isTaken(points.size());
-  // The same layer has few inputs of a kind side by side.
+  // The second member is one of the next few additions: a layer has few kinds
+  // of inputs side by side.
   constexpr size_t farthest = 8;
   for (size_t i = 0; i < points.size(); ++i) {
     if (isTaken[i])
@@ -436,7 +442,7 @@ void Spreading::findSteps(ArrayRef<unsigned> alike, Shapes &shapes) {
     found.model = found.members.front();
     found.first = points[i].second;
     found.step = longestStep;
-    // The holes are those of the model: of the first member, all are others.
+    // `holes` belongs to the first addition of the shape, not to the model.
     SmallVector<int64_t> own;
     const Addition &start = additions[found.model];
     shapes.match(start, start, found.holes, own);
@@ -459,7 +465,7 @@ void Spreading::findSeries() {
 }
 
 /// Gives each iteration several members, where there would be more iterations
-/// than threads: their reads are under way together, and so are their sums.
+/// than threads: the reads of these members overlap, and so do their additions.
 void Spreading::shareIterations() {
   size_t longest = 0;
   for (const Series &one : series)
@@ -524,7 +530,7 @@ static void emitAddition(OpBuilder &builder, const Addition &addition,
   builder.clone(*addition.effect, mapping);
 }
 
-/// Additions of several series, of member `m` each.
+/// Emits the addition of member `m` of each series of the group.
 void Spreading::emitSeries(OpBuilder &builder, ArrayRef<Series *> group,
                            Value m, ValueRange indices) {
   std::map<std::pair<int64_t, int64_t>, Value> made;
@@ -545,7 +551,7 @@ void Spreading::emitSeries(OpBuilder &builder, ArrayRef<Series *> group,
         clone->setOperand(one.holes[k].second,
                           getIndex(one.first[k], one.step[k]));
   };
-  // All reads stand in front, where those of several series are one.
+  // Emit all reads before the additions, so that equal reads can be merged.
   std::vector<IRMapping> mappings(group.size());
   for (auto [one, mapping] : llvm::zip_equal(group, mappings)) {
     const Addition &model = additions[one->model];
@@ -603,7 +609,7 @@ void Spreading::rewrite() {
   ParallelForOp loop = box.loop;
   OpBuilder builder(loop);
   Location loc = loop.getLoc();
-  // Series of one length are one branch.
+  // Series of one length share a branch.
   std::map<int64_t, SmallVector<Series *>, std::greater<>> byLength;
   for (Series &one : series)
     byLength[static_cast<int64_t>(one.members.size())].push_back(&one);
@@ -674,7 +680,8 @@ struct RerollAccumulations
       if (!count || *count == 0 || *count > maxIterations ||
           hasFixedBits(box.loop))
         continue;
-      // Whole warps: one row that is made longer, or a box that fills them.
+      // Iterations fill whole warps: a loop of one dimension is padded, and
+      // loops of more dimensions must have a multiple of the warp size.
       if (box.lower.size() > 1 && *count % kWarpSize != 0)
         continue;
       moveLoopInvariantCode(cast<LoopLikeOpInterface>(box.loop.getOperation()));

@@ -29,8 +29,8 @@ bool SafeReads::isInside(FlatSymbolRefAttr field, ValueRange indices) const {
                       });
 }
 
-/// True if the storage of `read` has an element wherever that of `other` has
-/// one.
+/// True if the storage of `read` has an element wherever the storage of `other`
+/// has one.
 bool SafeReads::covers(DifferentiableAccessInterface read,
                        DifferentiableAccessInterface other) const {
   if (getStorageKey(read) == getStorageKey(other))
@@ -45,8 +45,8 @@ bool SafeReads::covers(DifferentiableAccessInterface read,
          layout->shape == known->shape && layout->offset == known->offset;
 }
 
-/// True if another iteration may write the element. The condition may be there
-/// to keep it from reading at the same time.
+/// True if another iteration may write the element: the condition may be there
+/// to keep the two from racing.
 bool SafeReads::mayBeWritten(DifferentiableAccessInterface read) const {
   return !same.reachSame(read, store) &&
          llvm::any_of(accesses, [&](DifferentiableAccessInterface other) {
@@ -66,7 +66,7 @@ bool SafeReads::contains(Operation *op, Operation *branch) const {
   bool isApart = areConstant && !mayBeWritten(read);
   if (field && isApart && isInside(field, read.getAccessIndices()))
     return true;
-  // The loop reads there in any case.
+  // An earlier read of the loop, outside of the branch, reaches the same index.
   return llvm::any_of(accesses, [&](DifferentiableAccessInterface other) {
     Operation *next = other->getBlock()->findAncestorOpInBlock(*branch);
     return other != read && other.getAccessKind() == AccessKind::Read && next &&

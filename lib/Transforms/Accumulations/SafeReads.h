@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // `if a and b: store` computes the second condition in the branch of the first
-// one. Where the first one goes, more iterations read the operands of the
-// second one: such a read must stay inside its storage, and must not race.
+// one. If the first condition is removed, more iterations read the operands of
+// the second one: such a read must stay inside its storage, and must not race.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,14 +22,14 @@ namespace mlir::tai {
 /// The reads of a loop, as seen from a store.
 class SafeReads {
 public:
-  /// `accesses` are those of the loop.
+  /// `accesses` are all accesses of the loop.
   SafeReads(DifferentiableAccessInterface store, ParallelForOp loop,
             const SameIteration &same,
             ArrayRef<DifferentiableAccessInterface> accesses)
       : store(store), loop(loop), same(same), accesses(accesses) {}
 
-  /// True if the read `op` may run where `branch`, which is around it, does
-  /// not.
+  /// True if the read `op`, which is inside of `branch`, may also run in
+  /// iterations that do not take the branch.
   bool contains(Operation *op, Operation *branch) const;
 
 private:

@@ -15,9 +15,9 @@
 // field becomes one over the whole field, whose body tests whether it is in
 // the interior.
 //
-// The adjoint of a step from one time to the next takes the adjoints of the
-// results: it loads and clears them. Another iteration that loads the same
-// adjoint would find zero, so the clearing moves to a loop of its own, which
+// The adjoint of a step from one time to the next loads the adjoints of the
+// results and sets them to zero. Another iteration that loads the same adjoint
+// would find zero, so the stores of zero move to a loop of their own, which
 // runs afterwards.
 //
 // In a loop over the active cells of a sparse field, an iteration contributes
@@ -79,8 +79,8 @@ static Value createZero(OpBuilder &builder, Location loc, Type type) {
   return arith::ConstantOp::create(builder, loc, builder.getZeroAttr(type));
 }
 
-/// The value that `scatter` adds, below its conditions from `depth` on; zero
-/// where one of them does not hold.
+/// The value that `scatter` adds, computed under its conditions from number
+/// `depth` on; zero where one of these conditions does not hold.
 static Value recomputeBelow(Recomputation &at, Scatter &scatter,
                             unsigned depth) {
   Location loc = scatter.op.getLoc();
@@ -108,8 +108,8 @@ static Value recomputeBelow(Recomputation &at, Scatter &scatter,
       .getResult(0);
 }
 
-/// Adds to `tests` whether `index` is in [lower, upper), where it may be in
-/// [least, end).
+/// Adds to `tests` the comparisons needed for `index`, which is in [least,
+/// end), to be in `range`.
 static void addRangeTests(OpBuilder &builder, Location loc, Value index,
                           std::pair<int64_t, int64_t> range, int64_t least,
                           int64_t end, SmallVectorImpl<Value> &tests) {
@@ -125,9 +125,9 @@ static void addRangeTests(OpBuilder &builder, Location loc, Value index,
     add(arith::CmpIPredicate::slt, upper);
 }
 
-/// The iteration whose addition lands where `iv` is, along index `k`: iv -
-/// offset, wrapped if the shift wraps. Adds to `inside` the tests that there is
-/// one.
+/// Along index `k`, the iteration that adds to the element of iteration `iv`:
+/// iv - offset, wrapped if the shift wraps. Adds to `inside` the tests that
+/// this iteration exists.
 static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
                          unsigned k, SmallVectorImpl<Value> &inside) {
   Location loc = scatter.op.getLoc();
@@ -138,7 +138,7 @@ static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
   auto constant = [&](int64_t value) -> Value {
     return arith::ConstantIndexOp::create(builder, loc, value);
   };
-  // An index that wraps stays in the range of the loop.
+  // The element that a wrapped index reaches is in the range of the loop.
   if (shift.wraps || shift.isIdentity())
     addRangeTests(builder, loc, iv, {lower, upper}, least, end, inside);
   if (shift.isIdentity())
@@ -162,7 +162,7 @@ static Value invertShift(OpBuilder &builder, Scatter &scatter, LoopBox &box,
 }
 
 /// Whether a loop over active cells has the iteration with these indices; null
-/// if all loops have.
+/// if the iteration always exists.
 static Value emitIsVisited(OpBuilder &builder, LoopBox &box,
                            const IRMapping &mapping, Scatter &scatter) {
   FailureOr<FieldLayout> visited = getSparseLoopField(box.loop);
@@ -174,7 +174,7 @@ static Value emitIsVisited(OpBuilder &builder, LoopBox &box,
   SmallVector<Value> indices;
   for (BlockArgument iv : box.ivs())
     indices.push_back(mapping.lookup(iv));
-  // A cell is active if its cell of the innermost sparse level is.
+  // An element is active if its cell of the innermost sparse level is active.
   int64_t up = 1;
   for (const PathLevel &level : llvm::reverse(visited->path.levels)) {
     if (level.type.isSparse())
@@ -202,7 +202,7 @@ static Value createGuarded(OpBuilder &builder, Location loc, Type type,
 }
 
 /// A term of `scatter` for the element that the present iteration owns.
-/// `choice` has the stray along each index, or none for the shift.
+/// `choice` has a stray for each index, or null for the shifted iteration.
 static Value recompute(OpBuilder &builder, LoopBox &box, Scatter &scatter,
                        ArrayRef<const IndexSource::Stray *> choice) {
   Location loc = scatter.op.getLoc();
@@ -271,10 +271,10 @@ static Value emitSum(OpBuilder &builder, Location loc, ValueRange values) {
   return sum;
 }
 
-/// The sum with twice the digits of its type, rounded once. In f64 the rounding
-/// errors are summed beside it (two-sum). A term that is a product may become
-/// part of fused operations: of both that use it or of none, so the error is
-/// that of the same term.
+/// The sum in twice the precision of its type, rounded once. In f64 the
+/// rounding errors are summed separately (two-sum). A target may fuse a term
+/// that is a product into both additions that use it, or into neither, so that
+/// the error belongs to the term that was added.
 static Value emitCompensatedSum(OpBuilder &builder, Location loc,
                                 ValueRange values) {
   Type type = values.front().getType();
@@ -305,7 +305,7 @@ static Value emitCompensatedSum(OpBuilder &builder, Location loc,
         add(subtract(before, subtract(sum, taken)), subtract(value, taken));
     rest = rest ? add(rest, lost) : lost;
   }
-  // The errors of an infinite sum are not numbers.
+  // The rounding errors of an infinite sum are NaN.
   Value isNumber = arith::CmpFOp::create(builder, loc,
                                          arith::CmpFPredicate::ORD, rest, rest);
   return arith::SelectOp::create(builder, loc, isNumber, add(sum, rest), sum);
@@ -340,12 +340,12 @@ static Gathered gather(LoopBox &box, Group &group, TermSum sum) {
   return gathered;
 }
 
-/// Moves the plain additions of the body behind everything that is read, so
-/// that LLVM's reuse of a neighbour's load from one iteration to the next does
-/// not have to be carried across a store, which would stop the vectoriser.
+/// Moves the non-atomic additions of the body after all reads: LLVM then reuses
+/// the load of a neighbour in the next iteration without carrying it across a
+/// store, which would stop the vectoriser.
 static void sinkAdditions(LoopBox &box) {
   Operation *end = box.body().getTerminator();
-  // A copy of the list: moved additions must not be met again.
+  // A copy of the list, because additions move while it is visited.
   SmallVector<AtomicOp> additions(box.body().getOps<AtomicOp>());
   for (AtomicOp op : additions) {
     const void *storage = getStorageKey(op);
@@ -361,8 +361,8 @@ static void sinkAdditions(LoopBox &box) {
   }
 }
 
-/// Makes the loop one over all elements that it has to own; its body runs in
-/// the former iterations.
+/// Extends the loop to all elements that it has to own; its body runs in the
+/// original iterations alone.
 static void widen(LoopBox &box, const Owned &owned) {
   OpBuilder builder(box.loop);
   Location loc = box.loop.getLoc();
@@ -389,8 +389,8 @@ static void widen(LoopBox &box, const Owned &owned) {
                                 std::prev(box.body().end()));
 }
 
-/// A loop behind `box.loop` that does the stores again, in the same iterations
-/// and under the same conditions.
+/// Creates a loop after `box.loop` that repeats the stores, in the same
+/// iterations and under the same conditions.
 static ParallelForOp
 createLaterStores(LoopBox &box,
                   const llvm::SmallPtrSetImpl<Operation *> &stores) {
@@ -404,7 +404,7 @@ createLaterStores(LoopBox &box,
   builder.setInsertionPointToEnd(&body);
   builder.clone(*box.body().getTerminator());
 
-  // Neighbours under one condition stay under one.
+  // Consecutive stores in one block share the branches around them.
   Block *from = nullptr;
   std::optional<Recomputation> at;
   box.loop.getBody().walk([&](StoreOp store) {
@@ -444,7 +444,7 @@ static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind) {
         builder, gathered.pattern.getLoc(), AtomicKind::Add, gathered.sum,
         gathered.pattern.getFieldAttr(), gathered.indices, gathered.components,
         /*exclusive=*/true);
-    // At the element of the iteration itself.
+    // The element of the iteration itself is in range as well.
     if (gathered.pattern->hasAttr(kInRangeAttrName))
       sum->setAttr(kInRangeAttrName, builder.getUnitAttr());
   }
@@ -453,14 +453,14 @@ static void rewrite(LoopBox &box, MutableArrayRef<Group> groups, TermSum kind) {
       scatter.op.erase();
 }
 
-/// Whether the kernel around the loop makes nothing active.
+/// Whether the kernel around the loop activates no cells.
 static bool keepsActivity(ParallelForOp loop) {
   auto kernel = loop->getParentOfType<KernelOp>();
   return kernel && kernel.getKeepsActivity();
 }
 
-/// The largest distance in cells of the iterations that add to an element; -1
-/// if they may be anywhere.
+/// The largest distance, in cells, between an element and the iterations that
+/// add to it; -1 if it is not bounded.
 static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
   int64_t reach = 0;
   for (const Group &group : groups)
@@ -489,7 +489,7 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
 namespace {
 struct GatherOptions {
   unsigned maxOps;
-  /// Whether a sum of f64 can keep its rounding errors beside it.
+  /// Whether sums of f64 may keep their rounding errors in a second sum.
   bool pairSums;
   /// Whether stores may move to a loop of their own.
   bool movesStores;
@@ -510,7 +510,7 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   llvm::MapVector<const void *, SmallVector<AtomicOp>> byStorage;
   box.loop.walk(
       [&](AtomicOp op) { byStorage[getStorageKey(op)].push_back(op); });
-  // As the loop is now: later it may have more iterations.
+  // Created before the loop gets more iterations.
   llvm::SmallPtrSet<Operation *, 4> stores;
   ParallelForOp laterStores;
   if (options.movesStores && llvm::any_of(byStorage, [](auto &entry) {
@@ -522,7 +522,7 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     laterStores = createLaterStores(box, stores);
   bool changed = false, needsLater = false;
   for (auto &[storage, atomics] : byStorage) {
-    // Additions that cannot meet others are plain already.
+    // Exclusive additions are not atomic.
     if (llvm::all_of(atomics, [](AtomicOp op) { return op.getExclusive(); }))
       continue;
     FieldOp field =
@@ -562,7 +562,8 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
   return changed;
 }
 
-/// The same for a loop over active cells, where it goes over all of them.
+/// Gathers in a loop over active cells. A branch keeps the scatter for launches
+/// in which the loop does not visit all active cells.
 static void gatherSparseLoop(ParallelForOp loop, LoopBox &box,
                              const GatherOptions &options) {
   ParallelForOp scattered = loop.clone();

@@ -13,8 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Most iterations at the borders whose indices do not follow the shift of the
-/// others.
+/// The maximal number of iterations at the borders whose index does not follow
+/// the common shift.
 constexpr int64_t kMaxStrays = 4;
 
 /// The constant component that an access reaches: -1 for the whole element,
@@ -86,7 +86,7 @@ static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
   }
   for (auto [k, iv] : llvm::enumerate(box.ivs())) {
     int dimension = dimensionOf[k];
-    // Without a dimension the additions of all its values would meet.
+    // If no index depends on `iv`, all its values add to one element.
     if (dimension < 0)
       return std::nullopt;
     scatter.owned.lower.push_back(layout.offset[dimension]);
@@ -153,8 +153,8 @@ static bool ownsAllActive(LoopBox &box, const FieldLayout &field) {
   return haveSameActivity(*visited, field);
 }
 
-/// True if the loop is over the elements that it has to own, or can be made so
-/// for little: nearly all of them are in it already.
+/// True if the loop runs over the elements that it has to own, or can be
+/// extended to them at little cost: at least half of them are in the loop.
 static bool canOwn(LoopBox &box, const Owned &wanted) {
   if (box.lower == wanted.lower && box.upper == wanted.upper)
     return true;
@@ -201,7 +201,8 @@ SmallVector<Group> tai::getGroups(FieldOp field, LoopBox &box,
       if (!canRecompute(condition.getCondition(), box, isStable, recomputed))
         return {};
     ops += recomputed.size() * scatter->getNumTerms();
-    // Joins the group of its slice, and must be apart from all others.
+    // The addition joins the group of its slice, and must not conflict with any
+    // other group.
     Group *home = nullptr;
     for (Group &group : groups) {
       Scatter &first = group.front();

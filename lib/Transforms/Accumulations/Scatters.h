@@ -21,8 +21,8 @@
 
 namespace mlir::tai {
 
-/// The elements that the iterations of a loop own, along each of its indices:
-/// those of the loop itself, or more.
+/// The elements that the iterations of a loop own, along each loop index: the
+/// range of the loop itself, or a larger one.
 struct Owned {
   SmallVector<int64_t> lower, upper;
 
@@ -31,9 +31,9 @@ struct Owned {
   }
 };
 
-/// How an addition's index depends on an index of the loop: the iterations of
-/// [lower, upper) shift it, and each of a few others, at a border, adds to an
-/// element of its own.
+/// How an addition's index depends on a loop index: in the iterations of
+/// [lower, upper) it is the shifted loop index; each of a few iterations at a
+/// border, the strays, adds to an element of its own.
 struct IndexSource {
   struct Stray {
     int64_t iteration, element;
@@ -49,10 +49,10 @@ struct IndexSource {
 /// One addition that can be gathered.
 struct Scatter {
   AtomicOp op;
-  /// The `scf.if` ops around it, outermost first.
+  /// The `scf.if` ops around `op`, outermost first.
   SmallVector<scf::IfOp> conditions;
-  /// For each induction variable, the dimension of the field that it indexes
-  /// and how it does.
+  /// For each induction variable, the dimension of the field that depends on
+  /// it, and how the index depends on it.
   SmallVector<unsigned> dimension;
   SmallVector<IndexSource> source;
   /// All elements that may be added to.
@@ -75,9 +75,9 @@ using Group = SmallVector<Scatter, 0>;
 FailureOr<FieldLayout> getSparseLoopField(ParallelForOp loop);
 
 /// Groups the additions to one field by slice and component. Empty if one of
-/// them cannot be gathered, or another access might meet them. If the loop has
-/// been made to own other elements than its own, those are `owned`. `isStable`
-/// tells which reads may be done again.
+/// them cannot be gathered, or may conflict with another access. `owned` are
+/// the elements that the loop has been extended to, if it has been. `isStable`
+/// tells which reads may be repeated.
 SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
                              ArrayRef<AtomicOp> atomics,
                              const std::optional<Owned> &owned, unsigned maxOps,

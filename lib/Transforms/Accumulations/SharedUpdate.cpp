@@ -23,7 +23,7 @@ static Type getScalar(Value value) {
   return getElementTypeOrSelf(value.getType());
 }
 
-/// The truth value that `value` is the opposite of, or null.
+/// The truth value whose negation is `value`, or null.
 static Value getNegated(Value value) {
   auto flip = value.getDefiningOp<arith::XOrIOp>();
   return flip && matchPattern(flip.getRhs(), m_One()) ? flip.getLhs() : Value();
@@ -84,18 +84,18 @@ void SharedUpdate::forget() {
   formers.clear();
 }
 
-/// The kind without regard to the sign.
+/// The kind that compares integers as unsigned numbers.
 static AtomicKind getUnsigned(AtomicKind kind) {
   if (kind == AtomicKind::Min)
     return AtomicKind::MinU;
   return kind == AtomicKind::Max ? AtomicKind::MaxU : kind;
 }
 
-/// True if the step can be done in the type of the element, beside those before
-/// it. Narrows its value.
+/// True if the step can be computed in the type of the element, and combined
+/// with the earlier steps. Narrows the step's value to that type.
 bool SharedUpdate::accepts(Step &step) {
-  // Numbers narrower than the element have lost digits of it; extrema of wider
-  // integers are not those of the truncated ones.
+  // A type narrower than the element's loses digits of the element. Extrema of
+  // wider integers are not the extrema of the truncated integers.
   Type scalar = getScalar(store.getAccessedValue());
   Type combined = getElementTypeOrSelf(step.type);
   if (isa<FloatType>(scalar) != isa<FloatType>(combined) ||
@@ -127,7 +127,8 @@ bool SharedUpdate::accepts(Step &step) {
 }
 
 bool SharedUpdate::addStep(Step step) {
-  // A select may choose the result of a branch, within which the value is.
+  // A select may choose the result of a branch: values that are computed inside
+  // of the branch are not available at the select.
   auto isKnown = [&](Value value) {
     return value.getParentRegion()->isAncestor(step.at->getParentRegion());
   };
@@ -173,7 +174,7 @@ bool SharedUpdate::matchValue(Value value, const Context &context) {
   return false;
 }
 
-/// An op of one kind, of which one operand is the update before it.
+/// Matches an op of one kind with the earlier update as one operand.
 bool SharedUpdate::matchCombination(Operation *op, AtomicKind kind,
                                     const Context &context) {
   Value lhs = op->getOperand(0), rhs = op->getOperand(1);
@@ -196,7 +197,7 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
     std::swap(whenTrue, whenFalse);
   }
   Operation *compare = condition.getDefiningOp();
-  // If one of them is NaN, the other one is taken.
+  // The condition may also hold where one of the compared numbers is NaN.
   if (auto either = dyn_cast_or_null<arith::OrIOp>(compare)) {
     auto isNaN = either.getRhs().getDefiningOp<arith::CmpFOp>();
     if (!isNaN || isNaN.getPredicate() != arith::CmpFPredicate::UNO)
@@ -253,7 +254,7 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   auto isSame = [&](Value a, Value b) {
     return same.areEqual(a, b) || (old.isLoaded(a) && old.isLoaded(b));
   };
-  // Taken if it is less: a minimum.
+  // The true value is chosen if it is less: a minimum.
   bool isMin = *direction < 0;
   if (isSame(lhs, whenFalse) && isSame(rhs, whenTrue))
     isMin = !isMin;
@@ -269,7 +270,7 @@ SharedUpdate::getExtremum(Value condition, Value whenTrue, Value whenFalse) {
   AtomicKind kind = isMin ? isUnsigned ? AtomicKind::MinU : AtomicKind::Min
                     : isUnsigned ? AtomicKind::MaxU
                                  : AtomicKind::Max;
-  // The compared values are known before the choice.
+  // The compared value is used, because it is computed before the choice.
   return Extremum{kind, old.reaches(lhs) ? rhs : lhs,
                   isTrueOld ? whenTrue : whenFalse};
 }
@@ -296,9 +297,9 @@ bool SharedUpdate::matchSelect(arith::SelectOp select, const Context &context) {
   return matchValue(no, inside);
 }
 
-/// The update in front of a branch, or of a trip of a loop, from which a value
-/// within was made: null for the loaded element, and nothing where there is not
-/// one only.
+/// The update before `scope`, a branch or loop, from which `value` inside of it
+/// is computed: null for the loaded element, and nullopt if there is not
+/// exactly one such update.
 std::optional<Value> SharedUpdate::findFormer(Value value,
                                               Operation *scope) const {
   if (old.isLoaded(value))
@@ -320,7 +321,7 @@ std::optional<Value> SharedUpdate::findFormer(Value value,
   }
   std::optional<Value> former;
   for (Value side : sides) {
-    // The other operand, or the other number that an extremum compares.
+    // Skip the other operand, or the other number that an extremum compares.
     if (!old.reaches(side))
       continue;
     std::optional<Value> found = findFormer(side, scope);
@@ -331,7 +332,7 @@ std::optional<Value> SharedUpdate::findFormer(Value value,
   return former;
 }
 
-/// A branch that yields an update on both sides, of the same update before it.
+/// Matches a branch both sides of which yield updates of one earlier update.
 bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   auto branch = cast<scf::IfOp>(result.getOwner());
   branches.push_back(result);
@@ -361,11 +362,11 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   if (*former) {
     if (!matchValue(*former, context))
       return false;
-    // Its steps happen once, in front of the branch.
+    // The steps of the earlier update run once, before the branch.
     formers.push_back(*former);
   }
   Context side = context;
-  // The steps that a select chooses leave the branch.
+  // Steps under a select are emitted at the select, outside of the branch.
   if (context.select)
     side.conditions.emplace_back(branch.getCondition(), true);
   bool matches = matchValue(yielded[0], side);
@@ -377,15 +378,15 @@ bool SharedUpdate::matchBranch(OpResult result, const Context &context) {
   return matches;
 }
 
-/// A serial loop that carries an update: it combines the values of all trips,
-/// and its total is one step.
+/// Matches a serial loop that carries an update: the loop combines the values
+/// of all iterations, and its total is one step.
 bool SharedUpdate::matchLoop(OpResult result, const Context &context) {
   auto serial = cast<scf::ForOp>(result.getOwner());
   unsigned number = result.getResultNumber();
   carried.push_back(result);
   if (!matchValue(serial.getInitArgs()[number], context))
     return false;
-  // A trip that begins with another value forgets those of the trips before.
+  // An iteration that starts from another value drops the earlier values.
   Value former = serial.getRegionIterArg(number);
   Value yielded = serial.getYieldedValues()[number];
   if (findFormer(yielded, serial) != std::optional(former))
@@ -397,7 +398,7 @@ bool SharedUpdate::matchLoop(OpResult result, const Context &context) {
   formers.pop_back();
   if (!matches)
     return false;
-  // They and the branches around them stay in the loop.
+  // The steps inside of the loop, and the branches around them, stay there.
   SmallVector<Step> inside(std::make_move_iterator(steps.begin() + numSteps),
                            std::make_move_iterator(steps.end()));
   steps.truncate(numSteps);
@@ -417,7 +418,7 @@ bool SharedUpdate::matchLoop(OpResult result, const Context &context) {
          addStep({at, kind, result, result.getType(), context.conditions});
 }
 
-/// A choice that asks for the element in another way than a single select.
+/// Matches an extremum that is chosen by more than a single select.
 bool SharedUpdate::matchChosen() {
   chosen.emplace(store, loop, same, old, safeReads);
   if (!chosen->match())
@@ -444,7 +445,7 @@ bool SharedUpdate::isOnlyUsedHere() {
     return llvm::is_contained(
         llvm::concat<OpResult>(branches, choices, carried), value);
   };
-  // Branches and loops on the path may hand on other things, too.
+  // Branches and loops on the path may have other results, too.
   auto isOurUse = [&](OpOperand &use) {
     Operation *user = use.getOwner(), *parent = user->getParentOp();
     if (isa<scf::YieldOp>(user))
@@ -473,7 +474,7 @@ bool SharedUpdate::isOnlyUsedHere() {
 }
 
 /// True if nothing writes to the element between the loads and the store, and
-/// the indices are known at each step.
+/// the indices are computed before each step.
 bool SharedUpdate::isUndisturbed() {
   const void *key = getStorageKey(store);
   // Other components are other memory, whatever the indices.
@@ -488,7 +489,8 @@ bool SharedUpdate::isUndisturbed() {
     Block *common = findCommonBlock(from, to);
     if (!common || from == to || !from->isBeforeInBlock(to))
       return false;
-    // Within a serial loop around one of them, another iteration comes between.
+    // Other iterations of a serial loop around only one of the two come in
+    // between.
     for (auto [inner, outer] :
          {std::pair<Operation *, Operation *>(load, from), {store, to}})
       for (Operation *op = inner; op != outer; op = op->getParentOp())
@@ -546,7 +548,7 @@ bool SharedUpdate::match() {
 // Rewriting
 //===----------------------------------------------------------------------===//
 
-/// The value in the type of the element.
+/// Converts `value` to the type of the element.
 Value SharedUpdate::convert(OpBuilder &b, Location loc, Value value) {
   Type type = store.getAccessedValue().getType();
   if (value.getType() == type)
@@ -633,7 +635,7 @@ static void joinSteps(SmallVectorImpl<Step> &steps) {
     }
     OpBuilder b(step.at);
     Location loc = step.at->getLoc();
-    // a - b, b - a, and -(a + b).
+    // +a and -b join to a - b, -a and -b to -(a + b).
     bool isSum = kind == AtomicKind::Add;
     if (isSum && before->kind != step.kind) {
       Value plus = before->kind == AtomicKind::Add ? before->value : step.value;
@@ -672,8 +674,8 @@ void SharedUpdate::rewrite() {
     });
   else
     store->erase();
-  // The results have no users any more: without them, the former value has no
-  // user either.
+  // The results of these branches have no users any more: they yield zeros, so
+  // that the former value has no user either.
   for (OpResult result : branches) {
     auto branch = cast<scf::IfOp>(result.getOwner());
     for (Region *region : branch.getRegions()) {
@@ -690,7 +692,7 @@ void SharedUpdate::rewrite() {
     branch.getConditionMutable().assign(
         arith::ConstantIntOp::create(b, branch.getLoc(), 0, 1));
   }
-  // The values that loops carry are totals now, and begin with nothing.
+  // Loops now carry totals, which start at the identity of the operation.
   for (auto [result, kind] : totals) {
     auto serial = cast<scf::ForOp>(result.getOwner());
     OpBuilder b(serial);
@@ -710,7 +712,7 @@ void SharedUpdate::rewrite() {
         llvm::find_if(dead, [](Operation *op) { return op->use_empty(); });
     if (unused == dead.end())
       break;
-    // With a branch goes all that is in it.
+    // To erase a branch also erases the ops inside of it.
     Operation *op = *unused;
     llvm::erase_if(dead,
                    [&](Operation *other) { return op->isAncestor(other); });

@@ -19,31 +19,33 @@
 
 namespace mlir::tai {
 
-/// True if all iterations that store at all store the same.
+/// True if all iterations that execute `store` store the same value.
 bool storesTheSame(DifferentiableAccessInterface store, ParallelForOp loop);
 
-/// The operation of the op, if it is one that atomics have.
+/// The kind of atomic that has the operation of `op`, if there is one.
 std::optional<AtomicKind> getAtomicKind(Operation *op);
 
 /// The conditions under which a part of an expression is taken.
 struct Context {
-  /// The outermost select around the part, where the conditions are known.
+  /// The outermost select around the part: the conditions are computed before
+  /// it.
   Operation *select = nullptr;
-  /// Values that are true, or false.
+  /// Each condition, and whether it must be true or false.
   SmallVector<std::pair<Value, bool>, 1> conditions;
 };
 
 /// One atomic that an update becomes.
 struct Step {
-  /// It takes its place before this op.
+  /// The atomic is emitted before this op.
   Operation *at;
   AtomicKind kind;
   Value value;
-  /// The type that the program combines in, where that is not the element's.
+  /// The type in which the program combines, which may differ from the
+  /// element's.
   Type type;
-  /// It happens where all of these hold, or do not hold.
+  /// The atomic runs where each condition has the given truth value.
   SmallVector<std::pair<Value, bool>, 1> conditions;
-  /// An access whose indices are known there.
+  /// An access whose indices are computed before `at`.
   DifferentiableAccessInterface place = {};
 };
 
@@ -54,11 +56,11 @@ struct Extremum {
   Value value, old;
 };
 
-/// The update that a store turns out to be.
+/// A store that may be an update of its element.
 class SharedUpdate {
 public:
-  /// `accesses` are those of the loop, `reads` those of them that read the
-  /// storage of the store.
+  /// `accesses` are all accesses of the loop, `reads` its reads of the storage
+  /// that the store writes.
   SharedUpdate(DifferentiableAccessInterface store, ParallelForOp loop,
                ArrayRef<DifferentiableAccessInterface> accesses,
                ArrayRef<DifferentiableAccessInterface> reads,
@@ -68,9 +70,9 @@ public:
 
   /// True if the stored value, or whether it is stored, depends on the element.
   bool readsElement();
-  /// Finds the steps. False if it is no update of the kinds known.
+  /// Finds the steps. False if the store is not an update of a supported form.
   bool match();
-  /// The operation of all steps.
+  /// The operation that all steps have in common.
   AtomicKind getFamily() const { return *family; }
   void rewrite();
 
@@ -102,7 +104,7 @@ private:
   SafeReads safeReads;
   SmallVector<DifferentiableAccessInterface> loads;
   std::optional<AtomicKind> family;
-  /// The extension by which the program has made the element wide.
+  /// The op by which the program extends the element to a wider type, if any.
   std::optional<OperationName> extension;
   SmallVector<Step> steps;
   /// Ops between the loads and the store, which are to have no other use.
@@ -111,15 +113,15 @@ private:
   SmallVector<OpResult> branches;
   /// Results of serial loops on the path.
   SmallVector<OpResult> carried;
-  /// Those of the outermost loops, and the kind of their totals.
+  /// Results of the outermost loops on the path, and the kinds of their totals.
   SmallVector<std::pair<OpResult, AtomicKind>> totals;
   /// Updates before the branches and loops that are being matched, whose steps
-  /// are known.
+  /// have been found already.
   SmallVector<Value> formers;
   /// An extremum that replaces the store, beside the steps, and its kind.
   std::optional<ChosenExtremum> chosen;
   AtomicKind chosenKind = AtomicKind::Min;
-  /// Results of branches on the path that stay, or that it takes away.
+  /// Results of branches on the path that stay, or that `chosen` erases.
   SmallVector<OpResult> choices;
 };
 

@@ -57,7 +57,8 @@ private:
   bool isOld(Value vector, StoreOp store) const;
 
   ParallelForOp loop;
-  /// The vectors with which trips of the serial loops begin that are split.
+  /// The carried vectors of the serial loops that are being split, as they are
+  /// at the beginning of an iteration.
   llvm::SmallDenseSet<Value> begins;
   SameIteration same;
   llvm::DenseMap<const void *, unsigned> writes;
@@ -72,9 +73,9 @@ bool ComponentSplitter::isOld(Value vector, StoreOp store) const {
          same.areEqual(load.getIndices(), store.getIndices());
 }
 
-/// Finds the value of a component in a vector that inserts and lists of
-/// elements have made, null if it is that of the base. False if another op has
-/// made it.
+/// Finds the value of a component of a vector that inserts and lists of
+/// elements build; null if the component is that of the base. False if another
+/// op has built the vector.
 bool ComponentSplitter::find(Value vector, Component &component,
                              llvm::function_ref<bool(Value)> isBase) const {
   if (isBase(vector))
@@ -110,8 +111,8 @@ static Value skipInserts(Value vector) {
   return vector;
 }
 
-/// The vector that inserts have changed: the loaded one, or that with which a
-/// trip begins.
+/// The vector that inserts have changed: the loaded vector, or the carried
+/// vector at the beginning of an iteration. Null for other vectors.
 Value ComponentSplitter::findBase(Value vector, StoreOp store) const {
   vector = skipInserts(vector);
   return isOld(vector, store) || begins.contains(vector) ? vector : Value();
@@ -129,8 +130,8 @@ void ComponentSplitter::splitCarried(Value vector, StoreOp store) {
     splitLoop(result, store);
 }
 
-/// Makes branches yield the components that one of them changes, which are
-/// inserted into the former vector behind them.
+/// Makes an scf.if yield the components that one of its sides changes. After
+/// the scf.if, these are inserted into the former vector.
 void ComponentSplitter::splitBranches(OpResult vector, StoreOp store) {
   auto branches = cast<scf::IfOp>(vector.getOwner());
   unsigned number = vector.getResultNumber();
@@ -143,7 +144,7 @@ void ComponentSplitter::splitBranches(OpResult vector, StoreOp store) {
     Value found = findBase(yield.getOperand(number), store);
     if (!found)
       continue;
-    // A trip may begin with another vector than the loaded one.
+    // An iteration may begin with another vector than the loaded one.
     if (old && old != found && (begins.contains(old) || begins.contains(found)))
       return;
     Operation *load = found.getDefiningOp();
@@ -211,8 +212,8 @@ void ComponentSplitter::splitBranches(OpResult vector, StoreOp store) {
   branches.erase();
 }
 
-/// Makes a serial loop carry the components that a trip changes, which are
-/// inserted into the former vector in it and behind it.
+/// Makes a serial loop carry the components that an iteration changes. Inside
+/// of the loop and after it, these are inserted into the former vector.
 void ComponentSplitter::splitLoop(OpResult vector, StoreOp store) {
   auto serial = cast<scf::ForOp>(vector.getOwner());
   unsigned number = vector.getResultNumber();
@@ -260,7 +261,7 @@ void ComponentSplitter::splitLoop(OpResult vector, StoreOp store) {
   rewriter.setInsertionPointAfter(made);
   made.getResult(number).replaceAllUsesWith(
       insertAll(made.getResults().take_back(changed.size())));
-  // The vector itself is carried in vain; a zero reads no element.
+  // The loop still carries the vector, without a use; a zero reads no element.
   made.getBody()->getTerminator()->setOperand(number, carried);
   rewriter.setInsertionPoint(made);
   made.getInitArgsMutable()[number].assign(arith::ConstantOp::create(
@@ -274,8 +275,7 @@ static SmallVector<Value> makeIndices(OpBuilder &builder, Location loc,
   });
 }
 
-/// Takes the component from the vector that other components were inserted
-/// into.
+/// Makes `extract` read the vector before the insertions of other components.
 static void lookThroughInserts(vector::ExtractOp extract) {
   while (auto insert = extract.getSource().getDefiningOp<vector::InsertOp>()) {
     if (insert.hasDynamicPosition() ||
@@ -301,7 +301,8 @@ void ComponentSplitter::split(StoreOp store) {
     if (component.value)
       components.push_back(std::move(component));
   }
-  // A component that keeps its value would be stored after another write.
+  // The store of the vector also overwrites other writes to components that
+  // keep their value.
   if (writes.lookup(getStorageKey(store)) != 1 &&
       static_cast<int64_t>(components.size()) != type.getNumElements())
     return;
@@ -375,7 +376,7 @@ void ComponentSplitter::run() {
   }
   for (LoadOp load : old)
     split(load);
-  // Loads and vectors that are left without a use would count as reads.
+  // Unused loads and vectors would count as reads.
   bool changed = !old.empty();
   while (changed) {
     changed = false;
