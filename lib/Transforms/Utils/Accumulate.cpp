@@ -19,7 +19,7 @@ LogicalResult tai::checkOrderIsFixed(ParallelForOp loop) {
   WalkResult result = loop.walk([&](LLVM::AtomicRMWOp update) {
     bool isSum = update.getBinOp() == LLVM::AtomicBinOp::fadd ||
                  update.getBinOp() == LLVM::AtomicBinOp::fsub;
-    // Memory of an iteration is its own.
+    // Memory that an iteration allocates is not shared.
     Value memory = update.getPtr();
     while (auto element = memory.getDefiningOp<LLVM::GEPOp>())
       memory = element.getBase();
@@ -80,7 +80,7 @@ Value tai::emitPlainUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
   return old;
 }
 
-/// The instruction that does `kind`, if there is one.
+/// The LLVM instruction for `kind`, if there is one.
 static std::optional<LLVM::AtomicBinOp> getBinOp(AtomicKind kind,
                                                  bool isFloat) {
   switch (kind) {
@@ -108,7 +108,7 @@ static std::optional<LLVM::AtomicBinOp> getBinOp(AtomicKind kind,
   llvm_unreachable("unknown kind");
 }
 
-/// Repeats compare-and-exchange until no other thread came between.
+/// Updates by compare-and-exchange, until no other thread has come in between.
 static Value emitExchangeLoop(OpBuilder &builder, Location loc, AtomicKind kind,
                               Value value, Value pointer, AliasScopes scopes) {
   Type storage = getStorageType(value.getType());

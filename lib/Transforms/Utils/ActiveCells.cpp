@@ -11,8 +11,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether equal indices mean the same cell of the innermost sparse level above
-/// both fields, which may divide the levels below in other ways.
+/// Whether equal indices select the same cell of the innermost sparse level
+/// above both fields. The levels below that one may differ.
 static bool shareCells(const FieldInfo &a, const FieldInfo &b) {
   if (a.sparse.empty() || b.sparse.empty() || a.layout.tree != b.layout.tree ||
       a.sparse.back().node != b.sparse.back().node ||
@@ -38,7 +38,7 @@ void tai::markActive(ParallelForOp loop, FieldTable &fields) {
   if (failed(found) || (*found)->sparse.empty())
     return;
   const FieldInfo &field = **found;
-  // A body that deactivates may do so to the cell of the iteration.
+  // A deactivation may concern the cell of the iteration.
   WalkResult deactivates =
       loop.walk([](DeactivateOp) { return WalkResult::interrupt(); });
   if (deactivates.wasInterrupted())

@@ -100,7 +100,7 @@ unsigned tai::getListDimension(const FieldInfo &field) {
 
 Value tai::emitListNumber(OpBuilder &builder, Location loc,
                           const FieldInfo &field, ValueRange indices) {
-  // The cell before which the list begins: its own index is zero.
+  // Take the first cell of the list: its index in the list is zero.
   SmallVector<Value> all(indices);
   unsigned dimension = getListDimension(field);
   IndexMath math(builder, loc);
@@ -150,7 +150,7 @@ Value tai::emitFieldBase(OpBuilder &builder, Location loc,
 //===----------------------------------------------------------------------===//
 
 unsigned tai::getAlignment(const FieldInfo &field, ValueRange components) {
-  // Trees start at multiples of 64 bytes; no access has more than 16.
+  // Trees start at multiples of 64 bytes; no access needs more than 16.
   uint64_t multiples = 16 | field.storage.offset;
   for (const IndexDigit &digit : field.storage.digits)
     if (digit.extent != 1)
@@ -187,17 +187,17 @@ Value tai::emitPointer(OpBuilder &builder, Location loc, Type storageType,
       LLVM::GEPNoWrapFlags::inbounds | LLVM::GEPNoWrapFlags::nuw);
 }
 
-/// Takes a small constant that is added to an index away from it.
+/// Removes a small constant that is added to `index`, and returns it.
 static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
-  // The target of an access is in range, and an index so close to it nearly is:
-  // no sum here overflows at its use.
+  // An accessed index is in range. An index this close to it is far from the
+  // limits of its type: the sums do not overflow.
   constexpr int64_t most = 64;
   int64_t sum = 0;
   Value value = index;
   bool isCast = false;
   for (;;) {
     Operation *op = value.getDefiningOp();
-    // A value that is the same for all iterations is computed before.
+    // Sums outside of parallel loops are computed only once.
     if (op && !op->getParentOfType<ParallelForOp>())
       break;
     if (auto cast = dyn_cast_if_present<arith::IndexCastOp>(op);
@@ -228,8 +228,8 @@ static int64_t peelConstant(OpBuilder &builder, Location loc, Value &index) {
   return sum;
 }
 
-/// The distance of neighbours along each dimension, in bytes; none where that
-/// is not the same everywhere, or far.
+/// The distance of neighbours along each dimension, in bytes; 0 where it varies
+/// or is large.
 static SmallVector<int64_t> getStrides(const FieldInfo &field) {
   SmallVector<int64_t> strides(field.layout.shape.size(), 0);
   llvm::SmallDenseSet<unsigned> several;
@@ -265,7 +265,7 @@ Value tai::emitNearPointer(OpBuilder &builder, Location loc,
   int64_t distance = 0;
   for (auto [stride, count] : llvm::zip_equal(getStrides(field), peeled))
     distance += stride * count;
-  // The element in the middle need not be one.
+  // Without the peeled constants, the address may lie outside of the field.
   bool isElement =
       llvm::all_of(peeled, [](int64_t count) { return count == 0; });
   if (!components.empty())
@@ -292,7 +292,7 @@ Value tai::emitNearPointer(OpBuilder &builder, Location loc,
   return address;
 }
 
-/// Marks a load or a store.
+/// Sets the alias scopes and other attributes of a load or store.
 template <typename Op> static void addScopes(Op access, AliasScopes scopes) {
   access.setAliasScopesAttr(scopes.own);
   access.setNoaliasScopesAttr(scopes.others);

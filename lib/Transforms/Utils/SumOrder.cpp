@@ -13,7 +13,7 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Iterations that make each lane one longer.
+/// The number of iterations that lengthen each lane by one term.
 constexpr int64_t kRound = SumOrder::kChunks * SumOrder::kLanes;
 
 Type tai::getLaneType(AtomicKind kind, Type type) {

@@ -18,7 +18,7 @@ bool mlir::tai::mayBeVectorized(Block &block) {
     loop = loop->getParentOp();
   if (!isa_and_nonnull<ParallelForOp>(loop))
     return false;
-  // Loads of vectors, scatters and indices from memory keep loops scalar.
+  // Inner loops, atomics and small dense algebra keep loops scalar.
   return !loop->walk([&](Operation *op) {
                 if (op != loop && isa<LoopLikeOpInterface>(op))
                   return WalkResult::interrupt();
