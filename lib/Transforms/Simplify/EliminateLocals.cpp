@@ -65,7 +65,7 @@ class Eliminator {
 public:
   explicit Eliminator(MLIRContext *context) : builder(context) {}
 
-  /// Replaces the variables made in `region` and below.
+  /// Replaces the variables `allocas`, which are inside of `root`.
   void run(Operation *root, ArrayRef<AllocaOp> allocas) {
     for (AllocaOp alloca : allocas)
       for (Operation *user : alloca->getUsers())
@@ -131,7 +131,7 @@ private:
     return all;
   }
 
-  /// Hands the results of `op` to `larger`, and the last ones to the locals.
+  /// Replaces `op` by `larger`, whose last results are the values of `locals`.
   void replace(Operation *op, Operation *larger, const Locals &locals) {
     op->replaceAllUsesWith(
         larger->getResults().take_front(op->getNumResults()));
@@ -140,8 +140,8 @@ private:
     setAll(locals, larger->getResults().take_back(locals.size()));
   }
 
-  /// Visits `block` with the locals at `before`, and has its terminator pass on
-  /// their values at the end.
+  /// Visits `block` with the values `before` of the locals, and lets its
+  /// terminator pass on their values at the end of the block.
   void visitAndPass(Block &block, const Locals &locals, ValueRange before) {
     setAll(locals, before);
     visit(block);
@@ -202,7 +202,7 @@ private:
 
   OpBuilder builder;
   DenseMap<Value, Value> current;
-  /// The variables of the scope around an op that its regions write.
+  /// For an op with regions, the variables from outside that its regions write.
   DenseMap<Operation *, Locals> written;
   SmallVector<Operation *> dead;
 };

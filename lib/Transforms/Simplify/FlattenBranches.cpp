@@ -45,7 +45,7 @@ static bool mayRunAnyway(Operation *op) {
 static bool staysFinite(Operation *op, FloatFacts &facts) {
   if (mayHaveNonFinitePartial(op, facts))
     return false;
-  // A value that is already at risk outside stays where its condition is.
+  // A result may be non-finite where an operand is.
   return llvm::none_of(op->getResults(), [&](Value result) {
     return isFloatOrVector(result.getType()) && facts.mayBeNonFinite(result) &&
            llvm::none_of(op->getOperands(), [&](Value operand) {
@@ -94,7 +94,7 @@ struct FlattenBranches : tai::impl::FlattenBranchesBase<FlattenBranches> {
           << remark::metric("Reason", reason.str());
   }
 
-  /// Why the branch must not or need not be flat; empty if it is to be.
+  /// The reason to keep the branch; empty if it is to be flattened.
   StringRef findReasonToKeep(scf::IfOp branch) {
     if (!llvm::all_of(branch.getResultTypes(), canSelect))
       return "a result has a type that cannot be selected";

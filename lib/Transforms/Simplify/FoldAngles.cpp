@@ -30,10 +30,10 @@ namespace mlir::tai {
 using namespace mlir;
 
 namespace {
-/// The values of expressions of constants.
+/// Computes constant expressions, each of them once.
 class Constants {
 public:
-  /// Null if it is not known.
+  /// Null if the value is not constant.
   Attribute get(Value value) {
     if (auto known = attributes.find(value); known != attributes.end())
       return known->second;
@@ -63,7 +63,7 @@ Attribute Constants::compute(Value value) {
     if (!operands.back())
       return {};
   }
-  // Folding may change the op where it gives no constant.
+  // Folding may change an op in place without yielding a constant.
   Operation *copy = op->clone();
   SmallVector<OpFoldResult> results;
   bool isFolded = succeeded(copy->fold(operands, results)) && !results.empty();
@@ -91,7 +91,7 @@ static double toDouble(APFloat number) {
   return number.convertToDouble();
 }
 
-/// The angle as a constant, if a component is that of the origin.
+/// The angles as a constant, if one of them is the angle of the origin.
 static TypedAttr foldAngle(math::Atan2Op op, Constants &constants) {
   Attribute y = constants.get(op.getLhs()), x = constants.get(op.getRhs());
   if (!x || !y)
@@ -114,8 +114,8 @@ static TypedAttr foldAngle(math::Atan2Op op, Constants &constants) {
   return FloatAttr::get(op.getType(), angles.front());
 }
 
-/// True if the index is one of a loop, a size, or near one: those of index
-/// spaces fit 32 bits. So do constants and results of such an integer.
+/// True if the index fits 32 bits, as all index spaces do: a loop index, a
+/// size, a constant or integer of that width, or a sum of these.
 static bool isOfIndexSpace(Value value) {
   if (auto argument = dyn_cast<BlockArgument>(value)) {
     Operation *parent = argument.getOwner()->getParentOp();
@@ -162,7 +162,7 @@ struct FoldAngles : tai::impl::FoldAnglesBase<FoldAngles> {
 
   void runOnOperation() override {
     Constants constants;
-    // Constants are cached by address: ops are erased last.
+    // `Constants` caches by the address of values: ops are erased last.
     SmallVector<Operation *> replaced;
     tai::walkOwned(getOperation(), [&](Operation *owned) {
       owned->walk([&](math::Atan2Op op) {

@@ -31,7 +31,7 @@ namespace mlir::tai {
 
 using namespace mlir;
 
-/// The canonicalisation of all that is loaded.
+/// The canonicalization patterns of all loaded dialects and registered ops.
 static FrozenRewritePatternSet getCanonicalization(MLIRContext *context) {
   RewritePatternSet patterns(context);
   for (Dialect *dialect : context->getLoadedDialects())
@@ -41,8 +41,8 @@ static FrozenRewritePatternSet getCanonicalization(MLIRContext *context) {
   return FrozenRewritePatternSet(std::move(patterns), tai::getBrokenPatterns());
 }
 
-/// The ops of a block and of its nested regions, the last one first: they are
-/// taken from the end of the list.
+/// The ops of a block and of its nested regions, the last op first: the
+/// rewriter takes ops from the end of the list.
 static SmallVector<Operation *> collect(Block &block) {
   SmallVector<Operation *> ops;
   block.walk<WalkOrder::PreOrder>([&](Operation *op) { ops.push_back(op); });
@@ -51,7 +51,7 @@ static SmallVector<Operation *> collect(Block &block) {
 }
 
 namespace {
-/// Ops that compute the same of the same operands are one key.
+/// Equal ops with equal operands are one key.
 struct SameOp : public llvm::DenseMapInfo<Operation *> {
   static unsigned getHashValue(const Operation *op) {
     return OperationEquivalence::computeHash(
@@ -72,7 +72,7 @@ struct SameOp : public llvm::DenseMapInfo<Operation *> {
 };
 } // namespace
 
-/// Makes one of equal ops of a block.
+/// Merges equal ops of a block.
 static void mergeEqual(Block &block) {
   DenseSet<Operation *, SameOp> values, reads;
   for (Operation &op : llvm::make_early_inc_range(block)) {

@@ -5,10 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The reverse of a branch returns adjoints, and zeros from an arm that has
-// none. The code behind it is the reverse of the code in front of the branch.
-// If all of its effects are to add products of those adjoints, it does nothing
-// where they are zero, and is moved to the end of the other arm.
+// The reverse of a branch returns adjoints, and zeros from an arm that has no
+// adjoints. The code after it is the reverse of the primal code before the
+// branch. If the only effects of this code are to add products of those
+// adjoints, it does nothing where they are zero, and moves to the end of the
+// other arm.
 //
 //===----------------------------------------------------------------------===//
 
@@ -33,10 +34,10 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Sinks the code behind a branch into one of its arms.
+/// Sinks the code after a branch into one of its arms.
 class Sinking {
 public:
-  /// `zeroArm` is 0 for the arm of the condition and 1 for the other.
+  /// `zeroArm`, the arm that yields zeros, is 0 for then and 1 for else.
   Sinking(scf::IfOp branch, unsigned zeroArm)
       : branch(branch), zeroArm(zeroArm) {}
   bool run();
@@ -68,8 +69,8 @@ private:
 };
 } // namespace
 
-/// Finds the ops behind it, and the zeros among them. False if it does more
-/// than add zeros up.
+/// Finds the ops after the branch, the tail, and its values that are zero if
+/// `zeroArm` runs. False if the tail does more than add zeros in that case.
 bool Sinking::collect() {
   for (Value operand : getYield(zeroArm)->getOperands())
     if (!matchPattern(operand, m_AnyZeroFloat()))
@@ -111,7 +112,7 @@ bool Sinking::collect() {
   });
 }
 
-/// The remainder of sums with zeros.
+/// Strips additions and subtractions of zeros from `value`.
 Value Sinking::skipZeros(Value value) const {
   while (!isZero(value) && isTail(value.getDefiningOp())) {
     auto sum = value.getDefiningOp<arith::AddFOp>();
@@ -128,7 +129,8 @@ Value Sinking::skipZeros(Value value) const {
   return value;
 }
 
-/// The arm of zeros needs the rest too, which is not worth much code.
+/// Counts the ops of the tail that `zeroArm` needs for `value` as well. False
+/// if they are too many to be cloned.
 bool Sinking::countClones(Value value) {
   constexpr size_t most = 8;
   value = skipZeros(value);

@@ -38,7 +38,7 @@ private:
   bool isOwnMemory(Value memory);
   bool keepsTypes(Operation *op);
   void widenAttributes(Operation *op);
-  /// Uses of `value`, which is narrow, get it widened.
+  /// Makes all users of `value`, which is narrow, use a widened copy.
   void widenUses(OpBuilder &builder, Value value);
   void keep(Operation *op, ArrayRef<Type> operandTypes);
 
@@ -69,7 +69,7 @@ Type Widening::widen(Type type) {
   return target;
 }
 
-/// True for an array that the kernel makes for itself.
+/// True for an array that the kernel allocates.
 bool Widening::isOwnMemory(Value memory) {
   return isa_and_nonnull<memref::AllocaOp, AllocaOp>(memory.getDefiningOp());
 }
@@ -117,7 +117,7 @@ static Attribute widenNumber(Attribute attr, Type type, FloatType target) {
 }
 
 void Widening::widenAttributes(Operation *op) {
-  // A constant of a wider type than `wide` stays.
+  // A constant of a wider type than `target` stays.
   if (auto constant = dyn_cast<arith::ConstantOp>(op);
       constant && getElementTypeOrSelf(constant.getType()) == target)
     constant.setValueAttr(cast<TypedAttr>(
@@ -132,10 +132,10 @@ void Widening::widenUses(OpBuilder &builder, Value value) {
   value.replaceAllUsesExcept(cast, cast);
 }
 
-/// Puts casts around an operation whose operands had these types.
+/// Casts the operands of `op` back to `operandTypes`, and widens its results.
 void Widening::keep(Operation *op, ArrayRef<Type> operandTypes) {
   OpBuilder builder(op);
-  // A cast to the type that its operand has come to is none.
+  // An extension to the type that its operand now has is redundant.
   if (auto extension = dyn_cast<arith::ExtFOp>(op);
       extension && extension.getIn().getType() == widen(extension.getType())) {
     extension.replaceAllUsesWith(extension.getIn());
@@ -155,7 +155,7 @@ void Widening::keep(Operation *op, ArrayRef<Type> operandTypes) {
 }
 
 void Widening::run() {
-  // Types as they were, before any of them changes.
+  // The operand types before any type changes.
   struct Kept {
     Operation *op;
     SmallVector<Type> operandTypes;
