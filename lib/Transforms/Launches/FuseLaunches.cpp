@@ -69,7 +69,7 @@ static bool collectAccesses(ParallelForOp loop,
                              ? WalkResult::advance()
                              : WalkResult::interrupt();
                 }
-                // Variables belong to an iteration.
+                // Local variables belong to an iteration.
                 if (isa<AllocaOp, LocalLoadOp, LocalStoreOp, scf::ForOp,
                         scf::IfOp, scf::WhileOp>(op))
                   return WalkResult::advance();
@@ -83,7 +83,7 @@ static bool collectAccesses(ParallelForOp loop,
 static std::optional<Candidate> getCandidate(LaunchOp launch,
                                              SymbolTable &symbols) {
   auto kernel = symbols.lookup<KernelOp>(launch.getKernel());
-  // A sequence under a tape is differentiated launch by launch.
+  // Launches under a tape are differentiated one by one.
   if (!kernel || kernel.isExternal() || launch.getNumResults() != 0 ||
       launch->getParentWithTrait<RecordsLaunches>() ||
       llvm::any_of(kernel.getArgumentTypes(),
@@ -116,8 +116,8 @@ static ValueRange getIndices(Operation *access) {
       .Case<LoadOp, StoreOp, AtomicOp>([](auto op) { return op.getIndices(); });
 }
 
-/// The form with the host's operands for arguments of the kernel, and with the
-/// given induction variables.
+/// The form with the operands of the launch in place of the kernel's arguments,
+/// and `ivs` in place of its induction variables.
 static IndexExpr translate(const IndexExpr &form, Candidate &from,
                            ValueRange ivs) {
   return form.substitute([&](Value value) -> std::optional<IndexExpr> {
@@ -139,8 +139,8 @@ static bool isSum(Operation *access) {
           atomic.getKind() == AtomicKind::Sub);
 }
 
-/// True if iterations of the first loop and other iterations of the second one
-/// never meet by these accesses, or may meet in any order.
+/// True if accesses `a` and `b` never reach one element in different iterations
+/// of the two loops, or if their order does not matter.
 static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
                            Operation *b) {
   if (getStorageKey(a) != getStorageKey(b) ||
@@ -160,13 +160,13 @@ static bool areIndependent(Candidate &first, Operation *a, Candidate &second,
       common.push_back(one);
       continue;
     }
-    // Different rows, whatever the iterations are.
+    // The indices differ in all pairs of iterations.
     bool isFixed =
         one.allOf([&](Value value) { return !llvm::is_contained(ivs, value); });
     if (isFixed && areDistinct(one, other))
       return true;
   }
-  // Dimensions of one iteration tell nothing apart, and need not.
+  // Dimensions with one iteration need not be told apart.
   SmallVector<Value> running;
   for (auto [d, iv] : llvm::enumerate(ivs))
     if (second.box.upper[d] - second.box.lower[d] > 1)
@@ -192,17 +192,17 @@ static bool canFuse(Candidate &first, Candidate &second) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The origin of an argument of the second kernel: an argument of the new one,
-/// and a difference to add.
+/// An argument of the second kernel, in the new kernel: an argument of the new
+/// kernel plus a constant.
 struct Source {
   unsigned argument;
   int64_t difference = 0;
 };
 } // namespace
 
-/// Finds operands of the new launch for those of the second one: an operand
-/// that differs by a constant from one that is passed already is computed from
-/// that, so that common accesses of both kernels are recognised.
+/// Finds an operand of the new launch for an operand of the second launch. An
+/// operand that differs by a constant from one in `operands` is computed from
+/// that one, so that common accesses of both kernels are recognised.
 static Source getSource(Value operand, SmallVectorImpl<Value> &operands) {
   for (auto [i, known] : llvm::enumerate(operands)) {
     if (known == operand)
@@ -350,7 +350,7 @@ struct FuseLaunches : tai::impl::FuseLaunchesBase<FuseLaunches> {
     for (Operation &op : llvm::make_early_inc_range(block)) {
       auto launch = dyn_cast<LaunchOp>(op);
       if (!launch) {
-        // The host's arithmetic may come before the first launch as well.
+        // Arithmetic of the host can also run before the first launch.
         if (op.getNumRegions() != 0 || !isMemoryEffectFree(&op))
           last.reset();
         continue;
@@ -368,7 +368,7 @@ struct FuseLaunches : tai::impl::FuseLaunchesBase<FuseLaunches> {
       last = getCandidate(fused, symbols);
       made.insert(symbols.lookup(fused.getKernel()));
       ++numFused;
-      // One that was made in between and is launched no more.
+      // A fused kernel that was fused again is no longer launched.
       if (isTemporary) {
         made.erase(before);
         symbols.erase(before);

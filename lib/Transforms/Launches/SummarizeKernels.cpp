@@ -5,7 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The tape skips launches, and later fuses them, by these summaries.
+// Summarizes the accesses of kernels: the tape skips and fuses launches by
+// these summaries.
 //
 //===----------------------------------------------------------------------===//
 
