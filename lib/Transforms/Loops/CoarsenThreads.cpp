@@ -53,10 +53,11 @@ using namespace mlir::tai;
 
 /// The bytes that a thread reads and writes at once.
 constexpr int64_t kVectorBytes = 16;
-/// Iterations of a tile: a block, or several.
+/// The number of iterations of a tile, which one or several blocks run.
 constexpr int64_t kTileSize = 256;
 constexpr int64_t kWidestTile = 32, kNarrowestTile = 8;
-/// More values in flight than this would take the registers of other threads.
+/// The maximal number of loads of an iteration: more values in flight would
+/// take the registers of other threads.
 constexpr int64_t kMaxLoads = 16;
 
 namespace {
@@ -65,9 +66,10 @@ struct Strips {
   LoopBox box;
   /// Elements of a strip, and the index of the first element of the first.
   int64_t width = 0, first = 0;
-  /// Strips and rows of a tile; none where rows share nothing.
+  /// Strips and rows of a tile; 0 if there are no tiles.
   int64_t tileStrips = 0, tileRows = 0;
-  /// Where all of `answers` hold, for each index, and values are the same.
+  /// The interior, by index. In it, each condition of `answers` has the given
+  /// value, and each value of `same` equals the other one.
   SmallVector<int64_t> lower, upper;
   SmallVector<std::pair<Value, bool>> answers;
   SmallVector<std::pair<Value, Value>> same;
@@ -83,8 +85,8 @@ struct Strips {
 // Loops that can be cut, and their gain
 //===----------------------------------------------------------------------===//
 
-/// True for loops of loads, stores, arithmetic and branches: iterations that
-/// may run in any order, so also a step of each at a time.
+/// True for loops of loads, stores, arithmetic and branches: their iterations
+/// can run in any order, and so also interleaved op by op.
 static bool isSimple(ParallelForOp loop, int64_t maxOps) {
   int64_t ops = 0, loads = 0;
   WalkResult result = loop.getBody().walk([&](Operation *op) {
@@ -113,7 +115,7 @@ static ValueRange getIndices(Operation *access) {
       .Default([](Operation *) { return ValueRange(); });
 }
 
-/// The loop index that an integer expression depends on, if it is one alone.
+/// The loop index that an integer expression depends on, if it is only one.
 static std::optional<unsigned> getVariable(LoopBox &box, Value value) {
   SmallVector<Value> variables;
   if (matchPattern(value, m_Constant()) ||
@@ -123,8 +125,9 @@ static std::optional<unsigned> getVariable(LoopBox &box, Value value) {
   return box.find(variables.front());
 }
 
-/// Narrows the interior to where the answer is as in the middle. Not where that
-/// divides the loop into large parts: the question is asked there, too.
+/// Narrows the interior to the range in which `condition` is constant, and
+/// returns its value there. Nullopt if large parts of the loop would remain, in
+/// which the condition is evaluated as well.
 static std::optional<bool> narrow(Strips &strips, Value condition, unsigned k) {
   LoopBox &box = strips.box;
   std::optional<ConstantStretch> stretch = getConstantStretch(
@@ -137,11 +140,11 @@ static std::optional<bool> narrow(Strips &strips, Value condition, unsigned k) {
   return stretch->answer;
 }
 
-/// Decides which of two numbers a minimum or maximum is, inside.
+/// The operand that a minimum or maximum equals in the interior, or null.
 static Value chooseExtreme(Strips &strips, Operation *op, unsigned k) {
   bool isMin = isa<arith::MinSIOp>(op);
   OpBuilder builder(op);
-  // Asked of an op that does not stay.
+  // A temporary op, for the analysis alone.
   auto isFirst = arith::CmpIOp::create(builder, op->getLoc(),
                                        isMin ? arith::CmpIPredicate::sle
                                              : arith::CmpIPredicate::sge,
@@ -151,7 +154,7 @@ static Value chooseExtreme(Strips &strips, Operation *op, unsigned k) {
   return answer ? op->getOperand(*answer ? 0 : 1) : Value();
 }
 
-/// Finds the facts about all elements but those at borders.
+/// Finds the interior, and the conditions and extrema that are constant in it.
 static void findInterior(Strips &strips) {
   LoopBox &box = strips.box;
   strips.lower = box.lower;
@@ -174,9 +177,9 @@ static void findInterior(Strips &strips) {
   }
 }
 
-/// The distance of the elements of two consecutive iterations, in bytes, inside
-/// of the borders. Nothing for elements far apart; fills in the first index of
-/// the dimension.
+/// The distance, in bytes, of the elements that two consecutive iterations of
+/// the interior access. Nullopt if they are far apart. `origin` gets the first
+/// index of the dimension.
 static std::optional<int64_t> getStride(Operation *access, Strips &strips,
                                         const FieldInfo &field,
                                         int64_t &origin) {
@@ -208,8 +211,8 @@ static std::optional<int64_t> getStride(Operation *access, Strips &strips,
   return stride && *stride < kVectorBytes ? stride : std::nullopt;
 }
 
-/// Chooses the width of a strip: none if the loop's reads and writes are not
-/// adjacent.
+/// Chooses the width of a strip. False if consecutive iterations do not access
+/// adjacent elements.
 static bool chooseWidth(Strips &strips, FieldTable &fields) {
   LoopBox &box = strips.box;
   int64_t together = 0, apart = 0, smallest = kVectorBytes, origin = 0;
@@ -219,7 +222,7 @@ static bool chooseWidth(Strips &strips, FieldTable &fields) {
     auto field = fields.lookup(op, getNamedField(op));
     if (failed(field) || !(*field)->sparse.empty())
       return WalkResult::interrupt();
-    // Sums in registers are no accesses.
+    // Sums in registers do not access memory.
     if (auto atomic = dyn_cast<AtomicOp>(op); atomic && !atomic.getExclusive())
       return WalkResult::advance();
     int64_t first = 0;
@@ -244,7 +247,7 @@ static bool chooseWidth(Strips &strips, FieldTable &fields) {
          box.upper.back() - lower >= kNarrowestTile * strips.width;
 }
 
-/// True if something is read in another row than that of the iteration.
+/// True if an iteration reads an element of another row than its own.
 static bool readsOtherRows(LoopBox &box) {
   Value row = box.ivs().drop_back().back();
   return box.loop.getBody()
@@ -261,7 +264,7 @@ static bool readsOtherRows(LoopBox &box) {
       .wasInterrupted();
 }
 
-/// Chooses tiles of which few stand over the ends.
+/// Chooses a tile size of which few tiles extend past the ends.
 static void chooseTile(Strips &strips) {
   if (strips.getRank() < 2 || !readsOtherRows(strips.box))
     return;
@@ -284,7 +287,7 @@ static void chooseTile(Strips &strips) {
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// Clones the body for all elements of a strip, an operation of each at a time.
+/// Clones the body for all elements of a strip, interleaved op by op.
 class StripBuilder {
 public:
   StripBuilder(OpBuilder &builder, const Strips &strips,
@@ -306,7 +309,7 @@ private:
 };
 } // namespace
 
-/// The branch that all elements take, where that is known.
+/// The arm that all elements take; null if they take different arms.
 Block *StripBuilder::getTaken(scf::IfOp branch) {
   std::optional<bool> answer;
   for (IRMapping &element : elements) {
@@ -320,7 +323,7 @@ Block *StripBuilder::getTaken(scf::IfOp branch) {
 }
 
 void StripBuilder::clone(Operation &op, IRMapping &element) {
-  // A question that is answered.
+  // A condition that is constant in the interior.
   if (op.getNumResults() == 1 && element.contains(op.getResult(0)))
     return;
   if (Value chosen =
@@ -362,8 +365,7 @@ void StripBuilder::cloneBlock(Block &block) {
   }
 }
 
-/// Adds the test that `index` is in [lower, upper), unless all its possible
-/// values are.
+/// Adds to `condition` the test that `index` is in [lower, upper).
 static void addRangeTest(IndexMath &math, OpBuilder &builder, Location loc,
                          Value index, int64_t lower, int64_t upper,
                          Value &condition) {
@@ -408,7 +410,7 @@ static void rewrite(Strips &strips) {
   builder.setInsertionPointToStart(&cut.getBody().front());
   IndexMath math(builder, loc);
   SmallVector<Value> indices(cut.getInductionVars());
-  // Rows and strips past the end are those of tiles that stand over it.
+  // Tiles that extend past the end have additional rows and strips.
   int64_t lastRow = 0, lastStrip = numStrips;
   if (isTiled) {
     Value strip = indices.pop_back_val(), inTile = indices.pop_back_val();
@@ -459,7 +461,7 @@ static void rewrite(Strips &strips) {
     return;
   }
 
-  // At a border, an element after another.
+  // At a border, a loop visits the elements one after another.
   IndexMath outer(border, loc);
   if (isTiled && lastRow > strips.box.upper[row]) {
     Value isRow = arith::CmpIOp::create(border, loc, arith::CmpIPredicate::slt,
@@ -474,7 +476,7 @@ static void rewrite(Strips &strips) {
   Value end = rest.min(rest.add(indices.back(), rest.constant(strips.width)),
                        rest.constant(strips.box.upper.back()));
   auto each = scf::ForOp::create(border, loc, begin, end, rest.constant(1));
-  // Unrolled, it would be merged with the interior.
+  // If unrolled, this loop would be merged with the interior.
   MLIRContext *context = loop.getContext();
   auto unroll = LLVM::LoopUnrollAttr::get(
       context, /*disable=*/BoolAttr::get(context, true), {}, {}, {}, {}, {},
@@ -503,7 +505,7 @@ struct CoarsenThreads : tai::impl::CoarsenThreadsBase<CoarsenThreads> {
       return;
     std::optional<FieldTable> fields;
     for (LoopBox &box : findConstantBoxes(getOperation())) {
-      // Strips are not the iterations by which all targets order sums.
+      // All targets order these sums by the original iterations, not by strips.
       if (hasCommonTotals(box.loop))
         continue;
       std::optional<int64_t> count = getNumIterations(box.loop);

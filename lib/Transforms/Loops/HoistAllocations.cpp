@@ -27,7 +27,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// On the host, and on a device.
+/// An allocation on the host or on a device.
 static bool isAllocation(Operation *op) {
   auto call = dyn_cast<LLVM::CallOp>(op);
   return call &&
@@ -57,7 +57,8 @@ struct HoistAllocations : tai::impl::HoistAllocationsBase<HoistAllocations> {
   using Base::Base;
 
   void runOnOperation() override {
-    // Inner loops first: an op that leaves them may leave the next.
+    // Inner loops first: an allocation that leaves an inner loop may leave the
+    // next loop as well.
     walkOwned(getOperation(), [](Operation *owned) {
       owned->walk<WalkOrder::PostOrder>(
           [](scf::ForOp loop) { hoistFrom(loop); });

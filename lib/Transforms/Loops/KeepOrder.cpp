@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Runs while loops still name the field that they visit: the indices of a loop
-// over a sparse field come from a list later, about which nothing is known.
+// Runs while loops still name the field that they visit: later, the indices of
+// a loop over a sparse field are loaded from a list, which the analysis cannot
+// see through.
 //
 //===----------------------------------------------------------------------===//
 

@@ -49,7 +49,7 @@ static std::optional<int64_t> getOffsetFrom(Value value, Value iv) {
   return offset.constant;
 }
 
-/// The loop around a marked branch, if the branch is all that it does.
+/// The loop around a marked branch, if nothing else in the loop has an effect.
 static std::optional<Split> matchSplit(scf::IfOp branch) {
   auto interior = branch->getAttrOfType<DenseI64ArrayAttr>(kInterior);
   auto loop = dyn_cast<scf::ForOp>(branch->getParentOp());
@@ -59,7 +59,8 @@ static std::optional<Split> matchSplit(scf::IfOp branch) {
   for (Operation &op : loop.getBody()->without_terminator())
     if (&op != branch && !isMemoryEffectFree(&op))
       return std::nullopt;
-  // The test says how the loop's variable relates to the program's index.
+  // The test compares the program's index, which differs from the loop's
+  // variable by a constant.
   auto both = branch.getCondition().getDefiningOp<arith::AndIOp>();
   auto test = both ? both.getLhs().getDefiningOp<arith::CmpIOp>() : nullptr;
   if (!test)
@@ -90,7 +91,7 @@ static void createPart(OpBuilder &builder, Split &split, Value lower,
         }
         scf::YieldOp::create(nested, loc);
       });
-  // Facts about the iterations of the loop hold for these.
+  // Attributes with facts about the iterations of the loop hold for each part.
   part->setDiscardableAttrs(split.loop->getDiscardableAttrDictionary());
 }
 

@@ -31,29 +31,34 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Bits of the sums that are carried at once: a vector of AVX, or two where
-/// there are registers for them.
+/// Bits of the sums that all copies carry: an AVX vector, or two if there are
+/// enough registers.
 static constexpr unsigned kBits = 256;
-/// Ops of an iteration, but those of indices, up to which there are.
+/// The maximal number of ops of an iteration, without the computation of
+/// indices, for which there are enough registers.
 static constexpr unsigned kFewOps = 10;
-/// Strides of which LLVM makes vectors by loading all that lies between.
+/// The largest stride for which LLVM vectorises loads, by also loading the
+/// elements in between.
 static constexpr int64_t kMaxStride = 8;
-/// Ops of an iteration beyond which registers, or the cache of code, run out.
+/// The maximal number of ops of an iteration: beyond it, registers or the
+/// instruction cache run out.
 static constexpr unsigned kMaxOps = 64;
-/// Operations on floats for each load by a loaded index, from which on copies
-/// with bounds of their own pay.
+/// Operations on floats for each load by a loaded index that make copies with
+/// different bounds pay.
 static constexpr unsigned kFloatsOfScattered = 4;
-/// Iterations that such copies have in common, if they are to be jammed.
+/// Iterations that copies with different bounds must have in common.
 static constexpr int64_t kFewCommon = 8;
-/// Loops of up to so many instructions in all are better left to LLVM, which
-/// unrolls them completely and then makes vectors of whole iterations of the
-/// loop around them. It does so up to 300, but beyond these jamming is faster.
+/// Loops of at most this number of instructions in all iterations are left to
+/// LLVM, which unrolls them completely and then vectorises the loop around
+/// them. LLVM does so up to 300 instructions, but above this number jamming is
+/// faster.
 static constexpr int64_t kUnrolledOps = 120;
 
 static constexpr StringLiteral kLoopAnnotation = "llvm.loop_annotation";
 
-/// Tells LLVM that a loop has its vectors: across iterations of another. With
-/// `isRest` it is the remainder of a copy: sums that are few, and many loops.
+/// Tells LLVM not to vectorise a loop: its vectors are across iterations of the
+/// loop around it. With `isRest`, for the remainder of a copy, LLVM does not
+/// unroll the loop either: such loops are many, and short.
 static LLVM::LoopAnnotationAttr getNotVectorized(MLIRContext *context,
                                                  bool isRest = false) {
   BoolAttr yes = BoolAttr::get(context, true);
@@ -74,7 +79,8 @@ struct Candidate {
   /// Width of the widest sum that a serial loop carries; 0 if there is none.
   unsigned sumBits = 0;
   unsigned ops = 0;
-  /// Without those that compute indices, which copies share or addresses hold.
+  /// The ops without those that compute indices, which copies share or
+  /// addresses include.
   unsigned fewOps = 0;
   /// Whether copies have bounds of their own, and each a loop for the
   /// remainder.
@@ -89,7 +95,7 @@ struct Candidate {
   }
 };
 
-/// Copies of iterations, side by side.
+/// Emits copies of several iterations, interleaved op by op.
 class Jammer {
 public:
   Jammer(OpBuilder &builder, unsigned factor)
@@ -126,7 +132,7 @@ private:
       builder.clone(op, copy);
   }
 
-  /// Whether all copies would compute the same.
+  /// Whether all copies would compute the same value.
   bool isShared(Operation &op) const {
     return isMemoryEffectFree(&op) &&
            llvm::all_of(op.getOperands(),
@@ -163,8 +169,8 @@ private:
       jamCommonPart(loop);
   }
 
-  /// Emits one loop in the place of those of all copies. Its index is theirs,
-  /// or the distance from the start of each of them.
+  /// Emits one loop in place of the loops of all copies. Its index is the index
+  /// of all of them, or, with `isCounter`, the distance from the start of each.
   void jam(scf::ForOp loop, Value lower, Value upper, Value step,
            bool isCounter) {
     Location loc = loop.getLoc();
@@ -201,8 +207,8 @@ private:
     jammed->setAttr(kLoopAnnotation, getNotVectorized(loop.getContext()));
   }
 
-  /// The common iterations of all copies are jammed; the additional ones of a
-  /// copy come after.
+  /// The iterations that all copies have in common are jammed; each copy then
+  /// runs its additional iterations.
   void jamCommonPart(scf::ForOp loop) {
     Location loc = loop.getLoc();
     Type type = loop.getInductionVar().getType();
@@ -214,7 +220,7 @@ private:
     for (unsigned copy = 0; copy < copies.size(); ++copy) {
       Value lower = lookup(copy, loop.getLowerBound());
       Value upper = lookup(copy, loop.getUpperBound());
-      // The difference of bounds that are far apart may have any sign.
+      // The difference of bounds that are far apart may overflow.
       Value some = arith::CmpIOp::create(
           builder, loc, arith::CmpIPredicate::slt, lower, upper);
       Value count = arith::SubIOp::create(builder, loc, upper, lower);
@@ -255,7 +261,7 @@ private:
 };
 } // namespace
 
-/// The groups of accesses that do not depend on those of other iterations.
+/// The groups of accesses that do not depend on accesses of other iterations.
 static ArrayRef<LLVM::AccessGroupAttr> getParallelAccesses(scf::ForOp loop) {
   auto annotation =
       loop->getAttrOfType<LLVM::LoopAnnotationAttr>(kLoopAnnotation);
@@ -263,7 +269,7 @@ static ArrayRef<LLVM::AccessGroupAttr> getParallelAccesses(scf::ForOp loop) {
                     : ArrayRef<LLVM::AccessGroupAttr>();
 }
 
-/// Whether an op of one iteration may change places with those of another.
+/// Whether an op may be reordered with ops of other iterations.
 static bool isIndependent(Operation *op,
                           ArrayRef<LLVM::AccessGroupAttr> groups) {
   if (isMemoryEffectFree(op))
@@ -280,8 +286,8 @@ static bool isIndependent(Operation *op,
          });
 }
 
-/// True if no index of the loop goes into the value. Each value is looked at
-/// once: an index may use one value many times over.
+/// True if the value does not depend on the index of the loop. `known` keeps
+/// the answers, because an index may use one value many times.
 static bool isUniform(Value value, scf::ForOp loop,
                       DenseMap<Value, bool> &known) {
   Operation *op = value.getDefiningOp();
@@ -295,8 +301,8 @@ static bool isUniform(Value value, scf::ForOp loop,
   return known[value] = is;
 }
 
-/// By how much the index grows from one iteration to the next; none if that is
-/// not always the same.
+/// The difference of the index from one iteration to the next; nullopt if it is
+/// not constant.
 static std::optional<int64_t> getStride(IndexBuilder &builder, Value index,
                                         scf::ForOp loop) {
   DenseMap<Value, bool> known;
@@ -308,7 +314,8 @@ static std::optional<int64_t> getStride(IndexBuilder &builder, Value index,
   return stride;
 }
 
-/// Whether vectors of terms of this loop would be gathered from far apart.
+/// Whether vectors over the iterations of this loop would gather elements that
+/// are far apart.
 static bool readsColumns(scf::ForOp loop) {
   IndexBuilder builder;
   return llvm::any_of(loop.getBody()->getOps<LLVM::LoadOp>(), [&](auto load) {
@@ -322,8 +329,8 @@ static bool readsColumns(scf::ForOp loop) {
   });
 }
 
-/// The width of a sum that the loop carries: an operation on floats of the last
-/// iteration's value, which may not be taken out of order.
+/// The width of the widest sum that the loop carries, an operation on the float
+/// of the iteration before, whose order must be kept; 0 if there is none.
 static unsigned getSumBits(scf::ForOp loop) {
   unsigned bits = 0;
   for (auto [argument, yielded] :
@@ -338,7 +345,7 @@ static unsigned getSumBits(scf::ForOp loop) {
   return bits;
 }
 
-/// Counts the ops of a branch whose both sides may run in the place of one.
+/// Counts the ops of a branch. False if its sides cannot both be executed.
 static bool visit(scf::IfOp branch, Candidate &candidate) {
   if (!branch.getNumResults())
     return false;
@@ -355,13 +362,13 @@ static bool visit(scf::IfOp branch, Candidate &candidate) {
   return !result.wasInterrupted();
 }
 
-/// Whether LLVM will leave nothing of the loop. Addresses are free.
+/// Whether LLVM will unroll the loop completely. Addresses are free.
 static bool isUnrolledByLLVM(scf::ForOp loop) {
   std::optional<llvm::APInt> trips = loop.getStaticTripCount();
   if (!trips)
     return false;
-  // Values that depend on neither the index nor loop-carried values leave the
-  // loop.
+  // Values that depend on neither the index nor carried values are hoisted out
+  // of the loop.
   llvm::SmallDenseSet<Value> varying;
   varying.insert(loop.getInductionVar());
   varying.insert_range(loop.getRegionIterArgs());
@@ -396,9 +403,10 @@ static bool dependsOnLoads(Value value, Operation *scope) {
   return false;
 }
 
-/// Whether it pays to jam a loop whose bounds each copy has for itself. Copies
-/// that start where data says read from all over; and so do loads by indices
-/// that were loaded, which are worth it where much is computed of them.
+/// Whether it pays to jam a loop whose bounds differ between copies. If loaded
+/// data decide where the copies start, they read from places that are far
+/// apart. Loads by loaded indices do so as well, and pay if there are enough
+/// operations on floats.
 static bool paysUnevenly(scf::ForOp loop, Operation *around) {
   if (dependsOnLoads(loop.getLowerBound(), around))
     return false;
@@ -433,12 +441,12 @@ static bool visit(Block &body, Candidate &candidate,
       candidate.count(op);
       continue;
     }
-    // Jammed loops compare their indices with a sign.
+    // Jammed loops compare their indices as signed numbers.
     if (loop.getUnsignedCmp())
       return false;
     unsigned bits = getSumBits(loop);
     bool holdsLoops = !loop.getBody()->getOps<scf::ForOp>().empty();
-    // The copies leave the loop together, or each goes on by itself.
+    // Copies with equal bounds leave the loop together.
     bool isUniformLoop =
         isUniform(loop.getLowerBound()) && isUniform(loop.getUpperBound());
     if (!isUniform(loop.getStep()) ||
@@ -446,11 +454,10 @@ static bool visit(Block &body, Candidate &candidate,
          (holdsLoops || !matchPattern(loop.getStep(), m_One()) ||
           !paysUnevenly(loop, candidate.loop))))
       return false;
-    // A loop that carries nothing is better off with vectors of its own.
+    // A loop that carries no sums is better vectorised by itself.
     if ((!bits && !holdsLoops) || isUnrolledByLLVM(loop))
       return false;
-    // Vectors are also better for a loop whose sums may be added up in any
-    // order.
+    // So is a loop whose sums may be added up in any order.
     if (reassociate && !holdsLoops && !readsColumns(loop))
       return false;
     candidate.sumBits = std::max(candidate.sumBits, bits);
@@ -478,8 +485,8 @@ static void apply(const Candidate &candidate) {
   int64_t factor = kBits / std::max(candidate.sumBits, 32u);
   if (candidate.fewOps <= kFewOps && !candidate.isUneven)
     factor *= 2;
-  // Copies beyond the iterations there are would leave all of these to the
-  // rest.
+  // With more copies than iterations, all iterations would be left to the
+  // remainder loop.
   std::optional<llvm::APInt> trips = loop.getStaticTripCount();
   while (trips && factor > 2 && trips->ult(factor))
     factor /= 2;

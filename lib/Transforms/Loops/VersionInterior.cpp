@@ -32,13 +32,13 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// A question about the innermost index, and its answer in the interior.
+/// A condition on the innermost index, and its value in the interior.
 struct Condition {
   Value value;
   bool answer;
 };
 
-/// The range in which all conditions of a loop have one answer.
+/// The range in which all conditions of a loop are constant.
 struct Interior {
   int64_t lower, upper;
   SmallVector<Condition> conditions;
@@ -61,7 +61,7 @@ static SmallVector<Value> collectConditions(LoopBox &box, Value iv) {
   return conditions;
 }
 
-/// Narrows `interior` to where `condition` answers as it does in the middle.
+/// Narrows `interior` to the range in which `condition` is constant.
 static bool narrow(Interior &interior, Value condition, Value iv) {
   std::optional<ConstantStretch> stretch =
       getConstantStretch(condition, iv, interior.lower, interior.upper);
@@ -73,8 +73,8 @@ static bool narrow(Interior &interior, Value condition, Value iv) {
   return true;
 }
 
-/// The interior of the loop, if it is worth a body of its own: conditions are
-/// asked, and the borders are thin.
+/// The interior of the loop, if it is worth a body of its own: there are
+/// conditions, and the borders are thin.
 static std::optional<Interior> findInterior(LoopBox &box, int64_t minLength) {
   unsigned last = box.ivs().size() - 1;
   Value iv = box.ivs()[last];
@@ -92,7 +92,8 @@ static std::optional<Interior> findInterior(LoopBox &box, int64_t minLength) {
   return interior;
 }
 
-/// Wraps the body of the loop in an `scf.if` that asks once.
+/// Puts the body of the loop into both arms of an `scf.if` that tests whether
+/// the iteration is in the interior.
 static void split(LoopBox &box, const Interior &interior) {
   Location loc = box.loop.getLoc();
   Block &body = box.body();
@@ -110,7 +111,7 @@ static void split(LoopBox &box, const Interior &interior) {
   branch->setAttr("tai.interior", builder.getDenseI64ArrayAttr(
                                       {interior.lower, interior.upper}));
 
-  // The border gets the body as it was.
+  // The arm for the borders gets the original body.
   Block &border = branch.getElseRegion().front();
   border.getOperations().splice(border.begin(), body.getOperations(),
                                 std::next(branch->getIterator()),
