@@ -36,7 +36,7 @@ static Rotation emitRotation(ScalarMath &math, Value p, Value q, Value r) {
   Value negative = math.less(half, zero);
   Value divisor =
       math.add(half, math.select(negative, math.neg(length), length));
-  // Already diagonal, with equal values: any rotation does, the identity too.
+  // A diagonal matrix with equal values: any rotation does, so the identity.
   Value none = math.equal(divisor, zero);
   Value t =
       math.div(math.select(none, zero, q), math.select(none, one, divisor));
@@ -57,8 +57,8 @@ static void emitRotateColumns(ScalarMath &math, MutableArrayRef<Value> matrix,
   }
 }
 
-/// Exchanges columns p and q where `condition` holds; one changes its sign, so
-/// that a rotation stays one.
+/// Exchanges columns p and q where `condition` holds. One column changes its
+/// sign, so that a rotation matrix stays a rotation.
 static void emitSwapColumns(ScalarMath &math, MutableArrayRef<Value> matrix,
                             unsigned n, unsigned p, unsigned q,
                             Value condition) {
@@ -86,8 +86,8 @@ static Components emitIdentity(ScalarMath &math, Type type, unsigned n) {
 /// The pairs of columns of one sweep.
 static constexpr unsigned kPairs[3][2] = {{0, 1}, {0, 2}, {1, 2}};
 
-/// Runs `sweep` on the state until converged, as a loop: code size matters more
-/// than the branch.
+/// Runs `sweep` on the state often enough to converge, in a loop: code size
+/// matters more than the branch.
 static Components
 emitSweeps(ScalarMath &math, Components state,
            function_ref<void(ScalarMath &, MutableArrayRef<Value>)> sweep) {
@@ -114,8 +114,8 @@ emitSweeps(ScalarMath &math, Components state,
 //===----------------------------------------------------------------------===//
 
 /// A matrix divided by its largest entry, so that squares neither overflow nor
-/// vanish. `scale` is the factor to multiply by afterwards, `empty` whether it
-/// is 0.
+/// vanish. `scale` is the factor to multiply by afterwards, `empty` whether the
+/// factor is 0.
 static Components emitScaled(ScalarMath &math, ArrayRef<Value> a, Value &scale,
                              Value &empty) {
   Type type = a[0].getType();
@@ -188,8 +188,8 @@ SymEig tai::emitSymEig(ScalarMath &math, ArrayRef<Value> matrix, unsigned n) {
 //===----------------------------------------------------------------------===//
 
 /// A point multiplied by a power of two where its squares would over- or
-/// underflow, and its distance to zero. As for norms, the branch is the same
-/// for almost all points: selects on the way to the root cost a tenth of a
+/// underflow, and its distance from the origin. Almost all points take the same
+/// arm of the branch: selects before the root instead would cost a tenth of a
 /// step of MLS-MPM.
 static std::array<Value, 3> emitScaledPoint(ScalarMath &math, Value x,
                                             Value y) {
@@ -203,7 +203,7 @@ static std::array<Value, 3> emitScaledPoint(ScalarMath &math, Value x,
   };
   int limit = isDouble ? 960 : 100, factor = isDouble ? 600 : 100;
   OpBuilder &builder = math.getBuilder();
-  // Not for NaN, either.
+  // False for NaN as well.
   Value isInRange = arith::AndIOp::create(
       builder, math.getLoc(), math.lessOrEqual(power(math, -limit), square),
       math.lessOrEqual(square, power(math, limit)));
@@ -238,11 +238,11 @@ static Components emitRotation2(ScalarMath &math, ArrayRef<Value> a) {
   return {c, math.neg(s), s, c};
 }
 
-/// Any unit vector across a unit vector, and continuous almost everywhere.
+/// A unit vector perpendicular to `u`, continuous in `u` almost everywhere.
 static Components emitPerpendicular(ScalarMath &math, ArrayRef<Value> u) {
   Type type = u[0].getType();
   Value zero = math.constant(type, 0);
-  // Across the axis that u is farthest from.
+  // Perpendicular to u and to a coordinate axis that is far from u.
   Value small = math.less(math.abs(u[0]), math.constant(type, 0.6));
   Components candidate = {math.select(small, zero, math.neg(u[2])),
                           math.select(small, u[2], zero),
@@ -257,8 +257,8 @@ static Components getColumn(ArrayRef<Value> matrix, unsigned column) {
   return {matrix[column], matrix[3 + column], matrix[6 + column]};
 }
 
-/// One-sided Jacobi: rotations from the right make the columns of A orthogonal;
-/// they are then U Σ, and the rotations are V.
+/// One-sided Jacobi: rotations from the right make the columns of A orthogonal.
+/// The result is U Σ, and the product of the rotations is V.
 static Svd emitSvd3(ScalarMath &math, ArrayRef<Value> a) {
   Type type = a[0].getType();
   Value zero = math.constant(type, 0), one = math.constant(type, 1);

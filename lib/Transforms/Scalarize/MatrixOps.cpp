@@ -58,7 +58,7 @@ static Components emitCofactors(ScalarMath &math, ArrayRef<Value> a,
   return cofactors;
 }
 
-/// The adjugate times one by the determinant.
+/// The adjugate times the reciprocal of the determinant.
 static Components emitAdjugateOver(ScalarMath &math, ArrayRef<Value> cofactors,
                                    Value determinant, unsigned n) {
   Value one = math.constant(determinant.getType(), 1);
@@ -71,11 +71,11 @@ static Components emitAdjugateOver(ScalarMath &math, ArrayRef<Value> cofactors,
 }
 
 /// Adjugate over determinant. The determinant is a product of n entries, and
-/// leaves the range of floats where those of the inverse do not: of 3×3
-/// matrices in f32 already at entries of 1e-13. Only then the matrix is divided
-/// by its largest entry before. As for norms, the branch is the same for almost
-/// all matrices; LLVM is told so, or it computes both sides for vectors of
-/// them.
+/// can leave the range of floats where the entries of the inverse do not: for
+/// 3×3 matrices in f32 already at entries of 1e-13. Only then is the matrix
+/// divided by its largest entry first. Almost all matrices take the same arm of
+/// this branch; LLVM is told so, or it would compute both arms for vectors of
+/// matrices.
 static Components emitInverse(ScalarMath &math, ArrayRef<Value> a, unsigned n) {
   Type type = a[0].getType();
   if (n == 1)
@@ -159,9 +159,9 @@ static Components emitSolve(ScalarMath &math, ArrayRef<Value> matrix,
 }
 
 /// The norm. Squares under- and overflow at half the exponents of the type;
-/// only then components are scaled by a power of two, which is exact. The
-/// branch is the same for almost all vectors, so that it costs little more than
-/// its question.
+/// only then components are scaled by a power of two, which is exact. Almost
+/// all vectors take the same arm of this branch, so that it costs little more
+/// than its condition.
 static Value emitNorm(ScalarMath &math, ArrayRef<Value> values, bool fast) {
   Type type = values[0].getType();
   if (values.size() == 1)

@@ -17,16 +17,16 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Up to how many components selects are faster: in a loop, where they would be
-/// carried in as many registers and nothing becomes vectors of iterations, and
-/// elsewhere.
+/// The number of components up to which selects are faster than memory: in a
+/// loop, which would carry each component in a register and would not become
+/// vectors of iterations, and elsewhere.
 static constexpr int64_t kMaxInLoop = 6, kMaxElsewhere = 16;
-/// The limit of a function's vectors on the stack, which is small in threads.
+/// The maximal bytes of a function's vectors on the stack, small in threads.
 static constexpr int64_t kMaxBytes = 1 << 15;
-/// Accesses to vectors in a function that need copies: the time in which
-/// upstream finds these grows with the third power of their number.
+/// The maximal number of accesses to vectors that need copies in a function:
+/// upstream's time to find the copies grows with its third power.
 static constexpr int64_t kMaxAccesses = 200;
-/// Pairs of a vector and a write to one that it is connected with.
+/// The maximal number of pairs of a vector and a write to a connected vector.
 static constexpr int64_t kMaxPairs = 1 << 22;
 
 //===----------------------------------------------------------------------===//
@@ -159,7 +159,7 @@ static bool mayFollow(OpOperand &use, Operation *writer) {
   return !isa<scf::IfOp, scf::IndexSwitchOp>(common);
 }
 
-/// Whether no vector lives where another one is written.
+/// Whether no vector is still used after another one has been written.
 static bool canShareBuffer(ArrayRef<Value> members, DominanceInfo &dominance) {
   // The arguments of a block are all written at its start.
   if (llvm::count_if(members, [](Value member) {
@@ -214,7 +214,8 @@ void MemoryVectors::choose(ArrayRef<Value> members, DominanceInfo &dominance) {
 
 MemoryVectors::MemoryVectors(FunctionOpInterface function, bool withCopies)
     : withCopies(withCopies) {
-  // By the largest of them that stays a vector of scalars.
+  // Vectors that are accessed at a position computed at run time, and the
+  // number of components up to which they stay scalars.
   SmallVector<std::pair<Value, int64_t>> roots;
   function.walk([&](Operation *op) {
     joinValuesOf(op);

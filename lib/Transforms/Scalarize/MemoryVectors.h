@@ -16,11 +16,10 @@
 
 namespace mlir::tai {
 
-/// Whether the op only says which of its regions run.
+/// Whether the op is a loop or branch of the scf dialect.
 bool isControlFlow(Operation *op);
 
-/// The op around the op or value, or around the loops and branches that it is
-/// in.
+/// The innermost op around the given op or value that is no control flow.
 Operation *getScope(Operation *op);
 Operation *getScope(Value value);
 
@@ -28,13 +27,13 @@ Operation *getScope(Value value);
 /// full.
 bool isComponentRead(Operation *op);
 bool isComponentWrite(Operation *op);
-/// Whether it is one of these and says the position at run time.
+/// Whether the op is such a read or write, at a position computed at run time.
 bool isAtRunTime(Operation *op);
 
 /// The vectors of a function that go to memory.
 class MemoryVectors {
 public:
-  /// With those that need copies, or without.
+  /// Chooses vectors, with `withCopies` also vectors that need copies.
   MemoryVectors(FunctionOpInterface function, bool withCopies);
 
   bool empty() const { return chosen.empty(); }
@@ -65,7 +64,7 @@ private:
   bool withCopies;
   unsigned numBuffers = 0;
   int64_t bytes = 0, pairs = 0;
-  /// To vectors that need copies.
+  /// The number of accesses to vectors that need copies.
   int64_t accesses = 0;
 };
 

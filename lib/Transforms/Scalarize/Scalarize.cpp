@@ -73,8 +73,8 @@ Components Scalarizer::indicesOf(VectorType type, int64_t position) {
 // Structure: ops that carry values
 //===----------------------------------------------------------------------===//
 
-/// Inserts an argument for each component behind each vector argument. The old
-/// arguments go when nothing uses them any more.
+/// Inserts an argument for each component after each vector argument. The
+/// vector arguments are erased at the end.
 void Scalarizer::expandArguments(Block &block) {
   for (unsigned i = 0; i < block.getNumArguments(); ++i) {
     BlockArgument argument = block.getArgument(i);
@@ -136,7 +136,7 @@ LogicalResult Scalarizer::processStructure(Operation *op) {
   return success();
 }
 
-/// Values that cross the border of the function keep their type.
+/// Values that are passed to or returned by functions keep their type.
 LogicalResult Scalarizer::processBoundary(Operation *op) {
   OpBuilder builder(op);
   for (OpOperand &operand : op->getOpOperands())
@@ -222,8 +222,8 @@ void Scalarizer::processLocal(Operation *op) {
   dead.push_back(op);
 }
 
-/// tai.print and tai.assert: components stand one after another, and an
-/// attribute keeps their number.
+/// tai.print and tai.assert: the components of all values in a row, and an
+/// attribute with the number of components of each value.
 void Scalarizer::processMessage(Operation *op) {
   auto print = dyn_cast<PrintOp>(op);
   auto assertion = dyn_cast<AssertOp>(op);
@@ -305,7 +305,7 @@ void Scalarizer::processElementwise(Operation *op) {
   dead.push_back(op);
 }
 
-/// The components of a constant: one op for each distinct number.
+/// The components of a constant; all components of a splat are one op.
 static Components expandConstant(arith::ConstantOp op, DenseElementsAttr dense,
                                  OpBuilder &builder) {
   Components components;
@@ -460,7 +460,7 @@ LogicalResult Scalarizer::run() {
     if (!llvm::is_contained(arguments, &op) && failed(process(&op)))
       return failure();
 
-  // Uses come after definitions, so the last is unused first.
+  // Erase backwards, because uses come after definitions.
   for (Operation *op : llvm::reverse(dead)) {
     op->dropAllUses();
     op->erase();

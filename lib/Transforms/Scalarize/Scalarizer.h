@@ -54,7 +54,7 @@ private:
   SmallVector<BlockArgument> deadArguments;
 };
 
-/// Expands an op of the vector dialect; nullopt if it is not known.
+/// Expands an op of the vector dialect; nullopt if it is not supported.
 std::optional<LogicalResult> expandVectorOp(Operation *op,
                                             Scalarizer &scalarizer);
 

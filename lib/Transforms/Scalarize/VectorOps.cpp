@@ -57,7 +57,7 @@ static Value isAt(OpBuilder &builder, Location loc, Value index,
 }
 
 /// Calls `visit(position, condition)` for each leading position that `indices`
-/// may be; the condition is null where it always holds.
+/// can have; the condition is null if it always holds.
 static void forEachPosition(
     OpBuilder &builder, Location loc, ArrayRef<OpFoldResult> indices,
     ArrayRef<int64_t> shape,
@@ -66,7 +66,7 @@ static void forEachPosition(
   for (auto [index, extent] : llvm::zip(indices, shape)) {
     auto &choice = choices.emplace_back();
     if (std::optional<int64_t> constant = getConstantIntValue(index)) {
-      // Beyond the vector, and at -1, is poison.
+      // A position outside of the vector, such as -1, is poison.
       if (*constant >= 0 && *constant < extent)
         choice.push_back({*constant, Value()});
       continue;
@@ -112,8 +112,8 @@ static void expandExtract(vector::ExtractOp op, Scalarizer &scalarizer) {
                           : value;
         }
       });
-  // A position that is not there takes the first component, as one does that
-  // turns out not to be there when it runs.
+  // A constant position out of range takes the first component, as does a
+  // position that is out of range at run time.
   for (int64_t i = 0; i != count; ++i)
     if (!result[i])
       result[i] = source[i];
@@ -142,7 +142,7 @@ static void expandInsert(vector::InsertOp op, Scalarizer &scalarizer) {
   scalarizer.set(op.getResult(), std::move(result));
 }
 
-/// Numpy's rule from the right: missing and unit dimensions are repeated.
+/// As in NumPy, from the right: missing and unit dimensions are repeated.
 static void expandBroadcast(vector::BroadcastOp op, Scalarizer &scalarizer) {
   Components source = scalarizer.get(op.getSource());
   ArrayRef<int64_t> from = getShape(op.getSourceType());

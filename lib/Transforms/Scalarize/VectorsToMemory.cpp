@@ -56,8 +56,7 @@ static bool hasPositionAtRunTime(FunctionOpInterface function) {
       .wasInterrupted();
 }
 
-/// Whether ops run in the order in which they stand, but for loops and branches
-/// that are ops.
+/// Whether all control flow is structured: no region has several blocks.
 static bool isStructured(FunctionOpInterface function) {
   return !function
               .walk([](Operation *op) {
@@ -69,8 +68,8 @@ static bool isStructured(FunctionOpInterface function) {
               .wasInterrupted();
 }
 
-/// Makes vectors from outside anew where ops use them that may keep them: the
-/// iterations of a parallel loop would otherwise share a buffer.
+/// Copies vectors from an outer scope for ops that could reuse their buffer:
+/// the iterations of a parallel loop would otherwise share one buffer.
 static void copyFromOutside(FunctionOpInterface function) {
   SmallVector<OpOperand *> uses;
   function.walk([&](Operation *op) {
@@ -110,7 +109,7 @@ public:
 
 private:
   enum class Kind { Read, Write, Cast, Other };
-  /// An op that touches vectors, with the types that their definitions lose.
+  /// An op that uses or defines chosen vectors, with their original types.
   struct Access {
     Operation *op;
     Kind kind;
@@ -138,7 +137,7 @@ static RankedTensorType getTensorType(Value vector) {
   return RankedTensorType::get({type.getNumElements()}, type.getElementType());
 }
 
-/// On a buffer of this pass, while it runs.
+/// An attribute of the buffers of this pass while it runs.
 static constexpr llvm::StringLiteral kBufferAttrName = "tai.of_vector";
 
 static memref::AllocaOp createBuffer(OpBuilder &builder, Location loc,
@@ -220,8 +219,8 @@ void VectorReplacer::collect(Operation *op, const MemoryVectors &vectors) {
   accesses.push_back(std::move(access));
 }
 
-/// Whether the index, as the frontend makes it, is below `count`: a select that
-/// tests it, as an unsigned number.
+/// Whether the index is below `count`: a constant, or a select that tests the
+/// index as an unsigned number, as the frontend emits it.
 static bool isKnownBelow(Value index, int64_t count) {
   if (std::optional<int64_t> constant = getConstantIntValue(index))
     return *constant >= 0 && *constant < count;
@@ -242,8 +241,8 @@ static bool isKnownBelow(Value index, int64_t count) {
          *other < count;
 }
 
-/// The number of a component, counted row by row; `isInRange` is null where it
-/// is known to be there.
+/// The row-major number of a component; `isInRange` stays null if the position
+/// is certainly in range.
 static Value getNumber(ImplicitLocOpBuilder &b, ArrayRef<OpFoldResult> position,
                        VectorType type, Value &isInRange) {
   Value number;
@@ -269,7 +268,8 @@ static Value getNumber(ImplicitLocOpBuilder &b, ArrayRef<OpFoldResult> position,
   return number;
 }
 
-/// A position that is not there takes the first component, as in tai-scalarize.
+/// Replaces an extraction by a load. Indices out of range count as 0, as in
+/// tai-scalarize.
 void VectorReplacer::replaceRead(const Access &access) {
   auto op = cast<vector::ExtractOp>(access.op);
   ImplicitLocOpBuilder b(op.getLoc(), op);
@@ -297,7 +297,7 @@ void VectorReplacer::replaceWrite(const Access &access) {
   op.erase();
 }
 
-/// An op that wants a vector, or makes one.
+/// Gives an op that uses whole vectors vectors of the components.
 void VectorReplacer::replaceOther(const Access &access) {
   ImplicitLocOpBuilder b(access.op->getLoc(), access.op);
   for (auto [number, type] : access.operands) {
@@ -355,7 +355,7 @@ void VectorReplacer::replaceDefinition(Value vector) {
 void VectorReplacer::run() {
   for (Value value : given)
     replaceDefinition(value);
-  // The buffers that loops carry are dead: the carried value has one buffer.
+  // Loops need not carry buffers: a carried value always has one buffer.
   for (Value value : carried) {
     if (Value buffer = getBuffer(value)) {
       value.setType(buffer.getType());
@@ -422,7 +422,8 @@ static LogicalResult bufferizeTensors(FunctionOpInterface function) {
   return bufferization::runOneShotBufferize(function, options, state);
 }
 
-/// Buffers that loops and branches hand on unchanged are theirs no more.
+/// Canonicalizes loops and branches, so that they no longer carry or yield
+/// buffers that they do not change.
 static LogicalResult simplifyControlFlow(FunctionOpInterface function) {
   MLIRContext *context = function.getContext();
   RewritePatternSet patterns(context);
@@ -448,8 +449,8 @@ static bool isOfPlainAccesses(FunctionOpInterface function) {
   return !result.wasInterrupted();
 }
 
-/// Memory of the stack that an iteration of a loop takes is that of the next
-/// one: its contents at the beginning are undefined.
+/// Moves the buffers out of loops. Iterations can share a buffer, because its
+/// contents are undefined at the beginning of an iteration.
 static void hoistBuffers(FunctionOpInterface function) {
   SmallVector<Operation *> buffers;
   function.walk([&](memref::AllocaOp op) {
@@ -494,7 +495,7 @@ struct VectorsToMemory : tai::impl::VectorsToMemoryBase<VectorsToMemory> {
             succeeded(simplifyControlFlow(function)) &&
             isOfPlainAccesses(function))
           return hoistBuffers(function);
-        // Without those that need copies, or as scalars.
+        // Try again without vectors that need copies, or keep scalars.
         auto kept = cast<FunctionOpInterface>(*before);
         function.getFunctionBody().takeBody(kept.getFunctionBody());
       }
