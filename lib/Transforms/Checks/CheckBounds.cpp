@@ -53,15 +53,15 @@ private:
   OpBuilder builder;
   Location loc = builder.getUnknownLoc();
   IRMapping clones;
-  /// Values of variables, as i64. Loop variables have the values of one
-  /// violation.
+  /// Values of variables, as i64. `iteration` has the loop variables of an
+  /// example of one violation.
   llvm::DenseMap<unsigned, Value> launchValues, iteration;
   /// Systems that are refused already.
   SmallVector<LinearSystem> refused;
 };
 } // namespace
 
-/// A value that follows from the arguments, computed at the top.
+/// Computes a value that depends on arguments alone at the top of the kernel.
 Value PreconditionWriter::clone(Value value) {
   Operation *op = value.getDefiningOp();
   if (!op)
@@ -126,8 +126,8 @@ Value PreconditionWriter::emit(const LinearSum &sum) {
   return result;
 }
 
-/// row >= 0. One or two numbers are compared directly, since their difference
-/// might wrap around.
+/// Emits row >= 0. A row of one or two variables becomes a comparison of
+/// numbers, since their difference might wrap around.
 Value PreconditionWriter::emitHolds(const LinearSum &row) {
   auto compare = [&](arith::CmpIPredicate predicate, Value a, Value b) {
     return arith::CmpIOp::create(builder, loc, predicate, a, b).getResult();
@@ -149,7 +149,7 @@ Value PreconditionWriter::emitHolds(const LinearSum &row) {
   return compare(arith::CmpIPredicate::sge, emit(row), constant(0));
 }
 
-/// The least number for which the system can hold.
+/// The least value of the step's variable for which its system can hold.
 Value PreconditionWriter::emitLeast(const Violation::Step &step) {
   Value least;
   for (const LinearSum &row : step.system.getRows()) {
@@ -209,7 +209,7 @@ void PreconditionWriter::refuse(const IndexedAccess &access, size_t number,
              (!factors.empty() && self(self, factors[1]));
     });
   };
-  // A data-dependent index is not known before.
+  // The message has a question mark for each data-dependent index.
   std::string message = "index [";
   SmallVector<Value> shown;
   bool isOfElement = number < access.rank;
@@ -239,7 +239,7 @@ void PreconditionWriter::refuse(const IndexedAccess &access, size_t number,
                          shown);
 }
 
-/// Makes an index the nearest one in range.
+/// Replaces an index by the nearest index in range.
 static void clamp(const IndexedAccess &access, size_t number) {
   OpBuilder builder(access.op);
   Location loc = access.op->getLoc();

@@ -53,7 +53,7 @@ int64_t mlir::tai::countComponents(ArrayRef<Value> values) {
   return count;
 }
 
-/// One value of several, by pairs, so that none waits for all before it.
+/// Combines values in pairs, as a tree, to keep chains of dependences short.
 static Value createTree(SmallVector<Value> values,
                         function_ref<Value(Value, Value)> create) {
   while (values.size() > 1) {
@@ -71,10 +71,9 @@ static Value createAnd(OpBuilder &builder, Location loc, Value a, Value b) {
   return a ? Value(arith::AndIOp::create(builder, loc, a, b)) : b;
 }
 
-/// Whether all that is tested is finite: then the sum is, if it does not
-/// overflow, and zero times the sum is no NaN. That is not compared with zero,
-/// since LLVM takes it for unlikely that floats are equal, and for likely that
-/// they are ordered.
+/// If all values are finite and their sum does not overflow, zero times the sum
+/// is not NaN. The product is not compared with zero, since LLVM assumes that
+/// floats are unlikely to be equal, and likely to be ordered.
 Value mlir::tai::createTestOfFinite(OpBuilder &builder, Location loc,
                                     ArrayRef<Value> values) {
   llvm::SmallMapVector<Type, SmallVector<Value>, 2> terms;
@@ -105,7 +104,7 @@ Value mlir::tai::createTestOfFinite(OpBuilder &builder, Location loc,
 //===----------------------------------------------------------------------===//
 
 namespace {
-/// The effect of a guarded product on its seed.
+/// Finds the values of a guarded product that depend on the guard's seed.
 class Product {
 public:
   explicit Product(arith::SelectOp guard)
@@ -132,8 +131,8 @@ private:
 };
 } // namespace
 
-/// The derivative of a norm divides by the norm, or a power of two times that,
-/// and selects zero where the norm is.
+/// True for the divisor in the derivative of a norm, which divides by the norm
+/// or its product with a power of two, and selects zero where the norm is zero.
 static bool isDivisorOfNorm(OpOperand &use) {
   Operation *op = use.getOwner();
   if (!isa<arith::DivFOp>(op) || use.getOperandNumber() != 1 ||
@@ -149,7 +148,8 @@ static bool isDivisorOfNorm(OpOperand &use) {
   return getTestedForZero(select) == norm;
 }
 
-/// Requires the factors and divisors of the seed in the guard's product.
+/// Requires that the factors of the seed in the guard's product are finite, and
+/// its divisors far from zero.
 bool FiniteConditions::requirePartial(arith::SelectOp guard) {
   Product product(guard);
   Value result = guard.getFalseValue();
@@ -180,8 +180,8 @@ bool FiniteConditions::requirePartial(arith::SelectOp guard) {
   return true;
 }
 
-/// Requires values that come into a block from iterations that may have met
-/// something that is not finite.
+/// Requires finite values from iterations, and from outside of the block, that
+/// may be non-finite and on which `value` depends.
 bool FiniteConditions::requireSeeds(Value value, Block &block) {
   if (!isFloatOrVector(value.getType()) || !followed.insert(value).second)
     return true;
@@ -194,8 +194,8 @@ bool FiniteConditions::requireSeeds(Value value, Block &block) {
     finite.insert(value);
     return true;
   }
-  // Guards around the block keep their conditions to themselves: values from
-  // there may be infinite.
+  // The conditions of guards outside of the block are not required here: values
+  // from outside may be infinite.
   bool comesFromAround = !block.findAncestorOpInBlock(*op);
   if (isa<LoopLikeOpInterface>(op) ||
       (comesFromAround && facts.mayBeNonFinite(value))) {
@@ -226,8 +226,8 @@ bool FiniteConditions::require(arith::SelectOp guard, Block &block) {
              : requirePartial(guard);
 }
 
-/// Whether a value is taken as it is: it comes from memory, from around a loop
-/// or out of a region.
+/// Whether a value is not analyzed further: it is read from memory, or it is an
+/// argument of a block or a result of an op with regions.
 static bool isLeaf(Value value) {
   Operation *op = value.getDefiningOp();
   return !op || op->getNumRegions() != 0 || !isMemoryEffectFree(op);
@@ -263,8 +263,8 @@ static bool isGreatestOrLeast(Operation *op) {
                    test.getLhs() == select.getFalseValue()));
 }
 
-/// A choice of a number other than zero where a norm, or its product with a
-/// power of two, is zero.
+/// A norm, or its product with a power of two, with another constant selected
+/// where it is zero.
 static bool isNormOrNumber(Value value) {
   auto select = value.getDefiningOp<arith::SelectOp>();
   if (!select || !matchPattern(select.getTrueValue(), m_Constant()) ||
@@ -286,8 +286,8 @@ bool FiniteConditions::requireFinite(Value value, Operation *at) {
   }
   if (matchPattern(op, m_Constant()))
     return !facts.mayBeNonFinite(value);
-  // Where its own conditions hold, it is finite if its seed is: a tangent may
-  // come from guards in front of this part.
+  // A guarded product whose own conditions hold is finite if its seed is. The
+  // seed may come from guards before this part.
   if (isGuard(op))
     return requireSeeds(value, *scope);
   if (auto extract = dyn_cast<vector::ExtractOp>(op);
@@ -303,7 +303,7 @@ bool FiniteConditions::requireFinite(Value value, Operation *at) {
     finite.insert(value);
     return true;
   }
-  // A product of two numbers, each of which may be as large as the largest.
+  // The product of two large numbers may overflow: test the product itself.
   if (isa<arith::MulFOp>(op) && !isa<VectorType>(value.getType()) &&
       facts.mayBeNonFinite(value) &&
       !llvm::any_of(op->getOperands(), [](Value operand) {
@@ -349,7 +349,7 @@ bool FiniteConditions::requireClear(Value value, Operation *at,
   if (facts.isNonZero(value, at) || isNormOrNumber(value))
     return requireFinite(value, at);
   Operation *op = value.getDefiningOp();
-  // Values as far from zero as their operand, or farther.
+  // These ops yield values at least as far from zero as their operand.
   if (isa_and_nonnull<vector::BroadcastOp>(op))
     return requireClear(op->getOperand(0), at, isPositive);
   if (auto root = dyn_cast_if_present<math::SqrtOp>(op)) {
@@ -375,7 +375,7 @@ DenseSet<Value> FiniteConditions::findNonZero() const {
     Value value = pending.pop_back_val();
     if (!result.insert(value).second)
       continue;
-    // A product is not zero, nor is any factor.
+    // If a product is not zero, no factor is zero.
     Operation *op = value.getDefiningOp();
     if (isa_and_nonnull<arith::MulFOp, arith::NegFOp, vector::BroadcastOp,
                         math::SqrtOp, math::AbsFOp>(op))
@@ -384,7 +384,7 @@ DenseSet<Value> FiniteConditions::findNonZero() const {
   return result;
 }
 
-/// Whether each component of a vector is extracted, and told about.
+/// Whether tests show for each component of a vector that it is finite.
 bool FiniteConditions::areComponentsTold(Value value) {
   auto type = dyn_cast<VectorType>(value.getType());
   if (!type)
@@ -417,7 +417,8 @@ bool FiniteConditions::isRequired(Value value) {
          !facts.mayBeNonFinite(value);
 }
 
-/// A quotient or a logarithm that is finite says that its operand is not zero.
+/// Replaces tests that a value is not zero: a finite quotient or logarithm
+/// shows that its operand is not zero.
 void FiniteConditions::replaceClear(function_ref<bool(Value)> isAvailable) {
   SmallVector<Value> kept;
   for (Value value : clear) {
@@ -440,14 +441,14 @@ void FiniteConditions::replaceClear(function_ref<bool(Value)> isAvailable) {
       continue;
     }
     kept.push_back(value);
-    // A comparison of the least of several may miss a NaN.
+    // The least of several values does not show that one of them is NaN.
     finite.insert(value);
   }
   clear.clear();
   clear.insert_range(kept);
 }
 
-/// Puts one result that tells about several of the values in their place.
+/// Replaces several values by one result that is finite only if they are.
 bool FiniteConditions::replaceBySum(function_ref<bool(Value)> isAvailable) {
   constexpr unsigned mostSteps = 6, most = 100;
   if (finite.size() > most)

@@ -45,8 +45,8 @@ Value createTestOfFinite(OpBuilder &builder, Location loc,
 /// The conditions on values under which guards have no effect.
 class FiniteConditions {
 public:
-  /// Ops whose results may be non-finite: the conditions of their guards are
-  /// not among these.
+  /// Ops whose results may be non-finite, because the conditions of their
+  /// guards are not required here.
   void setApart(DenseSet<Operation *> ops) { apart = std::move(ops); }
 
   /// Adds the conditions of a guard in the block, or in a region of its ops.
@@ -92,8 +92,8 @@ private:
   DenseSet<Value> positive, strict;
   DenseSet<Value> required, cleared, followed;
   DenseSet<Operation *> apart;
-  /// The block of the guards: values defined in front of it are taken as they
-  /// are.
+  /// The block of the guards: values defined before it are not analyzed
+  /// further.
   Block *scope = nullptr;
   DenseMap<Value, bool> told;
 };

@@ -13,8 +13,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Moves ops that only ops of `to` use from in front of `branch` to the start
-/// of that block.
+/// Moves the ops before `branch` that only ops of `to` use to the start of
+/// `to`.
 static void sinkInto(Block *to, Operation *branch) {
   for (Operation *op = branch->getPrevNode(); op;) {
     Operation *candidate = std::exchange(op, op->getPrevNode());
@@ -29,8 +29,8 @@ static void sinkInto(Block *to, Operation *branch) {
 scf::IfOp tai::createVersions(Operation *begin, Value condition,
                               IRMapping &bare, ArrayRef<Operation *> own) {
   Block &block = *begin->getBlock();
-  // The code behind it follows in both branches: results that wait for the test
-  // would all be alive at once.
+  // The rest of the block goes into both branches: otherwise all results would
+  // be live until the test is made.
   Operation *terminator = block.getTerminator();
   SetVector<Operation *> moved(own.begin(), own.end());
   SmallVector<Operation *> tail;
@@ -109,7 +109,7 @@ bool tai::hasGuardsInside(Operation &op) {
                                       }).wasInterrupted();
 }
 
-/// False if there are loops, or too much to have it twice.
+/// False if there are loops, or too many ops to have two copies.
 bool EarlyTest::findGuards() {
   constexpr size_t most = 2000;
   DenseMap<Operation *, bool> known;
@@ -136,7 +136,7 @@ bool EarlyTest::findGuards() {
   return !guards.empty();
 }
 
-/// Whether a value is there before the first guard, or can be.
+/// Whether a value is computed before the first guard, or can be.
 bool EarlyTest::canComeEarly(Value value) {
   Operation *around = value.getParentBlock()->findAncestorOpInBlock(*first);
   Operation *op = value.getDefiningOp();
@@ -164,7 +164,7 @@ bool EarlyTest::canComeEarly(Value value) {
   return isMovedEarly[op] = result;
 }
 
-/// Moves the computation of a value in front of the first guard.
+/// Moves the computation of a value before the first guard.
 void EarlyTest::moveEarly(Value value) {
   Operation *op = value.getDefiningOp();
   if (!op || op->getBlock() != &block || op->isBeforeInBlock(first))
@@ -174,8 +174,8 @@ void EarlyTest::moveEarly(Value value) {
   op->moveBefore(first);
 }
 
-/// Lets the versions begin as soon as the test can be made: LLVM puts floats of
-/// one block into vectors, and not those of two.
+/// Lets the versions begin as soon as the test can be made: LLVM makes vectors
+/// of floats of one block, but not of two.
 void EarlyTest::moveBegin() {
   DenseSet<Operation *> needed;
   for (Value value : conditions.getFinite())
@@ -189,8 +189,8 @@ void EarlyTest::moveBegin() {
   }
 }
 
-/// Each part of the test where its values are: in front of a loop that does not
-/// change them.
+/// Emits each part of the test in the block of its values, which is outside of
+/// loops that do not change them.
 Value EarlyTest::createTest() {
   llvm::SmallSetVector<Block *, 4> blocks;
   for (Value value : conditions.getFinite())
@@ -234,7 +234,7 @@ bool EarlyTest::run() {
   IRMapping bare;
   scf::IfOp branch = createVersions(first, test, bare, /*own=*/{});
   bareBlock = branch.thenBlock();
-  // Selects of derivatives of norms at a norm of zero.
+  // Selects in the derivatives of norms, for a norm of zero, go as well.
   DenseSet<Value> nonZero;
   for (Value value : conditions.findNonZero())
     nonZero.insert(bare.lookupOrDefault(value));

@@ -29,8 +29,9 @@ bool hasGuardsInside(Operation &op);
 
 Value markLikely(OpBuilder &builder, Value condition);
 
-/// Puts the code from `begin` on in a block into both branches of an if: as
-/// `bare` maps it, and unchanged, behind `own`.
+/// Puts the code from `begin` to the end of its block into both branches of an
+/// if: a copy that `bare` maps into the first branch; `own` and the original
+/// code into the second one.
 scf::IfOp createVersions(Operation *begin, Value condition, IRMapping &bare,
                          ArrayRef<Operation *> own);
 
@@ -40,9 +41,9 @@ class EarlyTest {
 public:
   explicit EarlyTest(Block &block)
       : block(block), scope(block), begin(block.begin()) {}
-  /// For the guards from `begin` on that the block has itself, in front of the
-  /// next op with guards in its regions. `apart` are ops in front of `begin`,
-  /// in `scope`, whose results are tested.
+  /// For the block's own guards from `begin` to the next op with guards in its
+  /// regions. `apart` are ops before `begin`, in `scope`, whose results are
+  /// tested.
   EarlyTest(Block &block, Block &scope, Block::iterator begin,
             const DenseSet<Operation *> &apart)
       : block(block), scope(scope), begin(begin), isPart(true) {
@@ -69,7 +70,7 @@ private:
   Operation *first = nullptr;
   size_t numOps = 0;
   FiniteConditions conditions;
-  /// Ops behind the first guard, and whether they can be in front of it.
+  /// Ops after the first guard, and whether they can move before it.
   DenseMap<Operation *, bool> isMovedEarly;
 };
 

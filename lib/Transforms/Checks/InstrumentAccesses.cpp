@@ -96,7 +96,7 @@ private:
   SmallVector<Attribute> described;
   llvm::MapVector<Operation *, int64_t> loops;
   Shadow *current = nullptr;
-  /// The number of the access, of the launch on.
+  /// The number of the access, which is unique over all launches.
   Value id;
   int64_t ordinal = 0;
 };
@@ -109,7 +109,7 @@ Value Instrumentation::createComponent(const Shadow &shadow, ValueRange indices,
   isInside = arith::ConstantIntOp::create(b, 1, 1);
   auto add = [&](Value position, int64_t first, int64_t extent) {
     position = b.createOrFold<arith::SubIOp>(position, index(first));
-    // The checks of indices report components outside.
+    // The checks of indices report components out of range.
     Value fits = arith::CmpIOp::create(b, arith::CmpIPredicate::ult, position,
                                        index(extent));
     isInside = b.createOrFold<arith::AndIOp>(isInside, fits);
@@ -148,7 +148,7 @@ std::pair<Value, Value> Instrumentation::getIteration(Operation *access) {
   return {stamp, iteration};
 }
 
-/// Puts a violation into the log where `condition` holds.
+/// Logs a violation where `condition` holds.
 void Instrumentation::createReport(Value condition, Value before,
                                    Value component, ViolationKind kind) {
   auto branch = scf::IfOp::create(b, condition, /*withElseRegion=*/false);
@@ -207,7 +207,7 @@ void Instrumentation::check(Operation *access, FieldUse use, bool isClearing,
     createReport(arith::AndIOp::create(b, wasOnlyWritten, alone), writer,
                  component, ViolationKind::WrittenTwice);
   }
-  // An element that was reported begins anew.
+  // After a report, the checks of the element start anew.
   write(none, component, ShadowWord::Reader);
   write(isClearing ? none : id, component, ShadowWord::Writer);
   write(isClearing ? none : stamp, component, ShadowWord::Loop);
@@ -239,7 +239,8 @@ LogicalResult Instrumentation::instrument(Operation *access) {
   }
   b.setLoc(access->getLoc());
   b.setInsertionPoint(access);
-  // The other iterations, which do not own the element, would store to it too.
+  // Iterations that do not own the element store to it as well in the original
+  // program: check them, too.
   if (scf::IfOp branch =
           getOwnersBranch(access, getEnclosingParallelLoop(access))) {
     auto isKnown = [&](Value value) {

@@ -39,8 +39,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Versions the guards in the pure operations of a block that stand, or can be
-/// moved, in front of an operation with effects.
+/// Versions the guards in the pure operations of a block before an operation
+/// with effects, or that can be moved before it.
 class Segment {
 public:
   Segment(Block &block, Operation *end) : block(block), end(end) {}
@@ -61,15 +61,15 @@ private:
   Operation *end;
   SmallVector<Operation *> ops, guards;
   /// Ops that only conditions of guards use; ops that depend on a guard, in
-  /// their order.
+  /// program order.
   llvm::SetVector<Operation *> conditions, dependents;
-  /// Values of dependents that others use.
+  /// Results of `dependents` that other ops use.
   SmallVector<Value> results;
 };
 } // namespace
 
-/// Moves pure ops that depend on nothing behind the end in front of it, if
-/// there is a guard among them or in the segment.
+/// Moves pure ops from after `end` before it, as far as their operands allow,
+/// if there is a guard among them or in the segment.
 void Segment::hoist(Operation *begin) {
   DenseSet<Operation *> behind;
   SmallVector<Operation *> movable;
@@ -92,7 +92,7 @@ void Segment::hoist(Operation *begin) {
       op->moveBefore(end);
 }
 
-/// From the last op to the first: those whose uses all end in conditions.
+/// Finds the ops whose uses all end in conditions, from the last to the first.
 void Segment::findConditions() {
   DenseSet<Operation *> inside(ops.begin(), ops.end());
   for (Operation *op : llvm::reverse(ops)) {
@@ -108,8 +108,8 @@ void Segment::findConditions() {
   }
 }
 
-/// Finds the ops that depend on guards, as far as the end; false if one of them
-/// may hide that a value is not finite.
+/// Finds the ops that depend on guards, up to `end`; false if one of them may
+/// hide that a value is not finite.
 bool Segment::findDependents() {
   DenseSet<Operation *> reached(guards.begin(), guards.end());
   for (Operation *op : ops) {
@@ -132,8 +132,8 @@ bool Segment::findDependents() {
 }
 
 /// The values whose finiteness makes all guards ineffective: the product that a
-/// guard selects, and the adjoint that is multiplied behind a guard against
-/// infinite adjoints.
+/// guard selects, or, for a guard against infinite adjoints, the adjoint in the
+/// product.
 SmallVector<Value> Segment::findFactors() {
   llvm::SetVector<Value> factors;
   auto add = [&](Value value) {
@@ -159,7 +159,7 @@ SmallVector<Value> Segment::findFactors() {
   return factors.takeVector();
 }
 
-/// Drops the values whose finiteness follows from others.
+/// Drops the values whose finiteness follows from that of other values.
 SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
   DenseSet<Value> tested(values.begin(), values.end()), told;
   for (Operation *op : llvm::reverse(ops))
@@ -188,7 +188,7 @@ SmallVector<Value> Segment::findTested() {
                                                                  : ofResults;
 }
 
-/// Whether a loop follows, or more than so many ops in all regions.
+/// Whether a loop follows in the block, or more than `most` ops.
 bool Segment::hasMoreBehind(size_t most) {
   size_t count = 0;
   for (Operation &op : llvm::make_range(end->getIterator(), block.end())) {
@@ -247,8 +247,8 @@ bool Segment::run(Operation *begin) {
   if (!findDependents())
     return false;
   findResults();
-  // A test of a result costs about as much as a guard. Code that is twice there
-  // takes twice as long to compile.
+  // A test of a result costs about as much as a guard. Duplicated code takes
+  // twice as long to compile.
   constexpr size_t most = 2000, mostBehind = 300;
   if (results.empty() || guards.size() + conditions.size() <= results.size() ||
       dependents.size() > most || hasMoreBehind(mostBehind))
