@@ -15,11 +15,11 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Lengths of rows that are worth vector operations, and that LLVM splits into
-/// a few registers.
+/// The shortest row that is worth vector operations, and the longest one that
+/// LLVM splits into a few registers.
 static constexpr int64_t kShortestRow = 4, kLongestRow = 64;
 
-/// The largest distance of the elements of a row, in elements.
+/// The largest distance of neighbours in a row, in elements.
 static constexpr int64_t kLargestStep = 4;
 
 const IndexDigit *tai::findInnermost(const FieldInfo &field,
@@ -71,7 +71,8 @@ bool BlockLoop::coversBlocks(const FieldInfo &other, unsigned level) const {
   });
 }
 
-/// Takes it that the cells that the op asks about are active in the interior.
+/// Adds the cells that `op` asks about to the neighbours that are active in the
+/// interior. False if that is not possible.
 bool BlockLoop::addNeighbours(IsActiveOp op, FieldTable &fields) {
   FailureOr<const FieldInfo *> found = fields.lookup(op, op.getFieldAttr());
   if (failed(found) || (*found)->sparse.empty() ||
@@ -131,7 +132,7 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       std::optional<ConstantStretch> stretch =
           getConstantStretch(result, variables.front(), field->layout.offset[d],
                              field->layout.offset[d] + field->layout.shape[d]);
-      // A question with two answers nearly everywhere has no interior.
+      // A condition that changes too often has no large interior.
       if (!stretch ||
           2 * (stretch->upper - stretch->lower) < field->layout.shape[d])
         continue;
@@ -140,7 +141,7 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       upper[d] = std::min(upper[d], stretch->upper);
     }
   });
-  // Values that follow from answers.
+  // Truth values that follow from the answers found so far.
   body.walk([&](Operation *op) {
     if (op->getNumResults() != 1 || answers.contains(op->getResult(0)) ||
         !op->getResult(0).getType().isInteger(1))
@@ -155,12 +156,12 @@ void BlockLoop::findAnswers(FieldTable &fields) {
       operands.push_back(constant);
     }
     SmallVector<OpFoldResult> results;
-    // An op that folds in place has been changed: clones are for trying.
+    // Fold a clone, because folding may change an op in place.
     Operation *copy = op->cloneWithoutRegions();
     std::optional<bool> answer;
     if (succeeded(copy->fold(operands, results)) && results.size() == 1) {
       if (auto same = dyn_cast<Value>(results[0])) {
-        // One of its operands.
+        // The op folds to one of its operands.
         if (auto known = answers.find(same); known != answers.end())
           answer = known->second;
       } else if (auto constant =
@@ -226,8 +227,8 @@ bool BlockLoop::isRowAccess(BlockAccess &access) {
          digit->extent == rowLength();
 }
 
-/// Whether the row that is written is one row of blocks that are active, or can
-/// be made so all at once.
+/// Whether the written row is one row of blocks that are active, or that one op
+/// can activate.
 bool BlockLoop::canWrite(BlockAccess &access) {
   if (!access.rowIndex)
     return false;
@@ -344,8 +345,8 @@ bool BlockLoop::analyzeBody(Block &block, FieldTable &fields) {
   return true;
 }
 
-/// Whether some row is read at another place than it is written: the order of
-/// the iterations of a block would show.
+/// Whether a storage that is written is also accessed at other places: the
+/// order of the iterations of a block would then matter.
 static bool readsNeighboursOfWrites(
     const llvm::MapVector<Operation *, BlockAccess> &accesses) {
   for (const auto &[op, write] : accesses) {

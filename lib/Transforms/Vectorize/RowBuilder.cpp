@@ -20,7 +20,7 @@ RowBuilder::RowBuilder(OpBuilder &builder, const BlockLoop &block,
   findNeeded();
 }
 
-/// The ops whose results an access of the interior uses as values.
+/// Finds the ops that compute stored values of the interior.
 void RowBuilder::findNeeded() {
   SmallVector<Value> pending;
   for (const auto &[op, access] : block.accesses) {
@@ -76,8 +76,8 @@ int64_t RowBuilder::getFirst(const BlockAccess &access) const {
   return access.field->cellOffset / access.field->scalarSize + access.component;
 }
 
-/// A digit of the address of a row. Where the digit counts the elements of a
-/// block and the place of the row in its block is known, so is the digit.
+/// A digit of the address of a row. A digit that counts the elements of a block
+/// is constant if the position of the row in its block is.
 Value RowBuilder::emitIndex(const BlockAccess &access, const IndexDigit &digit,
                             int64_t blocks) {
   const FieldInfo &field = *access.field;
@@ -142,7 +142,7 @@ Value RowBuilder::emitRowPointer(const BlockAccess &access, int64_t blocks) {
       offset = math.add(offset, math.mul(value, stride));
   }
   offset = math.add(offset, math.constant(known));
-  // From the beginning of the first cell of the row on.
+  // The address starts at the beginning of the first cell of the row.
   return emitPointer(builder, loc, field.scalarType,
                      emitTreeAddress(builder, loc, field,
                                      field.storage.offset - field.cellOffset),
@@ -175,7 +175,7 @@ RowBuilder::RowKey RowBuilder::getKey(const BlockAccess &access,
       key.second.push_back({form.invariant.getAsOpaquePointer(), 0});
       continue;
     }
-    // Distances that are not constants are the same in all rows at hand.
+    // A distance that is not constant is equal in all rows that are compared.
     int64_t distance = 0;
     if (form.variable == block.rowDimension)
       distance = isWhole(access) ? form.shift : blocks;
@@ -239,7 +239,8 @@ void RowBuilder::storeRow(const BlockAccess &access, Value vector) {
     store.setNoaliasScopesAttr(scopes.others);
     return;
   }
-  // Bytes between rows belong to other fields and may be written concurrently.
+  // Bytes between the elements of a row belong to other fields and may be
+  // written concurrently.
   int64_t first = getFirst(access);
   SmallVector<int32_t> spread(length * step, -1);
   SmallVector<bool> mask(length * step, false);

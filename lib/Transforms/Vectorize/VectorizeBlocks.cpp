@@ -31,7 +31,7 @@ namespace mlir::tai {
 using namespace mlir;
 using namespace mlir::tai;
 
-/// Whether the block is in the interior, or null if all are.
+/// Whether the block is in the interior, or null if all blocks are.
 static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
                             ValueRange origin) {
   Location loc = ParallelForOp(block.loop).getLoc();
@@ -55,9 +55,8 @@ static Value emitIsInterior(OpBuilder &builder, const BlockLoop &block,
   return inside;
 }
 
-/// Makes the cells active in which the block writes to other fields than that
-/// of the loop. Yields whether they are, and the neighbours, and `inside`
-/// holds.
+/// Activates the cells of other fields in which the block writes. Yields
+/// whether these cells and the neighbours are active and `inside` holds.
 static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
                              ValueRange origin, Value inside, bool keeps) {
   Location loc = ParallelForOp(block.loop).getLoc();
@@ -115,8 +114,8 @@ static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
   return branch.getResult(0);
 }
 
-/// Calls `body` with the distances of each row from the first, as constants
-/// where `limit` allows so many copies.
+/// Calls `body` with the distances of each row from the first row. Rows are
+/// unrolled, with constant distances, as long as `limit` allows the copies.
 static void
 forEachRow(OpBuilder &builder, const BlockLoop &block, int64_t limit,
            function_ref<void(ArrayRef<OpFoldResult> distances)> body) {
@@ -128,7 +127,7 @@ forEachRow(OpBuilder &builder, const BlockLoop &block, int64_t limit,
         digit.dimension != block.rowDimension)
       order.push_back({digit.stride, digit.dimension});
   llvm::sort(order, std::greater<>());
-  // The innermost are unrolled.
+  // The innermost dimensions are unrolled.
   size_t loops = order.size();
   for (int64_t copies = 1; loops > 0; --loops) {
     copies *= block.extents[order[loops - 1].second];
@@ -161,7 +160,7 @@ forEachRow(OpBuilder &builder, const BlockLoop &block, int64_t limit,
   }
 }
 
-/// The iterations one after another, as they were.
+/// Emits the iterations of a block one after another, with the original body.
 static void emitElements(OpBuilder &builder, const BlockLoop &block,
                          ValueRange origin) {
   ParallelForOp loop = block.loop;
@@ -169,7 +168,7 @@ static void emitElements(OpBuilder &builder, const BlockLoop &block,
   OpBuilder::InsertionGuard guard(builder);
   IndexMath math(builder, loc);
   SmallVector<Value> indices(origin);
-  // No more copies than one: loops in memory order, the row innermost.
+  // Nothing is unrolled: loops in memory order, the row innermost.
   forEachRow(builder, block, /*limit=*/0, [&](ArrayRef<OpFoldResult> rows) {
     auto row =
         scf::ForOp::create(builder, loc, math.constant(0),
@@ -249,7 +248,7 @@ struct VectorizeBlocks : tai::impl::VectorizeBlocksBase<VectorizeBlocks> {
     if (loops.empty())
       return;
     FieldTable fields(table);
-    // Accesses say of which other fields they are apart.
+    // Look up all fields first, as alias scopes of accesses name other fields.
     WalkResult known = getOperation()->walk([&](Operation *op) {
       FlatSymbolRefAttr name = getNamedField(op);
       return name && failed(fields.lookup(op, name)) ? WalkResult::interrupt()
