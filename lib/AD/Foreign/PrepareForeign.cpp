@@ -603,7 +603,7 @@ func::FuncOp mlir::tai::wrapDerivative(func::FuncOp original,
 // The pass
 //===----------------------------------------------------------------------===//
 
-/// Replaces ops that stand for several ops, such as a softmax.
+/// Decomposes ops that aggregate several ops, such as a softmax.
 static LogicalResult decomposeOps(func::FuncOp function) {
   SmallVector<linalg::AggregatedOpInterface> ops;
   function.walk([&](linalg::AggregatedOpInterface op) {
@@ -697,8 +697,8 @@ struct PrepareForeign : tai::impl::PrepareForeignBase<PrepareForeign> {
     return failure();
   }
 
-  /// Memory of the LLVM dialect becomes SSA values, and its arithmetic that of
-  /// arith and math.
+  /// Memory of the LLVM dialect becomes SSA values, and its arithmetic ops
+  /// become ops of arith and math.
   LogicalResult promoteSlots(func::FuncOp copy) {
     WalkResult found = copy.walk([](Operation *op) {
       return isa_and_present<LLVM::LLVMDialect>(op->getDialect())

@@ -75,7 +75,7 @@ private:
   ImplicitLocOpBuilder b;
   llvm::MapVector<Block *, Slot> slots;
   SmallVector<Recorded> all;
-  /// Maps values of the primal to those of the second execution.
+  /// Maps values of the primal to values of the second execution.
   IRMapping again;
   SmallVector<std::pair<unsigned, Value>> copies;
   SmallVector<Value> toFree;

@@ -42,8 +42,8 @@ enum class TraceMode {
   /// The gradient runs the function again at its beginning, on copies of the
   /// arrays that it writes.
   Rerun,
-  /// A function of its own does all that the function does, and returns its
-  /// results and then the traces.
+  /// A separate function repeats the whole function, and returns the results of
+  /// the function and then the traces.
   Augmented
 };
 

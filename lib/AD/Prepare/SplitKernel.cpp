@@ -38,7 +38,7 @@ using namespace mlir::tai;
 /// may repeat.
 constexpr int kShared = -1;
 
-/// True if the op changes anything but arrays that it makes itself.
+/// True if an op inside of `op` has a side effect other than a read.
 static bool hasEffect(Operation *op) {
   WalkResult result = op->walk([](Operation *inner) {
     bool isHarmless = inner->hasTrait<OpTrait::HasRecursiveMemoryEffects>() ||

@@ -72,7 +72,8 @@ static bool areKeptApart(Operation *loop, DifferentiableAccessInterface lhs,
 }
 
 // Refuses accesses that would make the element depend on the order of
-// iterations, and accesses that need its value between the loops of one kernel.
+// iterations, and accesses that need the element's value between the loops of
+// one kernel.
 LogicalResult ContendedAtomics::check(FunctionOpInterface kernel,
                                       ParallelForOp loop, AtomicOp atomic) {
   if (!isa<KernelOp>(kernel.getOperation())) {

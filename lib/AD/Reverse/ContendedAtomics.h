@@ -50,7 +50,7 @@ public:
   /// position in the buffers.
   void keepValue(const KeptValues &kept, AtomicOp copy, Value run);
   /// Replaces the kept values by their adjoints, and the adjoint of each
-  /// element by that of its value before the loop.
+  /// element by the adjoint of the element's value before the loop.
   void createAdjoints(ArrayRef<KeptValues> kept);
 
 private:

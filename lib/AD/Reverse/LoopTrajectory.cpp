@@ -16,8 +16,8 @@
 using namespace mlir;
 using namespace mlir::tai;
 
-// A vector is kept component by component, so that the lowering of the adjoint
-// need not know memrefs of vectors.
+// A vector is stored component by component, so that the lowering of the
+// adjoint need not support memrefs of vectors.
 
 static MemRefType getHistoryType(Type type) {
   SmallVector<int64_t> shape = {ShapedType::kDynamic};

@@ -68,8 +68,8 @@ static FunctionOpInterface createShell(FunctionOpInterface function,
   return shell;
 }
 
-/// Makes accumulations into arrays plain where no other iteration can reach the
-/// element.
+/// Makes accumulations into arrays non-atomic where no other iteration can
+/// reach the element.
 static void relaxArrayAccumulations(FunctionOpInterface function) {
   llvm::MapVector<std::pair<Operation *, Value>, SmallVector<Operation *>>
       groups;
@@ -191,8 +191,8 @@ static LogicalResult fillWith(FunctionOpInterface function,
   const AdjointPlan &plan = planner.getPlan();
   if (failed(verifyReversible(plan)))
     return failure();
-  // The operations that the adjoint has to execute forward again are known when
-  // it is emitted.
+  // Only an emitted adjoint shows which operations it has to execute forward
+  // again: emit the adjoint until the plan has them all.
   while (true) {
     AdjointBuilder builder(shell, plan);
     LogicalResult built = builder.build();

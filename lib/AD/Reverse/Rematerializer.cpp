@@ -93,7 +93,7 @@ Value Rematerializer::materialize(Frame &frame, Value value) {
     }
   }
   b.setLoc(loc);
-  // After an error the value itself stands in: the adjoint will be discarded.
+  // After an error, use the primal value: the adjoint will be discarded.
   if (!frame.values.contains(value))
     frame.values.map(value, value);
   return frame.values.lookup(value);

@@ -41,9 +41,9 @@ public:
   /// the primal.
   bool checkReadable(DifferentiableAccessInterface read);
 
-  /// True while values are requested by a rule, false while they decide the
-  /// control flow of the adjoint: that must be the same with and without stored
-  /// outputs, because the reads of one form are taken from the other.
+  /// True while a rule requests values, false while the control flow of the
+  /// adjoint does. The control flow must be the same with and without stored
+  /// outputs, because one form takes over the reads of the other.
   bool isForRule = false;
 
 private:

@@ -195,13 +195,14 @@ M getTurned(DerivativeBuilder &b, Value u, Value g) {
 /// Ψ; for i < j the sum and difference of their entries are
 ///   Ωᵢⱼ + Ψᵢⱼ = (Pᵢⱼ + Pⱼᵢ) / (σⱼ - σᵢ),  Ωᵢⱼ - Ψᵢⱼ = (Pᵢⱼ - Pⱼᵢ) / (σⱼ + σᵢ),
 /// where P = Uᵀ dA V. Where σᵢ = σⱼ, the first quotient is 0 / 0 for a loss
-/// that does not depend on how U and V turn together, and where σᵢ = -σⱼ the
-/// second one is for a loss that does not depend on how they turn against each
-/// other. The change of U Σ Vᵀ by such a loss then stands in the adjoint of Σ
-/// off the diagonal, where Σ is zero: dΣ gets the symmetric and the skew part
-/// of P there. Elsewhere these are taken out of the quotients, which is the
-/// same but for rounding: of a difference that cancels, nothing is left but
-/// noise, which is dropped before it is divided by little.
+/// that does not depend on how U and V turn together; where σᵢ = -σⱼ, so is the
+/// second quotient for a loss that does not depend on how U and V turn against
+/// each other. The effect of such a loss is in the adjoint of Σ off the
+/// diagonal, where Σ is zero: its symmetric and skew parts are the adjoints of
+/// these parts of P. Where the divisor is not zero, the part is added to the
+/// quotient and, times the divisor, subtracted from the numerator. This changes
+/// rounding alone: a numerator that should cancel is noise, and is dropped
+/// before it is divided by a small number.
 struct SvdModel : DifferentiableOpInterface::ExternalModel<SvdModel, SvdOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {
     auto svd = cast<SvdOp>(op);

@@ -177,7 +177,7 @@ Value mlir::tai::createUpdatedTangent(TangentBuilder &b, UpdateKind kind,
 }
 
 namespace {
-/// An op with a row in the table.
+/// The model of an op that has a rule in the table of ScalarRules.cpp.
 template <typename OpTy>
 struct ScalarModel
     : DifferentiableOpInterface::ExternalModel<ScalarModel<OpTy>, OpTy> {
