@@ -122,8 +122,8 @@ static ElementPlace getPlace(DifferentiableAccessInterface access) {
   return {access.getAccessIndices(), access.getAccessComponents()};
 }
 
-/// Finds the updates of elements that belong to an iteration as far as their
-/// own indices say, while other accesses may write the same elements in other
+/// Finds the updates whose own indices reach a different element in each
+/// iteration, while other accesses may write these elements in other
 /// iterations.
 void LoopUpdates::findOwned(Reads &reads) {
   auto isMetBy = [&](DifferentiableAccessInterface access, auto other) {

@@ -52,7 +52,7 @@ struct Step {
 /// A select whose comparison says that it is a minimum or a maximum.
 struct Extremum {
   AtomicKind kind;
-  /// The side that does not come from the element, and the other one.
+  /// The side that does not depend on the element, and the side that does.
   Value value, old;
 };
 

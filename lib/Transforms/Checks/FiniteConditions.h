@@ -50,7 +50,7 @@ public:
   void setApart(DenseSet<Operation *> ops) { apart = std::move(ops); }
 
   /// Adds the conditions of a guard in the block, or in a region of its ops.
-  /// False if none are known for it.
+  /// False if no sufficient conditions of the guard are known.
   bool require(arith::SelectOp guard, Block &block);
 
   /// Drops implied conditions, and replaces tests of several operands by a test

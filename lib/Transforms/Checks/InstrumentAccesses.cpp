@@ -102,7 +102,7 @@ private:
 };
 } // namespace
 
-/// The number of the component among all of the field, row-major.
+/// The row-major number of the component in the whole field.
 Value Instrumentation::createComponent(const Shadow &shadow, ValueRange indices,
                                        ValueRange components, Value &isInside) {
   Value number = index(0);

@@ -257,8 +257,8 @@ bool Segment::run(Operation *begin) {
   return true;
 }
 
-/// Whether the op stays in its place, and separates the ops before and behind
-/// it.
+/// Whether the op stays in its place, and separates the ops before it from the
+/// ops after it.
 static bool isBarrier(Operation *op) {
   return op->hasTrait<OpTrait::IsTerminator>() || op->getNumRegions() != 0 ||
          !(isMemoryEffectFree(op) || hasSingleEffect<MemoryEffects::Read>(op));

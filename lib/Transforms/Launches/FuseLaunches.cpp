@@ -297,7 +297,7 @@ static LaunchOp fuse(Candidate &first, Candidate &second,
     }
     other.map(argument, value);
   }
-  // The code in front of the loops, then one loop with both bodies.
+  // The code before the loops, then one loop with both bodies.
   for (Operation &op : second.kernel.getBody().front().without_terminator())
     if (&op != second.box.loop)
       builder.clone(op, other);

@@ -69,7 +69,7 @@ struct Strips {
   /// Strips and rows of a tile; 0 if there are no tiles.
   int64_t tileStrips = 0, tileRows = 0;
   /// The interior, by index. In it, each condition of `answers` has the given
-  /// value, and each value of `same` equals the other one.
+  /// value, and the two values of each pair of `same` are equal.
   SmallVector<int64_t> lower, upper;
   SmallVector<std::pair<Value, bool>> answers;
   SmallVector<std::pair<Value, Value>> same;

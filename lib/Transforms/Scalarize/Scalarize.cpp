@@ -244,8 +244,8 @@ void Scalarizer::processMessage(Operation *op) {
 }
 
 /// An array of vectors is an array of scalars with more dimensions. The
-/// argument changes its type; `tai.element_rank` keeps how many of its
-/// dimensions the caller does not know of.
+/// argument changes its type; `tai.element_rank` has the number of additional
+/// dimensions, of which the caller does not know.
 LogicalResult Scalarizer::processArrayAccess(Operation *op) {
   auto load = dyn_cast<memref::LoadOp>(op);
   auto store = dyn_cast<memref::StoreOp>(op);

@@ -15,8 +15,8 @@
 namespace mlir::tai {
 
 /// Replaces all vectors of one function by their components, in one forward
-/// walk: when an op is reached, the components of its operands are known.
-/// Replaced ops are erased together at the end.
+/// walk: when an op is reached, its operands already have components. Replaced
+/// ops are erased together at the end.
 class Scalarizer {
 public:
   explicit Scalarizer(FunctionOpInterface function) : function(function) {}

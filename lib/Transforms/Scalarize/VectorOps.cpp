@@ -213,7 +213,7 @@ static void expandShuffle(vector::ShuffleOp op, Scalarizer &scalarizer) {
   Components result;
   for (int64_t source : op.getMask())
     for (int64_t i = 0; i != row; ++i)
-      // -1 asks for any value.
+      // -1 is poison: any value will do.
       result.push_back(both[std::max<int64_t>(source, 0) * row + i]);
   scalarizer.set(op.getResult(), std::move(result));
 }

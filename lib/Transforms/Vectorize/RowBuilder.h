@@ -25,8 +25,8 @@ public:
   RowBuilder(OpBuilder &builder, const BlockLoop &block, FieldTable &fields,
              ValueRange origin);
 
-  /// Emits the row at these distances from the origin; the one along the row is
-  /// ignored.
+  /// Emits the row at these distances from the origin; the distance along the
+  /// row is ignored.
   void emitRow(ArrayRef<OpFoldResult> distances);
 
 private:

@@ -98,7 +98,7 @@ static Value emitActivations(OpBuilder &builder, const BlockLoop &block,
                                      /*addElseBlock=*/true);
       OpBuilder then = OpBuilder::atBlockBegin(known.thenBlock());
       scf::YieldOp::create(then, loc, active);
-      // The activation may fail for want of memory: ask again afterwards.
+      // The activation may fail for want of memory: test the cell again.
       OpBuilder otherwise = OpBuilder::atBlockBegin(known.elseBlock());
       ActivateOp::create(otherwise, loc, name, origin, up);
       active = IsActiveOp::create(otherwise, loc, otherwise.getI1Type(), name,
