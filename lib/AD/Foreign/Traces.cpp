@@ -389,7 +389,7 @@ Value Recorder::ensureRoom(Value cell, Value number) {
   return grown.getResult(0);
 }
 
-/// Makes the second execution store a value in its trace.
+/// Makes the second execution store the value `what` in a trace.
 void Recorder::record(Recorded &what, Traces &traces) {
   Slot &slot = slots[what.block];
   Value number = again.lookup(slot.number);

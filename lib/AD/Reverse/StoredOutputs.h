@@ -21,7 +21,7 @@
 
 namespace mlir::tai {
 
-/// The values of a kernel that a field holds when it has finished.
+/// The values of a kernel that fields hold when the kernel has finished.
 class StoredOutputs {
 public:
   /// The location of a value: the element that `store` writes, or its component

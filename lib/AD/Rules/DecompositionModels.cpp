@@ -28,8 +28,9 @@ SmallVector<S> getAxial(M p) {
   return {p(2, 1) - p(1, 2), p(0, 2) - p(2, 0), p(1, 0) - p(0, 1)};
 }
 
-/// A = R S. With S = Rᵀ A the adjoint of S joins those of R and A; R turns by
-/// dR = R [w]ₓ with (tr(S) I - S) w = axial(Rᵀ dA - dAᵀ R).
+/// A = R S. As S = Rᵀ A, the adjoint of S contributes to the adjoints of R and
+/// A. The differential of R is R [w]ₓ, where w is the solution of
+/// (tr(S) I - S) w = axial(Rᵀ dA - dAᵀ R).
 struct PolarModel
     : DifferentiableOpInterface::ExternalModel<PolarModel, PolarOp> {
   LogicalResult buildAdjoint(Operation *op, AdjointBuilder &b) const {

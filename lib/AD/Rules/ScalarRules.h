@@ -154,8 +154,8 @@ private:
 struct Partial {
   /// Position of the operand.
   unsigned operand;
-  /// The contribution to its adjoint as text, for documentation: g is the
-  /// adjoint of the result r, and x, y, z are the operands.
+  /// The contribution to the adjoint of the operand as text, for documentation:
+  /// g is the adjoint of the result r, and x, y, z are the operands.
   const char *formula;
   /// False if the partial is finite wherever the operands are; then no guard
   /// for a zero adjoint is needed.
