@@ -477,7 +477,7 @@ bool SharedUpdate::isOnlyUsedHere() {
 /// the indices are computed before each step.
 bool SharedUpdate::isUndisturbed() {
   const void *key = getStorageKey(store);
-  // Other components are other memory, whatever the indices.
+  // Different components are different memory, whatever the indices are.
   auto isElsewhere = [&](DifferentiableAccessInterface access) {
     return !store.getAccessComponents().empty() &&
            !access.getAccessComponents().empty() &&

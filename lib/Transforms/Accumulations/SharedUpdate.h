@@ -118,7 +118,8 @@ private:
   /// Updates before the branches and loops that are being matched, whose steps
   /// have been found already.
   SmallVector<Value> formers;
-  /// An extremum that replaces the store, beside the steps, and its kind.
+  /// An extremum that replaces the store, in addition to the steps, and its
+  /// kind.
   std::optional<ChosenExtremum> chosen;
   AtomicKind chosenKind = AtomicKind::Min;
   /// Results of branches on the path that stay, or that `chosen` erases.

@@ -61,7 +61,7 @@ private:
 };
 } // namespace
 
-/// Computes a value that depends on arguments alone at the top of the kernel.
+/// Computes, at the top of the kernel, a value that depends on arguments alone.
 Value PreconditionWriter::clone(Value value) {
   Operation *op = value.getDefiningOp();
   if (!op)

@@ -180,8 +180,8 @@ bool FiniteConditions::requirePartial(arith::SelectOp guard) {
   return true;
 }
 
-/// Requires finite values from iterations, and from outside of the block, that
-/// may be non-finite and on which `value` depends.
+/// Requires that the values on which `value` depends are finite, where they
+/// come from iterations or from outside of the block.
 bool FiniteConditions::requireSeeds(Value value, Block &block) {
   if (!isFloatOrVector(value.getType()) || !followed.insert(value).second)
     return true;

@@ -39,8 +39,8 @@ using namespace mlir;
 using namespace mlir::tai;
 
 namespace {
-/// Versions the guards in the pure operations of a block before an operation
-/// with effects, or that can be moved before it.
+/// Versions the guards among the pure operations of a block that are, or can be
+/// moved, before an operation with effects.
 class Segment {
 public:
   Segment(Block &block, Operation *end) : block(block), end(end) {}

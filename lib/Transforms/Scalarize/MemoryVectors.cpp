@@ -21,10 +21,10 @@ using namespace mlir::tai;
 /// loop, which would carry each component in a register and would not become
 /// vectors of iterations, and elsewhere.
 static constexpr int64_t kMaxInLoop = 6, kMaxElsewhere = 16;
-/// The maximal bytes of a function's vectors on the stack, small in threads.
+/// The maximal bytes of a function's vectors: stacks of threads are small.
 static constexpr int64_t kMaxBytes = 1 << 15;
 /// The maximal number of accesses to vectors that need copies in a function:
-/// upstream's time to find the copies grows with its third power.
+/// upstream finds the copies in a time that grows with its third power.
 static constexpr int64_t kMaxAccesses = 200;
 /// The maximal number of pairs of a vector and a write to a connected vector.
 static constexpr int64_t kMaxPairs = 1 << 22;

@@ -51,7 +51,7 @@ static SmallVector<Operation *> collect(Block &block) {
 }
 
 namespace {
-/// Equal ops with equal operands are one key.
+/// Compares ops by kind, attributes and operands.
 struct SameOp : public llvm::DenseMapInfo<Operation *> {
   static unsigned getHashValue(const Operation *op) {
     return OperationEquivalence::computeHash(

@@ -63,7 +63,7 @@ private:
   unsigned zeroArm;
   SmallVector<Operation *> tail;
   DenseSet<Value> zeros;
-  /// Operands of the block's terminator that the tail computes.
+  /// Operands of the block's terminator that ops after the branch compute.
   SmallVector<OpOperand *> yielded;
   DenseSet<Operation *> cloned;
 };
