@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// All accesses of a function by storage, in program order, and relations
-// between two of them: may one run after the other and reach the same element.
+// All accesses of a function by storage, in program order, and queries about
+// two accesses: may one run after the other and reach the same element.
 //
 //===----------------------------------------------------------------------===//
 
@@ -52,10 +52,10 @@ bool reachSameElement(DifferentiableAccessInterface lhs,
 
 /// False if `second` cannot run after `first` and reach the same element: in
 /// the same iteration of the loops around both, or in a later iteration of a
-/// serial one. Iterations of one parallel loop are assumed not to conflict: a
+/// serial loop. Iterations of one parallel loop are assumed not to conflict: a
 /// program in which they do has no defined result. Conservative: true unless
-/// proven otherwise. With `scope`, a block around both, only within one
-/// execution of it.
+/// proven otherwise. With `scope`, a block around both accesses, only the order
+/// within one execution of `scope` counts.
 bool mayReachLater(DifferentiableAccessInterface first,
                    DifferentiableAccessInterface second,
                    Block *scope = nullptr);
@@ -63,8 +63,8 @@ bool mayReachLater(DifferentiableAccessInterface first,
 /// True if the op runs iterations one after another.
 bool isSerialLoop(Operation *op);
 
-/// The innermost block around both ops, and the op in it around each; null if
-/// they are in different functions.
+/// The innermost block around both ops; replaces `lhs` and `rhs` by the ops of
+/// that block that contain them. Null if the ops are in different functions.
 Block *findCommonBlock(Operation *&lhs, Operation *&rhs);
 
 /// True if `second` runs after `first`, in the same iteration of the loops

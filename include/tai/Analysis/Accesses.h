@@ -31,14 +31,14 @@ bool areProvablyEqual(ValueRange lhs, ValueRange rhs);
 bool areProvablyDistinct(ValueRange lhs, ValueRange rhs);
 
 /// True if no two iterations of parallel loops reach the same element by any of
-/// the accesses: all those to one storage in one outermost parallel loop.
+/// `accesses`, all accesses to one storage in one outermost parallel loop.
 bool isExclusive(ArrayRef<Operation *> accesses);
 
 /// The induction variables of an op that runs its body in parallel, or none.
 ValueRange getParallelInductionVars(Operation *op);
 /// The innermost parallel loop around `op`, or null.
 Operation *getEnclosingParallelLoop(Operation *op);
-/// The outermost one.
+/// The outermost parallel loop around `op`, or null.
 Operation *getOutermostParallelLoop(Operation *op);
 /// The induction variables of all loops between `op` and the function around
 /// it, from the outermost to the innermost.
@@ -48,13 +48,13 @@ Operation *getLoopOf(Value iv);
 
 /// The indices as a map from the induction variables of the loops around
 /// `access` (dimensions) and the integer arguments of the function (symbols),
-/// or null where they are not affine in these.
+/// or null if an index is not affine in these variables and arguments.
 AffineMap getAffineMap(Operation *access, ValueRange indices);
 
 /// A key for the storage that an access reaches; equal for all `tai.field` ops
 /// of one place.
 const void *getStorageKey(Operation *op);
-/// The key of a field.
+/// The key of the storage of `field`, see getStorageKey.
 const void *getFieldStorageKey(FieldOp field);
 
 /// Marks each `tai.atomic` add or sub as exclusive where no other iteration of

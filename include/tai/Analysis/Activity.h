@@ -31,9 +31,9 @@ void forEachForwarding(RegionBranchOpInterface op,
 class Activity {
 public:
   /// Analyses a function. `hasAdjoint` tells which storages have an adjoint;
-  /// `inputs` are the arguments, and `outputs` the operands of its terminator,
-  /// that have one. With `assumeVaried`, every value that can carry a
-  /// derivative is assumed to be varied.
+  /// `inputs` are the arguments with an adjoint, and `outputs` the operands of
+  /// the terminator with an adjoint. With `assumeVaried`, every value that can
+  /// carry a derivative is assumed to be varied.
   Activity(FunctionOpInterface function,
            llvm::function_ref<bool(Storage)> hasAdjoint,
            ArrayRef<Value> inputs = {}, ArrayRef<Value> outputs = {},

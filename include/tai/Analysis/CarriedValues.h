@@ -36,7 +36,7 @@ enum class CarriedKind {
 struct CarriedStep {
   Operation *op;
   unsigned operand;
-  /// The odd constant of a product.
+  /// The constant factor of a product; odd, so that the product has an inverse.
   std::optional<llvm::APInt> factor = std::nullopt;
 };
 
@@ -75,7 +75,8 @@ private:
 llvm::StringRef stringifyCarriedKind(CarriedKind kind);
 
 /// Liveness of the values in a region: needed by effects or by terminators of
-/// the region's own blocks. Distinguishes the results of a branch or loop.
+/// the region's own blocks. Each result of a branch or loop has its own
+/// liveness.
 class LiveValues {
 public:
   explicit LiveValues(Region &region);

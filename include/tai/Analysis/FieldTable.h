@@ -19,14 +19,14 @@
 
 namespace mlir::tai {
 
-/// On a write: its cell is known to be active.
+/// Attribute of a write to a cell that is known to be active.
 constexpr llvm::StringLiteral kActiveAttrName = "tai.active";
 
 /// Alias information of an access for LLVM; each may be null: its alias scope,
 /// the noalias scopes, and its access groups.
 struct AliasScopes {
   ArrayAttr own, others, groups;
-  /// Alignment of the address in bytes; 0 for that of the type.
+  /// Alignment of the address in bytes; 0 stands for the alignment of the type.
   unsigned alignment = 0;
   /// The attribute kDigitsAttrName, or null.
   DenseI64ArrayAttr digits = nullptr;
@@ -34,7 +34,7 @@ struct AliasScopes {
 
 /// On a lowered access to a field: three numbers for each digit of its indices
 /// and its component: stride in bytes, extent, and the shift between the digit
-/// and that of the non-constant part of the address.
+/// and the digit of the non-constant part of the address.
 constexpr llvm::StringLiteral kDigitsAttrName = "tai.digits";
 
 /// A sparse level on the path to a field.
@@ -100,7 +100,8 @@ public:
   FailureOr<const FieldInfo *> lookup(Operation *user, FlatSymbolRefAttr name);
 
   /// The slice of `field` with the given dimensions fixed, if its stride is
-  /// uniform; dimensions whose digits are inside free ones become free.
+  /// uniform. A fixed dimension with a digit inside a free dimension becomes
+  /// free.
   static std::optional<FieldSlice> getSlice(const FieldInfo &field,
                                             ArrayRef<bool> fixed);
 

@@ -51,7 +51,7 @@ public:
   bool isInUnitInterval(Value value, Operation *at = nullptr);
   Interval getRange(Value value, Operation *at = nullptr);
 
-  /// The least magnitude whose inverse, and the cube of that, are in the range
+  /// The least magnitude x for which both 1 / x and (1 / x)^3 are in the range
   /// of the type.
   static double getClearance(Type type);
 
@@ -63,7 +63,8 @@ private:
 
   bool usesConditions;
   llvm::DenseMap<Value, bool> nonFinite;
-  /// The values in `nonFinite` that were found finite, in that order.
+  /// The values in `nonFinite` that were found finite, in the order in
+  /// which they were found.
   llvm::SmallVector<Value> concludedFinite;
 };
 

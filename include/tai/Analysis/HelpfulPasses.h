@@ -12,14 +12,16 @@
 
 namespace mlir::tai {
 
-/// On a copy of a function, prepared to be differentiated: the function.
+/// On a copy of a function that is prepared for differentiation: the symbol of
+/// the original function.
 constexpr llvm::StringLiteral kPreparedFor = "tai.prepared_for";
 
-/// The pass that turns this op into ones that have derivatives, or an empty
-/// string. A pass that has run on the function around it does not count.
+/// The name of the pass that turns `op` into ops that have derivatives, or an
+/// empty string. A pass that has run on the function around `op` does not
+/// count.
 StringRef getHelpfulPass(Operation *op);
 
-/// Adds a note that names this pass. False if there is none.
+/// Adds a note that names the helpful pass. False if there is none.
 bool attachHelpfulPass(InFlightDiagnostic &diag, Operation *op);
 
 } // namespace mlir::tai

@@ -29,8 +29,9 @@ namespace mlir::tai {
 struct Violation {
   /// The access goes out of range if this system over launch values holds.
   LinearSystem launch;
-  /// The first iteration in which it happens, outermost loop first: each index
-  /// is the least number for which its system holds, given those before it.
+  /// The first iteration in which the access goes out of range, outermost loop
+  /// first: each index is the least number for which its system holds, given
+  /// the indices of the loops around.
   struct Step {
     unsigned variable;
     LinearSystem system;
@@ -41,9 +42,9 @@ struct Violation {
 struct BoundsAnswer {
   /// The index is always in range.
   bool isInRange = false;
-  /// The index is in range in all launches without one of `violations`.
+  /// The index is in range in all launches for which no violation holds.
   bool isDecided = false;
-  /// Exact: if it happens, the program has an out-of-range access.
+  /// Exact: a launch for which a violation holds has an out-of-range access.
   SmallVector<Violation, 1> violations;
 };
 
@@ -57,7 +58,7 @@ public:
   /// that depend on data, which conditions may keep in range.
   BoundsAnswer check(const IndexedAccess &access, size_t number, bool proves);
 
-  /// The meaning of the variables of a system.
+  /// The table of the loop indices and launch values that variables stand for.
   const IndexForms &getForms() const { return forms; }
   /// The index as a linear sum of loop indices and launch values; none if it is
   /// not one.

@@ -14,24 +14,24 @@
 
 namespace mlir::tai {
 
-/// An extent; that of an array may be known at launch time only.
+/// An extent; the extents of an array are possibly unknown until launch time.
 struct Extent {
   int64_t number = 0;
-  /// If not null: the extent is that of dimension `number` of this argument.
+  /// If not null, the extent of dimension `number` of this argument.
   Value array = {};
 };
 
 /// An access with its indices, their first values and extents.
 struct IndexedAccess {
   Operation *op;
-  /// "field '@x' of shape [4, 8]"; see `describeArray` for that of an array.
+  /// "field '@x' of shape [4, 8]"; for an array, see `describeArray`.
   std::string what;
   /// The indices of the program. Indices of components of an element follow
   /// those of the element.
   SmallVector<OpOperand *> indices;
   SmallVector<int64_t> first;
   SmallVector<Extent> extents;
-  /// The number of indices of the element; the others are of components.
+  /// The number of indices of the element; the rest are indices of components.
   size_t rank = 0;
 
   /// Returns no value for an operation that is not an access, or whose index

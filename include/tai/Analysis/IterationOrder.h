@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Whether the iterations of a loop meet in memory. Iterations of a parallel
-// loop have no order, so that most passes need not ask. Where a loop runs on
-// one thread they have one, which only loops whose iterations do not meet may
-// give up. See docs/decisions/0051-one-thread-in-order.md.
+// Whether different iterations of a loop access the same memory. Iterations of
+// a parallel loop have no order, so that most passes need not ask. A loop on
+// one thread has an order, which the loop must keep if its iterations access
+// the same memory. See docs/decisions/0051-one-thread-in-order.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,8 +19,8 @@
 
 namespace mlir::tai {
 
-/// The position of an access in its storage: the indices of the element, then
-/// those of the component, if it reaches only one.
+/// The position of an access in its storage: the indices of the element, and
+/// the indices of the component if the access reaches only one component.
 struct ElementPlace {
   ValueRange indices, components;
 };
@@ -30,9 +30,9 @@ struct ElementPlace {
 /// An index that is out of range is not followed where it wraps around.
 bool mayMeet(ParallelForOp loop, ElementPlace first, ElementPlace second);
 
-/// True unless it is proven that the order of the iterations changes nothing
-/// in memory and nothing that they read, but for the order in which sums and
-/// other updates that commute are combined.
+/// True unless it is proven that the order of the iterations changes neither
+/// the contents of memory nor the values that iterations read, apart from the
+/// order in which sums and other updates that commute are combined.
 bool dependsOnOrder(ParallelForOp loop);
 
 } // namespace mlir::tai

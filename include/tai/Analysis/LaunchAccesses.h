@@ -27,7 +27,7 @@ int64_t countSlots(TypeRange types);
 struct NamedAccess {
   std::string field;
   runtime::AccessKind kind;
-  /// As in runtime::Access.
+  /// See runtime::Access.
   std::vector<runtime::FixedIndex> fixed;
 
   bool operator==(const NamedAccess &other) const {
@@ -39,14 +39,16 @@ struct NamedAccess {
 /// of the kernel's arguments.
 std::vector<NamedAccess> listAccesses(Operation *root);
 
-/// For each of `accesses`, those of the kernel and of the functions that it
-/// calls: the elements that a launch stores, whatever fields hold. Empty where
-/// that depends on fields, is not a box, or for accesses that are not writes.
+/// For each of `accesses`, all accesses of the kernel and of its callees: the
+/// boxes of elements that a launch stores, whatever fields hold. Empty for an
+/// access that is not a write, and where the stored elements depend on the
+/// contents of fields or do not form boxes.
 std::vector<std::vector<runtime::StoredBox>>
 findStoredBoxes(ModuleOp module, KernelOp kernel,
                 ArrayRef<NamedAccess> accesses);
 
-/// The same, for an array argument of the kernel.
+/// The boxes of elements that a launch stores in an array argument of the
+/// kernel.
 std::vector<runtime::StoredBox> findStoredBoxes(KernelOp kernel,
                                                 BlockArgument array);
 

@@ -24,8 +24,9 @@ struct LoopBox {
   std::optional<unsigned> find(Value value);
 };
 
-/// The box of `loop`: its bounds, or those of the field that it visits. Returns
-/// no value if they are not constants, or the field has a sparse level.
+/// The box of `loop`: its bounds, or the index space of the field that it
+/// visits. Returns no value if the bounds are not constants, or the field has a
+/// sparse level.
 std::optional<LoopBox> getConstantBox(ParallelForOp loop);
 
 /// The boxes of the outermost parallel loops below `root` with explicit
@@ -33,8 +34,8 @@ std::optional<LoopBox> getConstantBox(ParallelForOp loop);
 /// callers restructure these loops.
 SmallVector<LoopBox> findConstantBoxes(Operation *root);
 
-/// Like getConstantBox, but for any field: a superset of the indices that a
-/// loop over active cells visits.
+/// Like getConstantBox, but also for fields with sparse levels: the box is a
+/// superset of the indices that a loop over active cells visits.
 std::optional<LoopBox> getIndexBox(ParallelForOp loop);
 
 } // namespace mlir::tai

@@ -20,7 +20,8 @@
 namespace mlir::tai {
 
 /// Pairs of a tree, by its position in the module of the kernel, and the number
-/// of a level in it. Empty where the kernel does anything else.
+/// of a level in the tree. Empty for a kernel that does more than loop over
+/// cells.
 std::vector<int64_t> findLoopLevels(KernelOp kernel);
 
 } // namespace mlir::tai

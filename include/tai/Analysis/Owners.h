@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The traces of `tai-choose-writers`: stores that only one of several
-// iterations makes, the owner of the element.
+// Recognises code that `tai-choose-writers` made: stores to an element that
+// only one of several iterations makes, the owner of the element.
 //
 //===----------------------------------------------------------------------===//
 
@@ -18,11 +18,11 @@
 namespace mlir::tai {
 
 /// True for memory that holds the numbers of the iterations that own elements:
-/// an allocation of integers, of which the greatest ones are found, and then
-/// read.
+/// an allocation of integers that stores and atomic maxima update, and that is
+/// read only after the last update.
 bool holdsOwners(Value memory);
 
-/// The ops behind an allocation of owners that set them, in their order.
+/// The ops after the allocation that set the owners, in program order.
 SmallVector<Operation *> findOwnerSetters(Operation *alloc);
 
 /// The branch around `op`, below `scope`, that only the owner of an element

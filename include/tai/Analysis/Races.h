@@ -14,9 +14,9 @@
 namespace mlir::tai {
 
 /// The parallel loop around both accesses, if two different iterations of it
-/// certainly reach the same element, one by each access; or null. Both may be
-/// the same access. With `ofLongLoops`, bounds that are not known are taken to
-/// be far away.
+/// certainly reach the same element, one by each access; or null. `lhs` and
+/// `rhs` can be the same access. With `ofLongLoops`, unknown bounds are assumed
+/// to be far away.
 Operation *findRace(DifferentiableAccessInterface lhs,
                     DifferentiableAccessInterface rhs,
                     bool ofLongLoops = false);

@@ -24,24 +24,25 @@ struct LoopBox;
 enum class Sharing {
   /// No other iteration reaches the element by this access.
   Own,
-  /// Not known: the indices depend on data, or a condition holds for one
-  /// iteration, it may be.
+  /// Unknown: the indices depend on data, or a condition possibly holds for one
+  /// iteration only.
   Possible,
   /// Every iteration reaches the element, or every iteration for which a
   /// condition other than an equality holds.
   Certain
 };
 
-/// How the iterations of `loop`, which is around the access, share its element.
+/// Whether iterations of `loop`, which contains `access`, share the element.
 Sharing getSharing(DifferentiableAccessInterface access, ParallelForOp loop);
 
-/// Takes away the iterations of a box in which the access does not run, as far
-/// as comparisons of one index with a constant say so. False if it is under
-/// another condition, or in another loop.
+/// Removes from `box` the iterations in which the access does not run, as far
+/// as conditions compare one index with a constant. Returns false if the access
+/// is under a condition of another kind, or in a loop inside the box's loop.
 bool narrowToAccess(Operation *access, LoopBox &box);
 
-/// Bounds of the indices of a parallel loop, which hold beside its own: those
-/// of each dimension, made of values from outside of the loop.
+/// Bounds of the indices of a parallel loop, in addition to the loop's own
+/// bounds. The bounds of each dimension consist of values from outside of the
+/// loop.
 struct IndexLimits {
   /// An index is at least each of these.
   SmallVector<SmallVector<IndexExpr, 1>> lower;
@@ -49,9 +50,9 @@ struct IndexLimits {
   SmallVector<SmallVector<IndexExpr, 1>> upper;
 };
 
-/// The iterations in which the access runs, as far as comparisons of one index
-/// with values from outside say so. No value if it is under another condition,
-/// or in another loop.
+/// The iterations in which the access runs, as far as conditions compare one
+/// index with values from outside of the loop. No value if the access is under
+/// a condition of another kind, or in a loop inside `loop`.
 std::optional<IndexLimits> getLimits(Operation *access, ParallelForOp loop);
 
 /// Compares values and accesses of one iteration of a loop. Equal expressions

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Passes count on the thread that runs them; the caller of the pass pipeline
-// collects the sums. The IR is not involved.
+// Passes count skipped work (see Skips.h) on the thread that runs them; the
+// caller of the pass pipeline collects the sums. The IR is not involved.
 //
 //===----------------------------------------------------------------------===//
 
@@ -17,8 +17,8 @@
 
 namespace mlir::tai {
 
-/// Collects counts of this thread during its lifetime. They are not added to
-/// those of enclosing scopes, so that failed attempts can be discarded.
+/// Collects counts of this thread during its lifetime. Enclosing scopes do not
+/// receive these counts, so that failed attempts can be discarded.
 class SkipScope {
 public:
   SkipScope();
@@ -28,7 +28,7 @@ public:
 
   const SkipAmounts &getAmounts() const { return amounts; }
 
-  /// Counts for the innermost scope of this thread, if there is one.
+  /// Adds to a counter of the innermost scope of this thread, if there is one.
   static void count(SkipCount counter, int64_t amount = 1);
 
 private:

@@ -5,10 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The primal values that an adjoint reads: a tape records those before they are
-// overwritten, long before the adjoint has been compiled. So the analysis runs
-// as soon as a kernel has been differentiated, and its result is cached with
-// the code.
+// The primal values that an adjoint reads: a tape records these values before
+// they are overwritten, long before the adjoint has been compiled. So the
+// analysis runs as soon as a kernel has been differentiated, and its result is
+// cached with the code.
 //
 //===----------------------------------------------------------------------===//
 
@@ -28,22 +28,23 @@ struct ToBeRecorded {
   /// the additional reads of that variant.
   bool loadsStored = false;
   std::vector<NamedAccess> stored;
-  /// Fields that it reads in the version before the launch.
+  /// Fields of which the adjoint reads the contents before the launch.
   std::vector<std::string> before;
-  /// Fields whose levels' activity it reads.
+  /// Fields of whose levels the adjoint reads the activity.
   std::vector<std::string> activity;
   std::vector<LoopFlags> flags;
-  /// Array arguments whose elements it reads, by the slots of their pointers.
+  /// Array arguments whose elements the adjoint reads, by the slots of their
+  /// pointers.
   std::vector<int64_t> arrays;
-  /// It re-executes stores of the kernel, which changes the fields that it
-  /// reads.
+  /// The adjoint executes stores of the kernel again, which changes fields that
+  /// the adjoint reads.
   bool reexecutes = false;
   /// If not empty, the text of the module with the parts that the kernel was
   /// split into.
   std::string parts;
 
   std::string serialize() const;
-  /// Returns no value if the bytes are not those of a result.
+  /// Returns no value if the bytes are not a serialized ToBeRecorded.
   static std::optional<ToBeRecorded> deserialize(StringRef bytes);
 };
 

@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// The value that is tested for zero where a select chooses; null for another
-/// condition.
+/// The value that the condition of the select compares with zero; null for a
+/// condition of another kind.
 Value getTestedForZero(arith::SelectOp select);
 
 /// The adjoint or tangent, or partial derivative, whose zeros a guard tests

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The one place that takes index arithmetic apart. A builder remembers the
-// expressions and ranges of the values that it has met: use one for all queries
-// on a program that does not change meanwhile.
+// The only code that decomposes index arithmetic. A builder caches the
+// expressions and ranges of the values that it has met: use one builder for all
+// queries on a program that does not change between the queries.
 //
 //===----------------------------------------------------------------------===//
 
@@ -21,7 +21,7 @@ namespace mlir::tai {
 
 class IndexBuilder {
 public:
-  /// With a scope, values from outside of it are terms.
+  /// Values defined outside of `scope`, if it is given, become terms.
   explicit IndexBuilder(Operation *scope = nullptr) : scope(scope) {}
 
   /// The expression of an integer or index value.
@@ -50,8 +50,8 @@ private:
   };
   Parts takeMultiples(const IndexExpr &expr, int64_t divisor);
   IndexExpr build(Value value, unsigned depth);
-  /// The same, or the value as a term if its expression does not determine all
-  /// bits of its type, or may wrap.
+  /// Like build, but gives the value as a term if its expression does not
+  /// determine all bits of its type, or may wrap.
   IndexExpr buildWhole(Value value, unsigned depth);
   IndexExpr buildExact(Value value, unsigned depth);
   std::optional<IndexExpr> buildSum(Operation *op, unsigned depth);
@@ -61,8 +61,8 @@ private:
   std::optional<IndexExpr> buildBits(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildSelect(Operation *op, unsigned depth);
   std::optional<IndexExpr> buildExtreme(Operation *op, unsigned depth);
-  /// The low bits of `expr`, which an op of type `type` computes from operands
-  /// of the ranges. `fits` asks whether it does so without wrapping.
+  /// Limits `expr` to the width of `type`, the type of the op that computes it,
+  /// unless `fits` says that the op never wraps.
   IndexExpr limit(IndexExpr expr, Type type, llvm::function_ref<bool()> fits);
   IndexRange getSignedRange(Value value);
 
@@ -73,16 +73,16 @@ private:
   Operation *scope;
   IntegerRanges ranges;
   llvm::DenseMap<Value, IndexExpr> known;
-  /// Expressions that the depth ended early, on the way to one value.
+  /// Expressions that the depth limit cut short, during one call of get.
   llvm::DenseMap<Value, IndexExpr> cut;
   bool isCut = false;
 };
 
-/// The same, by a builder of its own.
+/// As IndexBuilder::get, with a new builder.
 IndexExpr getIndexExpr(Value value);
 SmallVector<IndexExpr> getIndexExprs(ValueRange values);
 
-/// A summand of an index, and the value that it is a constant multiple of.
+/// A summand of an index: `whole`, which is `factor` times `value`.
 struct IndexSummand {
   Value whole, value;
   int64_t factor = 1;

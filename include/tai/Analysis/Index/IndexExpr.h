@@ -10,10 +10,10 @@
 // of such sums. See docs/decisions/0057-index-expressions.md.
 //
 // Integers of a fixed width wrap around, sums do not. An expression says how
-// many low bits of its sum the value is made of: 64 where the arithmetic is
+// many low bits of its sum determine the value: 64 where the arithmetic is
 // known not to wrap, and the width of the narrowest arithmetic otherwise. The
-// queries count modulo that power of two, so that their answers hold for
-// arithmetic that wraps, too.
+// queries compute modulo two to the power of this width, so that their answers
+// hold for arithmetic that wraps, too.
 //
 //===----------------------------------------------------------------------===//
 
@@ -73,29 +73,29 @@ struct IndexExpr {
   /// Adds `scale` times `other`. The result has the smaller width of both.
   IndexExpr &add(const IndexExpr &other, int64_t scale = 1);
 
-  /// The number of values in it, each as often as it is named.
+  /// The number of occurrences of values in the expression.
   unsigned getSize() const;
   /// The factor of a value that is itself a term.
   int64_t getCoefficient(Value value) const;
   bool allOf(llvm::function_ref<bool(Value)> predicate) const;
   bool mentions(Value value) const;
 
-  /// Replaces values by expressions, where `replace` returns one. One that is
-  /// not exact stands for its value as a term, which `replace` must return
-  /// itself.
+  /// Replaces each value for which `replace` returns an expression. For a value
+  /// whose expression is not exact, `replace` must return the value itself as a
+  /// term.
   IndexExpr
   substitute(llvm::function_ref<std::optional<IndexExpr>(Value)> replace) const;
 
   bool operator==(const IndexExpr &other) const {
     return width == other.width && compare(other) == 0;
   }
-  /// The order of the sums.
+  /// A total order of the sums, without their widths.
   int compare(const IndexExpr &other) const;
 };
 
-/// An operation on two sums as integers. Quotients are rounded down, truncated
-/// ones towards zero; remainders have the sign of the divisor, truncated ones
-/// that of the dividend.
+/// An operation on two sums as integers. Quotient rounds down, and
+/// TruncatedQuotient towards zero; Remainder has the sign of the divisor, and
+/// TruncatedRemainder the sign of the dividend.
 struct IndexNode {
   enum class Kind {
     Quotient,

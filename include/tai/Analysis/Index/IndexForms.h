@@ -7,8 +7,8 @@
 //
 // Integer values of a kernel as linear sums, and their ranges: sums of loop
 // indices and of launch values, which depend on the arguments of the kernel and
-// the extents of its arrays alone. Integers wrap around, sums do not: where it
-// is not known that a value does not wrap, that is recorded as an assumption.
+// the extents of its arrays alone. Integers wrap around, sums do not: unless a
+// value provably does not wrap, the form records that as an assumption.
 //
 //===----------------------------------------------------------------------===//
 
@@ -48,7 +48,7 @@ struct LinearForm {
   SmallVector<LinearSum, 2> facts;
   /// The sum equals the value, and is a function of the iteration.
   bool isCertain = true;
-  /// `facts` (each a sum >= 0) always hold. If not, they are assumptions.
+  /// `facts` (each a sum >= 0) always hold; otherwise `facts` are assumptions.
   bool isComplete = true;
 
   /// The sum of this and `scale` times `other`.
@@ -75,8 +75,8 @@ public:
   }
   /// The launch value that a variable stands for, or null.
   const LaunchValue *getLaunchValue(unsigned variable) const;
-  /// The two factors of a variable that stands for a product of a sum of launch
-  /// values (the first) and one that varies in a loop. Empty for others.
+  /// The two factors of a variable that stands for a product: a sum of launch
+  /// values, and a sum that varies in a loop. Empty for other variables.
   ArrayRef<LinearSum> getFactors(unsigned variable) const {
     return variables[variable].factors;
   }
@@ -88,7 +88,7 @@ public:
                                const LinearSum &index) const;
   bool hasProduct(const LinearSum &sum) const;
   /// The product of two sums of launch values as a launch value. Adds to
-  /// `facts` the conditions for it not to overflow.
+  /// `facts` the conditions under which the product does not overflow.
   LinearSum multiply(const LinearSum &a, const LinearSum &b,
                      SmallVectorImpl<LinearSum> &facts);
 
@@ -97,7 +97,7 @@ private:
     Kind kind;
     NumberRange range;
     LaunchValue launch = {};
-    /// Of a product.
+    /// The factors of a variable of kind Product.
     SmallVector<LinearSum, 0> factors = {};
   };
 
@@ -108,7 +108,7 @@ private:
   std::optional<LinearForm> makeExtreme(Operation *op);
   std::optional<LinearForm> makeProduct(Operation *op);
   LinearForm makeVariable(Kind kind, NumberRange range);
-  /// Adds the conditions for a value of the type not to have wrapped.
+  /// Adds the conditions under which a value of the type has not wrapped.
   void assumeFits(LinearForm &form, Type type) const;
 
   KernelOp kernel;

@@ -12,12 +12,12 @@
 
 namespace mlir::tai {
 
-/// No loop has more iterations along a dimension: indices of 32 bits would run
-/// through all numbers, and leave each field.
+/// The most iterations that a loop has along a dimension: with more, an index
+/// of 32 bits would take all values, and leave every field.
 constexpr int64_t kMostIterations = (int64_t(1) << 32) - 1;
 
-/// A sum of unknowns times factors, and a constant, of which it is asked
-/// whether its low bits can be zero.
+/// A constant plus unknowns times factors; canBeZero asks whether the low bits
+/// of the sum can be zero.
 class IndexDifference {
 public:
   void addConstant(__int128 value);
@@ -34,14 +34,14 @@ private:
   IndexRange range{0, 0};
 };
 
-/// True if both certainly differ, in the same iteration of the loops around
-/// them.
+/// True if `lhs` and `rhs` certainly differ, in the same iteration of the loops
+/// around them.
 bool areDistinct(const IndexExpr &lhs, const IndexExpr &rhs);
 
-/// Pairs of expressions that are equal, the first in one iteration of a loop
-/// and the second in another one, and the equations that follow from them:
-/// digits determine their number. Values from outside of the loop are the same
-/// in both iterations, as are those of `same`.
+/// Equations between two iterations of a loop, the first side in one iteration
+/// and the second side in the other, and the equations that follow: a number
+/// and its digits determine each other. Values from outside of the loop, and
+/// the values of `same`, are equal in both iterations.
 class IterationEquations {
 public:
   IterationEquations(IndexBuilder &builder, Operation *loop,
@@ -50,7 +50,8 @@ public:
 
   void add(const IndexExpr &first, const IndexExpr &second);
   void add(ValueRange first, ValueRange second);
-  /// Adds all that follows. True if the values are the same in both iterations.
+  /// Adds all equations that follow. True if each of `values` is the same in
+  /// both iterations.
   bool solve(ValueRange values);
   ArrayRef<std::pair<IndexExpr, IndexExpr>> get() const { return equations; }
 
@@ -70,11 +71,11 @@ private:
 };
 
 /// True if different values of `ivs`, induction variables of one loop, give
-/// different values of at least one of `indices`. Its other induction variables
-/// and all values from outside of the loop count as fixed.
+/// different values of at least one of `indices`. The loop's other induction
+/// variables and all values from outside of the loop count as fixed.
 bool isInjectiveOver(IndexBuilder &builder, ArrayRef<IndexExpr> indices,
                      ValueRange ivs);
-/// The same, by a builder of its own.
+/// As above, with a new builder.
 bool isInjectiveOver(ArrayRef<IndexExpr> indices, ValueRange ivs);
 
 } // namespace mlir::tai

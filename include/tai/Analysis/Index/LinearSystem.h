@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Conjunctions of linear inequalities over integers, and Fourier-Motzkin
-// elimination. Its real shadow holds all solutions, its dark shadow (Pugh, The
-// Omega Test, 1991) solutions only; where all coefficients of a variable on one
-// side are one, both are the same set. Small vectors instead of a Presburger
-// library: most systems of a kernel have two variables.
+// elimination. The real shadow of a system holds all solutions, its dark shadow
+// (Pugh, The Omega Test, 1991) solutions only; where all coefficients of a
+// variable on one side are one, the two shadows are equal. Small vectors
+// instead of a Presburger library: most systems of a kernel have two variables.
 //
 //===----------------------------------------------------------------------===//
 
@@ -49,9 +49,10 @@ struct LinearSum {
 class LinearSystem {
 public:
   ArrayRef<LinearSum> getRows() const { return rows; }
-  /// Some row can never hold. Sufficient for an empty system, not necessary.
+  /// Some inequality can never hold, so that the system has no solution. A
+  /// system without a solution is not always contradictory in this sense.
   bool isContradictory() const { return contradictory; }
-  /// The system, or a coefficient, became too large: it is invalid.
+  /// The system is invalid because it, or a coefficient, became too large.
   bool isUnknown() const { return unknown; }
 
   /// Adds `sum >= 0`, divided by the common divisor of its factors.
@@ -61,12 +62,12 @@ public:
       require(sum);
   }
 
-  /// The variables in it, ascending.
+  /// The variables of the system, ascending.
   SmallVector<unsigned> getVariables() const;
 
   enum class Shadow { Real, Dark };
-  /// The system without `variable`. Clears `isExact` unless the shadows are the
-  /// same.
+  /// The system without `variable`. Sets `isExact` to false unless both shadows
+  /// are equal.
   LinearSystem eliminate(unsigned variable, Shadow shadow, bool &isExact) const;
 
 private:

@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Groups the updates of a parallel loop by their targets, and reads how the
-// loop does them. ReductionPlan.h decides that; lowerings carry it out.
+// Groups the updates of a parallel loop by their targets, and reads how each
+// update is done: ReductionPlan.h decides it, and lowerings carry it out.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,17 +22,17 @@ namespace mlir::tai {
 /// that LLVM may vectorise without a dependence check.
 constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
 
-/// On an update of memory other than tai.atomic, which has an inherent
-/// attribute for this: the #tai.reduction. Without it, the update is atomic.
+/// The #tai.reduction of an update of memory. Not on tai.atomic, which has an
+/// inherent attribute for it. An update without the attribute is atomic.
 constexpr llvm::StringLiteral kAccumulateAttrName = "tai.accumulate";
 
-/// How the loop does an update; null for one that the lowering of memory
-/// accesses does, as an atomic or a plain one.
+/// How the loop does an update. Null for an update that the lowering of memory
+/// accesses does, as an atomic or a plain access.
 ReductionAttr getReduction(Operation *update);
 inline bool isDoneByLoop(Operation *update) {
   return getReduction(update) != nullptr;
 }
-/// True for an update of which a register holds the sum.
+/// True if a register holds the sum of `update`.
 bool isKeptInRegister(Operation *update);
 
 /// Updates of one element, in the order of the program: the loop keeps their
@@ -43,7 +43,8 @@ SmallVector<Total> groupTotals(ArrayRef<Operation *> updates);
 AtomicKind getCombiningKind(Operation *update);
 Type getTermType(Operation *update);
 
-/// True if a sum of the loop adds its terms in the order of all targets.
+/// True if a sum of the loop adds its terms in the order that all targets
+/// share.
 bool hasCommonTotals(ParallelForOp loop);
 
 /// Updates of one part of one field.
@@ -69,7 +70,7 @@ groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
 void mergeGroups(AccumulationGroup &into, const AccumulationGroup &from);
 
 /// For sums in fixed point: the number of elements of the part of the field,
-/// and the bytes of the accumulator of each.
+/// and the size in bytes of the accumulator of one element.
 int64_t getNumAccumulators(const AccumulationGroup &group);
 int64_t getAccumulatorBytes(Type scalar);
 
@@ -93,8 +94,9 @@ std::optional<int64_t> getNumIterations(ParallelForOp loop);
 /// private buffer. Measured: 5 ns against 0.5 ns.
 constexpr double kElementsPerUpdate = 10;
 
-/// So many terms of f32 for an element of a GPU, added up by warps or blocks,
-/// are at most some hundred to some thousand additions in f32. More go to f64.
+/// The most f32 terms that a GPU adds in f32 to one element: warps or blocks
+/// add the terms, in some hundred to some thousand additions in f32. Sums of
+/// more terms are in f64.
 constexpr int64_t kFewTerms = 1 << 15;
 
 /// The neutral element of `kind`.

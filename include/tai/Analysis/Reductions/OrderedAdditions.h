@@ -29,19 +29,19 @@ Operation *findDivergence(ParallelForOp loop, OpPredicate isAddition);
 /// True if the additions of `loop` that are neither exclusive nor sums over all
 /// iterations can be executed in the order of iteration numbers while the rest
 /// of the iterations runs in parallel: nothing in the loop reads the writes of
-/// other iterations. `plan` says which additions those are.
+/// other iterations. `plan` says which additions are exclusive or such sums.
 bool canOrderAdditions(ParallelForOp loop, FieldTable &fields,
                        const ReductionPlan &plan);
 
-/// The same for the order of iterations: no element gets more than one of the
-/// additions of an iteration, so that it does not matter that threads do one
-/// addition of 32 iterations after another.
+/// Like canOrderAdditions, and no element receives more than one addition of an
+/// iteration. The order of iterations is then kept when the threads of a warp
+/// execute one addition for 32 iterations before the next addition.
 bool canQueueAdditions(ParallelForOp loop, FieldTable &fields,
                        const ReductionPlan &plan);
 
-/// True if the values that the loop adds, in `additions`, can be computed
-/// several times, without its other effects, and always are the same. All are
-/// additions to fields whose old value nobody uses.
+/// True if the values that the loop adds can be computed several times with the
+/// same results, without other effects of the loop. `additions` receives the
+/// additions, all of them to fields whose old value nobody uses.
 bool canAddInAnyOrder(ParallelForOp loop, FieldTable &fields,
                       const ReductionPlan &plan,
                       SmallVectorImpl<AtomicOp> &additions);

@@ -32,9 +32,9 @@ struct ReductionPlan {
   };
   /// `tai.atomic`, and updates of arrays from outside the loop.
   llvm::MapVector<Operation *, Update> updates;
-  /// The order of the loop, where its results may not depend on threads.
+  /// The order of the loop, if its results must not depend on threads.
   std::optional<LoopOrder> order;
-  /// One thread runs the loop; one warp does.
+  /// Whether one thread runs the loop, and whether one warp runs it.
   bool isSerial = false, inWarp = false;
   /// No iteration accesses memory that another one writes.
   bool isIndependent = false;
@@ -49,8 +49,8 @@ struct ReductionPlan {
   void apply(ParallelForOp loop) const;
 };
 
-/// Whether the results of the kernel or function that `op` is, or is in, may
-/// not depend on the number of threads, nor on timing.
+/// Whether the results of the kernel or function that `op` is, or is in, must
+/// depend neither on the number of threads nor on timing.
 bool hasFixedBits(Operation *op);
 
 /// How a kernel adds up several terms of one iteration.
@@ -60,9 +60,9 @@ enum class TermSum { Plain, WithErrors, Unavailable };
 /// the target can keep a sum of f64 with its rounding errors.
 TermSum planGatheredSum(ParallelForOp loop, Type scalar, bool pairs);
 
-/// Plans a loop from which invariant code has been moved: such indices tell
-/// which part of a field is updated. `onDevice`: for a GPU. Fails after an
-/// error at a sum for which the kernel asks for digits that it cannot have.
+/// Plans a loop from which invariant code has been moved: invariant indices
+/// tell which part of a field is updated. `onDevice`: for a GPU. Emits an error
+/// and fails at a sum that cannot have the digits for which the kernel asks.
 FailureOr<ReductionPlan> planReductions(ParallelForOp loop, FieldTable &fields,
                                         bool onDevice);
 

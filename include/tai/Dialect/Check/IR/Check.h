@@ -25,8 +25,8 @@
 
 namespace mlir::tai {
 
-/// Registers the dialect, and makes the tai dialect load it, because programs
-/// with the former names name only that one.
+/// Registers the check dialect, and makes the tai dialect load it: a program
+/// that uses the former names mentions the tai dialect only.
 void registerCheckDialect(DialectRegistry &registry);
 
 /// Replaces checks under former names in `root` by the present ops.

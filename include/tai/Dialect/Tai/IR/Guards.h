@@ -12,18 +12,18 @@
 
 namespace mlir::tai {
 
-/// Marks a select between zero, where an adjoint is zero, and its product with
-/// a partial derivative that may be infinite or NaN. It is not a branch of the
-/// program: its own derivative is zero only where both the adjoint that it
-/// tests and the derivative of that adjoint are zero.
+/// Marks a select that gives zero where an adjoint is zero, and otherwise the
+/// product of the adjoint and a partial derivative that may be infinite or NaN.
+/// The select is not a branch of the program: its own derivative is zero only
+/// where both the tested adjoint and the derivative of that adjoint are zero.
 constexpr llvm::StringLiteral kGuard = "tai.guard";
 
-/// Marks a select between zero, where an adjoint is infinite and the partial
-/// derivative zero, and their product.
+/// Marks a select that gives zero where an adjoint is infinite and the partial
+/// derivative zero, and otherwise the product of both.
 constexpr llvm::StringLiteral kInfiniteGuard = "tai.guard_infinite";
 
-/// Marks the reverse of a branch: its results are adjoints, and values computed
-/// from those are guarded.
+/// Marks the reverse of a branch: the results of the op are adjoints, and
+/// values computed from the results are guarded.
 constexpr llvm::StringLiteral kAdjointBranch = "tai.adjoint_branch";
 
 } // namespace mlir::tai

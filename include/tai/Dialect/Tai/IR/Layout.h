@@ -32,7 +32,7 @@ void printLevelAxes(AsmPrinter &printer, ArrayRef<unsigned> axes,
 void printLevelChildren(AsmPrinter &printer, ArrayRef<Type> children);
 
 /// The field that an op accesses, loops over or queries; null if none. Ops of
-/// other dialects are known by FieldAccessOpInterface.
+/// other dialects name their field through FieldAccessOpInterface.
 FlatSymbolRefAttr getNamedField(Operation *op);
 
 /// One level on the path from the root to a place.
@@ -43,8 +43,8 @@ struct PathLevel {
 };
 
 /// How one level divides one dimension of a field: the digit of index x is
-/// (x / divisor) % extent, and is worth `stride` bytes, or `weight` cells of
-/// its level.
+/// (x / divisor) % extent. An increment of the digit advances the address by
+/// `stride` bytes, and the cell number in the level by `weight`.
 struct IndexDigit {
   unsigned dimension; // position among the indices of the field
   unsigned level;     // position on the path
@@ -94,11 +94,11 @@ struct FieldLayout {
 /// The layout of a verified field.
 FailureOr<FieldLayout> getFieldLayout(FieldOp field);
 
-/// Whether an element of one field is active exactly if that of the other with
-/// the same indices is.
+/// Whether, for all indices, the element of `a` is active exactly if the
+/// element of `b` is active.
 bool haveSameActivity(const FieldLayout &a, const FieldLayout &b);
 
-/// The field of that name visible from `from`, or null.
+/// The field called `name` that is visible from `from`, or null.
 FieldOp lookupField(Operation *from, FlatSymbolRefAttr name);
 
 /// A sparse level of a tree. Every cell has an address whether it is active or
@@ -108,7 +108,7 @@ struct SparseNode {
   SNodeTypeInterface type;
   /// Positions among the children, from the root down.
   SmallVector<unsigned> position;
-  /// The nearest sparse level above, as its number.
+  /// The number of the nearest sparse level above this level.
   std::optional<unsigned> parent;
   /// One step for each level down to this one, and for each axis of a level
   /// whose cells are not contiguous: the number of cells below one parent cell,
@@ -120,8 +120,8 @@ struct SparseNode {
   SmallVector<Step> steps;
   /// The offset of cell 0, in bytes from the base of the tree.
   uint64_t offset = 0;
-  /// The offset of its activity: one bit for each cell, in words of 64 bits, or
-  /// for `dynamic` the length of each list, in 32 bits.
+  /// The offset of the level's activity data: one bit for each cell, in words
+  /// of 64 bits, or for `dynamic` the length of each list, in 32 bits.
   uint64_t activityOffset = 0;
 
   /// Cells in the whole tree.
@@ -137,8 +137,8 @@ SmallVector<SparseNode> getSparseNodes(RootType root,
 struct FieldStorage {
   SmallVector<IndexDigit> digits;
   uint64_t offset = 0;
-  /// A sparse level on the path: its position there, and its number in the
-  /// tree.
+  /// A sparse level on the path: its position on the path, and its number among
+  /// the sparse levels of the tree.
   struct SparseLevel {
     unsigned level;
     unsigned node;

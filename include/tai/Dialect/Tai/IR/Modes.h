@@ -7,19 +7,19 @@
 //
 // The attribute `modes` of kernels:
 //
-//   precision = "f64" or "f32"       the type of arithmetic, whatever fields
-//   hold sums = "compensated"             sums are kept with twice the digits
-//          "deterministic"           bits do not depend on threads
-//          "compensated+deterministic"   both: of a deterministic context
-//   math = "fast", "strict" or "accurate"
-//   ftz = true                       denormal numbers are zero
+//   precision = "f64", "f32"      the type of arithmetic; fields keep theirs
+//   sums = "compensated",         sums are kept with twice the digits
+//          "deterministic",       bits do not depend on threads
+//          "compensated+deterministic"  both; set in deterministic contexts
+//   math = "fast", "strict", "accurate"
+//   ftz = true, false             denormal numbers are zero
 //
-// `"default"` is a word of each. See docs/guides/precision.md.
+// Each entry also accepts `"default"`. See docs/guides/precision.md.
 //
 // Functions that a kernel is lowered to have the same settings as an LLVM
 // function attribute, `["tai.modes", "sums=compensated,ftz=true"]` in
-// `passthrough`. Both are inherent attributes: a pass may drop discardable
-// ones, and that must not change a result.
+// `passthrough`. Both are inherent attributes: passes are free to drop
+// discardable attributes, and a dropped mode would change results.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,7 +35,7 @@ namespace mlir::tai {
 /// The minimum precision of a kernel's arithmetic. Fields keep their types.
 enum class Precision { Default, F64, F32 };
 
-/// How sums over iterations, and scatters, are kept.
+/// The arithmetic and the order of sums over iterations and of scatters.
 enum class SumsMode { Default, Compensated, Deterministic, Both };
 
 /// The transformations allowed for arithmetic and elementary functions.
@@ -50,7 +50,8 @@ struct Modes {
   /// The modes of the kernel or function that `op` is or is in.
   static Modes of(Operation *op);
 
-  /// The modes of the kernel in a deterministic context.
+  /// These modes with deterministic sums, for a kernel in a deterministic
+  /// context.
   Modes inDeterministicContext() const;
 
   bool isDeterministic() const {
@@ -59,7 +60,7 @@ struct Modes {
   bool isCompensated() const {
     return sums == SumsMode::Compensated || sums == SumsMode::Both;
   }
-  /// Whether its sums have the order that all targets share: see
+  /// Whether sums have the order that all targets share: see
   /// docs/decisions/0039-bits.md.
   bool hasOneOrder() const {
     return math == MathMode::Strict && !isCompensated() && isDeterministic();
@@ -76,11 +77,12 @@ struct Modes {
   }
 };
 
-/// Fails after an error if the dictionary of a kernel holds anything else.
+/// Emits an error and fails if the mode dictionary has an unknown entry.
 LogicalResult verifyModes(Operation *kernel, DictionaryAttr modes);
 
-/// The same for the modes in `passthrough`, if `function` is a function of the
-/// LLVM dialect. Called by passes that read them, because no verifier does.
+/// Verifies the modes in the `passthrough` attribute of `function`, if it is a
+/// function of the LLVM dialect. Passes that read these modes call
+/// verifyPassedModes, because no verifier checks `passthrough`.
 LogicalResult verifyPassedModes(Operation *function);
 
 } // namespace mlir::tai

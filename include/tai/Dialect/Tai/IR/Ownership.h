@@ -22,8 +22,8 @@ namespace mlir::tai {
 /// True for ops of the dialects of tai.
 bool isTaiOp(Operation *op);
 
-/// The op of tai that `op` is or holds, or null. Modules inside are not
-/// searched.
+/// Returns `op` or an op nested in it that belongs to a dialect of tai, or null
+/// if there is none. Nested modules are not searched.
 Operation *findTaiOp(Operation *op);
 
 /// Whether `op`, which stands in the body of a module, is code of tai: an op of
@@ -36,27 +36,27 @@ bool isTaiCode(Operation *op);
 bool belongsToTai(Operation *op);
 
 /// The ops of a module that are lowered: code of tai, and the functions that
-/// call, directly or indirectly, a function that is. A caller is lowered too,
-/// because its callee has another signature afterwards.
+/// call code of tai directly or indirectly. A caller is lowered too, because
+/// lowering changes the signature of the callee.
 llvm::SetVector<Operation *> collectLowered(ModuleOp module);
 
-/// Adds the functions that these ops name, directly or indirectly.
+/// Adds to `ops` the functions that its ops name, directly or indirectly.
 void addCallees(ModuleOp module, llvm::SetVector<Operation *> &ops);
 
-/// Calls `action` with each op of a module that `op` names, and with the op
-/// inside that names it.
+/// For each reference in `op` to a symbol of the module, calls `action` with
+/// the referenced op, and with the op in `op` that refers to it.
 void forEachNamed(Operation *op, SymbolTable &symbols,
                   llvm::function_ref<void(Operation *, Operation *)> action);
 
-/// Notes on a function of another dialect that it is code of tai. An entry of
-/// `passthrough`, because a pass may drop discardable attributes.
+/// Marks a function of another dialect as code of tai. The mark is an entry of
+/// `passthrough`, because passes are free to drop discardable attributes.
 void markLowered(Operation *function);
 
-/// Takes this mark off.
+/// Removes the mark that markLowered sets.
 void unmarkLowered(Operation *function);
 
-/// Calls `action` with the functions in `root` that belong to tai. Where `root`
-/// is in a function, with `root` if the function belongs to tai.
+/// Calls `action` with the functions in `root` that belong to tai. If `root` is
+/// inside a function that belongs to tai, calls `action` with `root` instead.
 void walkOwned(Operation *root, llvm::function_ref<void(Operation *)> action);
 
 } // namespace mlir::tai

@@ -52,15 +52,18 @@ struct CellRef {
   /// levels.
   Value tree;
   unsigned node;
-  /// The offset of its bits or lengths, in bytes from the tree.
+  /// The offset of the level's activity bits or list lengths, in bytes from the
+  /// tree.
   uint64_t activityOffset;
-  /// Cells of the level below one parent cell: of a list, its capacity.
+  /// The number of cells of the level in one parent cell; for a list, the
+  /// capacity.
   int64_t capacity;
-  /// The number of the cell in the tree, an index.
+  /// The number of the cell among all cells of its level, a value of type
+  /// index.
   Value cell;
 };
 
-/// The address of the numbers of active cells, and their count.
+/// The address of an array of the numbers of active cells, and its length.
 struct CellList {
   Value cells, count;
 };
@@ -70,7 +73,7 @@ Value emitIsActive(OpBuilder &builder, Location loc, CellActivity activity,
                    const CellRef &cell);
 Value emitActivate(OpBuilder &builder, Location loc, const CellRef &cell);
 void emitDeactivate(OpBuilder &builder, Location loc, const CellRef &cell);
-/// The length of list number `list`, an index; the cell of `at` is ignored.
+/// The length of list number `list`, a value of type index; ignores `at.cell`.
 Value emitListLength(OpBuilder &builder, Location loc, const CellRef &at,
                      Value list);
 CellList emitActiveCells(OpBuilder &builder, Location loc, Value tree,

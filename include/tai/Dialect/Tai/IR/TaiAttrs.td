@@ -85,7 +85,7 @@ def Tai_ReductionAttr : AttrDef<Tai_Dialect, "Reduction"> {
   }];
   let genVerifyDecl = 1;
   let extraClassDeclaration = [{
-    /// The same in the buffer with this number.
+    /// This attribute with `buffer` as the number of its buffer.
     ReductionAttr withBuffer(int64_t buffer) {
       return get(getContext(), getForm(), getDigits(), getOrder(), getBlock(),
                  buffer);

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// MLIR's parser descends by recursion and has no limit: nested text ends the
-// process. So text that comes from elsewhere is looked at first.
+// MLIR's parser recurses without a limit: deeply nested text overflows the
+// stack and ends the process. So text from outside the process is checked
+// first.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,8 +20,8 @@
 
 namespace mlir::tai {
 
-/// The most brackets, and minus signs in a row, that may be open at once. The
-/// parser needs up to 4 KB of the stack for each.
+/// The greatest depth to which brackets and consecutive minus signs nest. The
+/// parser needs up to 4 KB of the stack for each level.
 inline constexpr unsigned kMostNested = 512;
 
 struct TextProblem {
@@ -31,17 +32,18 @@ struct TextProblem {
   unsigned line, column;
 };
 
-/// Where the text of a module, an attribute or a type asks for what MLIR's
-/// parser dies of or does not finish. Strings and comments are passed over;
-/// brackets of all kinds count, and those of the aliases that are used. MLIR's
-/// bytecode is no text, but holds affine maps as text: looks at these.
+/// Finds text of a module, an attribute or a type that would crash MLIR's
+/// parser or keep it busy without end. Skips strings and comments. Brackets of
+/// all kinds count, including the brackets in aliases that the text uses.
+/// MLIR's bytecode holds affine maps as text: only the maps are checked.
 std::optional<TextProblem> findTextProblem(StringRef text);
-/// Reports a type of more dimensions than text may have.
+/// Emits an error and fails if a type in `module` has too many dimensions.
 LogicalResult checkDimensions(Operation *module);
 
-/// For tools that leave the reading of files to MLIR: looks at the files among
-/// the arguments, and at the standard input if it is read instead, which can
-/// be read again afterwards. Returns false after a message.
+/// For tools that leave the reading of files to MLIR: checks the files named in
+/// the arguments, or the standard input if the tool reads that instead. The
+/// standard input can be read again afterwards. Returns false after printing a
+/// message.
 bool checkToolInput(int argc, char **argv);
 
 } // namespace mlir::tai

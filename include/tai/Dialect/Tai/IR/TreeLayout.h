@@ -34,7 +34,7 @@ public:
   FieldStorage getFieldStorage(const FieldLayout &layout);
 
 private:
-  /// Offset of child `index` of the root, or in a cell with these children.
+  /// Offset of child `index` in the root; getOffset: in a cell with `children`.
   uint64_t getRootOffset(unsigned index);
   uint64_t getOffset(ArrayRef<Type> children, unsigned index);
   uint64_t getOffsetOfPlace(PlacesType places, unsigned index);
@@ -45,18 +45,18 @@ private:
 
   RootType root;
   const DataLayout &dataLayout;
-  /// By the memory of the children, which a type owns for good.
+  /// The key is the address of the children array, which a type owns for good.
   llvm::DenseMap<const Type *, SmallVector<uint64_t>> offsets;
   llvm::DenseMap<PlacesType, SmallVector<uint64_t>> placeOffsets;
   llvm::DenseMap<Type, SmallVector<uint64_t>> cellStrides;
   SmallVector<uint64_t> rootOffsets;
   std::optional<SmallVector<SparseNode>> nodes;
-  /// The number of a sparse level, by its position.
+  /// The number of a sparse level, by its SparseNode::position.
   llvm::DenseMap<ArrayRef<unsigned>, unsigned> numberOfNode;
 };
 
-/// The places of each tree by name, for as long as its type exists: as long as
-/// the context. Several threads may ask.
+/// Finds the places of a tree by name. The index of a tree lives as long as the
+/// context, like the tree's type. Safe to call from several threads.
 class PlaceIndex : public DialectInterface::Base<PlaceIndex> {
 public:
   MLIR_DEFINE_EXPLICIT_INTERNAL_INLINE_TYPE_ID(PlaceIndex)
@@ -65,8 +65,9 @@ public:
   std::optional<PlacePath> find(RootType root, StringRef name) const;
 
 private:
-  /// The number of each level down to a place among the children of the one
-  /// above, then that of the record, then that of the place.
+  /// The path to a place: for each level its child number in the level above,
+  /// then the child number of the record, then the number of the place in the
+  /// record.
   using Position = SmallVector<unsigned, 4>;
   using Places = llvm::StringMap<Position>;
   const Places &placesOf(RootType root) const;

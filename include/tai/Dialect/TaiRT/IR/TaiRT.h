@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Ops for addresses of trees and cells of sparse levels. The helpers with which
-// levels build them are declared in Layout.h and Tai.h, and defined in this
-// library, in CellCode.cpp.
+// Ops for addresses of trees and cells of sparse levels. Sparse levels build
+// these ops with helpers that are declared in Layout.h and Tai.h, and defined
+// in this library, in CellCode.cpp.
 //
 //===----------------------------------------------------------------------===//
 
