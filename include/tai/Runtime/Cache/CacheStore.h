@@ -57,12 +57,12 @@ public:
   std::optional<std::string> get(std::string_view key);
   /// Stores an entry; false if that was not possible. Thread-safe.
   bool put(std::string_view key, std::string_view bytes);
-  /// The same on a background thread, since the disk takes milliseconds. Until
-  /// it has finished, get() may not find the entry.
+  /// Stores an entry on a background thread, since the disk takes milliseconds.
+  /// Until the thread is done, get() may not find the entry.
   void putLater(std::string key, std::string bytes);
   /// The exclusive right, among processes, to make the entry of a key: a file
-  /// lock. Others wait, and then find the entry. Released with the last copy,
-  /// or when the process ends for whatever reason.
+  /// lock. Other processes wait, and then find the entry. Released with the
+  /// last copy, or when the process ends for whatever reason.
   using Claim = std::shared_ptr<void>;
   /// Waits until the current owner releases the claim, at most `mostSeconds`:
   /// after that, or where files cannot be locked, the result is null, and two
@@ -79,7 +79,7 @@ public:
   /// Removes every entry.
   void clean();
   /// Verifies every entry and removes the damaged ones; returns the number of
-  /// good ones.
+  /// undamaged entries.
   int64_t verify();
 
   CacheStats stats() const;

@@ -107,7 +107,7 @@ struct DeviceImage {
   std::string bytes;
   /// Names of the functions, in the order of their numbers in host code.
   std::vector<std::string> functions;
-  /// The source location of each of them, as "file:line:column"; empty unless
+  /// The source location of each function, as "file:line:column"; empty unless
   /// requested.
   std::vector<std::string> places;
   /// LLVM bitcode of the same code, for fusing kernels into programs; null if
@@ -196,13 +196,13 @@ public:
   /// aligned to its size.
   virtual Status fill(DevicePtr to, const void *pattern, int patternBytes,
                       int64_t count) = 0;
-  /// The same for strided rows. The rows of both sides have the size given in
-  /// `to` (or `one`), and do not overlap.
+  /// Copies strided rows. The rows of both sides have the size given in `to`
+  /// (in swapRows, `one`), and do not overlap.
   virtual Status copyRows(const DeviceRows &to, DevicePtr from,
                           int64_t fromStep) = 0;
   virtual Status swapRows(const DeviceRows &one, DevicePtr other,
                           int64_t otherStep) = 0;
-  /// The size of a row is a multiple of the pattern.
+  /// Fills strided rows. The size of a row is a multiple of the pattern.
   virtual Status fillRows(const DeviceRows &to, const void *pattern,
                           int patternBytes) = 0;
   /// Runs all fills, in any order: they must be disjoint, or write the same
@@ -296,8 +296,9 @@ public:
 /// variable TAI_CUDA_DRIVER names another library to load as the driver.
 Status openCudaDevice(int ordinal, std::unique_ptr<Device> &device);
 
-/// Links an object file into memory and looks up functions by name; null for
-/// one that is not found. They are valid while `library` lives.
+/// Links an object file into memory and looks up functions by name; the address
+/// is null for a function that is not found. The addresses are valid while
+/// `library` lives.
 using ObjectLinker = std::function<Status(
     std::string_view object, const std::vector<std::string> &names,
     std::vector<void *> &addresses, std::shared_ptr<void> &library)>;

@@ -18,7 +18,7 @@
 
 namespace mlir::tai::runtime {
 
-/// Sets the size for devices opened later; 0 for the default of each.
+/// Sets the heap size of devices opened later; 0 for each device's default.
 void setDeviceHeapBytes(int64_t bytes);
 int64_t deviceHeapBytes();
 

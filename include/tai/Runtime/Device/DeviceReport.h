@@ -22,8 +22,8 @@
 
 namespace mlir::tai::runtime {
 
-/// An initial state, with `outputCapacity` bytes of output behind it (a
-/// multiple of eight).
+/// An initial state, to be followed in memory by `outputCapacity` bytes of
+/// output (a multiple of eight).
 TaiDeviceState freshDeviceState(uint64_t outputCapacity, uint64_t stackLimit);
 
 /// Whether there is a failure, output, or a stop to report.
@@ -31,7 +31,7 @@ inline bool hasDeviceReport(const TaiDeviceState &state) {
   return state.failed || state.outputUsed || state.lostLines || state.stopped;
 }
 
-/// The number of bytes of records behind the state.
+/// The number of bytes of records that follow the state.
 uint64_t deviceOutputBytes(const TaiDeviceState &state);
 
 struct DeviceReport {
@@ -45,8 +45,8 @@ struct DeviceReport {
   uint32_t stoppedBy = 0;
 };
 
-/// Decodes the state and the `bytes` bytes of output behind it. Fails if they
-/// are corrupt: something has overwritten them.
+/// Decodes the state and the `bytes` bytes of output that follow it. Fails if
+/// the state or the output is corrupt: something has overwritten it.
 Status readDeviceReport(const TaiDeviceState &state, const void *output,
                         uint64_t bytes, DeviceReport &report);
 

@@ -28,12 +28,12 @@ public:
   ~ExportedBuffer();
   ExportedBuffer(const ExportedBuffer &) = delete;
   ExportedBuffer &operator=(const ExportedBuffer &) = delete;
-  /// Whether any exist, of any runtime.
+  /// Whether any exported buffer exists, in any runtime.
   static bool areAny() { return count.load(std::memory_order_relaxed) > 0; }
   /// Exports the address of a field, on the device if there is one. Until the
   /// buffer is destroyed, reads on the host assume that others may have changed
   /// the field. Fails for sparse fields, and where elements are not strided
-  /// uniformly along each dimension. Owed zeros must be settled before.
+  /// uniformly along each dimension. Owed zeros must have been stored.
   static Status make(Field &field, DeviceHost &devices,
                      ExportedField &exported);
   /// Whether the field is exported, and the range of addresses of its elements.

@@ -26,8 +26,8 @@ public:
   FieldCopies(Workers &workers, DeviceHost &devices)
       : workers(workers), devices(devices) {}
 
-  /// From a field to an array of its scalar type, of shape (shape..., element
-  /// shape...).
+  /// Copies from a field to an array of its scalar type, of shape (shape...,
+  /// element shape...).
   Status copyOut(const Field &field, void *array) const;
   /// Bytes between two safepoints of a copy: a few milliseconds, also where the
   /// pages of the memory are new.
@@ -35,12 +35,13 @@ public:
   /// Whether the host may interrupt a copy in the middle. Safepoints are passed
   /// either way.
   enum class Interrupts { Stop, Wait };
-  /// The other way round; for a sparse field, only active cells. False if it
-  /// was interrupted: the field then holds a part of the array.
+  /// Copies from an array to a field; of a sparse field, to active cells only.
+  /// False if the copy was interrupted: the field then holds a part of the
+  /// array.
   bool copyIn(Field &field, const void *array,
               Interrupts interrupts = Interrupts::Wait) const;
-  /// Sets all components to one scalar of the field's type. False if it was
-  /// interrupted.
+  /// Sets all components to one scalar of the field's type. False if the host
+  /// interrupted the fill.
   bool fill(Field &field, const void *scalarBytes,
             Interrupts interrupts = Interrupts::Wait) const;
   bool clear(Field &field, Interrupts interrupts = Interrupts::Wait) const {
@@ -49,9 +50,9 @@ public:
   }
 
 private:
-  /// Calls run(begin, end) for parts of [0, count), on worker threads if there
-  /// are so many bytes, with safepoints in between. False if the host has
-  /// interrupted it.
+  /// Calls run(begin, end) for parts of [0, count), with safepoints in between,
+  /// on worker threads if `bytes` is large enough. False if the host has
+  /// interrupted the work.
   bool runParts(int64_t count, int64_t bytes, Interrupts interrupts,
                 const std::function<void(int64_t, int64_t)> &run) const;
   template <typename Data, typename Move>
@@ -73,8 +74,8 @@ private:
 /// again in a handler.
 class CopySafepoints {
 public:
-  /// Passes the first one, which starts the clock, if there are so many bytes.
-  /// Fails if the host interrupts the work.
+  /// Passes the first safepoint, which starts the clock, if `bytes` bytes take
+  /// long to copy. Fails if the host interrupts the work.
   Status begin(int64_t bytes);
   Status pass();
   /// Fails in a handler that has interrupted the work.

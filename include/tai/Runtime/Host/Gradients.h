@@ -32,7 +32,7 @@ public:
   /// adjoints too. For a tape, skips fields that another thread has written and
   /// the tape does not use. Fails if the host interrupts it.
   Status clear(const Recorder *tape = nullptr);
-  /// The same for tangents written by the calling thread.
+  /// Sets to zero the tangent fields that no other thread wrote last.
   void clearTangents();
 
   /// Defers storing zeros in an adjoint field until it is read. Launches of
@@ -43,11 +43,11 @@ public:
   }
   /// Stores owed zeros. Call before memory is accessed other than through
   /// fields. Zeros owed by another thread belong to that thread, which may be
-  /// using the field: of those, only the ones in fields that the caller is
-  /// about to use (`uses`) are stored.
+  /// using the field: settle stores them only in fields that the caller is
+  /// about to use (`uses`).
   using Uses = std::function<bool(const FieldPtr &)>;
   void settle(const Uses &uses = nullptr);
-  /// Call when fields have been settled one by one.
+  /// Call when the owed zeros of single fields have been stored.
   void forgetSettled();
   void forget(const Tree &tree);
 

@@ -37,17 +37,17 @@ public:
   /// Null for none.
   void setWatcher(OverwriteWatcher *follows) { watcher = follows; }
 
-  /// The whole field, from a row-major array of its scalar type.
+  /// Writes the whole field, from a row-major array of its scalar type.
   Status copyIn(Field &field, const void *array);
   Status fillF64(Field &field, double value);
   Status fillI64(Field &field, int64_t value);
-  /// One component of one element, like Field::writeF64.
+  /// Writes one component of one element, like Field::writeF64.
   Status writeF64(Field &field, const int64_t *index, int64_t component,
                   double value);
   Status writeI64(Field &field, const int64_t *index, int64_t component,
                   int64_t value);
-  /// The elements at `count` index tuples, from an array of the field's type;
-  /// activates their cells.
+  /// Writes the elements at `count` index tuples, from an array of the field's
+  /// type; activates their cells.
   Status writeElements(Field &field, const int64_t *indices, int64_t count,
                        const void *values);
   /// Activates or deactivates a cell of a sparse level; `cell` -1 deactivates
@@ -58,11 +58,11 @@ public:
   /// field. Fails while a tape records, because it cannot record such writes.
   Status noteOutside(Field &field);
 
-  /// Any of these writes; and for tapes its two steps, without notification:
-  /// activation of cells, and the write.
+  /// Performs any of the writes above. For tapes, its two steps, without
+  /// notification: activation of cells, and the write.
   Status change(const HostWrite &write);
   Status activateFor(const HostWrite &write);
-  /// False if it was interrupted.
+  /// False if the host interrupted the write.
   bool
   perform(const HostWrite &write,
           FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait);

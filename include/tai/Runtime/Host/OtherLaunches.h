@@ -24,8 +24,8 @@ public:
   /// Whether threads other than the calling one have launched kernels.
   virtual bool areAny() const = 0;
   /// A barrier to call after the state of holds has changed: launches of other
-  /// threads that begin later see the change, earlier ones are seen by
-  /// visitChanges.
+  /// threads that begin later see the change, and visitChanges sees the
+  /// launches that began earlier.
   virtual void publishState() const = 0;
   /// Calls `visit` with each field that a running kernel of another thread
   /// changes, and with the kernel's name, except for launches recorded by that

@@ -41,8 +41,8 @@ public:
   Recorder *current() const {
     return __builtin_expect(isAny(), false) ? find() : nullptr;
   }
-  /// Whether any thread records; and whether several have recorded at the same
-  /// time since none did.
+  /// Whether any thread records; and whether several threads have recorded at
+  /// the same time since the last moment at which no thread recorded.
   bool isAny() const {
     return numRecording.load(std::memory_order_relaxed) != 0;
   }
@@ -94,7 +94,7 @@ public:
                             false) &&
            isForwardHere();
   }
-  /// For the calling thread.
+  /// Sets the mode of the calling thread.
   void setForward(bool on);
 
   //===--------------------------------------------------------------------===//
@@ -115,15 +115,16 @@ public:
   /// Fails if an access of this kind by the calling thread conflicts with a
   /// hold of another thread's tape.
   Status check(const Field &field, HoldKind kind) const;
-  /// The same for the activity of cells of a tree.
+  /// Fails if a change of the activity of a tree's cells conflicts with a hold
+  /// of another thread's tape.
   Status checkActivity(const Tree &tree) const;
 
   /// The last plan that a tape of any thread has made, or null.
   std::shared_ptr<const KnownPlan> knownPlan() const;
   void setKnownPlan(std::shared_ptr<const KnownPlan> plan);
 
-  /// Warnings about lost gradients that have been given, and hashes of the
-  /// kernel sequences that have been checked.
+  /// Hashes of the kernel sequences that have been checked, and the warnings
+  /// about lost gradients that have been given.
   std::unordered_set<size_t> sequencesSeen;
   std::unordered_set<std::string> cutsSaid;
 
@@ -149,13 +150,13 @@ private:
   /// Guards `recordings`, and the holds of all fields.
   mutable std::mutex mutex;
   std::atomic<int> numRecording{0};
-  /// Changes whenever `recordings` does; unique among all runtimes.
+  /// Changes whenever `recordings` changes; unique among all runtimes.
   std::atomic<uint64_t> version{0};
   std::atomic<bool> together{false};
   std::atomic<int> numHolding{0};
   std::atomic<int> numForward{0};
-  /// Tapes that record or have recorded, guarded by a mutex of their own: they
-  /// are asked about values under it.
+  /// Tapes that record or have recorded, guarded by `tapesMutex`, which is also
+  /// held while tapes are asked whether they need values.
   std::vector<Recorder *> tapes;
   mutable std::mutex tapesMutex;
   std::shared_ptr<const KnownPlan> lastPlan; // under the same mutex

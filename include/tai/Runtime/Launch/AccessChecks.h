@@ -35,7 +35,7 @@ struct CheckedAccess {
 /// The instrumented variant of a kernel.
 struct CheckedKernel {
   KernelPtr kernel;
-  /// The fields whose shadow arrays are its additional arguments.
+  /// The fields whose shadow arrays are additional arguments of `kernel`.
   std::vector<FieldPtr> fields;
   std::vector<CheckedAccess> accesses;
 };

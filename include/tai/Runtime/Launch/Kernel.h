@@ -51,7 +51,7 @@ struct Access {
 };
 
 /// A sparse level over whose active cells a kernel loops: the tree, by its
-/// position among those of the kernel, and the number of the level in it.
+/// position among the trees of the kernel, and the number of the level in it.
 struct LoopLevel {
   int64_t tree;
   int64_t node;
@@ -113,14 +113,15 @@ struct ArrayRange {
 /// The memory that the adjoint of a kernel reads and changes; known before the
 /// adjoint is compiled.
 struct AdjointPlan {
-  /// The primal fields that it reads.
+  /// The primal fields that the adjoint reads.
   std::vector<Access> reads;
-  /// Fields that it reads in the version before the launch.
+  /// Fields that the adjoint reads in the version before the launch.
   std::vector<FieldPtr> before;
-  /// It re-executes the primal, which changes these while it runs.
+  /// The adjoint re-executes the primal, which changes the fields that it
+  /// reads.
   bool reexecutes = false;
-  /// If not empty: the kernels recorded instead of this one, in this order.
-  /// They have its arguments; one of them may return its results.
+  /// If not empty: the kernels recorded instead of this kernel, in this order.
+  /// The parts have its arguments; one of the parts may return its results.
   std::vector<KernelPtr> parts;
   /// The plan is that of the zeroing variant of the adjoint, which must be
   /// used.
@@ -128,14 +129,16 @@ struct AdjointPlan {
   /// Not final, and not to be cached: the plan may change when further adjoint
   /// fields are declared.
   bool provisional = false;
-  /// Fields whose sparse levels' activity it reads.
+  /// Fields of whose sparse levels the adjoint reads the activity.
   std::vector<FieldPtr> activity = {};
-  /// Its loops over sparse fields.
+  /// The adjoint's loops over sparse fields.
   std::vector<ZeroAdjoints> flags = {};
-  /// If there is a variant that loads stored outputs: the accesses that it has
-  /// beside `reads`. It is valid if nothing has changed these since the launch.
+  /// If there is a variant of the adjoint that loads stored outputs: its
+  /// accesses beside `reads`. The variant is valid if nothing has changed the
+  /// elements of these accesses since the launch.
   std::optional<std::vector<Access>> stored = std::nullopt;
-  /// Array arguments whose elements it reads, by the slots of their pointers.
+  /// Array arguments whose elements the adjoint reads, by the slots of their
+  /// pointers.
   std::vector<int64_t> arrays = {};
 };
 
@@ -146,10 +149,10 @@ struct CallerAdjoints {
   int64_t slots = 0;
   /// The adjoint kernel adds to the adjoint of an argument or array.
   bool hasTargets = false;
-  /// It reads the adjoint of an array.
+  /// The adjoint kernel reads the adjoint of an array.
   bool hasArrays = false;
-  /// The adjoint of a result: its pointer's slot, counted from the first of
-  /// these slots, and its size.
+  /// The adjoint of a result: its pointer's slot, counted from the first slot
+  /// of an adjoint, and its size.
   struct Result {
     int64_t slot;
     int64_t bytes;
@@ -161,7 +164,7 @@ struct CallerAdjoints {
   bool areZero(const uint64_t *callerSlots) const;
 };
 
-/// An array argument: the slot of its pointer, followed by those of its
+/// An array argument: the slot of its pointer, followed by the slots of its
 /// extents, and the bytes of an element.
 struct ArrayArgument {
   int64_t slot, rank, elementBytes;
@@ -178,12 +181,12 @@ struct KernelInfo {
   CallerAdjoints callerAdjoints;
   /// The trees of the module, in the order of its `tai.tree` ops.
   std::vector<TreePtr> trees;
-  /// The accesses of the kernel. It must be complete, because the tape ignores
-  /// fields that are not listed.
+  /// The accesses of the kernel. The summary must be complete, because the tape
+  /// ignores fields that are not listed.
   std::vector<Access> summary;
   /// The function; null where the provider makes it.
   TaiKernelFn function = nullptr;
-  /// Makes the parts that are not given here; may be null if all are.
+  /// Makes the parts that are not given here; may be null if all are given.
   std::shared_ptr<KernelProvider> provider;
   /// The adjoint kernel; null where the provider makes it.
   KernelPtr adjoint;
@@ -194,8 +197,8 @@ struct KernelInfo {
   bool differentiable = true;
   /// For a kernel that only loops over active cells: the levels of its loops.
   std::vector<LoopLevel> loopLevels;
-  /// Its code for the runtime's device; null if the function runs on the CPU
-  /// alone.
+  /// The kernel's code for the runtime's device; null if the function runs on
+  /// the CPU alone.
   std::shared_ptr<const DeviceImage> image;
 };
 
@@ -203,7 +206,7 @@ struct KernelInfo {
 /// does not search the kernel's tables. Only for kernels whose launch is a mere
 /// call of the function.
 struct alignas(64) PreparedLaunch {
-  /// The state of the runtime for which it is valid; see LaunchState.
+  /// The state of the runtime for which this data is valid; see LaunchState.
   std::atomic<uint64_t> state{0};
   TaiKernelFn function = nullptr;
   void **trees = nullptr;
@@ -213,7 +216,7 @@ struct alignas(64) PreparedLaunch {
   const DeviceCode *code = nullptr;
   Mirror *const *mirrors = nullptr, *const *mirrorsEnd = nullptr;
   Mirror *const *changed = nullptr, *const *changedEnd = nullptr;
-  /// Adjoint fields that it changes.
+  /// Adjoint fields that the launch changes.
   Field *const *adjoints = nullptr, *const *adjointsEnd = nullptr;
   /// Number of the last launch, so that an adjoint launched by hand sees the
   /// same random numbers.
@@ -251,8 +254,8 @@ public:
   /// The adjoint, or its zeroing variant, compiled if necessary; null if there
   /// is nothing to differentiate. Thread-safe.
   Status resolveAdjoint(Kernel *&adjoint, bool zeroes = false);
-  /// The same for the variants that load stored outputs; null if there is none.
-  /// Requires plan().stored.
+  /// The variant of the adjoint that loads stored outputs, or its zeroing
+  /// variant; null if there is none. Requires plan().stored.
   Status resolveStoredAdjoint(Kernel *&adjoint, bool zeroes);
 
   /// The memory accesses of the adjoint. Thread-safe.
@@ -343,18 +346,21 @@ private:
   std::shared_ptr<DeviceCode> deviceCode;
   std::vector<void *> bases;
   LoopTimes loopTimes;
-  /// The levels of its loops, if it does nothing else; otherwise empty.
+  /// The levels of the kernel's loops, if it only loops over active cells;
+  /// otherwise empty.
   std::vector<const SparseNode *> loopLevels;
   /// The epoch of the storage for which the tables are valid; 0 is never
   /// current.
   std::atomic<uint64_t> boundEpoch{0};
-  /// Whether it accesses an adjoint field, which may owe zeros.
+  /// Whether the kernel accesses an adjoint field, which may owe zeros.
   bool usesAdjoints = false;
   /// Adjoint fields that a launch may change.
   std::vector<Field *> changedAdjoints;
-  /// Fields whose adjoints its adjoint adds to (fields that it reads).
+  /// Fields whose adjoints the adjoint kernel adds to: the fields that this
+  /// kernel reads.
   std::vector<Field *> adjointTargets;
-  /// Fields whose adjoints its adjoint reads (fields that it changes).
+  /// Fields whose adjoints the adjoint kernel reads: the fields that this
+  /// kernel changes.
   std::vector<Field *> adjointSources;
   /// The fields of `adjointSources` that are overwritten, not accumulated.
   std::vector<Field *> overwritten;

@@ -29,9 +29,9 @@ struct KernelFlows;
 
 /// Selects a variant of an adjoint.
 struct AdjointVariant {
-  /// It zeroes the adjoints of the elements that the kernel stores.
+  /// The variant zeroes the adjoints of the elements that the kernel stores.
   bool zeroes = false;
-  /// It loads stored outputs of the kernel.
+  /// The variant loads stored outputs of the kernel.
   bool readsStored = false;
 };
 

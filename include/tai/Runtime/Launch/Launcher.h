@@ -31,7 +31,7 @@ struct Launch;
 
 class Launcher {
 public:
-  /// The parts of the runtime that it uses.
+  /// The parts of the runtime that the launcher uses.
   struct Parts {
     const Options &options;
     const TreeStore &store;
@@ -72,8 +72,8 @@ public:
     return hot.interrupted.load(std::memory_order_relaxed);
   }
 
-  /// Also restarts the numbering of launches, so that later launches repeat
-  /// their random numbers.
+  /// Sets the seed and restarts the numbering of launches, so that later
+  /// launches repeat their random numbers.
   void setSeed(uint64_t seed);
   /// The number of the next launch.
   std::atomic<uint64_t> &numbers() { return hot.launches; }

@@ -6,15 +6,15 @@
 //===----------------------------------------------------------------------===//
 //
 // A tree that a running kernel uses cannot be freed, and a tape cannot hold a
-// field that a running kernel of another thread changes. The earlier launch
-// pays little for this: it stores which kernel it runs, and the thread that
-// frees or holds looks at all launches.
+// field that a running kernel of another thread changes. A launch pays little
+// for this: it stores which kernel it runs; the thread that frees a tree or
+// holds a field looks at all launches.
 //
 // A fence is needed between that store and the following loads of a launch. A
-// launch is too short for one, so the other side executes it for all processors
-// (membarrier): after it changes the state of the runtime, it calls
-// `publishState` before it looks. A launch that it does not find then sees the
-// new state, and checks the storage and the holds again.
+// launch is too short for a fence, so the other thread executes it for all
+// processors (membarrier): it changes the state of the runtime, then calls
+// `publishState`, then looks at the launches. A launch that it does not find
+// sees the new state, and checks the storage and the holds again.
 //
 //===----------------------------------------------------------------------===//
 

@@ -105,7 +105,7 @@ public:
     // Invalidates prepared launches.
     state.storageChanged();
   }
-  /// For kernels loaded afterwards.
+  /// Applies to kernels loaded afterwards.
   void setBlockThreads(int threads) { opts.blockThreads = threads; }
   void setMostBlockThreads(int threads) { opts.mostBlockThreads = threads; }
   void keepBlockSizes(KeptChoices kept) {
@@ -118,8 +118,8 @@ public:
   }
   void setMemoryLimit(int64_t bytes) { account.setLimit(bytes); }
 
-  /// In forward mode every kernel of the calling thread is launched in its
-  /// variant with tangents, including those that a tape replays, and adjoints.
+  /// In forward mode, every launch of the calling thread runs the kernel's
+  /// variant with tangents; so do launches that a tape replays, and adjoints.
   void setForward(bool on) {
     tapes.setForward(on);
     hostWrites.setWatcher(nullptr);
@@ -264,8 +264,8 @@ public:
     return fieldGradients.clear(tape);
   }
   void clearTangents() { fieldGradients.clearTangents(); }
-  /// Stores the zeros that sweeps owe; see Gradients::settle. Call before
-  /// memory is accessed other than through fields.
+  /// Stores the zeros that sweeps have deferred; see Gradients::settle. Call
+  /// before memory is accessed other than through fields.
   void settleZeros(const Gradients::Uses &uses = nullptr) {
     fieldGradients.settle(uses);
   }
@@ -394,7 +394,7 @@ public:
     trees.countMemory(amounts);
     return amounts;
   }
-  /// The same as a text table, with a line for each skip.
+  /// The skip amounts as a text table, with a line for each skip.
   std::string skipTable() const {
     return runtime::skipTable(opts.skips, skipAmounts());
   }

@@ -91,7 +91,7 @@ public:
     const std::string text; // operation, kernel and place, with newlines
     int32_t precision = 0;
     std::atomic<int64_t> lost{0}, cancellations{0}, flips{0}, nonFinite{0};
-    /// For the worst result: its error divided by that of its operands.
+    /// For the worst result: its error divided by the error of its operands.
     std::atomic<double> growth{0};
     std::mutex worst;
     double errorMade = 0, errorIn = 0;

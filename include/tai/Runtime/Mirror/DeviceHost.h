@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Initially none. Failures in calls that cannot return them are kept, and
-// returned by the next call that can.
+// The device of a runtime, initially none. Failures in calls that cannot return
+// them are kept, and returned by the next call that can.
 //
 //===----------------------------------------------------------------------===//
 
@@ -55,7 +55,7 @@ public:
   Status checkHandler() const;
   /// Waits for queued work; returns failures, and prints the output of kernels.
   Status synchronize();
-  /// Keeps the first failure of calls that could not return it; and returns it.
+  /// Keep the first failure of calls that could not return it, and return it.
   void noteFailure(Status status);
   bool hasNoted() const;
   Status takeFailure() {
@@ -70,7 +70,7 @@ public:
   /// Device memory for a caller's copies of arrays.
   Status allocate(int64_t bytes, void *&address);
   void free(void *address);
-  /// A copy on the device, in order with launches; also collected like them.
+  /// A copy on the device; ordered, and collected, like launches.
   Status copy(void *to, const void *from, int64_t bytes);
   /// Copies `rows` pieces of `bytes` bytes, `step` bytes apart, to the host.
   Status read(const void *from, int64_t step, int64_t bytes, int64_t rows,

@@ -62,13 +62,13 @@ struct ProfileRow {
 
 /// An event on the time line, in nanoseconds since the runtime was created.
 struct TraceEvent {
-  /// The row that it counts for. Lives as long as the profiler.
+  /// The row for which the event counts. Lives as long as the profiler.
   const ProfileRow *row;
   bool onDevice;
   /// Number of the host thread, in the order of first use.
   int thread;
   int64_t startNs, durationNs;
-  /// On a device: when the host queued it.
+  /// On a device: the time at which the host queued the work.
   int64_t queuedNs;
   unsigned blocks, threads;
 };

@@ -7,8 +7,8 @@
 //
 // A layer between the runtime and a device. While it collects, work is stored
 // instead of queued; a repeated sequence becomes one graph, or one kernel that
-// does all of it (docs/decisions/0011-device-programs.md). The fastest form is
-// found by timing them in turn.
+// does all of it (docs/decisions/0011-device-programs.md). The queue finds the
+// fastest of these forms by timing each form in turn.
 //
 //===----------------------------------------------------------------------===//
 
@@ -35,9 +35,9 @@ struct ProgramPart {
   /// may be compiled after the module of the function is gone.
   std::shared_ptr<const std::string> bitcode;
   std::string function;
-  /// Whether rows of the table refer to it, and not only loops.
+  /// Whether rows of the table refer to the part, and not only loops.
   bool isInTable = true;
-  /// Whether it runs a single iteration, for tile chains.
+  /// Whether the function runs a single iteration, for tile chains.
   bool isTile = false;
   /// The maximum block size of its launches, if known.
   unsigned threads = 0;
@@ -48,7 +48,8 @@ struct ProgramSlot {
   enum Kind {
     /// Word number `word` of the program's parameters.
     Fixed,
-    /// The same, plus the next word times the iteration number of the loop.
+    /// Word number `word` plus the next word times the iteration number of the
+    /// loop.
     Growing,
     /// Word number `word` of the iteration's row in the loop's list.
     Listed
@@ -185,7 +186,7 @@ public:
 
   /// Bracket work to collect. Pairs nest; the outermost end runs the work.
   /// Launches that are repeated between two replays become part of the second
-  /// one (docs/decisions/0014-launches-between-replays.md).
+  /// replay (docs/decisions/0014-launches-between-replays.md).
   void beginCollecting(bool isReplay = false);
   /// Whether work is or may be collected; recorded work gives the same result
   /// either way.
@@ -202,7 +203,7 @@ public:
   /// A copy for a tape's saved values, which only queued work reads.
   Status copyKept(const DeviceRows &to, DevicePtr from, int64_t fromStep);
   /// Queues deferred fills and launches. Outside of a collection, fills are
-  /// deferred until other work comes: adjacent ones are merged, and those
+  /// deferred until other work comes: adjacent fills are merged, and fills
   /// before a sequence become part of it.
   Status settle() {
     if (runDepth)
@@ -214,11 +215,11 @@ public:
     return flush();
   }
   /// Fails for a handler that has interrupted work which runs the collected
-  /// launches: only a part of them has been queued, and on a device that does
-  /// not run by itself only a part is done.
+  /// launches: only a part of the launches has been queued, and on a device
+  /// that does not run by itself only a part is done.
   Status checkHandler() const;
-  /// Whether launches are deferred; whether they may be; whether the next ones
-  /// probably will.
+  /// Whether launches are deferred; whether launches may be deferred; whether
+  /// the next launches probably will be deferred.
   bool keepsLaunches() const;
   bool mayKeep() const { return watches || isRecording(); }
   bool expectsLaunches() const;
@@ -355,8 +356,8 @@ private:
   /// The failure of a call that could not return it.
   Status failure;
   /// Memory of the device by address, and memory that was given back while
-  /// collected work may use it, in this order. A block moves from the one to
-  /// the other, which takes no memory of the host.
+  /// collected work may use it, in this order. A block moves from one map to
+  /// the other without an allocation on the host.
   using Blocks = std::map<uint64_t, DevicePtr>;
   Blocks blocks, released;
   uint64_t numReleased = 0;
@@ -364,7 +365,7 @@ private:
   Status allocateBlock(const Allocate &allocate, DevicePtr &memory);
   /// While the collected work runs: the number of handlers around it.
   std::optional<unsigned> runDepth;
-  /// Code that was given up meanwhile.
+  /// Modules that were given up while the collected work runs.
   std::vector<std::unique_ptr<Module>> retired;
   std::unordered_multimap<uint64_t, std::unique_ptr<Program>> programs;
 };

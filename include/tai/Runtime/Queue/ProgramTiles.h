@@ -5,11 +5,12 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// A tile chain: launches over one box in which each reads results of earlier
-// ones at nearby cells (stencils). A block computes one tile of all of them,
-// the earlier ones with a halo, without waiting for other blocks: it keeps the
-// written cells in an overlay in shared memory, and stores its own tile at the
-// end (overlapped tiling). See docs/decisions/0012-fused-launches.md.
+// A tile chain: launches over one box in which each launch reads results of
+// earlier launches at nearby cells (stencils). A block computes one tile of all
+// launches, of the earlier ones with a halo, without waiting for other blocks:
+// it keeps the written cells in an overlay in shared memory, and stores its own
+// tile at the end (overlapped tiling). See
+// docs/decisions/0012-fused-launches.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -55,7 +56,7 @@ struct TileStage {
   size_t firstSlot = 0, numSlots = 0;
   TileHalo halo;
   std::vector<TileSite> sites;
-  /// For each site the number of its row; -1 for memory.
+  /// For each site the number of its entry in TileChain::rows; -1 for memory.
   std::vector<int> rows;
 
   bool operator==(const TileStage &other) const {

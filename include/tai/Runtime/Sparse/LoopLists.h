@@ -37,7 +37,7 @@ public:
 
   struct Entry {
     const SparseNode *node;
-    /// Exactly one of these is set.
+    /// Exactly one of `list` and `onDevice` is set.
     ActiveListPtr list;
     DeviceCellsPtr onDevice;
     Others others = Others::Same;

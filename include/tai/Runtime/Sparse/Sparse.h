@@ -79,8 +79,8 @@ public:
   /// Deactivates all cells of a level on the device too, after the host. False
   /// if the device should be updated by an upload instead.
   virtual bool deactivateAll(SparseNode &node) = 0;
-  /// Uploads the activity of a level to a device that is current except for
-  /// these words of bits, or lengths.
+  /// Uploads the activity of a level to a device that is current except for the
+  /// words of bits, or the lengths, in `changed`.
   virtual void uploadActivity(const SparseNode &node,
                               const std::vector<int64_t> &changed) = 0;
 };
@@ -185,8 +185,8 @@ public:
   void deactivate(int64_t cell);
   void deactivateAll();
   /// Changes the activity of this level alone, back to an earlier state,
-  /// without touching the memory of cells: for a tape, which restores that
-  /// itself.
+  /// without touching the memory of cells: for a tape, which restores the
+  /// memory itself.
   void setActivity(const std::vector<int64_t> &some, bool isActive);
 
   /// The length of a list; and append, which returns the number of the new cell
@@ -204,7 +204,7 @@ public:
   // For the same level on a device
   //===--------------------------------------------------------------------===//
 
-  /// Null for none.
+  /// Sets the levels on the device; null for none.
   void setOnDevice(SparseOnDevice *levels) { onDevice = levels; }
   /// The host's knowledge, without waiting for the device.
   int64_t knownActive() const { return active.load(std::memory_order_relaxed); }

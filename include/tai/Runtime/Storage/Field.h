@@ -76,8 +76,8 @@ public:
   const std::vector<std::unique_ptr<SparseNode>> &sparseNodes() const {
     return nodes;
   }
-  /// Whether its address is exported, so that other libraries may write to it
-  /// at any time.
+  /// Whether the address of the tree is exported, so that other libraries may
+  /// write to it at any time.
   bool isExported() const {
     return exports.load(std::memory_order_relaxed) > 0;
   }
@@ -85,7 +85,7 @@ public:
   int64_t activeCellBytes() const {
     return cells.activeBytes.load(std::memory_order_relaxed);
   }
-  /// Whether new launches may use it.
+  /// Whether new launches may use the tree.
   bool isThere() const {
     return cells.base && !isClosing.load(std::memory_order_acquire);
   }
@@ -150,7 +150,7 @@ struct FieldLayout {
 
 class Recorder;
 
-/// 0 for a thread that has none yet.
+/// The number of this thread; 0 if it has none yet.
 extern __thread uint64_t ownThreadNumber;
 uint64_t numberThread();
 /// The number of the calling thread, unique in the process and never reused.
@@ -208,7 +208,8 @@ public:
   int64_t evenStep() const { return elementStep; }
   /// Address of the first element; see Tree::base().
   char *data() const { return owner->base() + fieldLayout.placeOffset; }
-  /// The same, to read and to change there; see Tree.
+  /// The address of the first element, to read or to change the current
+  /// contents; see Tree::readable.
   const char *readable() const {
     settleZeros();
     return owner->readable() + fieldLayout.placeOffset;
@@ -218,50 +219,50 @@ public:
     return owner->writable() + fieldLayout.placeOffset;
   }
 
-  /// For adjoint fields: elements that are zero but not stored yet, or null.
-  /// See OwedZeros.h.
+  /// For adjoint fields: elements whose zeros are not stored yet, or null. See
+  /// OwedZeros.h.
   bool owesZeros() const {
     return __builtin_expect(owes.load(std::memory_order_acquire), false);
   }
   std::shared_ptr<const OwedZeros> owedZeros() const;
   void oweZeros(std::shared_ptr<const OwedZeros> zeros) const;
-  /// Stores them now. Call before any access to the elements; returns when they
-  /// are there, whichever thread stores them.
+  /// Stores the owed zeros. Call before any access to the elements; returns
+  /// when the zeros are stored, whichever thread stores them.
   void settleZeros() const {
     if (owesZeros())
       storeZeros();
   }
 
   /// The field that accumulates the derivative of the loss with respect to this
-  /// one, or null.
+  /// field, or null.
   Field *adjoint() const { return adjointField.get(); }
   const std::shared_ptr<Field> &sharedAdjoint() const { return adjointField; }
   Field *dual() const { return dualField.get(); }
   /// True if this field is the adjoint of another.
   bool isAdjoint() const { return ofPrimal; }
 
-  /// For adjoint fields: may be non-zero.
+  /// For adjoint fields: whether elements may be non-zero.
   bool dirty() const { return dirtiedBy() != 0 || owner->isExported(); }
   void markDirty() {
     uint64_t self = threadNumber();
     if (dirtiedBy() != self)
       lastWriter.store(self, std::memory_order_relaxed);
   }
-  /// The thread that wrote last, or 0 if it has been cleared since.
+  /// The thread that wrote last, or 0 if the field has been cleared since.
   uint64_t dirtiedBy() const {
     return lastWriter.load(std::memory_order_relaxed);
   }
-  /// Call when it has been cleared.
+  /// Call when the field has been cleared.
   void markClean() { lastWriter.store(0, std::memory_order_relaxed); }
   /// Whether another thread than the calling one wrote last.
   bool isDirtiedByOther() const {
     uint64_t writer = dirtiedBy();
     return writer != 0 && writer != threadNumber();
   }
-  /// Number of times that the host has changed it.
+  /// Number of times that the host has changed the field.
   uint64_t version() const { return hostVersion; }
   void countChange() { ++hostVersion; }
-  /// The tapes that use it.
+  /// The tapes that use the field.
   FieldHolds holds;
 
   /// The innermost sparse level above the field, or null.
@@ -270,8 +271,8 @@ public:
                ? nullptr
                : owner->sparseNodes()[fieldLayout.sparseNode].get();
   }
-  /// The cell of that level that holds the element, or -1 if an index is out of
-  /// range.
+  /// The cell of the level sparseNode() that holds the element, or -1 if an
+  /// index is out of range.
   int64_t cellNumber(const int64_t *index) const;
 
   /// The offset of the element in the tree, or -1 if an index is out of range.
@@ -329,7 +330,8 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<uint64_t> lastWriter{0};
-  /// Guarded by one mutex for all fields; and whether there are any.
+  /// The owed zeros, guarded by one mutex for all fields; and whether any are
+  /// owed.
   mutable std::shared_ptr<const OwedZeros> owed;
   mutable std::atomic<bool> owes{false};
   uint64_t hostVersion = 0;

@@ -28,7 +28,7 @@ public:
   int64_t left() const { return most - taken; }
   void reserve(int64_t bytes) { taken += bytes; }
   void release(int64_t bytes) { taken -= bytes; }
-  /// Bytes of active cells of all sparse trees, updated by these.
+  /// Bytes of active cells of all sparse trees, updated by the trees.
   std::atomic<int64_t> activeCells{0};
   int64_t activeCellBytes() const {
     return activeCells.load(std::memory_order_relaxed);

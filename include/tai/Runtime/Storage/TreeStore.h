@@ -95,8 +95,8 @@ private:
   uint64_t treesMade = 0;
   std::unordered_map<std::string, TreePtr> treesByName;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
-  /// The fields that name another one as their adjoint or tangent, by that
-  /// name: it may be added after them.
+  /// The fields that name another field as their adjoint or tangent, by that
+  /// name: the named field may be added later.
   std::unordered_multimap<std::string, Field *> primalsByPartner;
   std::vector<FieldPtr> fieldList;
   /// Guards changes of the list, and reads that may be concurrent with them.

@@ -15,8 +15,8 @@ namespace mlir::tai::runtime {
 /// The environment of a host program (a `func.func` run on the host).
 struct HostModule {
   std::function<Kernel *(std::string_view name)> findKernel;
-  /// Whether it loads or stores elements of fields itself, so that they must be
-  /// current on the host while it runs.
+  /// Whether the program itself loads or stores elements of fields, which must
+  /// then be current on the host while the program runs.
   bool usesTrees = true;
 };
 

@@ -57,19 +57,19 @@ public:
   bool recording() const;
   /// Releases the held fields. Sweeps do so at their end.
   void releaseFields();
-  /// Zeroes the gradients that its sweep adds to, and all others that the
-  /// calling thread has written.
+  /// Zeroes the gradients that the sweep adds to, and all other gradients that
+  /// the calling thread has written.
   Status clearGradients();
 
-  /// Launches between the two are not recorded. Pairs nest.
+  /// Launches between suspend() and resume() are not recorded. Pairs nest.
   void suspend();
   Status resume();
   bool isSuspended() const override;
 
   void recordCallback(TapeCallback callback);
 
-  /// The next launch gets a copy, at `address`, of an array of the host; and:
-  /// the host has changed an array since the last record.
+  /// Note that the next launch gets a copy, at `address`, of an array of the
+  /// host; and that the host has changed an array since the last record.
   void noteArrayCopy(uint64_t address, const ArrayRange &array);
   void noteArrayWrite(const ArrayRange &array);
 
@@ -82,8 +82,8 @@ public:
 
   /// Asks for the gradients of these fields only: launches that lead to none of
   /// them are not replayed, and after a sweep the gradients of all other fields
-  /// that it uses are zero, except those of losses. Call before anything is
-  /// recorded.
+  /// that the sweep uses are zero, except those of losses. Call before anything
+  /// is recorded.
   Status want(const std::vector<FieldPtr> &fields);
 
   /// Call before anything is recorded.
@@ -157,7 +157,7 @@ public:
   /// Whether the gradient needs the values of the field. With checkpoints,
   /// re-executed launches need whatever launches read.
   bool needsValues(const Field &field) const override;
-  /// Whether it holds, or has held, the field.
+  /// Whether the tape holds, or has held, the field.
   bool uses(const FieldPtr &field) const override;
   /// During the reverse of a host function: the cells that the loops of a
   /// kernel, launched by the function, visited.
@@ -169,8 +169,8 @@ private:
 
   Status adopt(Kernel &kernel);
   Status findUses(Kernel &kernel, const void *&uses);
-  /// Runs the body. If memory runs out in it, the tape is of no use any more:
-  /// its records may lack some of their values. Later calls say so.
+  /// Runs the body. If memory runs out in the body, the tape becomes unusable,
+  /// because its records may lack some of their values; later calls say so.
   template <typename Body> Status unlessSpoilt(const Body &body);
   Status record(Launch &launch, Kernel &kernel, const uint64_t *args,
                 uint64_t *results, uint64_t number);

@@ -69,13 +69,14 @@ struct PendingAdjoint {
     return kernel == other.kernel && zeroes == other.zeroes &&
            loadsStored == other.loadsStored;
   }
-  /// Compiles it now. Thread-safe.
+  /// Compiles the adjoint now. Thread-safe.
   Status resolve() const;
 };
 
 /// Statistics of an adjoint field after the adjoint of a record has added to
-/// it; only of the slab of the record's fixed index, if it has one. For a host
-/// function, one for each adjoint field that may be non-zero.
+/// the field; of only the slab of the record's fixed index, if it has one. For
+/// a host function, there is an entry for each adjoint field that may be
+/// non-zero.
 struct RecordHealth {
   int64_t record;
   const Field *field;

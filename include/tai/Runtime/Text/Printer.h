@@ -17,8 +17,8 @@ namespace mlir::tai::runtime {
 /// Prints lines of kernels atomically. Thread-safe.
 class Printer {
 public:
-  /// Called with one complete line, including its newline, or the part of one
-  /// that a print without a newline gives.
+  /// Called with one complete line, including its newline, or with the part of
+  /// a line that a print without a newline gives.
   using Sink = std::function<void(std::string_view line)>;
 
   /// An empty sink stands for the standard output.

@@ -54,16 +54,16 @@ bool look();
 unsigned handlerDepth();
 /// The number of handlers that run on any thread.
 extern std::atomic<unsigned> runningHandlers;
-/// Whether this thread runs one; one load where none runs.
+/// Whether this thread runs a handler; one load while no thread runs one.
 inline bool isInHandler() {
   return __builtin_expect(runningHandlers.load(std::memory_order_relaxed) != 0,
                           false) &&
          handlerDepth() != 0;
 }
 
-/// While one lives, the work of this thread goes on to its end, because it puts
-/// values back: its safepoints call the handler, and never stop it. The
-/// interruption comes afterwards.
+/// While an object of this class lives, safepoints of its thread call the
+/// handler but never stop the work, because the work restores values and must
+/// be completed. An interruption takes effect afterwards.
 class Unstoppable {
 public:
   Unstoppable();
@@ -71,12 +71,12 @@ public:
   Unstoppable(const Unstoppable &) = delete;
   Unstoppable &operator=(const Unstoppable &) = delete;
 
-  /// Whether the host has asked the present one to stop. A wait for a kernel
-  /// can then end the kernel.
+  /// Whether the host has asked to stop the work of the innermost Unstoppable.
+  /// A wait for a kernel can then end the kernel.
   static bool wasAsked();
 };
 
-/// The same for frequent safepoints: calls the handler once in a tick.
+/// For frequent safepoints: calls the handler at most once in a tick.
 class Watch {
 public:
   bool look() {
@@ -116,8 +116,8 @@ template <typename Mutex> void lock(Mutex &mutex) {
 }
 
 /// A scoped `lock`. Use it for every mutex that is held across safepoints: a
-/// thread that blocked on one would keep the host's own lock, for which the
-/// owner may wait.
+/// thread that blocked on such a mutex would keep the host's own lock, for
+/// which the owner of the mutex may wait.
 template <typename Mutex> class Guard {
 public:
   explicit Guard(Mutex &mutex) : mutex(mutex) { safepoint::lock(mutex); }
@@ -136,7 +136,7 @@ void stopClock();
 /// handler.
 void enterWorker();
 /// Makes the safepoints of the calling thread check the flag instead of calling
-/// the handler: its work stops once the flag is set.
+/// the handler: the work of the thread stops once the flag is set.
 void follow(const std::atomic<bool> *isCancelled);
 bool isWorker();
 

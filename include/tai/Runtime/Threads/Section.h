@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // A mutex for work that passes safepoints, such as a copy that waits for a
-// device. The host's handler may call the library at a safepoint, on the thread
-// that holds the mutex: that would wait for itself with a plain mutex, and find
-// half of the work done with a recursive one.
+// device. At a safepoint, the host's handler may call the library on the thread
+// that holds the mutex: with a plain mutex, the thread would wait for itself;
+// with a recursive mutex, the call would find the work half done.
 //
 //===----------------------------------------------------------------------===//
 
@@ -22,8 +22,8 @@
 
 namespace mlir::tai::runtime {
 
-/// The failure of a call from a handler that has interrupted work which it
-/// needs to be complete.
+/// The failure of a call from a handler that has interrupted work which the
+/// call needs to be complete.
 Status failAsInterruptedWork();
 
 /// The failure of work that the host has interrupted.
@@ -33,7 +33,7 @@ inline Status failAsInterrupted() {
 
 namespace safepoint {
 /// Calls work(first, count) for pieces of [0, count), with safepoints in
-/// between if there are several. Fails if a piece does, or if the host
+/// between if there are several. Fails if a piece fails, or if the host
 /// interrupts the work and `canStop`.
 template <typename Work>
 Status runInPieces(int64_t count, int64_t piece, bool canStop,
@@ -75,7 +75,7 @@ public:
 
     /// Whether a handler has interrupted work of this section on this thread.
     bool isAgain() const { return again; }
-    /// Fails then.
+    /// Fails if isAgain().
     Status check() const {
       return again ? failAsInterruptedWork() : Status::success();
     }

@@ -49,11 +49,11 @@ public:
   }
 
   /// Calls task(context, p) for p in [0, parts); and `look`, unless null,
-  /// repeatedly while it waits for the workers.
+  /// repeatedly while the calling thread waits for the workers.
   void parallel(int64_t parts, void (*task)(void *context, int64_t part),
                 void *context, void (*look)(void *context) = nullptr);
 
-  /// The number of loops that used workers, and of those too small for a fork.
+  /// The number of loops that used workers, and of loops too small for a fork.
   int64_t numForks() const { return forks.load(std::memory_order_relaxed); }
   int64_t numInline() const {
     return inlineLoops.load(std::memory_order_relaxed);
@@ -61,7 +61,7 @@ public:
 
 private:
   WorkerPool &get();
-  /// For a forked child, in which the threads do not exist.
+  /// For a forked child, in which the worker threads do not exist.
   void leaveParent();
 
   int numThreads;
