@@ -64,21 +64,21 @@ struct Frame {
   /// that only recomputes: its ops go to the end of the mirror.
   Operation *recomputeBegin = nullptr;
   Operation *sweepBegin = nullptr;
-  /// Maps primal values of this block to those of the mirror.
+  /// Maps primal values of this block to values of the mirror.
   IRMapping values;
   /// For each recomputed op, the first op of its copy.
   std::map<Operation *, Operation *, ProgramOrder> recomputed;
   /// Adjoints known in this frame, of values of this block and of captured
-  /// ones.
+  /// values.
   llvm::MapVector<Value, PartialAdjoint> adjoints;
   /// In the reverse of a serial loop: the number of the primal iteration, from
-  /// 0, and the values that it began with.
+  /// 0, and the history that recovers the values with which it began.
   Value iteration;
   LoopHistory *history = nullptr;
   /// The values of the primal block of `parent` that are forwarded to the
-  /// arguments of this one; empty if the arguments come from elsewhere.
+  /// arguments of this block; empty if the arguments come from elsewhere.
   SmallVector<Value> argumentValues;
-  /// The recorded values that have been popped here.
+  /// The recorded values that have been popped in this frame.
   DenseSet<Value> popped;
   /// Buffers that are freed at the end of the block.
   SmallVector<Value> buffers;
@@ -94,8 +94,9 @@ public:
   /// Builds the whole adjoint; the terminator is left to the caller. Fails
   /// after an error at the op that cannot be differentiated.
   LogicalResult build();
-  /// The primal values and versions that were needed. The plan may lack some:
-  /// the planner compares them (`AdjointPlanner::settle`).
+  /// The primal values and versions that the adjoint needs. The plan possibly
+  /// lacks some of them: the planner compares these demands with it
+  /// (`AdjointPlanner::settle`).
   const PrimalDemands &getDemands() const { return demands; }
 
   //===--------------------------------------------------------------------===//
@@ -170,7 +171,7 @@ public:
   bool isRecordedLoop(Operation *loop) const {
     return plan.reexecution.holdsRecorded(loop);
   }
-  /// The number of times that the second region of such a loop ran.
+  /// The number of times that the second region of `loop` ran.
   Value fetchCount(scf::WhileOp loop);
 
   /// Before and after the reverse of a parallel loop: emit the derivatives of
@@ -181,8 +182,8 @@ public:
   /// Notes that the adjoint reads the field of the access as it was before the
   /// launch.
   void requireBefore(Operation *access) { demands.before.insert(access); }
-  /// Notes that splitting the kernel, one kernel for each loop, would avoid the
-  /// failure.
+  /// Notes that splitting the kernel into one kernel for each loop would avoid
+  /// the failure.
   void requestSplit() { demands.parts = true; }
   /// True if the adjoint re-executes stores to the storage of the access.
   bool isReexecuted(Operation *access) const;

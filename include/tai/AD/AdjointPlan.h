@@ -23,7 +23,7 @@
 
 namespace mlir::tai {
 
-/// Maps a storage to that of its adjoint, or to none.
+/// Maps a storage to the storage of its adjoint, or to none.
 using AdjointOf = std::function<Storage(Storage)>;
 
 /// Values of a function that have an adjoint, each with the memref that holds
@@ -49,14 +49,14 @@ struct AdjointOptions {
 /// The memory of a function of arrays that is gone when its gradient runs:
 /// arrays of its own, and values of elements that it overwrites.
 struct LocalMemory {
-  /// Tells `adjointOf` which array holds the adjoint of one that the function
-  /// makes. Null in kernels, where such arrays have none.
+  /// Tells `adjointOf` that `adjoint` holds the adjoint of `array`, which the
+  /// function allocates. Null in kernels, whose own arrays have no adjoints.
   std::function<void(Value array, Value adjoint)> setAdjoint;
   /// The results of reads that are recorded, each with the value of the record.
   DenseMap<Value, Value> recorded;
   /// Arguments of the function that stand for records, and the records.
   SmallVector<std::pair<Value, Value>> records;
-  /// Where given, reads that must be recorded go here.
+  /// If not null, receives the reads that must be recorded.
   llvm::SetVector<Operation *> *toRecord = nullptr;
   /// All reads of memory that the function writes are recorded.
   bool recordsAll = false;
@@ -67,11 +67,12 @@ struct LocalMemory {
   }
 };
 
-/// The stores whose reverse zeroes the adjoint of the element, which becomes
-/// that of the value before the store: stores to elements that an earlier
-/// access of the function may have used, whose reverse must not see the adjoint
-/// of the stored value. All stores to arrays do, because a tape does not know
-/// which elements another launch has used.
+/// The stores whose reverse zeroes the adjoint of the element, so that it
+/// becomes the adjoint of the value before the store. They are the stores to
+/// elements that an earlier access of the function may have used, because the
+/// reverse of that access must not see the adjoint of the stored value. All
+/// stores to arrays belong to them, because a tape does not know which elements
+/// another launch has used.
 class AdjointZeroing {
 public:
   AdjointZeroing(FunctionOpInterface primal, const AccessTable &accesses,
@@ -79,7 +80,7 @@ public:
                  bool zeroesAll);
 
   bool isZeroedBy(Operation *store) const { return stores.contains(store); }
-  /// True if a region of `op` holds such a store.
+  /// True if a region of `op` holds a store that zeroes an adjoint.
   bool isHeldBy(Operation *op) const { return holders.contains(op); }
 
 private:
@@ -100,10 +101,10 @@ public:
   }
 
   bool isRecorded(Operation *op) const { return recorded.contains(op); }
-  /// True if the value comes from the second execution: a recorded one, or one
-  /// that an op around a recorded one carries.
+  /// True if the value comes from the second execution: the result of a
+  /// recorded op, or a value that an op around a recorded op carries.
   bool isRecorded(Value value) const;
-  /// True if a region of `op` holds a recorded one.
+  /// True if a region of `op` holds a recorded op.
   bool holdsRecorded(Operation *op) const { return holders.contains(op); }
   /// True for the blocks whose mirrors begin with a second execution.
   bool isReexecuted(Block *block) const { return blocks.contains(block); }
@@ -156,15 +157,15 @@ struct AdjointPlan {
 
 /// The demands of an adjoint on the primal, as found while it was emitted.
 struct PrimalDemands {
-  /// The reads that it repeats.
+  /// The primal reads that the adjoint repeats.
   llvm::SetVector<Operation *> reads;
-  /// Random draws that cannot be repeated where they are asked for.
+  /// Random draws that cannot be repeated where the adjoint needs them.
   llvm::SetVector<Operation *> draws;
   /// Accesses to fields that the adjoint reads as they were before the launch.
   llvm::SetVector<Operation *> before;
-  /// Stores whose elements it loads instead of computing their values.
+  /// Stores whose elements the adjoint loads instead of computing their values.
   llvm::SetVector<Operation *> stored;
-  /// Splitting the kernel, one for each loop, would avoid the failure.
+  /// Splitting the kernel into one for each loop would avoid the failure.
   bool parts = false;
   /// Values that reversed loops carry, and how many of them are recorded.
   int64_t carriedValues = 0, recordedValues = 0;

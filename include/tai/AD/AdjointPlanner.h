@@ -8,12 +8,14 @@
 // Selects primal versions for an adjoint. An adjoint runs on the memory that
 // the kernel left behind, or, field by field, on the memory before the launch:
 // which version holds the value of a read depends on the writes that may run
-// before and after it. Where neither does, part of the primal is re-executed.
+// before and after the read. Where neither version does, part of the primal is
+// re-executed.
 //
 // The primal values that an adjoint reads are known only after its rules have
 // run. So the first plan assumes no re-execution, which is enough for most
 // kernels; `settle` compares the demands of the emitted adjoint with the plan.
-// A plan only grows, by ops and storages of the primal, so that this ends.
+// The repetition ends, because a plan only grows, by ops and storages of the
+// primal.
 //
 // See docs/decisions/0026-adjoint-planner.md.
 //

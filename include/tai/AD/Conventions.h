@@ -12,8 +12,7 @@
 //   arcs = "clamp"   the derivatives of asin and acos at ±1 are those of the
 //                    next number inside
 //   guards = false   a zero adjoint is multiplied like any other, to measure
-//   the
-//                    cost of testing for it
+//                    the cost of testing for it
 //
 //===----------------------------------------------------------------------===//
 
@@ -31,7 +30,7 @@ struct Conventions {
 
   /// The conventions of the kernel or function that `op` is or is in.
   static Conventions of(Operation *op);
-  /// Fails after an error if the attribute has another form.
+  /// Emits an error and fails if the attribute does not have the form above.
   static LogicalResult verify(Operation *function);
 };
 

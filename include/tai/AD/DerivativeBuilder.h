@@ -50,8 +50,8 @@ public:
   Value createExtract(Value vector, int64_t component);
   /// A vector from components (row-major); null is zero.
   Value createVector(VectorType type, ArrayRef<Value> components);
-  /// The sum of all components of a vector. A function of other compilers gets
-  /// no op of tai.
+  /// The sum of all components of a vector. Emits no op of tai in a function of
+  /// another compiler.
   Value createSum(Value vector);
   /// select(condition, value, 0)
   Value createMask(Value condition, Value value);

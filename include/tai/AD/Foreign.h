@@ -5,8 +5,8 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Differentiation knows scf, memref, arith, math and parts of vector. A
-// `func.func` that holds more is copied, and upstream passes lower the copy.
+// Differentiation handles scf, memref, arith, math and parts of vector. A
+// `func.func` with other ops is copied, and upstream passes lower the copy.
 //
 //===----------------------------------------------------------------------===//
 
@@ -19,20 +19,20 @@
 
 namespace mlir::tai {
 
-/// The function whose derivative is made of `function`: the one that it is a
-/// copy of, or itself.
+/// The function to which the derivative of `function` belongs: the original of
+/// a prepared copy, and otherwise `function` itself.
 FunctionOpInterface getOriginal(FunctionOpInterface function);
 /// Removes the prepared copies.
 void erasePrepared(ModuleOp module);
 
 /// The attribute of a function whose derivative is two functions: a unit, or
-/// their names once they are made.
+/// the names of the two functions once they are made.
 constexpr llvm::StringLiteral kSplit = "tai.split";
 /// True if the two functions have been made.
 bool isSplit(FunctionOpInterface function);
 
 /// True if the derivative of the original has other arguments and results than
-/// that of its copy: it has values where the copy has memory.
+/// the derivative of its copy: values in place of memory.
 bool isWrapped(FunctionOpInterface prepared);
 /// Wraps the derivative of a prepared copy, whose arguments are memory, in a
 /// function of the original's values: tensors and numbers.
@@ -48,12 +48,12 @@ LogicalResult lowerVectors(func::FuncOp function);
 
 /// Replaces complex numbers by their parts.
 LogicalResult splitComplex(func::FuncOp function);
-/// Replaces arithmetic of the LLVM dialect by that of arith and math.
+/// Replaces arithmetic of the LLVM dialect by ops of arith and math.
 void liftArithmetic(func::FuncOp function);
 
-/// Leaves loads, stores and atomic updates of arguments and of local arrays
-/// alone: no copies, views, arrays that loops carry or branches choose. Local
-/// arrays are freed at the end of their blocks.
+/// Reduces memory operations to loads, stores and atomic updates of arguments
+/// and of local arrays: removes copies, views, and arrays that loops carry or
+/// branches choose. Local arrays are freed at the end of their blocks.
 LogicalResult normalizeMemory(func::FuncOp function);
 
 /// Replaces a parallel loop by serial ones.

@@ -9,9 +9,9 @@
 // iterations from last to first, and how each of them recovers the carried
 // values with which the primal iteration began.
 //
-// A value with a closed form in the iteration number is computed; one with an
-// exact inverse is carried backwards. The others are recorded by a second run
-// of the loop, if a rule needs them: see LoopTrajectory.h.
+// A value with a closed form in the iteration number is computed; a value with
+// an exact inverse is carried backwards. Other values are recorded by a second
+// run of the loop, if a rule needs them: see LoopTrajectory.h.
 //
 //===----------------------------------------------------------------------===//
 

@@ -9,12 +9,12 @@
 // that only a run of the loop can produce: buffers, the loops that write them,
 // and the checkpointing schedule.
 //
-// A loop of few iterations records them all. One of many, or of a number known
-// only at run time, is recorded in chunks of about the square root of that
-// number of iterations: the first pass keeps a checkpoint at the start of each
-// chunk, and records the last chunk; each other chunk is re-run and recorded
-// before its reverse. While the whole record is small, there is one chunk, and
-// nothing is re-run.
+// A loop of few iterations records all of them. A loop of many iterations, or
+// of a number known only at run time, is recorded in chunks of about the square
+// root of that number of iterations: the first pass keeps a checkpoint at the
+// start of each chunk, and records the last chunk; each other chunk is re-run
+// and recorded before its reverse. While the whole record is small, there is
+// one chunk, and nothing is re-run.
 //
 //===----------------------------------------------------------------------===//
 
@@ -69,7 +69,8 @@ public:
 
 private:
   struct Chunks {
-    /// Iterations in each but the last; null if there certainly is one chunk.
+    /// Iterations in each chunk but the last; null if there certainly is one
+    /// chunk.
     Value size;
     Value number;
     /// Iterations in the longest chunk: the size of the buffers.
@@ -91,7 +92,7 @@ private:
   Frame &around;
   Value count;
   /// The loop that runs the iterations forward and records them. If there are
-  /// chunks: the loop over these, and the one inside.
+  /// chunks: the loop over the chunks, and the loop over iterations inside it.
   scf::ForOp forward, inner;
   Chunks chunks;
   /// Buffers by carried value: of the record, and of the checkpoints.

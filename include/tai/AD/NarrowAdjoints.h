@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The adjoint of a narrow float has the same type, but is not rounded at each
-// step where it is computed in a wider one: rules that can use it look through
-// the cast to the wider value.
+// The adjoint of a narrow float has the same narrow type, but is not rounded at
+// each step where a wider type computes it: rules that can use the wider value
+// look through the cast.
 //
 //===----------------------------------------------------------------------===//
 

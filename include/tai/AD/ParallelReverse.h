@@ -14,9 +14,9 @@ namespace mlir::tai {
 
 /// Reverses the body of a parallel loop into `mirror`, the body of `loop` in
 /// the adjoint kernel. Contributions of iterations to captured values are
-/// propagated to the reads that define these; where they are not defined by
-/// reads, they are summed in memory by atomic adds. `begin` maps the arguments,
-/// `terminate` adds the terminator.
+/// propagated to the reads that define the captured values; where no reads
+/// define them, contributions are summed in memory by atomic adds. `begin` maps
+/// the arguments, `terminate` adds the terminator.
 LogicalResult reverseParallelBody(AdjointBuilder &builder, Operation *loop,
                                   Block &primal, Block &mirror,
                                   llvm::function_ref<void(Frame &)> begin,

@@ -33,10 +33,10 @@ LogicalResult checkHasOneBlock(FunctionOpInterface function);
 /// has no body.
 LogicalResult checkIsFunction(FunctionOpInterface function);
 
-/// True if an array that is an argument, or a field, may have an adjoint.
+/// True if `storage`, a field or an array argument, may have an adjoint.
 bool mayHaveAdjoint(FunctionOpInterface function, Storage storage);
 
-/// Takes the prepared copies for functions that have them.
+/// Replaces each function that has a prepared copy by the copy.
 void takePrepared(ModuleOp module,
                   SmallVectorImpl<FunctionOpInterface> &functions);
 

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Fields name their adjoints; arrays, numbers and results do not. The adjoint
-// of a kernel that is differentiated with respect to them has one more memref
-// operand for each, at the end: it adds to those of arguments and reads those
-// of results.
+// of a kernel that is differentiated with respect to arrays, numbers or results
+// has one more memref operand for each, at the end: it adds to the memrefs of
+// arguments, and reads the memrefs of results.
 //
 //===----------------------------------------------------------------------===//
 
@@ -30,8 +30,8 @@ struct AdjointSignature {
   SmallVector<unsigned> results;
 
   /// The signature that the attribute requests; without the attribute, all
-  /// arrays of floats if `arrays`. Fails after an error at the function if a
-  /// position is not one of a float.
+  /// arrays of floats if `arrays`. Emits an error at the function and fails if
+  /// a position is not the position of a float.
   static FailureOr<AdjointSignature> get(FunctionOpInterface function,
                                          bool arrays);
 
@@ -45,8 +45,9 @@ LogicalResult checkHasDerivative(FunctionOpInterface function,
                                  ArrayRef<int64_t> positions);
 
 /// The memref that holds the adjoint of a value of this type: of rank 0 for a
-/// number, with the dimensions of a vector, with those of an array followed by
-/// those of its elements. Null for a type without an adjoint.
+/// number, with the dimensions of a vector, or with the dimensions of an array
+/// followed by the dimensions of its elements. Null for a type without an
+/// adjoint.
 MemRefType getShadowType(Type type);
 
 } // namespace mlir::tai

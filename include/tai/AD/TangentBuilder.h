@@ -111,7 +111,7 @@ private:
   std::function<Storage(Storage)> tangentOf;
   TangentFlow flow;
   llvm::DenseMap<Value, Value> tangents;
-  /// Local arrays and variables, mapped to those of their tangents.
+  /// Maps local arrays and variables to the ones that hold their tangents.
   llvm::DenseMap<Value, Value> shadows;
   /// Loops that were rebuilt, left as empty ops; facts are keyed by the
   /// addresses of their values, so they are erased last.

@@ -6,9 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Iterations of a parallel loop that may store to the same element. A
-// derivative belongs to the iteration whose value remains, so that a kernel
-// that is differentiated decides which one it is: the last, in the order of
-// iterations. See docs/decisions/0052-colliding-stores.md.
+// derivative belongs to the iteration whose value remains, so a kernel that is
+// differentiated must decide which value remains: the value of the last
+// iteration, in the order of iterations. See
+// docs/decisions/0052-colliding-stores.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -24,17 +25,17 @@ namespace mlir::tai {
 using StoreFilter = llvm::function_ref<bool(DifferentiableAccessInterface)>;
 
 /// True if iterations of a parallel loop of the function may store to the same
-/// element, by stores of which one passes `matters`, and nothing decides yet
-/// which value remains. With `isReversed`, also if an iteration reads what
-/// another one writes as soon as the loop is long enough, in a loop with an
-/// access that passes.
+/// element, one of the stores passes `matters`, and nothing decides yet which
+/// value remains. With `isReversed`, also true for a loop with an access that
+/// passes `matters` where, if the loop is long enough, an iteration reads an
+/// element that another iteration writes.
 bool hasOpenStores(FunctionOpInterface function, StoreFilter matters,
                    bool isReversed);
 
-/// Lets the last of such iterations store, and the others not. Where that
-/// cannot be decided before the loop, runs it on one thread. With `isReversed`
-/// the loop must have an adjoint that runs backwards; fails after an error
-/// where it has none.
+/// If several iterations store to one element, lets only the last of them
+/// store. Where the last one cannot be found before the loop, runs the loop on
+/// one thread. With `isReversed`, the loop must have an adjoint that runs
+/// backwards; emits an error and fails where it has none.
 LogicalResult chooseWriters(FunctionOpInterface function, StoreFilter matters,
                             bool isReversed);
 

@@ -57,8 +57,8 @@ inline bool isFloatOrVector(Type type) {
   return isa<FloatType>(type);
 }
 
-/// True for a vector whose number of components is known when it runs alone.
-/// Its components cannot be taken one by one, as adjoints are made.
+/// True for a vector whose number of components is known only at run time. Its
+/// components cannot be taken one by one, which adjoints require.
 inline bool isScalableVector(Type type) {
   auto vector = dyn_cast<VectorType>(type);
   return vector && vector.isScalable();
@@ -72,7 +72,7 @@ constexpr int64_t kDefaultHistoryBytes = 256 * 1024;
 /// interfaces.
 LogicalResult refuseTangent(Operation *op, TangentBuilder &builder);
 /// Extends the regions of an op whose results have no tangents; reports an
-/// error if one would need a tangent.
+/// error if a result would need a tangent.
 LogicalResult extendRegions(Operation *op, TangentBuilder &builder);
 
 /// Attaches the interfaces to the ops of arith, math, scf, vector, memref and

@@ -44,7 +44,7 @@ struct FieldResource : SideEffects::Resource::Base<FieldResource> {
   StringRef getName() final { return "tai.field"; }
 };
 
-/// Adds the effects of such an access.
+/// Adds the memory effects of an access of kind `access` to `field`.
 inline void
 addFieldEffects(SmallVectorImpl<MemoryEffects::EffectInstance> &effects,
                 FieldAccess access, FlatSymbolRefAttr field) {

@@ -42,8 +42,8 @@ class Interpreter {
 public:
   ~Interpreter();
 
-  /// For the same module as the compiler gets. Null, after an error at the op,
-  /// if it holds ops that the interpreter does not support.
+  /// `module` is the same module as the compiler gets. Emits an error and
+  /// returns null at an op that the interpreter does not support.
   static std::shared_ptr<const Interpreter>
   create(OwningOpRef<ModuleOp> module, StringRef function,
          const InterpreterOptions &options);

@@ -72,13 +72,13 @@ struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
 enum class IsolateMode {
   /// Functions that only the runtime can call: their callers are lowered too.
   Lower,
-  /// Functions as before, with others beside them: callers stay as they are.
+  /// The functions stay, and new functions are added: callers stay as they are.
   Keep,
 };
 
-/// Adds the passes of `populate`, restricted to what belongs to tai and the
-/// functions that it calls. The rest of the module stays as it is. `names`:
-/// functions that count as those of tai.
+/// Adds the passes of `populate`, restricted to code that belongs to tai and
+/// the functions that this code calls. The rest of the module stays as it is.
+/// Functions called `names` count as code of tai.
 void addIsolated(OpPassManager &pm,
                  llvm::function_ref<void(OpPassManager &)> populate,
                  IsolateMode mode = IsolateMode::Lower,
@@ -91,13 +91,14 @@ void registerIsolate();
 /// the module, of which functions that do not belong to tai stay as they are.
 void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
 
-/// The passes of this pipeline, on a module that holds nothing else.
+/// The passes of buildAutodiffPipeline, for a module with code of tai only.
 void buildAutodiffPasses(OpPassManager &pm, const AutodiffOptions &options);
 
 /// Replaces all kernels by their forward-mode variants.
 void buildForwardPipeline(OpPassManager &pm, bool arrayTangents);
 
-/// The same for a module that holds other functions too.
+/// As buildForwardPipeline, for a module that also holds functions which do not
+/// belong to tai.
 void buildForwardFunctionsPipeline(OpPassManager &pm);
 
 /// Registers `tai-autodiff` and `tai-autodiff-forward` by name.
@@ -169,7 +170,7 @@ struct ToLLVMOptions : PassPipelineOptions<ToLLVMOptions>, LoweringOptions {
 /// see tai/ABI/Abi.h. Anchored on the module. Functions that have nothing to do
 /// with tai stay as they are.
 void buildToLLVMPipeline(OpPassManager &pm, const ToLLVMOptions &options);
-/// The same for a module that holds nothing else.
+/// As buildToLLVMPipeline, for a module with code of tai only.
 void buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options);
 
 /// Registers `tai-to-llvm` by name.
@@ -196,7 +197,7 @@ struct ToNVVMOptions : PassPipelineOptions<ToNVVMOptions>, LoweringOptions {
 /// runtime. Anchored on the module. Functions that have nothing to do with tai
 /// stay as they are.
 void buildToNVVMPipeline(OpPassManager &pm, const ToNVVMOptions &options);
-/// The same for a module that holds nothing else.
+/// As buildToNVVMPipeline, for a module with code of tai only.
 void buildToNVVMPasses(OpPassManager &pm, const ToNVVMOptions &options);
 
 /// Registers `tai-to-nvvm` by name.

@@ -16,8 +16,8 @@
 
 namespace mlir::tai {
 
-/// On a kernel: updates of elements that its iterations may share are checked
-/// when it runs.
+/// Attribute of a kernel: updates of elements that its iterations may share are
+/// checked when the kernel runs.
 constexpr llvm::StringLiteral kCheckUpdatesAttrName = "tai.check_updates";
 
 #define GEN_PASS_DECL

@@ -16,8 +16,8 @@ namespace mlir::tai {
 /// On tai.parallel_for: the LLVM access group of its accesses.
 constexpr llvm::StringLiteral kAccessGroupAttrName = "tai.access_group";
 
-/// Fails at a float addition to memory that several iterations may reach in any
-/// order, if the loop has a fixed one.
+/// If the loop has a fixed order, emits an error and fails at a float addition
+/// to memory that several iterations may reach in any order.
 LogicalResult checkOrderIsFixed(ParallelForOp loop);
 
 /// a (kind) b, for scalars or vectors of them.
@@ -29,7 +29,8 @@ Value emitCombination(OpBuilder &builder, Location loc, AtomicKind kind,
 Value emitPlainUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
                       Value value, Value pointer, AliasScopes scopes);
 
-/// The same as an atomic operation.
+/// A read-modify-write of memory by one atomic operation. Returns the old
+/// value.
 Value emitAtomicUpdate(OpBuilder &builder, Location loc, AtomicKind kind,
                        Value value, Value pointer, AliasScopes scopes);
 

@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// Marks (kActiveAttrName) the writes of a loop over a sparse field to the cell
-/// of the iteration itself: it is known to be active, and needs no test.
+/// Marks with kActiveAttrName the writes of a loop over a sparse field to the
+/// cell of the iteration itself: this cell is active, and needs no test.
 void markActive(ParallelForOp loop, FieldTable &fields);
 
 } // namespace mlir::tai

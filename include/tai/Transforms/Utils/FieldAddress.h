@@ -22,7 +22,7 @@ namespace mlir::tai {
 SmallVector<Value> emitZeroBased(OpBuilder &builder, Location loc,
                                  const FieldInfo &field, ValueRange indices);
 
-/// The digit of its zero-based index.
+/// The value of `digit` for the zero-based indices of the field.
 Value emitDigit(OpBuilder &builder, Location loc, const FieldInfo &field,
                 const IndexDigit &digit, ValueRange zeroBased);
 
@@ -30,7 +30,7 @@ Value emitDigit(OpBuilder &builder, Location loc, const FieldInfo &field,
 Value emitComponent(OpBuilder &builder, Location loc,
                     ArrayRef<int64_t> elementShape, ValueRange components);
 
-/// The offset from the first component of the field to the one at the
+/// The offset from the first component of the field to the component at the
 /// zero-based indices, in components.
 Value emitElementOffset(OpBuilder &builder, Location loc,
                         const FieldInfo &field, ValueRange zeroBased,
@@ -42,8 +42,8 @@ Value emitCellNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
 
 /// The innermost `dynamic` level above a field, which must have one.
 const SparseInfo &getInnermostList(const FieldInfo &field);
-/// The number of the list of that level. `indices` are those of the field
-/// without that along the list.
+/// The number of the list in the innermost `dynamic` level. `indices` are the
+/// indices of the field without the index along the list.
 Value emitListNumber(OpBuilder &builder, Location loc, const FieldInfo &field,
                      ValueRange indices);
 /// The position of the index along the list.
@@ -54,7 +54,8 @@ Value emitLength(OpBuilder &builder, Location loc, const SparseInfo &sparse,
                  Value tree, Value list);
 
 /// The common alignment of a component in all elements, if greater than its
-/// size; else 0. Neighbours can then be accessed together.
+/// size; else 0. Such an alignment lets neighbouring components be accessed
+/// together.
 unsigned getAlignment(const FieldInfo &field, ValueRange components);
 
 /// The base address of the tree of a field.
@@ -81,8 +82,8 @@ SmallVector<int64_t> peelConstants(OpBuilder &builder, Location loc,
                                    MutableArrayRef<Value> zeroBased);
 
 /// The address of a component of an element, from indices without the constants
-/// `peeled`. These are added last, like a constant component, so that the
-/// addresses of neighbours differ by a constant only.
+/// `peeled`. These constants are added last, like a constant component, so that
+/// the addresses of neighbouring elements differ by a constant only.
 Value emitNearPointer(OpBuilder &builder, Location loc, const FieldInfo &field,
                       Value base, ValueRange indices, ArrayRef<int64_t> peeled,
                       ValueRange components);

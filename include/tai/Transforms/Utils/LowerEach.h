@@ -23,8 +23,8 @@ namespace mlir::tai {
 LogicalResult lowerEach(ArrayRef<Operation *> ops,
                         const FrozenRewritePatternSet &patterns);
 
-/// The same for all ops in `root` that have a pattern and for which `filter`,
-/// if given, is true, in the order of a walk.
+/// Rewrites all ops in `root` that have a pattern and for which `filter`, if
+/// given, is true, in the order of a walk. Fails like lowerEach.
 LogicalResult lowerAll(Operation *root, const FrozenRewritePatternSet &patterns,
                        llvm::function_ref<bool(Operation *)> filter = nullptr);
 

@@ -6,12 +6,12 @@
 //===----------------------------------------------------------------------===//
 //
 // A sum of all iterations whose order is the same on every target. The n
-// iterations, in their row-major order, are cut into chunks of
-// 256 * (n / 8192 + 1), so that there are 32 at the most. Lane l of a chunk
-// adds up its iterations l, l + 256, ... one after another. Lanes l and l + 128
-// are added, then l and l + 64, and so on until four are left: the groups of
-// the chunk. All groups of all chunks are added up one after another. Additions
-// are of f64 whatever the type of the sum, which is rounded to that once.
+// iterations, in their row-major order, are cut into chunks of 256 * (n / 8192
+// + 1), so that there are 32 at the most. Lane l of a chunk adds up its
+// iterations l, l + 256, ... one after another. Lanes l and l + 128 are added,
+// then l and l + 64, and so on until four are left: the groups of the chunk.
+// All groups of all chunks are added up one after another. Additions are in
+// f64; the total is rounded once to the type of the sum.
 //
 // See docs/decisions/0039-bits.md.
 //
@@ -31,18 +31,18 @@ struct SumOrder {
   static constexpr int64_t kGroups = 4;
 };
 
-/// The type of the lanes of such a sum.
+/// The type of the lanes of a sum of values of `type`.
 Type getLaneType(AtomicKind kind, Type type);
 
-/// The start of the lanes: added to any number, also to -0, it leaves that.
+/// The initial value of the lanes: adding it changes no number, not even -0.
 TypedAttr getLaneStart(AtomicKind kind, Type type);
 
-/// The iterations of a chunk, for a number of all that is not negative.
+/// The number of iterations in a chunk, for `iterations` >= 0 in all.
 int64_t getChunkLength(int64_t iterations);
 Value emitChunkLength(OpBuilder &builder, Location loc, Value iterations);
 
-/// Adds lanes up in place until the groups from `first` on, in steps of `step`,
-/// are left: 0 and 1 for all.
+/// Adds up lanes in place until only the groups `first`, `first` + `step` and
+/// so on are left: 0 and 1 for all groups.
 /// `scopes` is for the accesses to lanes.
 void emitLaneTree(OpBuilder &builder, Location loc, AtomicKind kind, Type type,
                   Value lanes, Value first, int64_t step,

@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// Whether nothing hinders that the iterations of the innermost loop around the
-/// block run side by side in the lanes of vectors.
+/// True if LLVM may run the iterations of the innermost loop around the block
+/// side by side in the lanes of vectors.
 bool mayBeVectorized(Block &block);
 
 } // namespace mlir::tai
