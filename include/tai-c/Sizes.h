@@ -8,10 +8,10 @@
 // Later versions may add members at the end of these structs. So that programs
 // and libtai of different versions agree, each function that fills such a
 // struct has a second form with the size of the caller's struct. C and C++ call
-// it without a change: the macros below add the size. With the size of an older
-// version, libtai leaves out the members that it does not have; with that of a
-// newer version, members that libtai does not know are zero. Rows stand in an
-// array of elements of the given size.
+// this form without a change: the macros below add the size. With the size of
+// an older version, libtai leaves out the members that the older struct does
+// not have; with the size of a newer version, members that libtai does not know
+// are zero. Rows form an array of elements of the given size.
 //
 // The plain functions, for languages without these macros, give the structs of
 // version 0.2. All other structs of tai-c never change.

@@ -11,14 +11,14 @@
 //
 // Every function that can fail returns a TaiStatus; on failure
 // `taiContextLastError` holds the diagnostic of the calling thread. Nothing
-// aborts the process, given handles that exist and pointers to memory: they may
-// be null only where that is said, also where a handle is destroyed. Text that
-// is null is empty. Where memory runs out, a call fails with TAI_ERROR_MEMORY,
-// or returns null if its result is a pointer; the next call finds the context
-// as it was. The handles of a context are destroyed with it, at the latest.
-// Calls of several threads on one context follow one another, but for launches
-// and reads of single elements on the CPU, which run side by side; contexts are
-// independent.
+// aborts the process, given handles that exist and pointers to memory: a handle
+// or a pointer may be null only where its function says so, also where a handle
+// is destroyed. Text that is null is empty. Where memory runs out, a call fails
+// with TAI_ERROR_MEMORY, or returns null if its result is a pointer; the next
+// call finds the context as it was. The handles of a context are destroyed with
+// the context, at the latest. Calls of several threads on one context run one
+// after another, except launches and reads of single elements on the CPU, which
+// run side by side; contexts are independent.
 //
 //===----------------------------------------------------------------------===//
 
@@ -66,7 +66,7 @@ typedef enum TaiStatus {
 /// The version of tai, as in Python: "0.2.0", or "0.2.0.dev0" between releases.
 TAI_EXPORT const char *taiVersion(void);
 
-/// The same as a number: TAI_VERSION_NUMBER of the headers that libtai was
+/// The version as a number: TAI_VERSION_NUMBER of the headers that libtai was
 /// built with. See tai-c/Version.h.
 TAI_EXPORT int taiVersionNumber(void);
 
@@ -86,9 +86,10 @@ typedef struct TaiOptionRow {
 /// static.
 TAI_EXPORT int64_t taiListOptions(const TaiOptionRow **rows);
 
-/// Sets an option from text; an unknown name or value is TAI_ERROR_USAGE, with
-/// the valid ones in the message. Options that affect code apply to kernels
-/// created afterwards. See taiListOptions and docs/reference/options.md.
+/// Sets an option from text. An unknown name or value is TAI_ERROR_USAGE, with
+/// the valid names or values in the message. Options that affect code apply to
+/// kernels created afterwards. See taiListOptions and
+/// docs/reference/options.md.
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 
@@ -127,8 +128,8 @@ TAI_EXPORT TaiStatus taiContextSynchronize(TaiContext context);
 /// A callback during long calls, to handle signals or to let other threads of
 /// the host run. Called about every 20 ms on the thread of a call that takes
 /// that long (a launch, a sweep, a compilation, a wait); returns 0 to interrupt
-/// it: the call then fails with TAI_ERROR_RUNTIME. One handler for the process;
-/// null for none.
+/// the call, which then fails with TAI_ERROR_RUNTIME. One handler for the
+/// process; null for none.
 typedef int (*TaiSafepointHandler)(void);
 TAI_EXPORT void taiSetSafepointHandler(TaiSafepointHandler handler);
 
@@ -165,8 +166,8 @@ TAI_EXPORT void taiContextSetWarningHandler(TaiContext context,
 //===----------------------------------------------------------------------===//
 
 /// Adds a tree of the given layout, e.g. "!tai.root<dense<[i: 8], {x: f32}>>",
-/// and allocates it (lazily committed, zero). The name becomes that of its
-/// `tai.tree`.
+/// and allocates it (lazily committed, zero). `name` becomes the name of its
+/// `tai.tree` op.
 TAI_EXPORT TaiStatus taiContextAddTree(TaiContext context, const char *name,
                                        const char *layout);
 
@@ -240,8 +241,8 @@ TAI_EXPORT TaiStatus taiFieldGetInfo(TaiField field, TaiFieldInfo *info);
 /// destroyed with the context.
 TAI_EXPORT void taiFieldRelease(TaiField field);
 
-/// Whether there is a kernel of that name, including one that is destroyed but
-/// that a tape may still launch. From any thread; does not wait.
+/// Whether there is a kernel of that name, including a destroyed kernel that a
+/// tape may still launch. Can be called from any thread; does not wait.
 TAI_EXPORT bool taiContextHasKernel(TaiContext context, const char *name);
 
 /// The number of objects in a context, to detect leaks.
@@ -262,8 +263,9 @@ TAI_EXPORT TaiStatus taiContextClearTangents(TaiContext context);
 TAI_EXPORT TaiStatus taiContextCountObjects(TaiContext context,
                                             TaiContextObjects *objects);
 
-/// One element or one component, as double or int64 whatever the type.
-/// `indices` has rank numbers; `component` is row-major in the element.
+/// Read and write one element or one component, as double or int64 whatever the
+/// type of the field. `indices` has rank numbers; `component` is row-major in
+/// the element.
 TAI_EXPORT TaiStatus taiFieldReadF64(TaiField field, const int64_t *indices,
                                      int64_t component, double *value);
 TAI_EXPORT TaiStatus taiFieldWriteF64(TaiField field, const int64_t *indices,
@@ -273,9 +275,9 @@ TAI_EXPORT TaiStatus taiFieldReadI64(TaiField field, const int64_t *indices,
 TAI_EXPORT TaiStatus taiFieldWriteI64(TaiField field, const int64_t *indices,
                                       int64_t component, int64_t value);
 
-/// The elements at `count` index tuples, `indices` being of shape (count,
-/// rank), from or to an array of the field's own scalar type, of shape (count,
-/// element_shape...). Writing makes the cells active.
+/// Read and write the elements at `count` index tuples. `indices` has shape
+/// (count, rank); `values` is an array of the field's own scalar type, of shape
+/// (count, element_shape...). Writing makes the cells active.
 TAI_EXPORT TaiStatus taiFieldReadElements(TaiField field,
                                           const int64_t *indices, int64_t count,
                                           void *values);
@@ -306,8 +308,8 @@ TAI_EXPORT void taiExportedBufferRelease(TaiExportedBuffer buffer);
 /// records.
 TAI_EXPORT TaiStatus taiFieldNoteWrite(TaiField field);
 /// WaitForStream makes later work of the context wait for the work now in a
-/// CUDA stream; LetStreamWait is the other way round. 0 is the default stream.
-/// No effect without a GPU.
+/// CUDA stream; LetStreamWait makes later work of the stream wait for the work
+/// of the context. 0 is the default stream. No effect without a GPU.
 TAI_EXPORT TaiStatus taiContextWaitForStream(TaiContext context,
                                              uint64_t stream);
 TAI_EXPORT TaiStatus taiContextLetStreamWait(TaiContext context,
@@ -322,8 +324,8 @@ TAI_EXPORT void taiContextFreeOnDevice(TaiContext context, void *address);
 TAI_EXPORT TaiStatus taiContextCopyOnDevice(TaiContext context, void *to,
                                             const void *from, int64_t bytes);
 /// Copies `rows` pieces of `bytes` bytes each from the GPU's memory to the
-/// host, in order with launches. Each begins `step` bytes behind the one
-/// before.
+/// host, in order with launches. Each piece begins `step` bytes after the
+/// beginning of the piece before.
 TAI_EXPORT TaiStatus taiContextReadOnDevice(TaiContext context,
                                             const void *from, int64_t step,
                                             int64_t bytes, int64_t rows,
@@ -333,9 +335,9 @@ TAI_EXPORT int taiContextIsOnDevice(TaiContext context, const void *address);
 /// Whether kernels run on a real GPU.
 TAI_EXPORT int taiContextIsOnGpu(TaiContext context);
 
-/// All elements from or to a row-major array of the field's own scalar type, of
-/// shape (shape..., element_shape...). For a sparse field, copying from the
-/// host activates the cells of non-zero elements.
+/// Copy all elements to or from a row-major array of the field's own scalar
+/// type, of shape (shape..., element_shape...). For a sparse field, copying
+/// from the host activates the cells of non-zero elements.
 TAI_EXPORT TaiStatus taiFieldCopyToHost(TaiField field, void *array);
 TAI_EXPORT TaiStatus taiFieldCopyFromHost(TaiField field, const void *array);
 TAI_EXPORT TaiStatus taiFieldFillF64(TaiField field, double value);
@@ -355,14 +357,14 @@ TAI_EXPORT TaiStatus taiContextClearGradients(TaiContext context);
 /// module is owned by the kernel afterwards, also on failure.
 TAI_EXPORT TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
                                      const char *name, TaiKernel *kernel);
-/// The same for IR as text; `file` names it in diagnostics.
+/// As taiKernelCreate, for IR as text; `file` names it in diagnostics.
 TAI_EXPORT TaiStatus taiKernelParse(TaiContext context, const char *text,
                                     const char *file, const char *name,
                                     TaiKernel *kernel);
-/// The same for IR from a file or the network: text, or the output of
-/// taiModuleWrite. Bytecode that is damaged, or that has no checksum (like that
-/// of MLIR's own writer), is a syntax error here, while mlirModuleCreateParse
-/// may end the process on it.
+/// As taiKernelCreate, for IR from a file or the network: text, or the output
+/// of taiModuleWrite. Bytecode that is damaged, or that has no checksum (like
+/// bytecode of MLIR's own writer), is a syntax error here, while
+/// mlirModuleCreateParse may end the process on it.
 TAI_EXPORT TaiStatus taiKernelLoad(TaiContext context, const char *bytes,
                                    size_t size, const char *file,
                                    const char *name, TaiKernel *kernel);
@@ -391,7 +393,7 @@ TAI_EXPORT TaiStatus taiKernelLaunchGrad(TaiKernel kernel, const uint64_t *args,
                                          int64_t slots);
 
 /// True if the adjoint of the kernel reads elements of the array argument whose
-/// pointer is in this slot: then they must not change after the launch.
+/// pointer is in this slot: the elements must then not change after the launch.
 TAI_EXPORT bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot);
 
 /// True if the kernel stores, to the array argument whose pointer is in this
@@ -399,7 +401,7 @@ TAI_EXPORT bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot);
 /// ones.
 TAI_EXPORT bool taiKernelEndsGradients(TaiKernel kernel, int64_t slot);
 
-/// Compiles the kernel (and its adjoint) now. Several in parallel.
+/// Compiles the kernels (and their adjoints) now, several in parallel.
 TAI_EXPORT TaiStatus taiKernelsCompile(TaiContext context, TaiKernel *kernels,
                                        int64_t count, bool adjoints);
 
@@ -419,21 +421,22 @@ TAI_EXPORT TaiStatus taiKernelGetIR(TaiKernel kernel, const char *stage,
 // may begin with '@'.
 
 /// Loads a module with trees, fields, kernels, and functions that run on the
-/// host: what `tai-run` runs. `bytes` is text or the output of taiModuleWrite,
-/// and `file` names it in diagnostics. Its trees and fields become those of the
-/// context. On failure, the context has nothing of it.
+/// host, as `tai-run` does. `bytes` is text or the output of taiModuleWrite,
+/// and `file` names it in diagnostics. The trees and fields of the module
+/// become trees and fields of the context. On failure, the context keeps
+/// nothing of the module.
 TAI_EXPORT TaiStatus taiProgramLoad(TaiContext context, const char *bytes,
                                     size_t size, const char *file,
                                     TaiProgram *program);
-/// The same for the file at a path.
+/// As taiProgramLoad, for the file at a path.
 TAI_EXPORT TaiStatus taiProgramLoadFile(TaiContext context, const char *path,
                                         TaiProgram *program);
-/// The same for a module, which is owned by the program afterwards, also on
-/// failure.
+/// As taiProgramLoad, for a module, which is owned by the program afterwards,
+/// also on failure.
 TAI_EXPORT TaiStatus taiProgramCreate(TaiContext context, MlirModule module,
                                       TaiProgram *program);
-/// Destroys its kernels and functions, with their handles. Trees and fields
-/// stay; see taiContextDestroyTree.
+/// Destroys the program with its kernels and functions, and their handles.
+/// Trees and fields stay; see taiContextDestroyTree.
 TAI_EXPORT void taiProgramDestroy(TaiProgram program);
 
 typedef enum TaiSymbolKind {
@@ -449,7 +452,8 @@ typedef enum TaiSymbolKind {
 TAI_EXPORT const char *taiProgramGetSymbol(TaiProgram program,
                                            TaiSymbolKind kind, int64_t number);
 /// A handle of a kernel of the program. The handle is the same each time, and
-/// destroyed with the program; taiKernelDestroy leaves the kernel in it.
+/// destroyed with the program; taiKernelDestroy leaves the kernel in the
+/// program.
 TAI_EXPORT TaiStatus taiProgramGetKernel(TaiProgram program, const char *name,
                                          TaiKernel *kernel);
 /// Runs a `func.func` without arguments and results, such as "main". Its tapes
@@ -482,10 +486,9 @@ TAI_EXPORT TaiStatus taiContextLoadPlugin(TaiContext context, const char *path);
 TAI_EXPORT TaiStatus taiModuleRead(TaiContext context, const char *bytes,
                                    size_t size, const char *file,
                                    MlirModule *module);
-/// Runs passes on a module: those of tai, those of plugins, and `canonicalize`,
-/// `cse`, `inline` and the other general ones of MLIR. `pipeline` is the text
-/// of
-/// `--pass-pipeline`.
+/// Runs passes on a module: passes of tai, passes of plugins, and
+/// `canonicalize`, `cse`, `inline` and the other general passes of MLIR.
+/// `pipeline` is the text of `--pass-pipeline`.
 TAI_EXPORT TaiStatus taiModuleRunPasses(TaiContext context, MlirModule module,
                                         const char *pipeline);
 
@@ -493,12 +496,13 @@ TAI_EXPORT TaiStatus taiModuleRunPasses(TaiContext context, MlirModule module,
 /// of time.
 struct TaiFrame;
 typedef int32_t (*TaiFunction)(struct TaiFrame *frame);
-/// Runs it with a frame and the runtime of the context. `trees` has the names
-/// of `num_trees` trees, in the order of the `tai.tree` ops of its module; they
-/// must have the layouts that it was compiled for. Slots are those of
-/// taiKernelLaunch, for a number of them that the code itself knows. If the
-/// function launches kernels, those are kernels of the context by name. Fails
-/// while a tape records, which knows nothing of the accesses of such code.
+/// Runs a TaiFunction with a frame and the runtime of the context. `trees` has
+/// the names of `num_trees` trees, in the order of the `tai.tree` ops of the
+/// function's module; the trees must have the layouts for which the function
+/// was compiled. Slots are as for taiKernelLaunch; the code itself knows their
+/// number. If the function launches kernels, those are kernels of the context
+/// by name. Fails while a tape records, because the tape cannot know the
+/// accesses of such code.
 TAI_EXPORT TaiStatus taiContextRunFunction(
     TaiContext context, TaiFunction function, const char *const *trees,
     int64_t num_trees, const uint64_t *args, uint64_t *results);
@@ -508,8 +512,8 @@ TAI_EXPORT TaiStatus taiContextRunFunction(
 //===----------------------------------------------------------------------===//
 
 /// Starts recording the launches of the context. `loss` is a 0-D field with an
-/// adjoint, or null where the caller seeds gradients; it is set to zero. With
-/// `clear_gradients`, adjoint fields are cleared first. Tapes do not nest.
+/// adjoint, or null where the caller seeds gradients; the loss is set to zero.
+/// With `clear_gradients`, adjoint fields are cleared first. Tapes do not nest.
 TAI_EXPORT TaiStatus taiTapeBegin(TaiContext context, TaiField loss,
                                   bool clear_gradients, TaiTape *tape);
 /// Adds a field that the sweep starts from, while the tape has no records. A
@@ -517,7 +521,7 @@ TAI_EXPORT TaiStatus taiTapeBegin(TaiContext context, TaiField loss,
 TAI_EXPORT TaiStatus taiTapeAddLoss(TaiTape tape, TaiField loss);
 /// Asks for the gradients of these fields only, while the tape has no records:
 /// launches that lead to none of them are skipped. After a sweep the gradients
-/// of the other fields that it uses are zero, except those of losses.
+/// of the other fields that the sweep uses are zero, except those of losses.
 TAI_EXPORT TaiStatus taiTapeWant(TaiTape tape, const TaiField *fields,
                                  int64_t count);
 /// Sets the gradient of a loss at the start of a sweep: a row-major array of
@@ -538,11 +542,11 @@ TAI_EXPORT TaiStatus taiTapeSetCheckpoint(TaiTape tape, TaiCheckpoint kind,
                                           int64_t snapshots, int64_t budget);
 /// Stops recording (the tape can still be run backward and replayed).
 TAI_EXPORT TaiStatus taiTapeEnd(TaiTape tape);
-/// The same if taiTapeBackward follows: a device may then run the recording
-/// together with its reverse sweep.
+/// As taiTapeEnd, if taiTapeBackward follows: a device may then run the
+/// recording together with its reverse sweep.
 TAI_EXPORT TaiStatus taiTapeEndToSweep(TaiTape tape);
-/// Zeroes the gradients that its sweep adds to, and all others that the calling
-/// thread has written.
+/// Zeroes the gradients that the sweep adds to, and all other gradients that
+/// the calling thread has written.
 TAI_EXPORT TaiStatus taiTapeClearGradients(TaiTape tape);
 /// Seeds the adjoint of the loss with 1 and replays the adjoints in reverse.
 TAI_EXPORT TaiStatus taiTapeBackward(TaiTape tape);
@@ -562,18 +566,19 @@ TAI_EXPORT TaiStatus taiTapeRecordCallback(TaiTape tape,
 typedef struct TaiArrayRange {
   uint64_t begin, end, step, element_bytes;
 } TaiArrayRange;
-/// For warnings about lost gradients: the next launch gets, at this address, a
-/// copy of an array, which is copied back; and: the caller has changed an array
-/// since the last launch.
+/// For warnings about lost gradients. taiTapeNoteArrayCopy: the next launch
+/// gets, at this address, a copy of an array, which is copied back.
+/// taiTapeNoteArrayWrite: the caller has changed an array since the last
+/// launch.
 TAI_EXPORT void taiTapeNoteArrayCopy(TaiTape tape, const void *address,
                                      TaiArrayRange array);
 TAI_EXPORT void taiTapeNoteArrayWrite(TaiTape tape, TaiArrayRange array);
-/// Saves the launches of a tape as a program: a file for taiProgramLoadFile
-/// and `tai-run`, with the present contents of the fields that they use (set
-/// these to those of the start before). Its function "run" launches them, and
-/// "gradient" does so under a tape of `loss`; TAI_SYMBOL_WRT lists `fields`.
-/// Fails for a tape that has more than launches, for arrays of the caller and
-/// for sparse fields.
+/// Saves the launches of a tape as a program: a file for taiProgramLoadFile and
+/// `tai-run`, with the present contents of the fields that the launches use
+/// (before the call, set these fields to their contents at the start). The
+/// function "run" of the program launches the kernels, and "gradient" does so
+/// under a tape of `loss`; TAI_SYMBOL_WRT lists `fields`. Fails for a tape that
+/// has more than launches, for arrays of the caller and for sparse fields.
 TAI_EXPORT TaiStatus taiTapeSave(TaiTape tape, const char *path, TaiField loss,
                                  const TaiField *fields, int64_t count);
 TAI_EXPORT TaiStatus taiTapeSuspend(TaiTape tape);
@@ -631,7 +636,7 @@ TAI_EXPORT TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
 TAI_EXPORT TaiStatus taiTapeCheckAccesses(TaiTape tape, int64_t limit,
                                           bool races_only);
 /// One access of a violation: the kernel, the launch (counted among the checked
-/// ones, -1 if not known), the kind (0 read, 1 write, 2 accumulate) and the
+/// launches, -1 if not known), the kind (0 read, 1 write, 2 accumulate) and the
 /// source location.
 typedef struct TaiAccessPlace {
   const char *kernel;
@@ -690,8 +695,8 @@ TAI_EXPORT TaiStatus taiProfilerRows(TaiContext context,
                                      const TaiProfileRow **rows,
                                      int64_t *count);
 
-/// One launch or copy. On a device it has two: when the host queued it, and
-/// when the device did it.
+/// One launch or copy. On a device it has two times: when the host queued it,
+/// and when the device did it.
 typedef struct TaiTraceEvent {
   const char *name;
   const char *place;
@@ -720,7 +725,7 @@ typedef struct TaiShadowRow {
   int64_t flips; // comparisons and conversions with another result than with
                  // more digits
   int64_t non_finite; // infinite or NaN, and finite with more digits
-  // The worst result: its error, that of its operands, and the bits lost.
+  // The worst result: its error, the error of its operands, and the bits lost.
   double error_made, error_in, bits_lost;
 } TaiShadowRow;
 /// Findings since the last clear, greatest loss first; owned by the context,
@@ -729,7 +734,7 @@ TAI_EXPORT TaiStatus taiShadowRows(TaiContext context,
                                    const TaiShadowRow **rows, int64_t *count);
 TAI_EXPORT TaiStatus taiShadowClear(TaiContext context);
 /// Sets each of `count` errors to the distance by which the shadow of a float
-/// lies above it. The floats have 32 or 64 bits and lie one behind the other in
+/// lies above it. The floats have 32 or 64 bits and lie one after another in
 /// memory that kernels write. The distance is 0 if a kernel did not store the
 /// float last.
 TAI_EXPORT TaiStatus taiShadowErrors(TaiContext context, const void *floats,

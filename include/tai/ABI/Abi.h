@@ -63,8 +63,8 @@ typedef int32_t (*TaiKernelFn)(TaiFrame *frame);
 typedef void (*TaiLoopBody)(TaiFrame *frame, void *closure, int64_t begin,
                             int64_t end, int64_t part);
 
-/// A stack of scalars in slots of eight bytes. The first TAI_STACK_SLOTS are
-/// stored inline, directly behind the structure.
+/// A stack of scalars in slots of eight bytes. The first TAI_STACK_SLOTS slots
+/// are stored inline, in memory directly after the structure.
 #define TAI_STACK_SLOTS 13
 typedef struct TaiStack {
   char *slots;
@@ -94,16 +94,16 @@ enum TaiFailure {
 /// An operation that shadow execution observes. The structure is followed in
 /// memory by the text "operation\nkernel\nplace".
 typedef struct TaiShadowSite {
-  uint64_t log; // the log that knows it, or 0
-  void *site;   // how the log knows it
+  uint64_t log; // the log in which the site is registered, or 0
+  void *site;   // the log's entry for the site
 } TaiShadowSite;
 
 /// The counts of one run of a function for a site.
 typedef struct TaiShadowCount {
   int64_t lost;
   int64_t cancellations;
-  /// A result whose error is below this part of its shadow is not the worst of
-  /// the site. 0 until the run has reported a result.
+  /// A result whose error is below this fraction of its shadow is not the worst
+  /// result of the site. 0 until the run has reported a result.
   double reach;
   void *site; // set by the first report
 } TaiShadowCount;

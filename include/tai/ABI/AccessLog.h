@@ -7,8 +7,8 @@
 //
 // The layout of the arrays that a checked kernel (`tai-instrument-accesses`)
 // has as additional arguments: a shadow array of 32-bit words for each field
-// with an adjoint, a log of 64-bit words, and the number that precedes that of
-// its first access.
+// with an adjoint, a log of 64-bit words, and the number before the number of
+// the launch's first access.
 //
 //===----------------------------------------------------------------------===//
 

@@ -7,7 +7,7 @@
 //
 // The device library in C: functions that are compiled to bitcode for NVPTX and
 // for the CPU (for the emulated device), and linked into the device code of a
-// kernel before it is optimised. Besides these it has, of Abi.h,
+// kernel before it is optimised. The library also has some functions of Abi.h:
 // tai_rt_random_u32, tai_rt_print, tai_rt_fail, tai_rt_failed and
 // tai_rt_stack_grow/free, which take the address of a TaiDeviceState as their
 // frame.
@@ -39,8 +39,9 @@ void tai_dev_block_barrier(void);
 /// a word in device memory that was zero before its first use; `barrier` of
 /// TaiDeviceState is one.
 void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
-/// The same as a split barrier: work between arrival and wait is not waited
-/// for. `before` is the result of the arrival.
+/// The grid barrier in two steps: tai_dev_grid_await waits for the arrivals of
+/// all blocks, but not for work that a block does after its arrival. `before`
+/// is the result of tai_dev_grid_arrive.
 uint32_t tai_dev_grid_arrive(uint32_t *state, uint32_t blocks);
 void tai_dev_grid_await(uint32_t *state, uint32_t before);
 
@@ -65,23 +66,23 @@ void tai_dev_grid_await(uint32_t *state, uint32_t before);
 // is added to the element: the result depends on the addresses and values
 // alone.
 
-/// The number of these threads; traps where blocks have fewer.
+/// The number of threads that make these calls; traps if blocks have fewer.
 uint32_t tai_dev_ordered_lanes(void);
 
-/// A barrier for them; writes before it are visible after it.
+/// A barrier for these threads; writes before it are visible after it.
 void tai_dev_ordered_meet(void);
 
 /// The order of summation for lanes that have the same address.
 uint64_t tai_dev_ordered_plan(const void *address);
 
 /// Adds in the order of `plan`. `target` lies at the same distance from the
-/// address that was planned for in all lanes that had one; other lanes ignore
-/// it.
+/// address given to the plan in all lanes that gave one; other lanes ignore it.
 void tai_dev_ordered_add_f32(uint64_t plan, float *target, float value);
 void tai_dev_ordered_add_f64(uint64_t plan, double *target, double value);
 
-/// The same, but the values are added to memory one after another, by lanes:
-/// as if their iterations followed one another.
+/// As tai_dev_ordered_plan and tai_dev_ordered_add, but the lanes add their
+/// values to memory one after another: as if their iterations followed one
+/// another.
 uint64_t tai_dev_ordered_turns(const void *address);
 void tai_dev_ordered_append_f32(uint64_t turns, float *target, float value);
 void tai_dev_ordered_append_f64(uint64_t turns, double *target, double value);
@@ -100,7 +101,8 @@ void tai_dev_fixed_scale_f32(uint32_t *scale, float value);
 void tai_dev_fixed_scale_f64(uint32_t *scale, double value);
 void tai_dev_fixed_add_f32(const uint32_t *scale, uint64_t *sum, float value);
 void tai_dev_fixed_add_f64(const uint32_t *scale, uint64_t *sum, double value);
-/// If several threads call it with one accumulator, one adds the sum.
+/// Adds the sum to the element. If several threads call it with one
+/// accumulator, only one of them adds the sum.
 void tai_dev_fixed_round_f32(uint32_t *scale, uint64_t *sum, float *element);
 void tai_dev_fixed_round_f64(uint32_t *scale, uint64_t *sum, double *element);
 /// The sum, for an element of another type.
@@ -111,20 +113,21 @@ double tai_dev_fixed_take_f32(uint32_t *scale, uint64_t *sum);
 //===----------------------------------------------------------------------===//
 //
 // Zero before the first addition: a sum of terms of f32 or narrower, and a sum
-// of f64 with its rounding errors behind it. See
+// of f64 followed by its rounding errors. See
 // docs/decisions/0049-wide-scatters.md.
 
 void tai_dev_wide_add_f32(double *sum, double term);
 void tai_dev_wide_add_f64(double *sums, double term);
-/// The element and the sum, which is then zero, rounded once.
+/// Returns the element plus the sum, rounded once, and sets the sum to zero.
 double tai_dev_wide_take_f64(double *sums, double element);
 
 //===----------------------------------------------------------------------===//
-// Memory of one thread, out of the heap of the device
+// Memory of one thread, from the heap of the device
 //===----------------------------------------------------------------------===//
 
 /// Null if the heap is exhausted, after reporting `text` as a failure at
-/// `where`; "{}" in it stands for the bytes. An allocation of 0 bytes succeeds.
+/// `where`; "{}" in `text` stands for the bytes. An allocation of 0 bytes
+/// succeeds.
 void *tai_rt_local_alloc(TaiFrame *frame, uint64_t bytes, const char *text,
                          const char *where);
 void tai_rt_local_free(void *memory);
@@ -137,9 +140,9 @@ void tai_rt_stack_grow_at(TaiFrame *frame, TaiStack *stack, const char *text,
 // Loops that may be long
 //===----------------------------------------------------------------------===//
 
-/// A safepoint: null if the host asked kernels to stop, which is then
-/// acknowledged in the state; the thread must exit. The compiler calls it every
-/// `every` iterations of a loop, a power of two.
+/// A safepoint: returns null if the host asked kernels to stop, and
+/// acknowledges the request in the state; the thread must then exit. Compiled
+/// loops call it every `every` iterations, a power of two.
 void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 
 //===----------------------------------------------------------------------===//
@@ -163,8 +166,9 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 #define TAI_SCOPE_GRID 2
 /// Not a program: kernels of the device library itself.
 #define TAI_SCOPE_NONE (-1)
-/// Not a program: a kernel for each part, which may start while the one before
-/// still runs and waits for its end by itself (programmatic dependent launch).
+/// Not a program: a kernel for each part. A kernel may start while the kernel
+/// before it still runs, and itself waits for the end of that kernel
+/// (programmatic dependent launch).
 #define TAI_SCOPE_LAUNCHES (-2)
 
 /// Parts that every program has. Parameters of a fill: address, pattern of
@@ -172,17 +176,17 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 /// source, bytes.
 #define TAI_PART_FILL 0
 #define TAI_PART_COPY 1
-/// The same for rows: address of the first, stride, bytes of a row, number of
-/// rows; then a pattern and its size, or address and stride of the rows of the
-/// other side; then the stride and the number of groups of such rows (1 except
-/// for fills).
+/// Fills, copies and swaps of rows: address of the first row, stride, bytes of
+/// a row, number of rows; then a pattern and its size, or address and stride of
+/// the rows of the other side; then the stride and the number of groups of rows
+/// (1 except for fills).
 #define TAI_PART_FILL_ROWS 2
 #define TAI_PART_COPY_ROWS 3
 #define TAI_PART_SWAP_ROWS 4
 /// The number of the first part that is the body of a kernel.
 #define TAI_FIRST_PART 5
 /// Added to the number of a part where no barrier is needed before the next
-/// step: no thread of that step accesses memory that another one has written
+/// step: no thread of that step accesses memory that another thread has written
 /// since the last barrier.
 #define TAI_PART_APART ((uint64_t)1 << 32)
 
@@ -216,7 +220,7 @@ void tai_dev_program_wait_block(uint32_t *header);
 void tai_dev_program_wait_cluster(uint32_t *header);
 void tai_dev_program_wait_grid(uint32_t *header);
 
-/// The same as a split barrier of the grid.
+/// The barrier of the grid in two steps, see tai_dev_grid_arrive.
 uint32_t tai_dev_program_arrive(uint32_t *header);
 void tai_dev_program_await(uint32_t *header, uint32_t before);
 
@@ -250,7 +254,7 @@ void tai_emu_free(void *memory);
 /// A program on the emulated device runs as several threads, in an order that
 /// changes after each barrier. Returns the number of threads.
 int32_t tai_emu_begin_group(void);
-/// From now on, the next of these threads runs.
+/// Switches to the next thread of the group.
 void tai_emu_next_in_group(void);
 void tai_emu_end_group(void);
 

@@ -28,7 +28,7 @@ namespace mlir::tai::runtime {
 constexpr unsigned kMostBlockThreads = 1024;
 
 /// An LLVM function attribute of a device function with less than two warps of
-/// iterations: their float additions are not combined.
+/// iterations, whose float additions are therefore not combined.
 inline constexpr char kFewIterationsAttrName[] = "tai.few_iterations";
 
 /// The accesses of one operation of a device function. Iteration (i0, i1, ...)
@@ -42,7 +42,7 @@ struct DeviceAccess {
     Read,
     Write,
     /// An atomic addition whose result is unused. Additions commute; in
-    /// deterministic mode those of floats are classified as writes.
+    /// deterministic mode, additions of floats are classified as writes.
     Sum,
   };
   int64_t kind = Write;
@@ -76,9 +76,10 @@ constexpr char tileSiteFunction[] = "tai_tile_site";
 /// One load or store in the body of a loop. Sites of functions that can run in
 /// tiles are numbered; see ProgramTiles.h.
 struct TileSite {
-  /// Along one dimension of the loop: iteration i touches the cell of the
-  /// number i + shift, of `extent` cells that lie `stride` bytes apart; with
-  /// `wraps`, of that number modulo the extent. A stride of 0: all the same.
+  /// Along one dimension of the loop: iteration i touches cell number i + shift
+  /// of `extent` cells that lie `stride` bytes apart; with `wraps`, cell number
+  /// i + shift modulo the extent. With a stride of 0, all iterations touch one
+  /// cell.
   struct Digit {
     int64_t stride = 0, extent = 0, shift = 0;
     bool wraps = false;
@@ -102,20 +103,20 @@ struct TileSite {
   }
 };
 
-/// All accesses of a device function; it touches nothing else. Absent for a
-/// function whose accesses are not all known.
+/// All accesses of a device function, which touches no other memory. Absent for
+/// a function whose accesses are not all known.
 struct FunctionAccesses {
   /// Iterations are distributed with the stride of the grid: iteration number
   /// i, counted over all dimensions with the last one fastest, is executed by
   /// thread i modulo the threads of the grid.
   bool isGridStride = false;
-  /// Extents of the loop; -1 for one that is not known.
+  /// Extents of the loop; -1 for an unknown extent.
   std::vector<int64_t> extents;
   std::vector<DeviceAccess> accesses;
 
-  /// Lower bounds of the loop, and its loads and stores. Empty if it cannot run
-  /// in tiles; otherwise there is a variant of the function that runs one
-  /// iteration, with an additional parameter for each dimension.
+  /// Lower bounds of the loop, and its loads and stores. Empty if the function
+  /// cannot run in tiles; otherwise there is a variant of the function that
+  /// runs one iteration, with an additional parameter for each dimension.
   std::vector<int64_t> lower;
   std::vector<TileSite> sites;
 

@@ -24,8 +24,8 @@
 extern "C" {
 #endif
 
-/// A level from the root to a sparse one: its cells below one cell of the level
-/// above, and the distance between them in bytes.
+/// A level on the path from the root to a sparse level: its cells below one
+/// cell of the level above, and the distance between them in bytes.
 typedef struct TaiDeviceStep {
   int64_t cells;
   int64_t stride;
@@ -50,7 +50,7 @@ typedef struct TaiDeviceActivity {
 typedef struct TaiDeviceListHeader {
   /// Non-zero while the list is being computed.
   uint64_t isOld;
-  /// TaiDeviceActivity::version that it was computed from; 0 for none.
+  /// The TaiDeviceActivity::version from which the list was made; 0 for none.
   uint64_t version;
   uint64_t reserved;
   /// The number of cells. Loops read it in the word in front of the first cell.
@@ -71,7 +71,8 @@ typedef struct TaiDeviceCellMove {
 } TaiDeviceCellMove;
 
 /// The effect of tai_dev_move_cells on the elements: copies them to a dense
-/// array, from one, exchanges both, or fills them with one scalar.
+/// array, copies them from a dense array, exchanges both, or fills the elements
+/// with one scalar.
 #define TAI_CELLS_LOAD 0
 #define TAI_CELLS_STORE 1
 #define TAI_CELLS_EXCHANGE 2
@@ -101,7 +102,7 @@ typedef struct TaiDeviceNode {
   int32_t isList;
   /// The nearest sparse level above, or -1.
   int32_t parent;
-  /// Its range in the steps of the tree.
+  /// The first of the level's steps in TaiDeviceTree::steps, and their number.
   int32_t firstStep, steps;
   int64_t cells;
   /// Cells of this level below one cell of `parent`.
@@ -112,20 +113,20 @@ typedef struct TaiDeviceNode {
   /// Byte offsets, in the tree, of cell 0 and of the bits or lengths.
   int64_t offset, activityOffset;
   TaiDeviceActivity *activity;
-  /// The cells deactivated since the host last read it, laid out like the bits
-  /// or lengths.
+  /// The cells deactivated since the host last read this memory, laid out like
+  /// the bits or lengths.
   void *removed;
   /// A bit for each word of bits, or each list, that has been non-zero;
-  /// conservative: it may have become zero again.
+  /// conservative: the word or length may have become zero again.
   uint64_t *marks;
   /// Messages of failures: a cell number out of range, a full list, and the
   /// memory limit; the last is null where cells hold other cells and are not
   /// counted.
   const char *rangeMessage, *fullMessage, *memoryMessage;
-  /// For the limit of pieces; null like the one before.
+  /// The message for the limit of pieces; null where memoryMessage is null.
   const char *pieceMessage;
-  /// Non-zero if a cell consists of cells of the next levels alone: it is zero
-  /// once the active ones of those are zeroed.
+  /// Non-zero if a cell consists of cells of the next levels alone: such a cell
+  /// is zero once its active cells of those levels are zeroed.
   int32_t holdsCellsAlone;
 } TaiDeviceNode;
 
@@ -141,9 +142,9 @@ typedef struct TaiDeviceTree {
 // Kernels of the device library
 //===----------------------------------------------------------------------===//
 //
-// The runtime itself launches these. `tree` is the base of a sparse tree,
-// `node` the number of a level, `list` the address of a TaiDeviceListHeader
-// followed by room for all cells of the level.
+// The runtime itself launches these kernels. `tree` is the base of a sparse
+// tree, `node` the number of a level, `list` the address of a
+// TaiDeviceListHeader followed by room for all cells of the level.
 
 /// Computes the list of active cells unless it is up to date. Launched with one
 /// block, or, for many cells, as three launches one after another (count, scan

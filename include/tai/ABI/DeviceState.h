@@ -7,8 +7,8 @@
 //
 // The state of a device, in its memory, in C: failures and printed lines, which
 // device code writes and the host reads when it waits for the device (see
-// DeviceReport.h). The functions of Abi.h that device code calls get its
-// address as their frame. The offsets are the same on both sides.
+// DeviceReport.h). The functions of Abi.h that device code calls get the
+// address of the state as their frame. Host and device use the same offsets.
 //
 //===----------------------------------------------------------------------===//
 
@@ -32,10 +32,10 @@
 extern "C" {
 #endif
 
-/// A failure or a printed line: this, `slots` slots of eight bytes, `count`
-/// kinds and `count` shapes of four bytes, the text, the place; each of both
-/// with the zero at its end, which its length does not count. A multiple of
-/// eight bytes.
+/// A failure or a printed line: this header, `slots` slots of eight bytes,
+/// `count` kinds and `count` shapes of four bytes, the text, the place. Text
+/// and place end with a zero, which their lengths do not count. The size is a
+/// multiple of eight bytes.
 typedef struct TaiDeviceRecord {
   /// Size of the record.
   uint32_t bytes;
@@ -59,7 +59,8 @@ typedef struct TaiDeviceState {
   /// Lines dropped because the buffer was full.
   uint32_t lostLines;
   uint64_t outputCapacity;
-  /// Bytes that were claimed, in order; may exceed the capacity.
+  /// Bytes claimed so far; claims that did not fit count as well, so this may
+  /// exceed the capacity.
   uint64_t outputUsed;
   /// The end of the records, if more than the capacity was claimed.
   uint64_t outputEnd;
@@ -70,7 +71,7 @@ typedef struct TaiDeviceState {
   /// Non-zero while kernels are asked to stop: the number of the host thread
   /// that asks.
   uint32_t stop;
-  /// The value of `stop` that a device thread has exited for.
+  /// The value of `stop` for which a device thread has exited.
   uint32_t stopped;
   /// The first failure, a TaiDeviceRecord.
   uint64_t failure[TAI_DEVICE_RECORD_BYTES / 8];

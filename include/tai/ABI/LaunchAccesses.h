@@ -6,8 +6,8 @@
 //===----------------------------------------------------------------------===//
 //
 // The elements that a kernel accesses, in terms of its arguments, as the
-// compiler found them; the runtime evaluates that for the arguments of a
-// launch.
+// compiler found them; the runtime computes the elements from the arguments of
+// a launch.
 //
 //===----------------------------------------------------------------------===//
 
@@ -43,8 +43,8 @@ struct FixedIndex {
   int64_t dimension;
   int64_t constant;
   std::vector<LaunchTerm> terms;
-  /// The sum counts modulo two to this: the program computes it in as many
-  /// bits.
+  /// The program computes the sum in this number of bits, so that it counts
+  /// modulo two to this power.
   int64_t bits = 64;
 
   int64_t evaluate(const uint64_t *args) const {
@@ -59,7 +59,7 @@ struct FixedIndex {
     return dimension == other.dimension && constant == other.constant &&
            terms == other.terms && bits == other.bits;
   }
-  /// True if both certainly differ in each launch.
+  /// True if the two indices certainly differ in each launch.
   bool isApart(const FixedIndex &other) const {
     uint64_t difference =
         static_cast<uint64_t>(constant) - static_cast<uint64_t>(other.constant);

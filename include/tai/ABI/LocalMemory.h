@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Functions that device code calls instead of malloc and free. The device
-// library defines the first two; `tai_rt_local_given` only marks its argument,
-// memory that an earlier function of the kernel allocated. Where the first or
-// the last returns null, the calling thread exits.
+// library defines kLocalAllocate and kLocalFree; kLocalGiven only marks its
+// argument, memory that an earlier function of the kernel allocated. Where
+// kLocalAllocate or kGoOn returns null, the calling thread exits.
 //
 //===----------------------------------------------------------------------===//
 

@@ -6,7 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // Additions to Abi.h for kernels that name the mode of their sums, for sums of
-// 16 bits and for those of integers.
+// 16 bits and for sums of integers.
 //
 //===----------------------------------------------------------------------===//
 
@@ -29,8 +29,8 @@ enum { kSumsI32 = kSumsBF16 + 1, kSumsI64 };
 enum { kPartsFixed = 2 };
 
 namespace mlir::tai::runtime {
-/// On functions of which the plan of reductions lets LLVM choose the order of
-/// sums: those of f32 are kept in f64 (`WidenSums`).
+/// Attribute of functions in which the plan of reductions lets LLVM choose the
+/// order of sums: sums of f32 are then kept in f64 (`WidenSums`).
 inline constexpr char kFreeSumsAttrName[] = "tai.free_sums";
 } // namespace mlir::tai::runtime
 

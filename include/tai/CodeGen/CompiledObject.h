@@ -45,7 +45,7 @@ struct CompiledObject {
   llvm::SmallVector<char, 0> code;
 
   std::string serialize() const;
-  /// Returns no value if the bytes are not those of a serialized object.
+  /// Returns no value if the bytes are not a serialized object.
   static std::optional<CompiledObject> deserialize(llvm::StringRef bytes);
 };
 

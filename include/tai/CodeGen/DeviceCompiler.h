@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // The device half of the compiler: makes an image that a runtime::Device loads
-// from the `gpu.module` that the lowering leaves. For CUDA that is PTX text,
-// for the emulated device object code of the host. The device library, and
-// libdevice (CUDA's math library) where it is called, are linked in before the
-// code is optimised.
+// from the `gpu.module` that the lowering leaves. For CUDA the image is PTX
+// text, for the emulated device object code of the host. The device library,
+// and libdevice (CUDA's math library) where it is called, are linked in before
+// the code is optimised.
 //
 // Kernels are the functions with the attribute `gpu.kernel` or `nvvm.kernel`,
 // numbered in their order. The emulated device calls a kernel `f` by `f.slots`,
@@ -63,9 +63,9 @@ struct DeviceCode {
   /// Names of the kernels, in the order of their numbers, and their source
   /// locations.
   std::vector<std::string> functions, places;
-  /// See DeviceImage.
+  /// See DeviceImage::accesses.
   std::vector<std::vector<int64_t>> accesses;
-  /// As in the image.
+  /// See DeviceImage::blockSizes.
   std::vector<int64_t> blockSizes;
   /// For each function, its maximum of threads in a block, as text.
   std::vector<std::string> mostThreads;
@@ -110,8 +110,8 @@ public:
   finish(DeviceCode &code,
          llvm::function_ref<bool(const llvm::GlobalValue &)> isVisible,
          llvm::function_ref<void()> prepare = {});
-  /// Sees the module before LLVM's passes, and may fail or give the image that
-  /// they would lead to.
+  /// A hook that sees the module before LLVM's passes. It may fail, or return
+  /// the image that the passes would lead to.
   using LinkedHook =
       std::function<llvm::Expected<std::optional<runtime::DeviceImage>>(
           const llvm::Module &)>;
@@ -119,7 +119,7 @@ public:
   void setLinkedHook(LinkedHook hook) { linkedHook = std::move(hook); }
 
   bool isCuda() const { return target.kind == runtime::DeviceKind::Cuda; }
-  /// True after a fatal error in LLVM: this must not be used any more.
+  /// True after a fatal error in LLVM: the compiler must not be used any more.
   bool isBroken() const;
 
 private:

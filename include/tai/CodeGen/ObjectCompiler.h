@@ -49,7 +49,8 @@ struct CodegenOptions {
 void allowFastMath(llvm::Module &module);
 
 /// The libraries of vector functions that this process can load, by the names
-/// under which it does. Code may call them; cached code is for those alone.
+/// under which it loads them. Code may call their functions; cached code is
+/// valid for the same libraries only.
 llvm::ArrayRef<llvm::StringRef> getVectorLibraries();
 
 /// A CPU that code is made for, as LLVM describes it.
@@ -58,11 +59,11 @@ struct TargetCpu {
   std::string name;
   std::string features;
 
-  /// The one that this process runs on.
+  /// The CPU that this process runs on.
   static const TargetCpu &getHost();
 
-  /// The one that LLVM knows by this name, or the host's if it is empty. Fails
-  /// if there is none, or if the host cannot run its code.
+  /// The CPU that LLVM knows by `name`, or the host's CPU if `name` is empty.
+  /// Fails if LLVM knows none, or if the host cannot run its code.
   static llvm::Expected<TargetCpu> find(llvm::StringRef name);
 };
 
@@ -86,8 +87,8 @@ public:
   /// The assembly text of an optimised module.
   llvm::Expected<std::string> emitAssembly(llvm::Module &module);
 
-  /// True after a fatal error in LLVM. This and the module must then be neither
-  /// used nor destroyed: leak them.
+  /// True after a fatal error in LLVM. The compiler and the module must then be
+  /// neither used nor destroyed: leak them.
   bool isBroken() const { return broken; }
 
 private:
@@ -98,7 +99,7 @@ private:
 
   CodegenOptions options;
   std::unique_ptr<llvm::TargetMachine> machine;
-  /// The functions that loops may call; null if floats are fast.
+  /// The functions that loops may call in a form for vectors.
   std::unique_ptr<VectorMath> vectorMath;
   bool broken = false;
 };

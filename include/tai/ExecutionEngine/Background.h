@@ -32,7 +32,7 @@ public:
     std::function<void()> task;
     State state = State::Queued;
     bool isNeeded = false;
-    /// No caller will use its result.
+    /// No caller will use the result of the job.
     std::atomic<bool> isAbandoned{false};
   };
   using JobPtr = std::shared_ptr<Job>;
@@ -47,16 +47,16 @@ public:
   Background(const Background &) = delete;
   Background &operator=(const Background &) = delete;
 
-  /// Waits for running jobs. Queued jobs and all later ones run in finish()
-  /// only, except those of doLater().
+  /// Waits for running jobs. Queued jobs and all later jobs run in finish()
+  /// only, except jobs of doLater().
   void stop();
-  /// The same for all instances.
+  /// Calls stop() on all instances.
   static void stopAll();
 
   /// Queues a job. Without threads, it runs in finish().
   JobPtr start(std::function<void()> task);
-  /// Queues a job that nobody calls finish() for; it is done at the latest when
-  /// the threads are stopped.
+  /// Queues a job for which nobody calls finish(); it is done at the latest
+  /// when the threads are stopped.
   void doLater(std::function<void()> task);
 
   /// Returns once the job is done; runs it here if it has not begun. False if

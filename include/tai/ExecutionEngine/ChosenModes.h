@@ -14,7 +14,7 @@
 namespace mlir::tai {
 
 /// The compile options of a kernel in a context of `options`: the kernel's
-/// modes take precedence. Fails after an error at the kernel if its modes
+/// modes take precedence. Emits an error at the kernel and fails if its modes
 /// contradict each other, options of the context, or the abilities of the
 /// target.
 FailureOr<CompileOptions> getKernelOptions(KernelOp kernel,

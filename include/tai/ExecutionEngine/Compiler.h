@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Compiles kernels for the CPU that it runs on: differentiation if the adjoint
+// Compiles kernels for the CPU of this process: differentiation if the adjoint
 // is requested, lowering, LLVM's optimiser, object code, and linking into
-// memory. For a GPU that is the host code of a kernel, beside the image of its
-// device code. Object code is kept in a cache on disk, which is looked up
-// first: a hit runs no pass.
+// memory. For a GPU, the object code is the host code of a kernel, beside the
+// image of its device code. Object code is kept in a cache on disk, which is
+// looked up first: a hit runs no pass.
 //
 //===----------------------------------------------------------------------===//
 
@@ -69,9 +69,9 @@ struct ObjectCache {
   /// returned.
   std::function<std::optional<std::string>(StringRef key)> load;
   std::function<void(StringRef key, StringRef bytes)> store;
-  /// The exclusive right to make the object of the key while others wait; see
-  /// runtime::CacheStore::claim. Waits for it while `goesOn` returns true.
-  /// Optional.
+  /// The exclusive right to make the object of the key while other processes
+  /// wait; see runtime::CacheStore::claim. Waits for the right while `goesOn`
+  /// returns true. Optional.
   std::function<std::shared_ptr<void>(StringRef key,
                                       const std::function<bool()> &goesOn)>
       claim = nullptr;
@@ -82,7 +82,8 @@ struct ObjectCache {
 struct CompileRequest {
   /// ZeroingAdjoint: the adjoint that zeroes the adjoints of the elements which
   /// the kernel overwrites. StoredAdjoint: the adjoint that loads stored
-  /// outputs of the kernel, or, where there is no such variant, the other one.
+  /// outputs of the kernel, or, without such a variant, the adjoint that does
+  /// not.
   enum class Goal {
     Primal,
     Adjoint,
@@ -121,7 +122,7 @@ public:
     /// Extends all kernels of a module by tangents.
     std::function<void(OpPassManager &, const CompileOptions &)> forward;
     std::function<void(OpPassManager &, const CompileOptions &)> toLLVM;
-    /// The same for a kernel on a device: also leaves a `gpu.module`.
+    /// Like toLLVM, for a kernel on a device: also leaves a `gpu.module`.
     std::function<void(OpPassManager &, const CompileOptions &)> toDevice;
     /// The pass whose output is the stage "scf", without and with a device.
     std::string scfPass, deviceScfPass;
@@ -165,14 +166,14 @@ public:
                                   const CompileOptions &options,
                                   Failure &failure);
 
-  /// The same in two steps. After the first, the ToBeRecorded of an adjoint is
-  /// known; on a cache hit, only linking remains.
+  /// Compiles in two steps, prepare and finish. After prepare, the ToBeRecorded
+  /// of an adjoint is known; on a cache hit, only linking remains.
   struct Prepared {
-    /// The current step, or the one that has failed.
+    /// The current step, or the step that has failed.
     enum class Step { Autodiff, Forward, Lower, Code };
     Step step = Step::Autodiff;
     std::string key;
-    /// From the cache.
+    /// The object, if it came from the cache.
     std::optional<CompiledObject> object;
     /// Otherwise the differentiated module, and the symbol of its entry point.
     OwningOpRef<ModuleOp> module;
@@ -184,8 +185,8 @@ public:
     /// Makes other processes wait for the object.
     std::shared_ptr<void> claim;
   };
-  /// With `claims`, the second step must follow at once: other processes wait
-  /// for it.
+  /// With `claims`, finish must follow at once: other processes wait for the
+  /// object.
   std::optional<Prepared> prepare(CompileRequest request,
                                   const CompileOptions &options,
                                   Failure &failure, bool claims = false);

@@ -5,9 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The numeric modes that are options of a context. Passes read only those of
-// kernels (see Modes.h): a kernel made in a context gets the modes of the
-// context, except those that it specifies itself.
+// The numeric modes that are options of a context. Passes read only the modes
+// of kernels (see Modes.h): a kernel made in a context gets the modes of the
+// context, except modes that the kernel itself specifies.
 //
 //===----------------------------------------------------------------------===//
 
@@ -43,13 +43,14 @@ struct ContextModes {
   }
 
   /// Sets one of the five modes by name. Returns "" or, for an invalid value, a
-  /// description of the expected ones.
+  /// description of the valid values.
   std::string setWord(StringRef name, StringRef word);
 
   /// Why the settings contradict each other, or "".
   std::string findContradiction() const;
 
-  /// Sets the modes on the kernels of a module, except those that they specify.
+  /// Sets the modes on the kernels of a module, except modes that a kernel
+  /// itself specifies.
   void addTo(ModuleOp module) const;
 
   /// Reports an error at the first field of a module whose gradient field does

@@ -34,7 +34,7 @@ public:
   LogicalResult destroyTree(StringRef name);
 
   /// Adds a field, by the text of a `tai.field` op or by the op. The adjoint
-  /// that it names may be added later.
+  /// that the op names may be added later.
   FailureOr<runtime::FieldPtr> addField(StringRef declaration);
   FailureOr<runtime::FieldPtr> addField(FieldOp field);
 

@@ -7,7 +7,7 @@
 //
 // The last failure of each thread, and failures of compilations that pass
 // through the runtime. The runtime has no source locations: it passes on a
-// status with a number, by which the failure is found again.
+// status with a number, by which the log finds the failure again.
 //
 //===----------------------------------------------------------------------===//
 
@@ -33,7 +33,7 @@ public:
   LogicalResult fail(FailureKind kind, const Twine &message) {
     return fail(Failure::get(kind, message));
   }
-  /// The same for a status of the runtime.
+  /// Sets the last failure from a status of the runtime; returns failure().
   LogicalResult fail(const runtime::Status &status);
   LogicalResult check(const runtime::Status &status) {
     return status.ok() ? success() : fail(status);
@@ -45,7 +45,8 @@ public:
   int64_t numKept() const;
 
 private:
-  /// The most recent ones, and the number of older ones that were dropped.
+  /// The most recent failures, and the number of older failures that were
+  /// dropped.
   std::deque<Failure> kept;
   size_t numDropped = 0;
   mutable std::mutex mutex;

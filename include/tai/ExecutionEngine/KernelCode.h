@@ -76,7 +76,7 @@ public:
   /// Filled in by makeKernel.
   struct Source {
     std::string name;
-    /// Its source location, or empty.
+    /// The source location of the kernel, or empty.
     std::string place;
     CompileOptions options;
     OwningOpRef<ModuleOp> module;
@@ -84,8 +84,8 @@ public:
     int64_t resultSlots = 0;
     /// The trees that the module declares.
     std::vector<runtime::TreePtr> trees;
-    /// The fields that it declares, by name. The names may be reused by other
-    /// fields after these are destroyed.
+    /// The fields that the module declares, by name. After such a field is
+    /// destroyed, another field may reuse its name.
     llvm::StringMap<runtime::FieldPtr> fields;
   };
 
@@ -97,7 +97,7 @@ public:
   /// The trees that the module declares, in the order of its ops.
   const std::vector<runtime::TreePtr> &getTrees() const { return source.trees; }
   ModuleOp getModule() const { return source.module.get(); }
-  /// The field that its module means by the name, or null.
+  /// The field that the kernel's module means by `name`, or null.
   runtime::FieldPtr findField(StringRef name) const {
     return source.fields.lookup(name);
   }
@@ -134,8 +134,9 @@ public:
 
 private:
   /// Runs a step of the compilation of a kernel on a thread of its own, so that
-  /// this one passes safepoints. If it is interrupted there, the step still
-  /// completes, for the cache, and this returns none with a failure.
+  /// the calling thread passes safepoints. If the calling thread is interrupted
+  /// at a safepoint, the step still completes, for the cache, and runAside
+  /// returns none with a failure.
   template <typename Result>
   std::optional<Result>
   runAside(std::function<std::optional<Result>(Failure &)> step,
@@ -164,7 +165,7 @@ private:
 
   KernelServices services;
   Source source;
-  /// All that was linked for it.
+  /// All functions that were linked for the kernel.
   std::mutex functionsMutex;
   std::vector<Compiler::Function> functions;
   /// The adjoint, in the variant that a tape most likely launches, between the
@@ -188,15 +189,16 @@ struct MadeKernel {
 };
 
 /// Makes a kernel of the runtime from a module with a kernel of the given name:
-/// adds the declarations that it uses, and verifies it. Failures go to the log.
-/// `modes` are those of the context; they have been added to the kernel before.
+/// adds the declarations that the kernel uses, and verifies it. Failures go to
+/// the log. `modes`, the modes of the context, have been added to the kernel
+/// before.
 FailureOr<MadeKernel> makeKernel(const KernelServices &services,
                                  OwningOpRef<ModuleOp> module, StringRef name,
                                  const CompileOptions &options,
                                  const ContextModes &modes = {});
 
-/// True if a reverse sweep may launch the adjoint of the kernel: it reads a
-/// field with an adjoint, and changes one.
+/// True if a reverse sweep may launch the adjoint of the kernel: the kernel
+/// reads a field with an adjoint, and changes a field with an adjoint.
 bool carriesGradients(const runtime::Kernel &kernel);
 
 } // namespace mlir::tai

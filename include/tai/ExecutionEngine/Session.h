@@ -101,12 +101,12 @@ public:
     return check(rt->setActive(tree, level, cell, isActive));
   }
 
-  /// Creates a kernel from a module that holds one of the given name: adds the
-  /// trees and fields that it uses, and verifies it.
+  /// Creates a kernel from a module that holds a kernel of the given name: adds
+  /// the trees and fields that the kernel uses, and verifies it.
   FailureOr<SessionKernel *> createKernel(OwningOpRef<ModuleOp> module,
                                           StringRef name);
-  /// The same for a module as text, or as bytecode with a checksum (see
-  /// ModuleFile.h); `file` names it in diagnostics.
+  /// Creates a kernel from a module as text, or as bytecode with a checksum
+  /// (see ModuleFile.h); `file` names it in diagnostics.
   FailureOr<SessionKernel *> parseKernel(StringRef bytes, StringRef file,
                                          StringRef name);
   void destroyKernel(SessionKernel *kernel) { kernels.erase(kernel->place); }
@@ -139,7 +139,7 @@ public:
     std::string name;
     Compiler::Function code;
     CompileOptions options;
-    /// Whether it accesses fields itself, and not by launches alone.
+    /// Whether the function accesses fields itself, beside its launches.
     bool usesFields = false;
   };
   /// Compiles the host function of the given name in the module.
@@ -148,18 +148,18 @@ public:
   bool isCurrent(const HostFunction &function) const {
     return function.options == getHostOptions();
   }
-  /// Runs it with the kernels that `findKernel` gives for the names that it
-  /// launches.
+  /// Runs the function with the kernels that `findKernel` gives for the names
+  /// that it launches.
   LogicalResult
   runHost(const HostFunction &function,
           const std::function<SessionKernel *(StringRef name)> &findKernel);
   /// Frees a function that is not running.
   void unload(const HostFunction &function) { compiler->unload(function.code); }
 
-  /// Whether launches in a row may become one; see FuseLaunches.
+  /// Whether consecutive launches may be fused into one; see FuseLaunches.
   bool fusesLaunches() const;
-  /// Makes one kernel of those that a host function of the file launches one
-  /// after another, where the options allow it.
+  /// Fuses kernels that a host function of the file launches one after another
+  /// into one kernel, where the options allow it.
   LogicalResult fuseLaunchesIn(ModuleOp file);
   bool isDeterministic() const { return compileOptions.deterministic; }
 
@@ -175,7 +175,7 @@ public:
     return declarations->declareUsed(module);
   }
 
-  /// The session's kernel behind a kernel of the runtime, or null.
+  /// The session's kernel called `name`, or null.
   SessionKernel *findKernel(StringRef name);
 
   /// Whether a kernel of the name may be launched, by a tape for example.

@@ -36,7 +36,7 @@ inline void setBlockSize(LLVM::LLVMFuncOp function, int64_t threads) {
                                                  std::to_string(threads)}));
 }
 
-/// From 1 to 1024; none if not specified.
+/// The block size, from 1 to 1024; none if the function specifies none.
 inline std::optional<int64_t> getBlockSize(LLVM::LLVMFuncOp function) {
   ArrayAttr attributes = function.getPassthroughAttr();
   if (!attributes)

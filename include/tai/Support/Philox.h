@@ -55,9 +55,9 @@ inline std::array<uint32_t, 4> philox4x32(std::array<uint32_t, 4> counter,
 /// The result of tai_rt_random_u32.
 inline uint32_t randomBits(uint64_t seed, uint64_t launch, uint64_t iteration,
                            uint32_t stream, uint32_t sequence) {
-  // 192 bits of position and a counter of 128: the launch goes into the key,
-  // behind a bijection of the seed, so that launches of one context never
-  // share a key. Four consecutive numbers of a sequence are one block.
+  // The position has 192 bits, the counter 128: the launch goes into the key,
+  // combined with a bijection of the seed, so that launches of one context
+  // never share a key. Four consecutive numbers of a sequence are one block.
   uint64_t key = seed + 0x9E3779B97F4A7C15u;
   key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9u;
   key = (key ^ (key >> 27)) * 0x94D049BB133111EBu;
@@ -66,7 +66,7 @@ inline uint32_t randomBits(uint64_t seed, uint64_t launch, uint64_t iteration,
                       sequence >> 2};
   philox4x32InPlace(bits, uint32_t(key), uint32_t(key >> 32));
   uint32_t which = sequence & 3;
-  // Without an index into memory, which a GPU would need the stack for.
+  // Selects without an index into memory, for which a GPU would need the stack.
   return which < 2 ? (which == 0 ? bits[0] : bits[1])
                    : (which == 2 ? bits[2] : bits[3]);
 }

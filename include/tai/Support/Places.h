@@ -18,8 +18,8 @@
 
 namespace mlir::tai {
 
-/// The file location of `location`, or null; for inlined code, that of the
-/// callee.
+/// The file location of `location`, or null; for inlined code, the location in
+/// the callee.
 inline FileLineColLoc findFileLocation(Location location) {
   // For a call site, use the location in the callee.
   if (auto call = dyn_cast<CallSiteLoc>(location))
@@ -40,7 +40,7 @@ inline FileLineColLoc findFileLocation(Location location) {
   return found;
 }
 
-/// The same as "file:line:column", or empty.
+/// The file location of `location` as "file:line:column", or empty.
 inline std::string describePlace(Location location) {
   FileLineColLoc place = findFileLocation(location);
   return place ? (place.getFilename().getValue() + ":" +

@@ -7,7 +7,8 @@
 //
 // Drops the diagnostics of the current thread during the lifetime of the
 // object. Handlers belong to the context, in which other threads compile as
-// well: one that drops whatever it is given loses their errors.
+// well: a handler that dropped all diagnostics would lose the errors of other
+// threads.
 //
 //===----------------------------------------------------------------------===//
 

@@ -84,8 +84,8 @@ public:
   constexpr bool operator!=(SkipSet other) const { return bits != other.bits; }
 
   /// Parses "all", "none", or a list of names separated by commas; "-name"
-  /// removes one. A list that begins with "-name" starts from all. False, with
-  /// a message in `error`, for an unknown name.
+  /// removes a skip. A list that begins with "-name" starts from all. False,
+  /// with a message in `error`, for an unknown name.
   static bool parse(std::string_view text, SkipSet &set, std::string &error) {
     SkipSet result = none();
     bool first = true;

@@ -5,8 +5,9 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// XXH64, written from its specification. It needs no library: the runtime knows
-// no LLVM, and the Python module, which hashes arrays, the C API alone.
+// XXH64, written from its specification. It needs no library: the runtime does
+// not use LLVM, and the Python module, which hashes arrays, uses only the C
+// API.
 //
 //===----------------------------------------------------------------------===//
 
