@@ -253,7 +253,7 @@ typedef struct TaiContextObjects {
   int64_t field_handles;
   int64_t kernel_handles;
   int64_t tape_handles;
-  int64_t kernels;      // those that may be launched, with their adjoints
+  int64_t kernels;      // kernels that may be launched, with adjoints
   int64_t kernel_codes; // modules that kernels are compiled from
   int64_t linked;       // pieces of compiled code
   int64_t failures;     // of compilations, kept for later queries
@@ -290,8 +290,8 @@ TAI_EXPORT TaiStatus taiFieldWriteElements(TaiField field,
 TAI_EXPORT TaiStatus taiFieldGetAddress(TaiField field, const int64_t *indices,
                                         void **address);
 
-/// Memory of a field that another library uses. It is kept until the buffer is
-/// released, even after the field and the context are destroyed.
+/// Memory of a field that another library uses. The memory is kept until the
+/// buffer is released, even after the field and the context are destroyed.
 typedef struct TaiExportedBufferImpl *TaiExportedBuffer;
 typedef struct TaiFieldMemory {
   void *address; // of the first element
@@ -319,8 +319,8 @@ TAI_EXPORT TaiStatus taiContextLetStreamWait(TaiContext context,
 TAI_EXPORT TaiStatus taiContextAllocateOnDevice(TaiContext context,
                                                 int64_t bytes, void **address);
 TAI_EXPORT void taiContextFreeOnDevice(TaiContext context, void *address);
-/// A copy on the GPU, in order with launches; in a sweep or replay of a tape,
-/// part of it.
+/// Copies on the GPU, in order with launches. A copy in a sweep or replay of a
+/// tape becomes part of the sweep or replay.
 TAI_EXPORT TaiStatus taiContextCopyOnDevice(TaiContext context, void *to,
                                             const void *from, int64_t bytes);
 /// Copies `rows` pieces of `bytes` bytes each from the GPU's memory to the
@@ -374,8 +374,8 @@ TAI_EXPORT TaiStatus taiModuleWrite(TaiContext context, MlirModule module,
                                     void *userData);
 TAI_EXPORT void taiKernelDestroy(TaiKernel kernel);
 
-/// The name of tree number `number` that the kernel may use, including those of
-/// gradients; null after the last one.
+/// The name of tree number `number` that the kernel may use, including the
+/// trees of gradients; null after the last tree.
 TAI_EXPORT const char *taiKernelGetTree(TaiKernel kernel, int64_t number);
 
 /// Launches with arguments in slots (see TaiFrame in tai/ABI/Abi.h). `results`
@@ -383,9 +383,9 @@ TAI_EXPORT const char *taiKernelGetTree(TaiKernel kernel, int64_t number);
 ///
 /// A kernel with the attribute `gradients` is differentiated with respect to
 /// arguments and results. A launch under a tape, and its adjoint, have
-/// additional slots for their adjoints after those of the arguments, as for
-/// arrays (see `--tai-make-adjoint`). That memory must live as long as the
-/// tape.
+/// additional slots for the adjoints of these arguments and results after the
+/// slots of the arguments, as for arrays (see `--tai-make-adjoint`). The memory
+/// of the adjoints must live as long as the tape.
 TAI_EXPORT TaiStatus taiKernelLaunch(TaiKernel kernel, const uint64_t *args,
                                      int64_t slots, uint64_t *results);
 /// Launches the adjoint of the kernel.
@@ -398,7 +398,7 @@ TAI_EXPORT bool taiKernelReadsInReverse(TaiKernel kernel, int64_t slot);
 
 /// True if the kernel stores, to the array argument whose pointer is in this
 /// slot and which has no gradient, values that may depend on differentiable
-/// ones.
+/// values.
 TAI_EXPORT bool taiKernelEndsGradients(TaiKernel kernel, int64_t slot);
 
 /// Compiles the kernels (and their adjoints) now, several in parallel.
@@ -456,9 +456,9 @@ TAI_EXPORT const char *taiProgramGetSymbol(TaiProgram program,
 /// program.
 TAI_EXPORT TaiStatus taiProgramGetKernel(TaiProgram program, const char *name,
                                          TaiKernel *kernel);
-/// Runs a `func.func` without arguments and results, such as "main". Its tapes
-/// are its own; its launches are recorded by the active tape. Under a tape it
-/// must not access fields other than by launches.
+/// Runs a `func.func` without arguments and results, such as "main". The tapes
+/// of the function are its own; its launches are recorded by the active tape.
+/// Under a tape, the function must not access fields other than by launches.
 TAI_EXPORT TaiStatus taiProgramRun(TaiProgram program, const char *function);
 
 /// A handle of a field of the context, by name.
@@ -478,11 +478,12 @@ TAI_EXPORT TaiStatus taiCheckGradient(TaiContext context, TaiField loss,
                                       double tolerance, TaiRun run, void *user);
 
 /// Loads a library of dialects, of passes or of both, as `mlir-opt` does,
-/// before the context has kernels. It must use the same shared libraries of
-/// LLVM and MLIR as libtai; the libtai of the portable bundle refuses plugins.
+/// before the context has kernels. The library must use the same shared
+/// libraries of LLVM and MLIR as libtai; the libtai of the portable bundle
+/// refuses plugins.
 TAI_EXPORT TaiStatus taiContextLoadPlugin(TaiContext context, const char *path);
 /// Reads a module without verifying it, for taiModuleRunPasses and
-/// taiProgramCreate; arguments as those of taiProgramLoad. Owned by the caller.
+/// taiProgramCreate; arguments as in taiProgramLoad. Owned by the caller.
 TAI_EXPORT TaiStatus taiModuleRead(TaiContext context, const char *bytes,
                                    size_t size, const char *file,
                                    MlirModule *module);
@@ -500,9 +501,9 @@ typedef int32_t (*TaiFunction)(struct TaiFrame *frame);
 /// the names of `num_trees` trees, in the order of the `tai.tree` ops of the
 /// function's module; the trees must have the layouts for which the function
 /// was compiled. Slots are as for taiKernelLaunch; the code itself knows their
-/// number. If the function launches kernels, those are kernels of the context
-/// by name. Fails while a tape records, because the tape cannot know the
-/// accesses of such code.
+/// number. Kernels that the function launches are found in the context by name.
+/// Fails while a tape records, because the tape cannot know the accesses of
+/// such code.
 TAI_EXPORT TaiStatus taiContextRunFunction(
     TaiContext context, TaiFunction function, const char *const *trees,
     int64_t num_trees, const uint64_t *args, uint64_t *results);
@@ -529,13 +530,13 @@ TAI_EXPORT TaiStatus taiTapeWant(TaiTape tape, const TaiField *fields,
 TAI_EXPORT TaiStatus taiTapeSetSeed(TaiTape tape, TaiField loss,
                                     const void *array);
 /// How the tape trades recomputation for saved values; set before anything is
-/// recorded. `snapshots`: their maximum number, 0 for about the square root of
-/// the number of records. `budget`: maximum of bytes in snapshots and saved
-/// values, 0 for no limit.
+/// recorded. `snapshots`: the maximum number of snapshots, 0 for about the
+/// square root of the number of records. `budget`: maximum of bytes in
+/// snapshots and saved values, 0 for no limit.
 typedef enum TaiCheckpoint {
-  TAI_CHECKPOINT_NONE = 0, // saves
+  TAI_CHECKPOINT_NONE = 0, // saves values only
   TAI_CHECKPOINT_PERIODIC, // snapshots at even distances, saves in between
-  TAI_CHECKPOINT_BINOMIAL, // snapshots alone
+  TAI_CHECKPOINT_BINOMIAL, // snapshots only
   TAI_CHECKPOINT_MIXED     // periodic where the values in between fit
 } TaiCheckpoint;
 TAI_EXPORT TaiStatus taiTapeSetCheckpoint(TaiTape tape, TaiCheckpoint kind,
@@ -626,8 +627,8 @@ typedef struct TaiTapeHealthRow {
 } TaiTapeHealthRow;
 /// Makes later reverse sweeps examine the result of each record, or not.
 TAI_EXPORT TaiStatus taiTapeWatchHealth(TaiTape tape, bool on);
-/// The statistics of the last sweep, in its order. The rows are owned by the
-/// tape and valid until the next call.
+/// The statistics of the last sweep, in the order of the sweep. The rows are
+/// owned by the tape and valid until the next call.
 TAI_EXPORT TaiStatus taiTapeHealth(TaiTape tape, const TaiTapeHealthRow **rows,
                                    int64_t *count);
 /// Checks the global data access rules in the launches that follow, element by
@@ -656,8 +657,8 @@ typedef struct TaiViolation {
   int64_t component;
   TaiAccessPlace access, earlier;
 } TaiViolation;
-/// The violations found; `total` includes those that were not kept. Valid until
-/// the next call on the tape.
+/// The violations found; `total` includes violations that were not kept. Valid
+/// until the next call on the tape.
 TAI_EXPORT TaiStatus taiTapeViolations(TaiTape tape, const TaiViolation **rows,
                                        int64_t *count, int64_t *total);
 
@@ -750,7 +751,7 @@ typedef struct TaiSkipRow {
   int on; // whether the skip is on
 } TaiSkipRow;
 /// All counters since the last clear; owned by the context, valid until the
-/// next call. Amounts of memory in use are current ones.
+/// next call. Amounts of memory in use are current amounts.
 TAI_EXPORT TaiStatus taiProfilerSkips(TaiContext context,
                                       const TaiSkipRow **rows, int64_t *count);
 TAI_EXPORT TaiStatus taiProfilerClearSkips(TaiContext context);

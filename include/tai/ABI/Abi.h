@@ -32,10 +32,10 @@ typedef struct TaiFrame {
   /// Base address of each tree that the module of the kernel declares, in the
   /// order of its `tai.tree` ops.
   void **trees;
-  /// Arguments in slots of eight bytes: a scalar takes one (stored in its own
-  /// type at the start of the slot, i1 as one byte, index as int64), a vector
-  /// or matrix one slot for each component (row-major), a memref one pointer
-  /// slot followed by one int64 slot for each dimension (row-major,
+  /// Arguments in slots of eight bytes: a scalar takes one slot (stored in its
+  /// own type at the start of the slot, i1 as one byte, index as int64), a
+  /// vector or matrix one slot for each component (row-major), a memref one
+  /// pointer slot followed by one int64 slot for each dimension (row-major,
   /// contiguous).
   const uint64_t *args;
   /// The returned value, in slots as above.

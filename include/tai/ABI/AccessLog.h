@@ -25,7 +25,7 @@ enum class ShadowWord : int64_t { Reader, Writer, Loop, Iteration };
 constexpr int64_t kShadowWords = 4;
 
 /// The log of each access of a launch: the number of violations, and (the other
-/// access, component, kind) of the first ones.
+/// access, component, kind) of the first violations.
 constexpr int64_t kLogEntries = 4;
 constexpr int64_t kLogWords = 1 + 3 * kLogEntries;
 

@@ -36,8 +36,8 @@ void tai_dev_block_barrier(void);
 
 /// A barrier for all threads of the grid, which has `blocks` blocks. All blocks
 /// must be resident at the same time: see LaunchShape::cooperative. `state` is
-/// a word in device memory that was zero before its first use; `barrier` of
-/// TaiDeviceState is one.
+/// a word in device memory that was zero before its first use, such as
+/// `barrier` of TaiDeviceState.
 void tai_dev_grid_barrier(uint32_t *state, uint32_t blocks);
 /// The grid barrier in two steps: tai_dev_grid_await waits for the arrivals of
 /// all blocks, but not for work that a block does after its arrival. `before`
@@ -46,11 +46,12 @@ uint32_t tai_dev_grid_arrive(uint32_t *state, uint32_t blocks);
 void tai_dev_grid_await(uint32_t *state, uint32_t before);
 
 // Combine the values of all threads of a block, and update the target with the
-// result by one atomic operation. Every thread of the block calls them, at the
-// same place; the block may have any size. The order in which values are
-// combined is unspecified. Minima and maxima of floats are NaN if any of the
-// values is, and count -0 as less than 0, as on the CPU. A thread without a
-// contribution passes the neutral element (0, 1, infinity, all bits).
+// result by one atomic operation. Every thread of the block calls such a
+// function, at the same place; the block may have any size. The order in which
+// values are combined is unspecified. Minima and maxima of floats are NaN if
+// any of the values is NaN, and count -0 as less than 0, as on the CPU. A
+// thread without a contribution passes the neutral element (0, 1, infinity, all
+// bits).
 #define TAI_DEVICE_REDUCTION(op, suffix, type)                                 \
   void tai_dev_reduce_##op##_##suffix(type *target, type value);
 #include "tai/ABI/DeviceReductions.def"

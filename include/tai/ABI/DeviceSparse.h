@@ -165,7 +165,7 @@ void tai_dev_move_cells(uint64_t tree, uint64_t move, uint64_t cells,
                         uint64_t count, uint64_t other, uint64_t what);
 /// Copies the changes to activity since the host last read them, and resets
 /// them: at `to`, TaiDeviceActivity::changes of each level in a word; then, for
-/// each level with changes, its bits or lengths and the removed ones, each in
+/// each level with changes, its bits or lengths and its removed cells, each in
 /// whole words. Launched with one block.
 void tai_dev_keep_activity(uint64_t tree, uint64_t to);
 /// Deactivates the cells of a list, and zeroes them unless they hold cells of

@@ -87,7 +87,7 @@ struct Frame {
 class AdjointBuilder : public DerivativeBuilder {
 public:
   /// Builds the operations of `plan` into the body of `adjoint`, whose
-  /// arguments begin with those of the primal.
+  /// arguments begin with the arguments of the primal.
   AdjointBuilder(FunctionOpInterface adjoint, const AdjointPlan &plan);
   ~AdjointBuilder();
 
@@ -160,9 +160,9 @@ public:
   /// The adjoints in `frame` of values defined outside of its block.
   llvm::MapVector<Value, Value> takeCaptured(Frame &frame);
   /// Continues the sweep, in the current frame, through the ops of the
-  /// enclosing block that define captured values, up to the reads they come
-  /// from. Captured values with long definitions, or ones that hold regions,
-  /// are left to the caller.
+  /// enclosing block that define captured values, up to the reads from which
+  /// the values come. Captured values whose definitions are long, or hold
+  /// regions, are left to the caller.
   void sweepCaptured();
   /// The number of iterations of a serial loop, as an index.
   Value createTripCount(scf::ForOp loop);
@@ -191,8 +191,8 @@ public:
   /// the primal.
   bool checkReadable(DifferentiableAccessInterface read);
 
-  /// Counts the values that a reversed loop carries, and those that are
-  /// recorded.
+  /// Counts the values that a reversed loop carries, and the recorded values
+  /// among them.
   void countCarried(int64_t values, int64_t recorded) {
     demands.carriedValues += values;
     demands.recordedValues += recorded;

@@ -42,8 +42,8 @@ public:
   /// is valid under the plan; false if the plan has grown, and the adjoint must
   /// be emitted again.
   FailureOr<bool> settle(const PrimalDemands &demands);
-  /// True if `settle` failed because several versions of a field are needed,
-  /// and not all by one loop.
+  /// True if `settle` failed because different loops need different versions of
+  /// a field.
   bool needsParts() const { return wantsParts; }
 
   /// The fields that the adjoint reads as they were before the launch.

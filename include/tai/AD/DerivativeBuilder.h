@@ -24,8 +24,8 @@ namespace mlir::tai {
 
 /// Marks a kernel as having guards.
 void noteGuards(FunctionOpInterface function);
-/// Reports an error if a kernel with guards has lost the marks on them:
-/// differentiated as branches, they would get a wrong zero derivative.
+/// Reports an error if a kernel with guards has lost the marks on its guards: a
+/// guard that is differentiated as a branch gets a wrong zero derivative.
 LogicalResult checkGuards(FunctionOpInterface function);
 
 class DerivativeBuilder : public ImplicitLocOpBuilder {

@@ -36,8 +36,8 @@ public:
   scf::ForOp createReverse(ValueRange inits);
   /// Sets the iteration number of the frame of an iteration.
   void beginIteration(Frame &frame);
-  /// Marks the frame of the last evaluation of an `scf.while`'s condition, the
-  /// one that exits.
+  /// Marks the frame of the last evaluation of an `scf.while`'s condition,
+  /// which exits the loop.
   void beginLast(Frame &frame);
   /// Call in the frame of the iteration, after its sweep.
   void endIteration();

@@ -15,10 +15,11 @@
 namespace mlir::tai {
 
 /// The kernels and functions of `module` that are to be differentiated and have
-/// no adjoint yet, in the order of the module: those of the given names, which
-/// must exist; or without names, the kernels launched under a tape (all, if
-/// there is no tape) and the functions with the attribute `tai.differentiate`.
-/// A kernel that was split is replaced by its parts.
+/// no adjoint yet, in the order of the module. With `names`: the kernels and
+/// functions of these names, which must exist. Without names: the kernels
+/// launched under a tape (all, if there is no tape) and the functions with the
+/// attribute `tai.differentiate`. A kernel that was split is replaced by its
+/// parts.
 FailureOr<SmallVector<FunctionOpInterface>>
 selectFunctions(ModuleOp module, ArrayRef<std::string> names);
 

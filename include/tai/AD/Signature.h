@@ -7,8 +7,8 @@
 //
 // Fields name their adjoints; arrays, numbers and results do not. The adjoint
 // of a kernel that is differentiated with respect to arrays, numbers or results
-// has one more memref operand for each, at the end: it adds to the memrefs of
-// arguments, and reads the memrefs of results.
+// has one more memref operand for each, at the end. The adjoint adds to the
+// memrefs of arguments, and reads the memrefs of results.
 //
 //===----------------------------------------------------------------------===//
 

@@ -27,9 +27,9 @@
 
 namespace mlir::tai {
 
-/// The values and local storages of a function that may have a non-zero
-/// tangent, and those whose tangent may be infinite or NaN though all inputs
-/// are finite.
+/// The values and local storages of a function that may have a non-zero tangent
+/// (`varied`), and the ones whose tangent may be infinite or NaN though all
+/// inputs are finite (`nonFinite`).
 struct TangentFlow {
   llvm::DenseSet<Value> varied, nonFinite;
 
@@ -84,8 +84,8 @@ public:
   Storage getTangentStorage(Storage storage);
   /// Extends the ops of a block, without the terminator.
   LogicalResult extendBlock(Block *block);
-  /// Replaces `op` by `made`, whose first results correspond to those of `op`.
-  /// Facts about the values of `op` carry over.
+  /// Replaces `op` by `made`, whose first results correspond to the results of
+  /// `op`. Facts about the values of `op` carry over.
   void replace(Operation *op, Operation *made);
   /// Serialises the tai loops around an access whose element other iterations
   /// may update at the same time, since element and tangent cannot be updated
@@ -111,10 +111,11 @@ private:
   std::function<Storage(Storage)> tangentOf;
   TangentFlow flow;
   llvm::DenseMap<Value, Value> tangents;
-  /// Maps local arrays and variables to the ones that hold their tangents.
+  /// Maps local arrays and variables to the arrays and variables of their
+  /// tangents.
   llvm::DenseMap<Value, Value> shadows;
-  /// Loops that were rebuilt, left as empty ops; facts are keyed by the
-  /// addresses of their values, so they are erased last.
+  /// Loops that were rebuilt, left as empty ops. Facts are keyed by the
+  /// addresses of values of these ops, so the ops are erased last.
   SmallVector<Operation *> replaced;
   bool hasErrors = false;
 };

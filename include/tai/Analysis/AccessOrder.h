@@ -44,9 +44,9 @@ private:
   llvm::DenseMap<const void *, Accesses> writes;
 };
 
-/// True if both accesses reach the same element, or one a component of the
-/// other: in the same iteration of the loops around both, and in corresponding
-/// iterations of two loops over the same range.
+/// True if both accesses reach the same element, or one access reaches a
+/// component of the other's element: in the same iteration of the loops around
+/// both, and in corresponding iterations of two loops over the same range.
 bool reachSameElement(DifferentiableAccessInterface lhs,
                       DifferentiableAccessInterface rhs);
 

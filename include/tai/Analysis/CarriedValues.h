@@ -27,7 +27,7 @@ enum class CarriedKind {
   ClosedForm,
   /// An exact inverse of the step, from the value of the next iteration.
   Invertible,
-  /// It must be recorded, or recomputed forward.
+  /// The value must be recorded, or recomputed forward.
   Trajectory,
 };
 

@@ -6,8 +6,7 @@
 //===----------------------------------------------------------------------===//
 //
 // One estimate for all decisions about how a loop runs. It needs to be right
-// within a small factor only: it tells loops that are worth a fork from those
-// that are not.
+// within a small factor only: it decides whether a loop is worth a fork.
 //
 //===----------------------------------------------------------------------===//
 

@@ -5,10 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// Whether a derivative passes through an operand, for both modes: it does for
-// values of every type and every op, unless the op is known to be discrete.
-// Where an op on such a path has no rule, differentiation fails; nothing is
-// assumed to be constant because it is not understood.
+// Whether a derivative passes through an operand, in forward and in reverse
+// mode: true for values of every type and for every op, unless the op is known
+// to be discrete. Where an op on a path of derivatives has no rule,
+// differentiation fails; no value is assumed to be constant because its op is
+// not understood.
 //
 //===----------------------------------------------------------------------===//
 

@@ -8,10 +8,10 @@
 // Whether the indices of an access are in bounds: always, or under inequalities
 // on the arguments of the launch, or unknown.
 //
-// An index is a linear sum of loop indices and of launch values: those that
-// depend on the arguments of the kernel and the extents of its arrays alone.
-// Loops and conditions around an access bound them. These bounds together with
-// "the index is out of range" are a linear system; eliminating the loop indices
+// An index is a linear sum of loop indices and of launch values, which depend
+// on the arguments of the kernel and the extents of its arrays alone. Loops and
+// conditions around an access bound the index. These bounds together with "the
+// index is out of range" are a linear system; eliminating the loop indices
 // leaves the launches that go out of range. Products of loop indices and launch
 // values are checked at the first and the last iterations of their loops.
 //
@@ -54,8 +54,8 @@ public:
       : forms(kernel), domains(kernel, forms) {}
   IndexBounds(const IndexBounds &) = delete;
 
-  /// Checks index number `number` of an access. With `proves`, also indices
-  /// that depend on data, which conditions may keep in range.
+  /// Checks index number `number` of an access. With `proves`, also checks an
+  /// index that depends on data, which conditions can keep in range.
   BoundsAnswer check(const IndexedAccess &access, size_t number, bool proves);
 
   /// The table of the loop indices and launch values that variables stand for.

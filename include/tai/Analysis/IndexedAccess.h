@@ -26,8 +26,8 @@ struct IndexedAccess {
   Operation *op;
   /// "field '@x' of shape [4, 8]"; for an array, see `describeArray`.
   std::string what;
-  /// The indices of the program. Indices of components of an element follow
-  /// those of the element.
+  /// The indices of the program. Indices of components of an element follow the
+  /// indices of the element.
   SmallVector<OpOperand *> indices;
   SmallVector<int64_t> first;
   SmallVector<Extent> extents;

@@ -27,7 +27,7 @@ struct ElementPlace {
 
 /// False if accesses at the two places reach different elements in any two
 /// different iterations of `loop`. Conservative: true unless proven otherwise.
-/// An index that is out of range is not followed where it wraps around.
+/// Indices are assumed to be in range: one that wraps around is not considered.
 bool mayMeet(ParallelForOp loop, ElementPlace first, ElementPlace second);
 
 /// True unless it is proven that the order of the iterations changes neither

@@ -51,7 +51,8 @@ public:
   llvm::Expected<Linked> link(llvm::ArrayRef<char> object,
                               llvm::ArrayRef<std::string> names);
 
-  /// Frees the memory of one call of link(). Its functions must not be running.
+  /// Frees the memory of one call of link(). The functions that this call
+  /// linked must not be running.
   void unload(Library *library);
   int64_t numLinked() const { return linked.load(std::memory_order_relaxed); }
 

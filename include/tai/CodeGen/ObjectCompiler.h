@@ -5,9 +5,10 @@
 //
 //===----------------------------------------------------------------------===//
 //
-// The LLVM half of the compiler: optimises a module for the CPU that it runs on
-// and emits object code or assembly into memory. Target machines are costly to
-// make, so an ObjectCompiler is kept and used again, by one thread at a time.
+// The LLVM half of the compiler: optimises a module for the CPU of the options,
+// by default the CPU of this process, and emits object code or assembly into
+// memory. Target machines are costly to make, so an ObjectCompiler is kept and
+// used again, by one thread at a time.
 //
 //===----------------------------------------------------------------------===//
 

@@ -42,8 +42,8 @@ private:
 
 /// A text on how kernel `name` runs its loops and does its updates, and how its
 /// gradient handles loops and branches and which memory it accesses. `module`
-/// holds the adjoint; the remarks are those of differentiation and of the
-/// kernel's lowering.
+/// holds the adjoint; `remarks` come from differentiation, and `lowering` from
+/// the kernel's lowering.
 std::string explainKernel(ModuleOp module, StringRef name, bool onDevice,
                           ArrayRef<KeptRemark> remarks,
                           ArrayRef<KeptRemark> lowering);

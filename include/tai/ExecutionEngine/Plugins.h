@@ -18,10 +18,10 @@ class Session;
 /// compile them use the context.
 LogicalResult loadPlugin(Session &session, StringRef file);
 
-/// Runs passes on a module: those of tai, those of plugins, and the general
-/// ones of MLIR (`canonicalize`, `cse`, `inline` and so on). `pipeline` is the
-/// text that `--pass-pipeline` takes; without an anchor, it is that of a
-/// `builtin.module`.
+/// Runs passes on a module: passes of tai, passes of plugins, and the general
+/// passes of MLIR (`canonicalize`, `cse`, `inline` and so on). `pipeline` is
+/// the text that `--pass-pipeline` takes; without an anchor, the pipeline is
+/// anchored on `builtin.module`.
 LogicalResult runPasses(Session &session, ModuleOp module, StringRef pipeline);
 
 } // namespace mlir::tai

@@ -8,7 +8,8 @@
 // Ties an MLIR context, the runtime and the compiler together, and owns the
 // declared trees, fields and kernels. The C API and tai-run use it.
 //
-// A session may be used by one thread at a time; it compiles on several.
+// A session may be used by one thread at a time; it compiles on several
+// threads.
 //
 //===----------------------------------------------------------------------===//
 
@@ -34,7 +35,7 @@ struct SessionObjects {
 struct SessionKernel {
   std::shared_ptr<KernelCode> code;
   runtime::KernelPtr kernel;
-  /// Its position in the session's list.
+  /// The position of the kernel in the session's list.
   std::list<SessionKernel>::iterator place = {};
 };
 

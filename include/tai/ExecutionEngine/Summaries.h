@@ -23,7 +23,7 @@ namespace mlir::tai {
 std::vector<runtime::Access> summarize(const runtime::Runtime &rt,
                                        ModuleOp module, KernelOp kernel);
 
-/// The dependences of the kernel's stored floats on loaded ones, with or
+/// The dependences of the kernel's stored floats on loaded floats, with or
 /// without gradients; for the fields of its summary and for its arguments.
 runtime::KernelFlows findFlows(KernelOp kernel,
                                ArrayRef<runtime::Access> summary);

@@ -6,9 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // A loop may specify its block size, and the order of additions of a loop that
-// is distributed over a warp depends on it. So its function carries the number
-// as an LLVM function attribute in `passthrough`, which is inherent: passes may
-// drop discardable attributes.
+// is distributed over a warp depends on it. So the device function of the loop
+// carries the block size as an LLVM function attribute in `passthrough`, which
+// is inherent: passes may drop discardable attributes.
 //
 //===----------------------------------------------------------------------===//
 

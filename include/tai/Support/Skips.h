@@ -7,9 +7,9 @@
 //
 // A skip is work that is left out where a scene does not need it: launches of
 // adjoints that are zero, for example. This is the list of skips for the
-// runtime, the passes, the tools and the C API. Each has a switch and counters;
-// results do not depend on the switch. To add a skip or a counter, add a line
-// to Skips.def.
+// runtime, the passes, the tools and the C API. Each skip has a switch and
+// counters; results do not depend on the switch. To add a skip or a counter,
+// add a line to Skips.def.
 //
 //===----------------------------------------------------------------------===//
 

@@ -81,9 +81,9 @@ public:
     return variables[variable].factors;
   }
   bool isOfLaunch(const LinearSum &sum) const;
-  /// The launches of `system` in which `index` goes out of range, without the
-  /// assumption that numbers of the launch are as small as those of storage, if
-  /// it goes out of range for all others too.
+  /// Drops from `system`, in which `index` goes out of range, the assumption
+  /// that launch values are as small as sizes of storage, if `index` goes out
+  /// of range for all larger launch values too.
   LinearSystem dropAssumptions(const LinearSystem &system,
                                const LinearSum &index) const;
   bool hasProduct(const LinearSum &sum) const;

@@ -6,10 +6,10 @@
 //===----------------------------------------------------------------------===//
 //
 // Recognises index expressions that are a loop index plus a constant, possibly
-// wrapped around the end of its range or cut off there. They are evaluated over
-// ranges of the loop index in which each operation is linear: minima,
-// comparisons, divisions and arithmetic that wraps end a range. How a program
-// writes the wrap does not matter, nor how long the loop is.
+// wrapped around the end of its range or cut off there. The expressions are
+// evaluated over ranges of the loop index in which each operation is linear:
+// minima, comparisons, divisions and arithmetic that wraps end a range. How a
+// program writes the wrap does not matter, nor how long the loop is.
 //
 //===----------------------------------------------------------------------===//
 

@@ -9,7 +9,7 @@
 // InferIntRangeInterface; loops bound their indices.
 //
 // Upstream's data flow analysis visits a whole function, and cannot look at
-// loops that do not name their bounds, such as those over fields.
+// loops that do not name their bounds, such as loops over fields.
 //
 //===----------------------------------------------------------------------===//
 

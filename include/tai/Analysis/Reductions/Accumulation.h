@@ -18,8 +18,8 @@
 
 namespace mlir::tai {
 
-/// On tai.parallel_for: no iteration accesses memory that another writes, so
-/// that LLVM may vectorise without a dependence check.
+/// On tai.parallel_for: no iteration accesses memory that another iteration
+/// writes, so that LLVM may vectorise without a dependence check.
 constexpr llvm::StringLiteral kIndependentAttrName = "tai.independent";
 
 /// The #tai.reduction of an update of memory. Not on tai.atomic, which has an

@@ -6,8 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // The plan of a loop has for each update its form, the digits of its sum and
-// the order of its terms, as #tai.reduction. It alone reads the modes of the
-// kernel; lowerings read the attributes. See docs/decisions/0061-reductions.md.
+// the order of its terms, as #tai.reduction. Only the planner reads the modes
+// of the kernel; lowerings read the attributes. See
+// docs/decisions/0061-reductions.md.
 //
 //===----------------------------------------------------------------------===//
 
@@ -36,7 +37,7 @@ struct ReductionPlan {
   std::optional<LoopOrder> order;
   /// Whether one thread runs the loop, and whether one warp runs it.
   bool isSerial = false, inWarp = false;
-  /// No iteration accesses memory that another one writes.
+  /// No iteration accesses memory that another iteration writes.
   bool isIndependent = false;
 
   bool isExclusive(Operation *op) const {

@@ -111,7 +111,7 @@ struct DeviceImage {
   /// requested.
   std::vector<std::string> places;
   /// LLVM bitcode of the same code, for fusing kernels into programs; null if
-  /// that is not needed.
+  /// no kernels are to be fused.
   std::shared_ptr<const std::string> bitcode;
   /// The accesses of each function, as FunctionAccesses encodes them. May have
   /// fewer entries than there are functions.
@@ -139,8 +139,8 @@ struct DeviceImage {
 /// destroyed.
 using DeviceAssembler = std::function<void(DeviceImage &image)>;
 
-/// `rows` pieces of `rowBytes` bytes, each starting `step` bytes after the one
-/// before.
+/// `rows` pieces of `rowBytes` bytes, each starting `step` bytes after the
+/// start of the piece before.
 struct DeviceRows {
   DevicePtr address;
   int64_t step;
@@ -276,11 +276,12 @@ public:
   //===--------------------------------------------------------------------===//
 
   /// waitForStream: later work here waits for the work now in the other queue;
-  /// letStreamWait: the other way round. `stream` is a CUDA stream, or 0 for
-  /// the default one. For an emulated device, it is the address of a C function
-  /// `void (int32_t)` that models a stream: called with 0, it runs its pending
-  /// work; with 1, it is notified that all work queued here is done. A default
-  /// stream has no work.
+  /// letStreamWait: later work in the other queue waits for the work now here.
+  /// `stream` is a CUDA stream, or 0 for the default stream. For an emulated
+  /// device, `stream` is the address of a C function `void (int32_t)` that
+  /// models a stream: called with 0, the function runs its pending work; called
+  /// with 1, it is notified that all work queued here is done. A default stream
+  /// has no work.
   virtual Status waitForStream(uint64_t stream);
   virtual Status letStreamWait(uint64_t stream);
 

@@ -71,7 +71,7 @@ public:
                ? sweeper
                : nullptr;
   }
-  /// RAII scope of such a call.
+  /// RAII scope of a call of a host function by a sweep.
   class ReverseFunction {
   public:
     ReverseFunction(Recordings &recordings, Recorder &tape);
@@ -159,7 +159,7 @@ private:
   /// held while tapes are asked whether they need values.
   std::vector<Recorder *> tapes;
   mutable std::mutex tapesMutex;
-  std::shared_ptr<const KnownPlan> lastPlan; // under the same mutex
+  std::shared_ptr<const KnownPlan> lastPlan; // guarded by tapesMutex
   std::atomic<size_t> numTapes{0};
   std::atomic<uint64_t> stamps{0};
   Recorder *sweeper = nullptr;

@@ -40,8 +40,8 @@ struct CheckedKernel {
   std::vector<CheckedAccess> accesses;
 };
 
-/// The position of an access: the launch, numbered among checked ones, and the
-/// source location.
+/// The position of an access: the launch, numbered among checked launches, and
+/// the source location.
 struct AccessPlace {
   std::string kernel;
   int64_t launch;

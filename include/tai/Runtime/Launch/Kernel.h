@@ -143,8 +143,8 @@ struct AdjointPlan {
 };
 
 /// The adjoints of arguments and results, in memory of the caller. A launch
-/// that may be differentiated passes them in slots after those of the
-/// arguments: pointers and extents, as for arrays.
+/// that may be differentiated passes the adjoints in slots after the slots of
+/// the arguments: pointers and extents, as for arrays.
 struct CallerAdjoints {
   int64_t slots = 0;
   /// The adjoint kernel adds to the adjoint of an argument or array.
@@ -280,8 +280,8 @@ public:
   Status resolveTangent(Kernel *&tangent);
 
   /// Call before the kernel is launched, or from its provider. A tree that the
-  /// kernel has already is not replaced by a later one of the same name: the
-  /// kernel was compiled for its layout.
+  /// kernel has already is not replaced by a later tree of the same name: the
+  /// kernel was compiled for the layout of the first tree.
   void setTrees(std::vector<TreePtr> trees);
   void setSummary(std::vector<Access> summary);
   void setLoopLevels(std::vector<LoopLevel> levels);

@@ -105,7 +105,7 @@ public:
     return runCode(launch, kernel, args, results, number);
   }
   /// `given`: the cells that the primal's loops over sparse levels visited;
-  /// null for the currently active ones.
+  /// null for the currently active cells.
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number,
                     const LoopLists *given);

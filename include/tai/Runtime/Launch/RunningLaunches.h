@@ -41,8 +41,8 @@ public:
   void add(Launch &launch);
   /// Removes all launch objects.
   void clear();
-  /// Call before a thread takes a launch object that another one may have used:
-  /// a forked child has none of the threads whose launches were running.
+  /// Call before a thread takes a launch object that another thread may have
+  /// used: a forked child has none of the threads whose launches were running.
   void noteFork() {
     if (__builtin_expect(!isSameProcess(), false))
       forgetParents();

@@ -29,7 +29,7 @@ class Tape;
 struct Counters {
   int64_t launches = 0;
   int64_t forks = 0;       // parallel loops that used workers
-  int64_t inlineLoops = 0; // those too small to be worth a fork
+  int64_t inlineLoops = 0; // loops too small to be worth a fork
   int64_t recorded = 0;
   int64_t replayed = 0;
   int64_t skipped = 0;

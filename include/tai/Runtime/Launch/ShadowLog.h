@@ -99,8 +99,8 @@ public:
 
   ShadowLog();
 
-  /// The site for a structure in compiled code. Its log is that of the context
-  /// of the code.
+  /// The site for a structure in compiled code. This log must be the log of the
+  /// context of the code.
   Site &find(TaiShadowSite &named) {
     if (__builtin_expect(
             __atomic_load_n(&named.log, __ATOMIC_ACQUIRE) == identity, true))

@@ -55,7 +55,7 @@ struct ProfileRow {
   int64_t bytes = -1;
   DeviceFunctionFacts facts = {};
   /// Grid of the last launch. Occupancy: resident threads of the function as a
-  /// fraction of those the device can hold; negative if not known.
+  /// fraction of the threads that the device can hold; negative if not known.
   unsigned blocks = 0, threads = 0;
   double occupancy = -1;
 };

@@ -116,7 +116,7 @@ public:
 using ProgramStarter =
     std::function<std::unique_ptr<ProgramJob>(ProgramPlan plan)>;
 
-/// The open collection of launches, or the last one.
+/// The open collection of launches, or the last collection if none is open.
 struct LaunchCollection {
   bool isReplay = false;
   /// Whether its sequence ran as a program.
@@ -192,10 +192,11 @@ public:
   /// either way.
   bool isCollecting() const { return collecting > 0 || isRecording(); }
   Status endCollecting();
-  /// Bracket the recording of a tape. Launches that probably repeat those of an
-  /// earlier recording are collected until it ends or other work interrupts it
-  /// (docs/decisions/0015-recordings-that-come-again.md). `isSwept`: its
-  /// reverse sweep follows, and becomes part of the sequence.
+  /// Bracket the recording of a tape. Launches that probably repeat launches of
+  /// an earlier recording are collected until the recording ends or other work
+  /// interrupts it (docs/decisions/0015-recordings-that-come-again.md).
+  /// `isSwept`: the reverse sweep of the tape follows, and becomes part of the
+  /// sequence.
   Status beginRecording();
   Status endRecording(bool isSwept);
   /// Whether launches of a recording are being collected.
@@ -337,7 +338,7 @@ private:
   enum class Recording {
     None,
     Open,
-    /// It has ended, and its reverse sweep follows.
+    /// The recording has ended, and its reverse sweep follows.
     AwaitsSweep
   };
   Recording recording = Recording::None;

@@ -52,7 +52,8 @@ struct TileRow {
 struct TileStage {
   /// The number of the part that runs one of its iterations.
   uint64_t part = 0;
-  /// The first of its parameters among those of all launches of the chain.
+  /// The range of the launch's parameters among the parameters of all launches
+  /// of the chain.
   size_t firstSlot = 0, numSlots = 0;
   TileHalo halo;
   std::vector<TileSite> sites;

@@ -24,8 +24,8 @@ using DeviceCellsPtr = std::shared_ptr<const DeviceCells>;
 
 class LoopLists {
 public:
-  /// How the cells compare with those of the launch's other loops over the same
-  /// level.
+  /// How the cells compare with the cells that the launch's other loops over
+  /// the same level visited.
   enum class Others {
     /// There is no other loop, or all of them visited the same cells.
     Same,

@@ -50,7 +50,8 @@ struct ListMaker {
 struct CellMemory {
   /// Null once the tree has been destroyed.
   char *base = nullptr;
-  /// Bytes of active cells of the innermost levels; and the same of all trees.
+  /// Bytes of active cells of the innermost levels: of this tree, and of all
+  /// trees.
   std::atomic<int64_t> activeBytes{0};
   std::atomic<int64_t> *allActiveBytes = nullptr;
   const ListMaker *lists = nullptr;
@@ -222,7 +223,8 @@ public:
     int64_t first, count;
     const void *activity, *gone;
   };
-  /// The changes found by `adopt`: net number of cells, any, deactivations.
+  /// The changes found by `adopt`: the net number of cells activated, whether
+  /// activity differs at all, and whether cells were deactivated.
   struct Adopted {
     int64_t by = 0;
     bool differs = false, removes = false;

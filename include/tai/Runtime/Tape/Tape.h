@@ -52,7 +52,7 @@ public:
   //===--------------------------------------------------------------------===//
 
   /// Stops recording. May be called twice. `isSwept`: backward() follows, so
-  /// that a device may run both as one sequence.
+  /// that a device may run the recording and the sweep as one sequence.
   void end(bool isSwept = false);
   bool recording() const;
   /// Releases the held fields. Sweeps do so at their end.

@@ -44,10 +44,10 @@ struct TapeStats {
 /// How a tape trades recomputation for saved values.
 struct CheckpointPolicy {
   enum class Kind : uint8_t {
-    None,     // saves
-    Periodic, // snapshots at even distances, saves between two of them
-    Binomial, // snapshots alone
-    Mixed     // as periodic where the values between two fit
+    None,     // saves values only
+    Periodic, // snapshots at even distances, saves values between snapshots
+    Binomial, // snapshots only
+    Mixed     // Periodic where the values between two snapshots fit
   };
   Kind kind = Kind::None;
   /// Maximum of snapshots; 0 for about the square root of the number of

@@ -6,13 +6,13 @@
 //===----------------------------------------------------------------------===//
 //
 // Long work (a launch, a reverse sweep, a compilation, a wait for a device)
-// reaches a safepoint every few milliseconds. There the host may interrupt it,
-// or let its other threads run: Python handles signals and releases its lock
-// (GIL).
+// reaches a safepoint every few milliseconds. At a safepoint the host may
+// interrupt the work, or let other threads of the host run: Python handles
+// signals and releases its lock (GIL).
 //
 // A clock thread counts ticks of 20 ms. Compiled code compares the tick with
-// the one in its frame, at the back edges of loops
-// (docs/decisions/0019-safepoints.md), and calls the runtime if they differ.
+// the tick in its frame, at the back edges of loops
+// (docs/decisions/0019-safepoints.md), and calls the runtime if the two differ.
 // The clock stops while no work polls it, so that an idle process has no
 // wake-ups.
 //

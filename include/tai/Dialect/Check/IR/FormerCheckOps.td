@@ -3,9 +3,9 @@
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
-// Ops that the check dialect adds to the `tai` dialect. Their parsers make the
-// present ops; ops from the generic form, bytecode or C++ are replaced by
-// canonicalisation, or by `upgradeFormerChecks`.
+// Ops that the check dialect adds to the `tai` dialect. The parsers of these
+// ops make the present ops; ops from the generic form, bytecode or C++ are
+// replaced by canonicalisation, or by `upgradeFormerChecks`.
 //
 //===----------------------------------------------------------------------===//
 

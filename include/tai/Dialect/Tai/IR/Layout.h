@@ -106,7 +106,8 @@ FieldOp lookupField(Operation *from, FlatSymbolRefAttr name);
 /// row-major, level below level.
 struct SparseNode {
   SNodeTypeInterface type;
-  /// Positions among the children, from the root down.
+  /// The path from the root to this level: the position of each level among the
+  /// children of the level above.
   SmallVector<unsigned> position;
   /// The number of the nearest sparse level above this level.
   std::optional<unsigned> parent;
@@ -124,7 +125,7 @@ struct SparseNode {
   /// of 64 bits, or for `dynamic` the length of each list, in 32 bits.
   uint64_t activityOffset = 0;
 
-  /// Cells in the whole tree.
+  /// The number of cells of this level in the whole tree.
   int64_t getNumCells() const;
 };
 

@@ -27,12 +27,12 @@ bool isTaiOp(Operation *op);
 Operation *findTaiOp(Operation *op);
 
 /// Whether `op`, which stands in the body of a module, is code of tai: an op of
-/// tai, a function that holds one or was made of such a function, or a module
-/// of a device with such a function.
+/// tai, a function that holds an op of tai or was made of such a function, or a
+/// module of a device with such a function.
 bool isTaiCode(Operation *op);
 
 /// Whether `op` is code of tai, or a function with an attribute `tai.*`, such
-/// as one that asks for a gradient.
+/// as a function that asks for a gradient.
 bool belongsToTai(Operation *op);
 
 /// The ops of a module that are lowered: code of tai, and the functions that

@@ -43,7 +43,7 @@ SmallVector<uint64_t> computeRowMajorStrides(ArrayRef<int64_t> shape,
 enum class CellActivity {
   All,    ///< every cell is always active
   Bits,   ///< a bit for each cell
-  Length, ///< cells form lists; those below the length of their list are active
+  Length, ///< cells form lists; cells below the length of a list are active
 };
 
 /// A cell of a sparse level, in IR that is being built.

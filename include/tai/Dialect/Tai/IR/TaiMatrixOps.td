@@ -213,8 +213,8 @@ def Tai_GradOp : Tai_Op<"grad", [
     functional-type($operands, $results)
   }];
   let extraClassDeclaration = [{
-    /// The positions of the active arguments, and those of the active results,
-    /// of the function, which has been verified.
+    /// The positions of the active arguments of `function`, and of its active
+    /// results. `function` must have been verified.
     ::llvm::SmallVector<int64_t> getActiveArguments(
         ::mlir::FunctionOpInterface function);
     ::llvm::SmallVector<int64_t> getActiveResults(

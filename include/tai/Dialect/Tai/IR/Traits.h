@@ -30,8 +30,8 @@ public:
   }
 };
 
-/// An op whose operands are only reported in messages, so that no derivative is
-/// lost in it.
+/// An op that only reports its operands in messages, so that no derivative is
+/// lost where a path of derivatives ends in the op.
 template <typename ConcreteType>
 class OnlyReports : public OpTrait::TraitBase<ConcreteType, OnlyReports> {};
 

@@ -6,8 +6,9 @@
 //===----------------------------------------------------------------------===//
 //
 // Where a place lies depends on all that comes before it in its tree. The
-// functions of Layout.h add that up for one place; a TreeLayout keeps the sums,
-// so that all fields of a tree take time in proportion to their number.
+// functions of Layout.h add up sizes and offsets for one place; a TreeLayout
+// keeps the sums, so that all fields of a tree take time in proportion to their
+// number.
 //
 //===----------------------------------------------------------------------===//
 
