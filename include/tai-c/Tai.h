@@ -93,12 +93,13 @@ TAI_EXPORT int64_t taiListOptions(const TaiOptionRow **rows);
 TAI_EXPORT TaiStatus taiContextSetOption(TaiContext context, const char *name,
                                          const char *value);
 
-/// Tracks the flow of tangents of these fields until the option `forward_mode`
-/// is set again; see taiContextLostTangents.
+/// Tracks the flow of tangents of the fields `inputs` until the option
+/// `forward_mode` is set again; see taiContextLostTangents.
 TAI_EXPORT void taiContextFollowTangents(TaiContext context,
                                          const TaiField *inputs, int64_t count);
-/// The stores at which tangents were lost on the way to these fields: lines
-/// separated by newlines, each reported only once. Valid until the next call.
+/// The stores at which tangents were lost on the way to the fields `outputs`:
+/// lines separated by newlines, each reported only once. Valid until the next
+/// call.
 TAI_EXPORT const char *taiContextLostTangents(TaiContext context,
                                               const TaiField *outputs,
                                               int64_t count);
@@ -181,7 +182,8 @@ typedef struct TaiSparseLevel {
   int64_t numCells;
   int64_t cellBytes;
   int64_t numActive;
-  /// Lists of active cells that were computed, and that were reused.
+  /// The number of lists of active cells that were computed, and that were
+  /// reused.
   int64_t listsMade;
   int64_t listsReused;
   /// The maximum of cells active at any time.
@@ -209,7 +211,7 @@ TAI_EXPORT TaiStatus taiContextDeactivateAll(TaiContext context,
 
 /// Declares a field. `declaration` is the text of a `tai.field` op, e.g.
 /// "tai.field @x = @scene[\"x\"] : f32, rank 1, adjoint @x_grad". The adjoint
-/// named need not exist yet.
+/// that the op names need not exist yet.
 TAI_EXPORT TaiStatus taiContextAddField(TaiContext context,
                                         const char *declaration,
                                         TaiField *field);
@@ -330,7 +332,7 @@ TAI_EXPORT TaiStatus taiContextReadOnDevice(TaiContext context,
                                             const void *from, int64_t step,
                                             int64_t bytes, int64_t rows,
                                             void *to);
-/// Whether kernels on the GPU, or the emulated one, can access the address.
+/// Whether kernels on the GPU, or on the emulated GPU, can access the address.
 TAI_EXPORT int taiContextIsOnDevice(TaiContext context, const void *address);
 /// Whether kernels run on a real GPU.
 TAI_EXPORT int taiContextIsOnGpu(TaiContext context);
@@ -351,10 +353,10 @@ TAI_EXPORT TaiStatus taiContextClearGradients(TaiContext context);
 //===----------------------------------------------------------------------===//
 
 /// Creates a kernel from a module with one `tai.kernel` of the given name (and
-/// any `func.func` helpers). Declarations of the context's trees and fields
-/// that it uses are added: the module need not hold `tai.tree` and `tai.field`
-/// ops. The module is verified here and compiled on the first launch. The
-/// module is owned by the kernel afterwards, also on failure.
+/// any `func.func` helpers). The context adds the declarations of its trees and
+/// fields that the module uses: the module need not hold `tai.tree` and
+/// `tai.field` ops. The module is verified here and compiled on the first
+/// launch. The module is owned by the kernel afterwards, also on failure.
 TAI_EXPORT TaiStatus taiKernelCreate(TaiContext context, MlirModule module,
                                      const char *name, TaiKernel *kernel);
 /// As taiKernelCreate, for IR as text; `file` names it in diagnostics.
@@ -606,8 +608,8 @@ TAI_EXPORT TaiStatus taiTapeRunRecord(TaiTape tape, int64_t record);
 /// The name of the kernel of a record, or null for a host function.
 TAI_EXPORT const char *taiTapeRecordKernel(TaiTape tape, int64_t record);
 /// An access of a record to a field. `index` is the fixed index of the launch
-/// along `dimension`, counted from the field's first; `dimension` is -1 if none
-/// is fixed. Kinds: 0 read, 1 write, 2 accumulate.
+/// along `dimension`, counted from the first index of the field; `dimension` is
+/// -1 if none is fixed. Kinds: 0 read, 1 write, 2 accumulate.
 typedef struct TaiTapeAccess {
   const char *field;
   int32_t kind, dimension;

@@ -19,8 +19,9 @@
 
 namespace mlir::tai::runtime::accesslog {
 
-/// The words of each component, zero at first. Accesses are numbered from 1
-/// over all launches; so are parallel loops, from the same start.
+/// The shadow words of each component of a field, initially zero. Accesses are
+/// numbered from 1 over all launches; parallel loops are numbered from the same
+/// start.
 enum class ShadowWord : int64_t { Reader, Writer, Loop, Iteration };
 constexpr int64_t kShadowWords = 4;
 

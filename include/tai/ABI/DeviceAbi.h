@@ -93,10 +93,10 @@ void tai_dev_ordered_append_f64(uint64_t turns, double *target, double value);
 //===----------------------------------------------------------------------===//
 //
 // Three launches: the first finds the largest exponent of the values for each
-// element, the second adds them up as integers in units that follow from it,
-// the third adds the sums to the elements. An accumulator, zero before the
-// first, is a scale and a sum, of one integer for f32 and two for f64. See
-// docs/decisions/0044-fixed-point.md.
+// element, the second adds up the values as integers in units that follow from
+// this exponent, the third adds the sums to the elements. An accumulator, zero
+// before the first launch, is a scale and a sum, of one integer for f32 and two
+// for f64. See docs/decisions/0044-fixed-point.md.
 
 void tai_dev_fixed_scale_f32(uint32_t *scale, float value);
 void tai_dev_fixed_scale_f64(uint32_t *scale, double value);
@@ -151,13 +151,13 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 //===----------------------------------------------------------------------===//
 //
 // A program does the work of a sequence of launches in one kernel. Repeated
-// subsequences are loops in its code. The rest is a table with a row of
-// `stride` words for each step: the number of a part, and the parameters of the
-// part. The parameters of the kernel are the table, the stride, a header, and
-// the words of the parameters of its loops. See
+// subsequences are loops in its code. The remaining steps form a table with a
+// row of `stride` words for each step: the number of a part, and the parameters
+// of the part. The parameters of the kernel are the table, the stride, a
+// header, and the words of the parameters of its loops. See
 // docs/decisions/0011-device-programs.md.
 
-/// The name of the kernel.
+/// The name of the kernel of a program.
 #define TAI_PROGRAM_FUNCTION "tai_program"
 
 /// The scope of the barrier after a step: one block, a cluster of blocks, or
@@ -197,12 +197,12 @@ void *tai_rt_go_on(TaiFrame *frame, int32_t every);
 /// parameters.
 #define TAI_PROGRAM_WORDS 500
 
-/// The byte of a program's header with the address of the time stamps, or null:
-/// the first thread stores its clock there before the first step and after each
-/// step.
+/// The byte offset, in the header of a program, of the address of the time
+/// stamps, or null: the first thread stores its clock there before the first
+/// step and after each step.
 #define TAI_PROGRAM_CLOCKS 128
-/// The byte of the header with the word of the split barrier (arrive and
-/// await).
+/// The byte offset, in the header, of the word of the barrier in two steps
+/// (arrive and await).
 #define TAI_PROGRAM_ARRIVALS 64
 #define TAI_PROGRAM_HEADER 256
 

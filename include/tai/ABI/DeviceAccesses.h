@@ -91,9 +91,9 @@ struct TileSite {
   /// Where `isRegular`, offset and terms give the address of cell 0, and
   /// strides are zero.
   DeviceAccess access;
-  /// The digits give the cell; otherwise only the access is known.
+  /// `digits` give the touched cell; otherwise only `access` is known.
   bool isRegular = false;
-  /// Every iteration executes it exactly once.
+  /// Every iteration executes the site exactly once.
   bool isCertain = false;
   std::vector<Digit> digits;
 
@@ -120,7 +120,7 @@ struct FunctionAccesses {
   std::vector<int64_t> lower;
   std::vector<TileSite> sites;
 
-  /// As a list of numbers, stored with the code.
+  /// The accesses as a list of numbers, which is stored with the code.
   std::vector<int64_t> encode() const {
     std::vector<int64_t> words{isGridStride,
                                static_cast<int64_t>(extents.size())};
@@ -151,8 +151,8 @@ struct FunctionAccesses {
   }
   static constexpr int64_t sitesFollow = -1;
 
-  /// Returns no value for an empty list, and for one that `encode` cannot have
-  /// made.
+  /// Returns no value for an empty list, and for a list that `encode` cannot
+  /// have made.
   static std::optional<FunctionAccesses>
   decode(const std::vector<int64_t> &words) {
     size_t at = 0;

@@ -37,7 +37,7 @@ typedef struct TaiDeviceStep {
 
 /// Changes to the activity of a level.
 typedef struct TaiDeviceActivity {
-  /// Bits as above, since the host last read them.
+  /// The bits above that were set since the host last read `changes`.
   uint32_t changes;
   /// Non-zero if the activity has changed since `version`.
   uint32_t isNew;
@@ -86,9 +86,10 @@ typedef struct TaiDeviceCellMove {
 typedef struct TaiDeviceAccount {
   int64_t used;
   int64_t limit;
-  /// For a tree whose memory is committed when it is first touched, else null:
-  /// a bit for each piece of `pieceBytes` bytes from `origin` on that holds
-  /// cells which have been active; the bytes of these pieces, and their limit.
+  /// For a tree whose memory is committed when first touched, a bit for each
+  /// piece of `pieceBytes` bytes, from `origin` on, that holds cells which have
+  /// been active; otherwise null. `inPieces` and `mostInPieces` are the bytes
+  /// of these pieces, and their limit.
   uint64_t *pieces;
   uint64_t origin;
   int64_t pieceBytes;
@@ -158,9 +159,9 @@ void tai_dev_list_write(uint64_t tree, uint64_t node, uint64_t list,
                         uint64_t sums);
 
 /// Copies or fills the elements of a field in `count` cells, whose numbers are
-/// at the address `cells`; with a negative count, the word in front of them is
-/// the count. `move` is the address of a TaiDeviceCellMove, `other` that of a
-/// dense array, or a scalar; `what` is one of TAI_CELLS_*.
+/// at the address `cells`; with a negative count, the word in front of the
+/// numbers is the count. `move` is the address of a TaiDeviceCellMove, `other`
+/// the address of a dense array, or a scalar; `what` is one of TAI_CELLS_*.
 void tai_dev_move_cells(uint64_t tree, uint64_t move, uint64_t cells,
                         uint64_t count, uint64_t other, uint64_t what);
 /// Copies the changes to activity since the host last read them, and resets

@@ -20,11 +20,11 @@
 #define TAI_DEVICE_STATE_MAGIC 0x74616964u
 #define TAI_DEVICE_STATE_VERSION 1u
 
-/// The maximum of bytes in a record; a longer one is truncated, and the loss
-/// counted.
+/// The maximum of bytes in a record; a longer record is truncated, and counts
+/// its loss.
 #define TAI_DEVICE_RECORD_BYTES 2048u
 
-/// A value kind besides those of Abi.h, in records of device code only: a
+/// A value kind besides the kinds of Abi.h, in records of device code only: a
 /// number of bytes, printed with a unit.
 #define TAI_DEVICE_VALUE_BYTES 64
 

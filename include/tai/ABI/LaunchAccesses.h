@@ -22,7 +22,7 @@ namespace mlir::tai::runtime {
 
 enum class AccessKind : uint8_t { Read, Write, Accumulate };
 
-/// An integer argument of a launch, of `bits` bits with a sign, times a factor.
+/// A signed integer argument of a launch, of `bits` bits, times a factor.
 struct LaunchTerm {
   int64_t slot; // of the argument
   int64_t bits;

@@ -7,8 +7,9 @@
 //
 // Functions that device code calls instead of malloc and free. The device
 // library defines kLocalAllocate and kLocalFree; kLocalGiven only marks its
-// argument, memory that an earlier function of the kernel allocated. Where
-// kLocalAllocate or kGoOn returns null, the calling thread exits.
+// argument, memory that an earlier function of the kernel allocated. The
+// calling thread exits where kLocalAllocate or kGoOn returns null, or where the
+// memory that kLocalGiven marks is null.
 //
 //===----------------------------------------------------------------------===//
 

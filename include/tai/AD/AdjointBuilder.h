@@ -148,8 +148,8 @@ public:
 
   /// Reverses `primal` into `mirror`, whose terminator is left to the caller.
   /// `begin` maps the arguments of the block and seeds the adjoints of the
-  /// terminator's operands; primal values are not available to it.
-  /// `beforeSweep`, if given, runs before the sweep and `end` after it.
+  /// terminator's operands; it cannot ask for primal values. `beforeSweep`, if
+  /// given, runs before the sweep and `end` after it.
   LogicalResult reverseBlock(Block *primal, Block *mirror,
                              llvm::function_ref<void(Frame &)> begin,
                              llvm::function_ref<void(Frame &)> end,

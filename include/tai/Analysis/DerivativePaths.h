@@ -35,7 +35,7 @@ struct DerivativeEnds {
   llvm::function_ref<bool(Storage)> hasDerivative;
   /// Arguments and results that have a derivative.
   ArrayRef<Value> inputs = {}, outputs = {};
-  /// Forward mode.
+  /// Whether differentiation is in forward mode.
   bool isForward = false;
 };
 

@@ -48,7 +48,7 @@ struct ToBeRecorded {
   static std::optional<ToBeRecorded> deserialize(StringRef bytes);
 };
 
-/// For the kernel of this name, in a module that has been differentiated.
+/// Analyses the kernel called `name`, in a module that has been differentiated.
 ToBeRecorded findToBeRecorded(ModuleOp module, StringRef name);
 
 } // namespace mlir::tai

@@ -16,8 +16,8 @@ namespace mlir::tai {
 /// condition of another kind.
 Value getTestedForZero(arith::SelectOp select);
 
-/// The adjoint or tangent, or partial derivative, whose zeros a guard tests
-/// for; null if it tests something else.
+/// The adjoint, tangent or partial derivative whose zeros a guard tests for;
+/// null if the guard tests another value.
 Value getGuarded(arith::SelectOp guard);
 
 } // namespace mlir::tai

@@ -19,7 +19,7 @@
 
 namespace mlir::tai {
 
-/// The numbers are those of `TaiStatus` in the C API.
+/// The kinds of failures, with the numbers of `TaiStatus` in the C API.
 enum class FailureKind {
   None = 0,
   Syntax = 1,
@@ -35,7 +35,7 @@ struct Failure {
   FailureKind kind = FailureKind::None;
   /// The first error, without its location.
   std::string message;
-  /// Where it is, 1-based; empty and 0 where unknown.
+  /// The location of the error, 1-based; empty and 0 where unknown.
   std::string file;
   int line = 0, column = 0;
   /// All diagnostics, each as "file:line:col: error: …", followed by the line
@@ -47,12 +47,12 @@ struct Failure {
 
 /// A warning of the compiler.
 struct Warning {
-  /// Without its location and its notes.
+  /// The text of the warning without location and notes.
   std::string message;
-  /// Where it is, 1-based; empty and 0 where unknown.
+  /// The location of the warning, 1-based; empty and 0 where unknown.
   std::string file;
   int line = 0, column = 0;
-  /// With its notes, as `Failure::text`.
+  /// The warning with location and notes, formatted like `Failure::text`.
   std::string text;
 };
 

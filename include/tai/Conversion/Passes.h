@@ -18,9 +18,9 @@ namespace mlir::tai {
 
 #define GEN_PASS_REGISTRATION
 #include "tai/Conversion/Passes.h.inc"
-/// The symbol of the compiled function of a kernel or host function: its name,
-/// or `name.entry` where the name is that of a library function that compiled
-/// code may call (`math.tan` in a kernel `@tan` must not call the kernel).
+/// The symbol of the compiled function of a kernel or host function: `name`, or
+/// `name.entry` where a library function that compiled code may call has this
+/// name (`math.tan` in a kernel `@tan` must not call the kernel).
 std::string getEntryPointName(StringRef name);
 
 } // namespace mlir::tai

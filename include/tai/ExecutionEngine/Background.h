@@ -70,7 +70,7 @@ public:
 
   /// The way in which a job waits for something outside of the process: keep
   /// waiting, stop waiting and do without, or return at once. Queried on the
-  /// thread that runs the job, or on one without a job, which passes
+  /// thread that runs the job, or on a thread without a job, which passes
   /// safepoints.
   enum class Wish { Wait, Hurry, Abandon };
   static Wish getWish();
@@ -96,7 +96,7 @@ private:
   /// Runs a job that no other thread runs; the lock is held, except while it
   /// runs.
   void runHere(Job &job, std::unique_lock<std::mutex> &lock);
-  /// Waits until all threads, which have been asked to, have ended.
+  /// Waits until all threads have ended, after they were asked to end.
   void endThreads(std::unique_lock<std::mutex> &lock);
   void hold();
   void release(bool inChild);
@@ -111,7 +111,7 @@ private:
   /// A sleeping thread shall look for a job.
   std::condition_variable called;
   std::deque<JobPtr> queue;
-  /// The jobs of runAside(); for each, a thread was called.
+  /// The jobs of runAside(). For each such job, a thread was called.
   std::deque<JobPtr> asides;
   std::list<runtime::Thread> threads;
   /// Threads that have ended or are about to, and hold no lock any more.
@@ -119,7 +119,7 @@ private:
   unsigned idle = 0;
   /// Threads that were called and have not woken up yet.
   unsigned calls = 0;
-  /// Threads end after the job that they run.
+  /// Whether threads end after the job that they run.
   std::atomic<bool> isHeld{false};
 };
 

@@ -68,8 +68,8 @@ struct KernelServices {
   WarningLog &warnings;
 };
 
-/// Lives as long as the runtime may launch the kernel; because of tapes, that
-/// can be longer than its handle lives.
+/// Lives as long as the runtime may launch the kernel; because of tapes, this
+/// can be longer than the life of the kernel's handle.
 class KernelCode final : public runtime::KernelProvider,
                          public std::enable_shared_from_this<KernelCode> {
 public:
@@ -168,9 +168,10 @@ private:
   /// All functions that were linked for the kernel.
   std::mutex functionsMutex;
   std::vector<Compiler::Function> functions;
-  /// The adjoint, in the variant that a tape most likely launches, between the
-  /// two steps of its compilation (moved out by the second); and its serialized
-  /// ToBeRecorded. Held during compilation, which has safepoints.
+  /// Guards the adjoint, in the variant that a tape most likely launches,
+  /// between the two steps of its compilation (the second step moves the
+  /// adjoint out), and its serialized ToBeRecorded. Held during compilation,
+  /// which has safepoints.
   std::timed_mutex prepareMutex;
   using PrepareLock = runtime::safepoint::Guard<std::timed_mutex>;
   bool planZeroes = false, planLoadsStored = true;

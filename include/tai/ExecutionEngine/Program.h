@@ -36,7 +36,7 @@ public:
   Program &operator=(const Program &) = delete;
 
   ModuleOp getModule() const { return *file; }
-  /// The kernel of the name, or null.
+  /// The kernel called `name`, or null.
   SessionKernel *findKernel(StringRef name) const {
     return kernels.lookup(name);
   }

@@ -230,17 +230,18 @@ private:
   FailureLog failures;
   CompileReports reports;
   WarningLog warnings;
-  /// Declared before the runtime, to outlive it: its kernels use the names.
+  /// Declared before the runtime, to outlive it: kernels of the runtime use the
+  /// names.
   CodeNames codeNames;
   std::unique_ptr<runtime::Runtime> rt;
   std::unique_ptr<Compiler> compiler;
   Background background;
   std::shared_ptr<runtime::CacheStore> cache;
-  /// Results of trials, in the cache.
+  /// Storage for results of trials, such as block sizes, in the cache.
   runtime::KeptChoices keptChoices;
   CompileOptions compileOptions;
   ContextModes modes;
-  /// For the device that is opened next.
+  /// The memory limit of the device that is opened next.
   int64_t deviceMemoryLimit = 0;
   bool fuseLaunches = true;
   std::optional<Declarations> declarations;

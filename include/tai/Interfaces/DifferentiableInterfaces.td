@@ -3,9 +3,9 @@
 // Licensed under the Apache License v2.0 with LLVM Exceptions.
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
-// The interfaces of differentiable ops. A dialect makes its ops differentiable
-// by implementing one of them, or by attaching an external model; no pass has a
-// list of ops.
+// The interfaces of differentiable ops. A dialect makes an op differentiable by
+// implementing one of these interfaces, or by attaching an external model; no
+// pass has a list of ops.
 //
 //===----------------------------------------------------------------------===//
 

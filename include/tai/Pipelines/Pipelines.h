@@ -22,8 +22,8 @@
 
 namespace mlir::tai {
 
-/// The kernels that get an adjoint, and its form. Options of a context come
-/// from Options.def.
+/// The kernels that get an adjoint, and the form of adjoints. Options of a
+/// context come from Options.def.
 struct AutodiffOptions : PassPipelineOptions<AutodiffOptions> {
   AutodiffOptions() = default;
   // Options are bound to their parser and cannot be moved: copy the values.
@@ -88,7 +88,8 @@ void addIsolated(OpPassManager &pm,
 void registerIsolate();
 
 /// Makes the adjoints of kernels and the summaries of all kernels. Anchored on
-/// the module, of which functions that do not belong to tai stay as they are.
+/// the module; functions of the module that do not belong to tai stay as they
+/// are.
 void buildAutodiffPipeline(OpPassManager &pm, const AutodiffOptions &options);
 
 /// The passes of buildAutodiffPipeline, for a module with code of tai only.

@@ -31,7 +31,8 @@ struct ReductionPlan {
     /// Why an update is atomic, or empty.
     StringRef reason;
   };
-  /// `tai.atomic`, and updates of arrays from outside the loop.
+  /// The plan of each `tai.atomic`, and of each update of an array from outside
+  /// the loop.
   llvm::MapVector<Operation *, Update> updates;
   /// The order of the loop, if its results must not depend on threads.
   std::optional<LoopOrder> order;

@@ -70,7 +70,7 @@ public:
   /// 20 ms; waiting ends when it returns false. Thread-safe.
   Claim claim(std::string_view key, double mostSeconds = 60,
               const std::function<bool()> &goesOn = nullptr);
-  /// Waits for pending putLater calls; so does the destructor.
+  /// Waits for the writes of all putLater calls; so does the destructor.
   void flush();
   /// Removes least recently used entries beyond the limit, and temporary files
   /// of killed processes. `put` does so after each sixteenth of the limit that

@@ -53,11 +53,11 @@ struct LaunchShape {
   bool cooperative = false;
   /// Blocks of a cluster; 0 for no clusters.
   unsigned cluster = 0;
-  /// Programmatic dependent launch: the function itself waits for the launch
-  /// before it.
+  /// Programmatic dependent launch: the function itself waits for the end of
+  /// the launch before it.
   bool overlaps = false;
-  /// Whether the function also runs with fewer threads in a block, if the
-  /// device has no room for so many.
+  /// Whether the function also runs with fewer than `threads` threads in a
+  /// block, if the device has no room for so many.
   bool canShrink = false;
 };
 
@@ -238,10 +238,10 @@ public:
   // Graphs
   //===--------------------------------------------------------------------===//
 
-  /// Starts to capture queued work instead of running it. If it starts with
-  /// launches, the first `numChangeable` of these can be changed later. With
-  /// `overlaps`, the runtime's own kernels use programmatic dependent launch
-  /// where possible, like launches with LaunchShape::overlaps.
+  /// Starts to capture queued work instead of running it. If the work starts
+  /// with launches, the first `numChangeable` launches can be changed later.
+  /// With `overlaps`, the runtime's own kernels use programmatic dependent
+  /// launch where possible, like launches with LaunchShape::overlaps.
   virtual Status beginCapture(size_t numChangeable = 0, bool overlaps = false);
   /// Ends the capture. If `graph` is given and differs only in parameters, it
   /// is updated; otherwise it is replaced.

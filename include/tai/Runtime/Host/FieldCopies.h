@@ -70,8 +70,8 @@ private:
   DeviceHost &devices;
 };
 
-/// The safepoints of work that copies many small pieces and must not begin
-/// again in a handler.
+/// The safepoints of work that copies many small pieces, and that a handler
+/// must not begin again while it has interrupted the work.
 class CopySafepoints {
 public:
   /// Passes the first safepoint, which starts the clock, if `bytes` bytes take

@@ -63,7 +63,7 @@ private:
   /// Never held while zeros are stored, which may wait for a device.
   std::mutex mutex;
   /// Adjoint fields that may owe zeros, guarded by `mutex`; and whether there
-  /// are any.
+  /// are any such fields.
   std::vector<FieldPtr> owing;
   std::atomic<bool> owesAny{false};
 };

@@ -34,7 +34,7 @@ public:
       : store(store), memory(memory), recordings(recordings), copies(copies),
         devices(devices) {}
 
-  /// Null for none.
+  /// Sets the observer of writes; null for none.
   void setWatcher(OverwriteWatcher *follows) { watcher = follows; }
 
   /// Writes the whole field, from a row-major array of its scalar type.

@@ -39,7 +39,7 @@ struct Access {
   FieldPtr field;
   AccessKind kind;
   /// The fixed indices, in the order of their dimensions: launches with
-  /// different values of one of them access different elements.
+  /// different values of a fixed index access different elements.
   std::vector<FixedIndex> fixed = {};
   /// For a write: the elements that are certainly stored, independent of the
   /// values of fields. Null where unknown or not a box.
@@ -229,9 +229,9 @@ public:
 
   const std::string &name() const { return info.name; }
   const std::string &place() const { return info.place; }
-  /// Bytes that a launch reads and writes, assuming that it accesses each
-  /// element of its fields (or of the slab of a fixed index) once. Negative if
-  /// the summary is empty, or a field is sparse.
+  /// Bytes that a launch reads and writes, assuming that the launch accesses
+  /// each element of its fields (or of the slab of a fixed index) once.
+  /// Negative if the summary is empty, or a field is sparse.
   int64_t touchedBytes() const;
   /// Whether the kernel uses the tree: known once its names are resolved.
   bool uses(const Tree &tree) const;
@@ -315,8 +315,8 @@ private:
   /// compilation, which has safepoints.
   mutable Section section;
   using Lock = Section::Entry;
-  /// The variants of the adjoint: plain and zeroing; and these two with stored
-  /// outputs.
+  /// The variants of the adjoint: plain and zeroing, and the same two variants
+  /// with stored outputs.
   struct AdjointForm {
     KernelPtr kernel;
     bool asked = false;
@@ -364,9 +364,9 @@ private:
   std::vector<Field *> adjointSources;
   /// The fields of `adjointSources` that are overwritten, not accumulated.
   std::vector<Field *> overwritten;
-  /// Sparse levels of its trees. For an adjoint that is launched by hand: the
-  /// state of the levels when the last launch began, and the cells that its
-  /// loops visited.
+  /// Sparse levels of the kernel's trees. For an adjoint that is launched by
+  /// hand: the state of the levels when the last launch began, and the cells
+  /// that the loops of that launch visited.
   std::vector<SparseNode *> sparseNodes;
   std::mutex activityMutex;
   std::vector<SparseNode::Moment> lastBegins;

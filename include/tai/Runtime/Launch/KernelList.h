@@ -17,7 +17,8 @@ class KernelList {
 public:
   KernelPtr create(KernelInfo info);
   int64_t size() const;
-  /// Other threads may create kernels at the same time.
+  /// Calls `body` for each kernel. Other threads may create kernels at the same
+  /// time.
   template <typename Body> void forEach(const Body &body) const {
     std::lock_guard<std::mutex> lock(mutex);
     for (const std::weak_ptr<Kernel> &entry : kernels)

@@ -56,8 +56,8 @@ public:
   /// The data flow of the kernel.
   virtual KernelFlows findFlows(const Kernel &kernel);
 
-  /// The variant of the kernel that checks the access rules at run time.
-  /// Without fields if there is nothing to check.
+  /// Makes the variant of the kernel that checks the access rules at run time.
+  /// The result has no fields if there is nothing to check.
   virtual Status makeChecked(CheckedKernel &checked);
   /// The variant of the kernel for forward mode; null if it has no tangents.
   virtual Status makeTangent(KernelPtr &tangent);

@@ -38,8 +38,8 @@ public:
       return nanoseconds.load(std::memory_order_relaxed);
     }
     /// Adds the time, in nanoseconds for an iteration, of a run on one core.
-    /// Other processes and page faults can only make it longer: the minimum
-    /// counts, and longer times move it slightly.
+    /// Other processes and page faults can only lengthen a run: the minimum
+    /// counts, and longer times move the result slightly.
     void add(double perIteration) {
       double old = nanoseconds.load(std::memory_order_relaxed);
       double next = old == 0 || perIteration < old

@@ -69,7 +69,7 @@ private:
 
   mutable std::mutex mutex;
   std::vector<Launch *> launches;
-  /// The number of launches, and the thread that made the first one.
+  /// The number of launch objects, and the thread that made the first object.
   std::atomic<size_t> count{0};
   std::atomic<const void *> first{nullptr};
   std::unique_ptr<ForkGuard> guard;

@@ -6,11 +6,11 @@
 //===----------------------------------------------------------------------===//
 //
 // A Runtime owns the storage, the workers and the launch state of one context,
-// each as a separate part, and forwards to them. There is no global state: a
-// process may have several.
+// each as a separate part, and forwards to these parts. There is no global
+// state: a process may have several runtimes.
 //
-// Threads: launches may come from several threads at once, and each may record
-// a tape. Everything else belongs to one thread at a time.
+// Threads: launches may come from several threads at once, and each thread may
+// record a tape. All other calls belong to one thread at a time.
 //
 //===----------------------------------------------------------------------===//
 
@@ -154,7 +154,8 @@ public:
   DeviceQueue *getDeviceQueue() const { return deviceHost.queue(); }
   DeviceContext *getDeviceContext() const { return deviceHost.get(); }
   Status synchronize() { return deviceHost.synchronize(); }
-  /// The failure of functions of a device that could not return it.
+  /// Whether there is a failure of a function of a device that could not return
+  /// it, and this failure.
   bool hasNotedFailure() const {
     return __builtin_expect(deviceHost.isThere(), false) &&
            deviceHost.hasNoted();

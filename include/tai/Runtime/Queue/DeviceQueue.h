@@ -313,7 +313,7 @@ private:
     return flush(isWhole || collecting > 0);
   }
   /// Notes work that is neither a launch nor a fill. Returns whether the
-  /// recording so far is a complete known one.
+  /// recording so far equals a complete known recording.
   bool noteOther();
   Status launchRecorded(Function &function, const LaunchShape &shape,
                         const uint64_t *slots, int count);

@@ -7,10 +7,9 @@
 //
 // A tile chain: launches over one box in which each launch reads results of
 // earlier launches at nearby cells (stencils). A block computes one tile of all
-// launches, of the earlier ones with a halo, without waiting for other blocks:
-// it keeps the written cells in an overlay in shared memory, and stores its own
-// tile at the end (overlapped tiling). See
-// docs/decisions/0012-fused-launches.md.
+// launches (of earlier ones with a halo) without waiting for other blocks: it
+// keeps written cells in an overlay in shared memory, and stores its own tile
+// at the end (overlapped tiling). See docs/decisions/0012-fused-launches.md.
 //
 //===----------------------------------------------------------------------===//
 

@@ -163,12 +163,12 @@ public:
     bool isKnown;
   };
   Moment now() const;
-  /// Whether activity has changed, or a cell has been deactivated, since.
-  /// Conservative for a moment at which the host's knowledge was stale: a
-  /// change before the moment may count as one after it.
+  /// Whether activity has changed, or a cell has been deactivated, since
+  /// `moment`. Conservative for a moment at which the host's knowledge was
+  /// stale: a change before the moment may count as a change after it.
   bool hasChangedSince(const Moment &moment) const;
   bool hasRemovedSince(const Moment &moment) const;
-  /// False if it is known, without waiting for a device, that nothing is
+  /// False if it is certain, without waiting for a device, that no cell is
   /// active.
   bool mayBeActive() const;
 
@@ -190,7 +190,7 @@ public:
   /// memory itself.
   void setActivity(const std::vector<int64_t> &some, bool isActive);
 
-  /// The length of a list; and append, which returns the number of the new cell
+  /// length: the length of a list. append: returns the number of the new cell
   /// within the list, or -1 if the list is full.
   int64_t length(int64_t list) const;
   int64_t append(int64_t list);

@@ -89,8 +89,8 @@ public:
   bool isThere() const {
     return cells.base && !isClosing.load(std::memory_order_acquire);
   }
-  /// For exported buffers: owners that keep the memory when the tree is
-  /// destroyed, and the count of exports.
+  /// For exported buffers: the owners of the memory, which keep it when the
+  /// tree is destroyed, and the count of exports.
   const std::shared_ptr<void> &sharedMemory() const { return memory; }
   const std::shared_ptr<Mirror> &sharedMirror() const { return mirrored; }
   void countExport(int by) { exports.fetch_add(by, std::memory_order_relaxed); }
@@ -170,7 +170,8 @@ struct Hold {
 };
 /// The tapes that use a field now; see Recordings.
 struct FieldHolds {
-  /// The thread of these tapes, or 0; kManyThreads for several threads.
+  /// The thread of the tapes that hold the field, or 0; kManyThreads for
+  /// several threads.
   std::atomic<uint64_t> holder{0};
   static constexpr uint64_t kManyThreads = UINT64_MAX;
   std::vector<Hold> all;

@@ -21,7 +21,7 @@ public:
   explicit MemoryAccount(int64_t limit = 0) { setLimit(limit); }
 
   int64_t limit() const { return most; }
-  /// Existing trees above the limit are kept.
+  /// Sets the limit. Existing trees above the limit are kept.
   void setLimit(int64_t bytes);
   /// Bytes of trees without sparse levels.
   int64_t reserved() const { return taken; }

@@ -126,8 +126,8 @@ public:
   /// first sweep: that a sweep seeded by the loss alone would skip).
   int64_t numSkipped();
   /// Adjoints that the reverse sweep would launch and that have not been
-  /// compiled, so that they can be compiled together before it. `cleared`: the
-  /// gradients will be cleared before, as by a replay.
+  /// compiled, so that they can be compiled together before the sweep.
+  /// `cleared`: the gradients will be cleared before the sweep, as by a replay.
   std::vector<PendingAdjoint> pendingAdjoints(bool cleared = false);
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
@@ -135,8 +135,9 @@ public:
   std::vector<FieldOverwrite> overwrites() const;
   /// Warnings about the last sweep, a line for each.
   const std::vector<std::string> &warnings() const;
-  /// Makes later reverse sweeps examine the result of each adjoint; and the
-  /// findings of the last sweep, in its order.
+  /// watchHealth: makes later reverse sweeps examine the result of each
+  /// adjoint. health: the findings of the last sweep, in the order of the
+  /// sweep.
   void watchHealth(bool on);
   const std::vector<RecordHealth> &health() const;
 

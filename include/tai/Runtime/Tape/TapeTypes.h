@@ -32,9 +32,9 @@ struct TapeStats {
   int64_t savedBytes = 0;
   int64_t peakBytes = 0;
   /// With a checkpoint policy: the maximum number of snapshots, the bytes of
-  /// the largest, the number of re-executed records in all sweeps, and the
-  /// optimum for one sweep with as many snapshots if the number of records were
-  /// known in advance (binomial formula).
+  /// the largest snapshot, the number of re-executed records in all sweeps, and
+  /// the optimum for one sweep with as many snapshots if the number of records
+  /// were known in advance (binomial formula).
   int64_t snapshots = 0;
   int64_t snapshotBytes = 0;
   int64_t recomputed = 0;

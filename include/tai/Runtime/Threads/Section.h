@@ -39,7 +39,7 @@ template <typename Work>
 Status runInPieces(int64_t count, int64_t piece, bool canStop,
                    const Work &work) {
   Watch watch;
-  // The clock may stand still; the first safepoint starts it.
+  // The safepoint clock may stand still; the first safepoint starts it.
   bool goesOn = count < 2 * piece || look();
   for (int64_t first = 0; first < count; first += piece) {
     if (first > 0 && goesOn)

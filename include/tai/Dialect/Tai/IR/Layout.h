@@ -52,7 +52,8 @@ struct IndexDigit {
   int64_t extent;
   uint64_t stride;
   int64_t weight;
-  /// The digit is the whole index: divisor 1 and no level above divides it.
+  /// The digit is the whole index: divisor 1 and no level above divides the
+  /// dimension.
   bool isWhole;
 };
 

@@ -48,8 +48,8 @@ enum class CellActivity {
 
 /// A cell of a sparse level, in IR that is being built.
 struct CellRef {
-  /// The address of the tree, and the number of the level among its sparse
-  /// levels.
+  /// The address of the tree, and the number of the level among the sparse
+  /// levels of the tree.
   Value tree;
   unsigned node;
   /// The offset of the level's activity bits or list lengths, in bytes from the
