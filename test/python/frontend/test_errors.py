@@ -397,5 +397,5 @@ def test_fields_are_called_by_their_variables():
         ti.optim.Adam([mass])
     with pytest.raises(ti.TaiAutodiffError, match="field 'pressure' is of type i32"):
         ti.optim.Adam([body.pressure])
-    with pytest.raises(ti.TaiAutodiffError, match="field 'field' is of type i32"):
+    with pytest.raises(ti.TaiAutodiffError, match="field 'kept_speed' is of type i32"):
         ti.optim.Adam([kept["speed"]])
