@@ -17,7 +17,7 @@ from .kernels import kernel
 @functools.cache
 def _copier() -> Any:
     @kernel
-    def copy(source: template(), to: ndarray()):
+    def copy(source: template(), to: ndarray()) -> None:  # type: ignore
         for at in grouped(source):
             to[at] = source[at]
 
