@@ -257,8 +257,7 @@ TaiStatus callBack(void *pair, int which) {
   return TAI_OK;
 }
 
-/// Throws the exception that a callback has raised, if there is one, and
-/// otherwise the failure of the sweep.
+/// Throws the exception of a callback, or else the failure of the sweep.
 void checkSweep(Tape &tape, TaiStatus status) {
   (void)afterCall();
   if (PyErr_Occurred())
@@ -778,8 +777,7 @@ void taipy::bindRuntime(py::module_ &module) {
            [](Context &c) { c.check(taiShadowClear(c.handle)); })
       .def("shadow_errors",
            [](Context &c, const py::buffer &floats, const py::buffer &errors) {
-             py::buffer_info from = floats.request();
-             py::buffer_info to = errors.request(/*writable=*/true);
+             auto from = floats.request(), to = errors.request(true);
              c.check(taiShadowErrors(c.handle, from.ptr, int(8 * from.itemsize),
                                      from.size, static_cast<double *>(to.ptr)));
            })
