@@ -739,8 +739,7 @@ TEST(RuntimeHost, ChecksOfWhatFails) {
     ++failures;
     EXPECT_EQ(status.message(), "the host program failed");
   }
-  // The recorded run, a run that finds the written fields, and 4 times 18
-  // pairs.
+  // The recorded run, one that finds the written fields, and 4 times 18 pairs.
   EXPECT_EQ(failures, 1 + 1 + 4 * 18 * 2);
 }
 
