@@ -391,8 +391,8 @@ runtime::KernelFlows KernelCode::findFlows(const runtime::Kernel &kernel) {
   return tai::findFlows(getKernel(), kernel.summary());
 }
 
-/// A module for each part, with its kernel, in the order in which the parts
-/// run.
+/// Splits a module of kernels that are parts of one kernel (`part_of`): a
+/// module for each part, in the order in which the parts run.
 static SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>>
 splitParts(ModuleOp parts) {
   SmallVector<std::pair<std::string, OwningOpRef<ModuleOp>>> result;

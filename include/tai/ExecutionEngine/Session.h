@@ -196,8 +196,8 @@ private:
   /// Compiles a program on a thread of `background`.
   std::unique_ptr<runtime::ProgramJob> startProgram(runtime::ProgramPlan plan);
 
-  // Setters of options that concern more than one part, or a part other than
-  // CompileOptions and the runtime; see Options.def.
+  // Setters of options that are kept in several members of the session, or in
+  // members other than CompileOptions and the runtime; see Options.def.
   LogicalResult setThreads(int threads);
   LogicalResult setDeterministic(bool on);
   LogicalResult setDebug(bool on);

@@ -173,7 +173,8 @@ void Rematerializer::recomputeOwners(Frame &frame, memref::AllocOp alloc) {
   IRMapping mapping;
   for (Value value : captured)
     mapping.map(value, get(value));
-  // Operands may be computed between the setters: insert at the last setter.
+  // The operands of the setters (the ops that write the buffer) can be computed
+  // between them: insert at the last setter.
   Operation *last = setters.empty() ? alloc : setters.back();
   setInsertionPointFor(frame, last);
   Operation *copy = b.clone(*alloc, mapping);

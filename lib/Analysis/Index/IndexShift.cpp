@@ -135,7 +135,8 @@ struct Line {
   bool isConstant() const { return slope == 0; }
 };
 
-/// Evaluates operations over a range of iterations.
+/// Computes the values of operations as lines (slope and offset) that hold for
+/// all iterations of a range; shortens the range where they hold no longer.
 class LineEvaluator {
 public:
   LineEvaluator(int64_t first, int64_t end) : first(first), end(end) {}

@@ -136,7 +136,8 @@ bool Checker::visitField(FieldAccessOpInterface op) {
     return add(place.writes, atomic.getIndices());
   if (!atomic.getOld().use_empty())
     return false;
-  // Sums of all iterations access memory only after the loop.
+  // A sum over all iterations is kept in a register, and written to memory only
+  // after the loop: it meets no access in the loop.
   if (plan.isDoneByLoop(op))
     return true;
   Type type = atomic.getValue().getType();

@@ -109,8 +109,8 @@ static void callPart(llvm::IRBuilder<> &builder, llvm::Function *body,
         builder.getInt64Ty(), slots, parameter.getArgNo());
     llvm::Value *value;
     if (type->isPointerTy()) {
-      // Pointer parameters of kernels point to global memory; say so here as
-      // well.
+      // Pointer parameters of kernels point to global memory. An address that
+      // is loaded as an integer needs the cast that says so.
       llvm::Value *address = builder.CreateLoad(builder.getInt64Ty(), slot);
       value = builder.CreateAddrSpaceCast(
           builder.CreateIntToPtr(address, builder.getPtrTy(/*AddrSpace=*/1)),

@@ -32,7 +32,8 @@ public:
     DevicePtr numbers;
     int64_t count;
   };
-  /// Copies numbers from the host; valid while `memory` lives.
+  /// Copies the numbers of cells from the host to the device. `cells` is valid
+  /// while `memory` lives.
   Status bring(const int64_t *numbers, int64_t count,
                std::unique_ptr<DeviceBlock> &memory, Cells &cells) const;
 

@@ -52,7 +52,7 @@ private:
 /// Waits for the device, and copies the list.
 Status fetchCells(const DeviceCells &list, std::vector<int64_t> &cells);
 
-/// Sets `differs` if loops over the level have visited different cells.
+/// Sets `differs` if loops over the level have not all visited the same cells.
 Status findDifference(const LoopLists &lists, const SparseNode &node,
                       bool &differs);
 

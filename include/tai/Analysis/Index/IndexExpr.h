@@ -57,7 +57,7 @@ struct IndexExpr {
   /// modulo 2^64.
   SmallVector<std::pair<IndexAtom, int64_t>, 2> terms;
   int64_t constant = 0;
-  /// The value is the number that the low `width` bits of the sum stand for.
+  /// The value and the sum agree modulo 2^width.
   unsigned width = 64;
 
   IndexExpr() = default;
