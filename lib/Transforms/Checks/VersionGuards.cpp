@@ -180,8 +180,8 @@ SmallVector<Value> Segment::prune(ArrayRef<Value> values) {
       values, [&](Value value) { return tested.contains(value); });
 }
 
-/// The values to test at run time: the results of the segment or the operands of
-/// its guards, whichever have fewer components. Either shows that all are
+/// The values to test at run time: the results of the segment or the operands
+/// of its guards, whichever have fewer components. Either shows that all are
 /// finite.
 SmallVector<Value> Segment::findTested() {
   SmallVector<Value> ofResults = prune(results),

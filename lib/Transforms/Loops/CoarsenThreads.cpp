@@ -141,7 +141,8 @@ static std::optional<bool> narrow(Strips &strips, Value condition, unsigned k) {
 }
 
 /// The operand that a minimum or maximum of indices equals in the interior of
-/// the loop, where conditions at the border do not apply; null if there is none.
+/// the loop, where conditions at the border do not apply; null if there is
+/// none.
 static Value chooseExtreme(Strips &strips, Operation *op, unsigned k) {
   bool isMin = isa<arith::MinSIOp>(op);
   OpBuilder builder(op);
