@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import modes
 import rows
-from workers import Worker, environment_of
+from mode_workers import Worker, environment_of
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

@@ -39,8 +39,8 @@ import modes
 import page
 import references
 import rows
+from mode_workers import Worker, environment_of, interpreter
 from setup_peers import peers_python
-from workers import Worker, environment_of, interpreter
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
