@@ -405,8 +405,9 @@ bool SharedUpdate::matchLoop(OpResult result, const Context &context) {
   totals.truncate(numTotals);
   choices.append(branches.begin() + numBranches, branches.end());
   branches.truncate(numBranches);
-  AtomicKind kind = *family;
-  if (!inside.empty() && isExtremum(kind)) {
+  // A loop that only hands the element on has no step, and maybe no family.
+  AtomicKind kind = inside.empty() ? AtomicKind::Add : *family;
+  if (isExtremum(kind)) {
     kind = inside.front().kind;
     if (llvm::any_of(inside,
                      [&](const Step &step) { return step.kind != kind; }))

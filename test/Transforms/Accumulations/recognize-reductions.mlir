@@ -703,3 +703,26 @@ tai.kernel @part(%n: index) {
   }
   tai.return
 }
+
+// A serial loop only hands the loaded element on.
+// CHECK-LABEL: tai.kernel @handed_on
+// CHECK-NOT: tai.load @h
+// CHECK: tai.atomic add %{{.*}}, @h[%{{.*}}] : f32
+// CHECK-NOT: tai.store
+// CHECK: tai.return
+tai.kernel @handed_on(%n: index) {
+  %c0 = arith.constant 0 : index
+  %c1 = arith.constant 1 : index
+  tai.parallel_for (%i) in @x {
+    %0 = tai.load @x[%i] : f32
+    %1 = tai.load @b[%i] : i32
+    %j = arith.index_cast %1 : i32 to index
+    %2 = tai.load @h[%j] : f32
+    %3 = scf.for %k = %c0 to %n step %c1 iter_args(%e = %2) -> f32 {
+      scf.yield %e : f32
+    }
+    %4 = arith.addf %3, %0 : f32
+    tai.store %4, @h[%j] : f32
+  }
+  tai.return
+}
