@@ -213,9 +213,9 @@ def losses(groups: dict[tuple, list[dict]]) -> list[str]:
         standings = []
         for scene, group in mine:
             ours, peers = split(group)
-            standings += [standing(peer, ours) for peer in peers]
             for peer in peers:
-                if standing(peer, ours) == "lost":
+                standings.append(standing(peer, ours))
+                if standings[-1] == "lost":
                     best = best_against(peer, ours)
                     size = best["ms"] / peer["ms"] if best else math.inf
                     lost.append((size, f"- {scene}, {where}: {loss_of(ours)(peer)}"))
@@ -500,7 +500,7 @@ def _draw_place(axis, shown: list[dict], colours: dict[str, str]) -> None:
     # At least one decade of each, so that both axes have labelled ticks.
     for low, high, bound in ((*axis.get_xlim(), axis.set_xlim), (*axis.get_ylim(), axis.set_ylim)):
         bound(10 ** math.floor(math.log10(low)), 10 ** math.ceil(math.log10(high)))
-    axis.xaxis.set_major_locator(ticker.LogLocator(10, (1, 2, 5) if len(shown) else (1,)))
+    axis.xaxis.set_major_locator(ticker.LogLocator(10, (1, 2, 5)))
     axis.xaxis.set_major_formatter(ticker.ScalarFormatter())
     axis.yaxis.set_major_formatter(ticker.LogFormatterSciNotation())
     axis.xaxis.set_minor_formatter(ticker.NullFormatter())

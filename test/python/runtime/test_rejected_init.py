@@ -45,7 +45,7 @@ def test_fields_live_on(options):
     assert x.dtype is ti.f64 and list(x.to_numpy()) == [0, 1, 2, 3, 4]
     x[1] = 2.0
     assert total(x) == 11
-    # As do the options, for what is made later.
+    # The options hold for fields that are made later, too.
     y = ti.field(float, shape=3)
     y.fill(2)
     assert y.dtype is ti.f64 and total(y) == 6
