@@ -143,15 +143,15 @@ thread_local Watched *watched = nullptr;
 
 } // namespace
 
-Changed taipy::haveViewsChanged() {
-  if (__builtin_expect(!watched, true) || !watched->isComparable())
+int taipy::watchingViews = 0;
+
+Changed taipy::compareViews() {
+  if (!watched || !watched->isComparable())
     return Changed::No;
   return watched->compare(nullptr);
 }
 
-bool taipy::renewViews() {
-  return __builtin_expect(!watched, true) || watched->renew();
-}
+bool taipy::digestViews() { return !watched || watched->renew(); }
 
 void taipy::bindWatchedViews(py::module_ &module) {
   // The caller keeps the memory until it calls this function with no views. A
@@ -162,6 +162,7 @@ void taipy::bindWatchedViews(py::module_ &module) {
       [](const py::object &tape,
          const std::vector<std::array<uint64_t, 4>> &memory, bool looksAtAll,
          const ContextRef &context, bool hasLaunched) {
+        watchingViews -= watched ? 1 : 0;
         delete std::exchange(watched, nullptr);
         if (memory.empty())
           return;
@@ -179,6 +180,7 @@ void taipy::bindWatchedViews(py::module_ &module) {
         if (hasLaunched && !made->renew())
           throw py::error_already_set();
         watched = made.release();
+        ++watchingViews;
       },
       py::arg("tape"), py::arg("memory"), py::arg("looks_at_all"),
       py::arg("context").none(true), py::arg("has_launched"));

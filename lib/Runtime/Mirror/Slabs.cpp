@@ -30,6 +30,7 @@ std::vector<int> Slabs::choose(const Field &field,
   // Smaller slabs take more memory for their numbers than they save.
   constexpr int64_t fewestBytes = 64;
   std::vector<int> chosen;
+  chosen.reserve(fixed.size());
   int64_t slabBytes = field.hostBytes();
   for (const FixedIndex &index : fixed) {
     int64_t extent = std::max<int64_t>(field.shape()[index.dimension], 1);

@@ -44,8 +44,14 @@ public:
   /// Notes that the slabs in `range` change, or unknown slabs if the range is
   /// all. The record with the stamp `keeps` does not lose its stored values.
   void lose(SlabRange range, std::vector<bool> &lost, uint32_t keeps = 0) {
-    if (!anyStored)
+    if (!anyStored || (range.count == 1 && anywhere == 0 &&
+                       (at.empty() || at[range.first] == 0)))
       return;
+    loseAny(range, lost, keeps);
+  }
+
+private:
+  void loseAny(SlabRange range, std::vector<bool> &lost, uint32_t keeps) {
     auto loseOf = [&](uint32_t &stamp) {
       if (stamp == 0 || stamp == keeps)
         return;
@@ -65,7 +71,6 @@ public:
     anyStored = keeps != 0;
   }
 
-private:
   /// at: for each slab, the stamp of the last record that stored to it, or 0 if
   /// the slab has changed since. anywhere: the same for unknown slabs.
   std::vector<uint32_t> at;

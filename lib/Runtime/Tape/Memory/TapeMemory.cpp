@@ -40,13 +40,17 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
                            const std::vector<FixedIndex> &fixed) {
   std::unique_ptr<Track> &track =
       tracks[{&field->tree(), field->layout().placeOffset}];
+  // A kernel may use hundreds of slabs of a field that is cut already.
+  if (track &&
+      (track->everSaved || fixed.size() <= track->slabs.dimensions().size()))
+    return *track;
   std::vector<int> wanted = Slabs::choose(*field, fixed);
   if (!track) {
     track = std::make_unique<Track>(field, std::move(wanted));
     return *track;
   }
   const std::vector<int> &known = track->slabs.dimensions();
-  if (track->everSaved || wanted.size() <= known.size() ||
+  if (wanted.size() <= known.size() ||
       !std::equal(known.begin(), known.end(), wanted.begin()) ||
       std::any_of(parts.begin(), parts.end(), [&](const Part &part) {
         return part.track == track.get() && !part.range.isAll();
@@ -68,6 +72,8 @@ Track &TapeMemory::trackOf(const FieldPtr &field,
 TapeMemory::Use TapeMemory::makeUse(const Access &access) {
   Use use;
   use.track = &trackOf(access.field, access.fixed);
+  use.fixed.reserve(access.fixed.size());
+  use.ranges.reserve(access.fixed.size());
   for (int dimension : use.track->slabs.dimensions()) {
     auto index = std::find_if(
         access.fixed.begin(), access.fixed.end(),
@@ -124,9 +130,9 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
     return *uses;
   uses = std::make_unique<KernelUses>();
   const AdjointPlan &plan = kernel.plan();
-  auto add = [](std::vector<Use> &list, Use use) {
+  auto add = [](std::vector<Use> &list, auto &&use) {
     if (std::find(list.begin(), list.end(), use) == list.end())
-      list.push_back(std::move(use));
+      list.push_back(std::forward<decltype(use)>(use));
   };
   for (const Access &access : kernel.summary()) {
     if (access.field->isAdjoint() || !access.field->valid())
@@ -153,9 +159,7 @@ const TapeMemory::KernelUses &TapeMemory::usesOf(Kernel &kernel) {
   return *uses;
 }
 
-TapeMemory::Part TapeMemory::followedFor(Track &track, SlabRange range) {
-  if (!runtime.isForward())
-    return {&track, range};
+TapeMemory::Part TapeMemory::followedForward(Track &track, SlabRange range) {
   if (!track.ofPrimal) {
     const std::vector<FieldPtr> &fields = runtime.fields();
     auto primal =
@@ -194,13 +198,18 @@ Status TapeMemory::beforeLaunch(const KernelUses &uses, const uint64_t *args,
     lost |= !isPart && !changedParts.empty();
   }
   for (const Use &use : uses.changes) {
-    if (__builtin_expect(use.track->stored.any(), false))
-      use.track->stored.lose(use.locate(args), lostStored);
+    bool isStored = use.track->stored.any();
     // The sweep runs no adjoint for a launch of a host function.
     bool before = use.before && !isPart;
-    if (use.track->lastRead == 0 && !before && !checkpoints)
+    bool mayBeRead = use.track->lastRead != 0 || before || checkpoints;
+    if (!isStored && !mayBeRead)
       continue;
-    auto [followed, range] = followedFor(*use.track, use.locate(args));
+    SlabRange changed = use.locate(args);
+    if (isStored)
+      use.track->stored.lose(changed, lostStored);
+    if (!mayBeRead)
+      continue;
+    auto [followed, range] = followedFor(*use.track, changed);
     if (!followed)
       continue;
     Track &track = *followed;

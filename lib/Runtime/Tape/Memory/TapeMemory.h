@@ -58,8 +58,10 @@ public:
     } single;
 
     /// The slabs for these arguments, or all slabs if an index is not known.
-    SlabRange locate(const uint64_t *args) const {
-      if (single.extent != track->slabs.count())
+    /// Inline, since each launch evaluates several uses.
+    __attribute__((always_inline)) SlabRange
+    locate(const uint64_t *args) const {
+      if (__builtin_expect(single.extent != track->slabs.count(), false))
         return locateAny(args);
       uint64_t position = static_cast<uint64_t>(single.constant) +
                           static_cast<uint64_t>(single.term.getArgument(args)) *
@@ -93,7 +95,11 @@ public:
   /// dual is saved with its primal field, so the part is the whole primal
   /// field; its track is null for the tangent of a gradient, which the tape
   /// does not restore. In all other cases, the part is `range` itself.
-  Part followedFor(Track &track, SlabRange range);
+  Part followedFor(Track &track, SlabRange range) {
+    return __builtin_expect(runtime.isForward(), false)
+               ? followedForward(track, range)
+               : Part{&track, range};
+  }
   /// The uses of a kernel; plans its adjoint if necessary.
   const KernelUses &usesOf(Kernel &kernel);
   /// The uses of a kernel, or null before the first usesOf(kernel).
@@ -194,6 +200,7 @@ private:
     bool before;
   };
 
+  Part followedForward(Track &track, SlabRange range);
   const Track *findTrack(const Field &field) const;
   Track &trackOf(const FieldPtr &field, const std::vector<FixedIndex> &fixed);
   Use makeUse(const Access &access);

@@ -79,8 +79,7 @@ int64_t Track::refresh() {
   return slabs.addCells(node.list());
 }
 
-void Track::markRead(SlabRange range, uint32_t stamp) {
-  lastRead = stamp;
+void Track::markSlabs(SlabRange range, uint32_t stamp) {
   if (range.isAll()) {
     readAnywhere = stamp;
     return;

@@ -64,7 +64,13 @@ struct Track {
   /// Makes the host's copy current, if saves read it and not the device's.
   Status bring() const;
 
-  void markRead(SlabRange range, uint32_t stamp);
+  void markRead(SlabRange range, uint32_t stamp) {
+    lastRead = stamp;
+    if (__builtin_expect(range.count == 1 && !readAt.empty(), true))
+      readAt[range.first] = stamp;
+    else
+      markSlabs(range, stamp);
+  }
   uint32_t readStamp(SlabRange range) const {
     if (range.isAll())
       return lastRead;
@@ -86,6 +92,7 @@ struct Track {
   Status forEachRun(SlabRange range, const Wanted &wanted,
                     const Body &body) const;
   int64_t longestRun() const;
+  void markSlabs(SlabRange range, uint32_t stamp);
   int64_t bytesOf(SlabRange range) const {
     if (!slabs.byCell())
       return (range.isAll() ? slabs.count() : range.count) * slabs.elements() *
