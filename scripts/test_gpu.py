@@ -7,7 +7,8 @@ the interpreter that runs this script, copies the tests beside it, and runs the 
 
     tests     the Python tests with --arch=cuda, whole programs in IR among them, in parallel
     bench     benchmarks/gpu/run.py: tai, hand-written CUDA, and other systems
-    errors    benchmarks/error/run.py: run time against error, on the GPU and on one thread
+    errors    benchmarks/error/run.py: run time against error on the GPU; with --arch cpu, on
+              one thread of the CPU
     fuzz      random kernels on the GPU, of up to two million elements; see test/fuzz/run.py
     ensemble  examples/ensemble.py on 1, 2 and 4 GPUs, as many as there are
     bars      the bars of test/reliability that can run on a GPU, from seeds of their own
@@ -342,7 +343,7 @@ def run_bench(stage: Stage, seconds: float) -> Step:
 def run_errors(stage: Stage, seconds: float) -> Step:
     """Run time against error; benchmarks/error/page.py makes the page from the rows, anywhere."""
     step, options = Step("errors"), stage.options
-    arch = "cpu" if options.arch == "cpu" else "cuda,cpu"
+    arch = "cpu" if options.arch == "cpu" else "cuda"
     command = [sys.executable, "benchmarks/error/run.py", "--arch", arch, "--threads", "1"]
     command += ["--minutes", f"{(seconds - 25) / 60:.2f}", "--out", options.out, "--no-page"]
     command += ["--work", options.work / "errors", "--systems", "tai,jax,torch"]

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import modes
 import rows
-from mode_workers import Worker, environment_of
+from mode_workers import Crowd, Worker, environment_of
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -68,13 +68,14 @@ class Pair:
         self.given, self.scene, self.mode = given, scene, mode
         self.sides: dict[str, dict] = {}
         self.workers: dict[str, Worker] = {}
+        self.crowd = Crowd()
         for side, tree in (("base", given.base), ("new", ROOT)):
             cache = work / side / mode.replace(" ", "_")
             cache.mkdir(parents=True, exist_ok=True)
             arguments = ["--scene", scene, "--system", modes.OURS, "--mode", mode]
             arguments += ["--size", given.size, "--threads", "1", "--cache", str(cache)]
             python = Path(sys.executable)
-            self.workers[side] = Worker(arguments, python, tree, log)
+            self.workers[side] = Worker(arguments, python, tree, log, self.crowd)
             self.workers[side].answer(given.timeout)
 
     def errors(self, reference: Path) -> None:
@@ -85,10 +86,11 @@ class Pair:
             worker.ask("warm", self.given.timeout, seconds=2)
 
     def round(self, number: int) -> None:
-        for side in ("base", "new") if number % 2 == 0 else ("new", "base"):
-            said = self.workers[side].ask("time", self.given.timeout, seconds=0.1)
-            if said:
-                self.sides[side]["times"].append(said["ms"])
+        with self.crowd.stopped():
+            for side in ("base", "new") if number % 2 == 0 else ("new", "base"):
+                said = self.workers[side].ask_alone("time", self.given.timeout, seconds=0.1)
+                if said:
+                    self.sides[side]["times"].append(said["ms"])
 
     def end(self) -> tuple[str, str]:
         for side, worker in self.workers.items():

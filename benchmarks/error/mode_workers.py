@@ -8,19 +8,66 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
 HERE = Path(__file__).resolve().parent
 
 
-def environment_of(tree: Path) -> dict[str, str]:
-    """The environment in which the package of a checkout is imported."""
+def environment_of(tree: Path, arch: str = "cpu") -> dict[str, str]:
+    """The environment in which the package of a checkout is imported, and no GPU seen in vain."""
     found = dict(os.environ, PYTHONPATH=str(tree / "python"))
+    if arch == "cpu":
+        found["CUDA_VISIBLE_DEVICES"] = ""
     # Other processes need memory of the GPU, too.
     found.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     return found
+
+
+class Crowd:
+    """The processes of a session. While a time is taken, all but one of them are stopped.
+
+    An idle process may still have threads at work: it compiles for later runs, or tries sizes of
+    blocks. They take cores from the process that is timed, and the card in slices of 2 ms.
+    """
+
+    def __init__(self):
+        # Held while processes are stopped: none may start then.
+        self._starts = threading.Lock()
+        self._running: list[subprocess.Popen] = []
+
+    def start(self, command: list[str], **options) -> subprocess.Popen:
+        """As `subprocess.Popen`."""
+        with self._starts:
+            process = subprocess.Popen(command, **options)
+            self._running = [other for other in self._running if other.poll() is None]
+            self._running.append(process)
+        return process
+
+    @contextmanager
+    def stopped(self) -> Iterator[None]:
+        """All processes are stopped, and go on afterwards."""
+        with self._starts:
+            try:
+                for process in self._running:
+                    stop(process)
+                yield
+            finally:
+                for process in self._running:
+                    process.send_signal(signal.SIGCONT)
+
+
+def stop(process: subprocess.Popen) -> None:
+    """Stops all threads of a process, and returns when they have stopped."""
+    process.send_signal(signal.SIGSTOP)
+    try:
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+    except ChildProcessError:
+        pass  # it has ended, and somebody has its status
 
 
 class Worker:
@@ -30,17 +77,18 @@ class Worker:
         failure: the row of a measurement that failed, with the reason.
     """
 
-    def __init__(self, arguments: list[str], python: Path, tree: Path, log: IO[str]):
+    def __init__(self, arguments: list[str], python: Path, tree: Path, log: IO[str], crowd: Crowd):
         """`tree` is the checkout whose package runs."""
+        arch = arguments[arguments.index("--arch") + 1] if "--arch" in arguments else "cpu"
         self.failure: dict | None = None
         self._rest = b""
         command = [str(python), str(HERE / "measure.py"), *arguments]
         log.write(f"$ {' '.join(command)}\n")
         log.flush()
         try:
-            self._process = subprocess.Popen(
+            self._process = crowd.start(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
-                env=environment_of(tree),
+                env=environment_of(tree, arch),
             )  # fmt: skip
         except OSError as error:
             self._process = None
@@ -75,6 +123,16 @@ class Worker:
         except OSError:
             pass  # it has ended: the answer says how
         return self.answer(within)
+
+    def ask_alone(self, what: str, within: float, **more: object) -> dict | None:
+        """As `ask`, where the crowd is stopped: this process runs until it has answered."""
+        if self.failure:
+            return None
+        self._process.send_signal(signal.SIGCONT)
+        try:
+            return self.ask(what, within, **more)
+        finally:
+            stop(self._process)
 
     def close(self) -> None:
         """Ends the process."""

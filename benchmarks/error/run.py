@@ -5,12 +5,13 @@
     make bench-error ARGS="--arch cuda,cpu --threads 1 --minutes 8 --out DIR"
     make bench-error ARGS="--scenes smoke,exp --systems tai,jax"
 
-One session on one machine. All modes of a scene are alive together, each in a process of its own:
-first errors, over 16 inputs that are an ulp apart; then ten rounds in which they are timed in
-turns. With --minutes, rounds and inputs become fewer where time is short, and a row says how many
-there were. Writes benchmarks/results/error-<machine>.csv and the page, docs/reports/accuracy.md,
-which is refused for a tree with changes or rows of several commits. Then judges the gates: the exit
-status is 1 if one of them fails.
+One session on one machine, one place after the other. All modes of a scene are alive together,
+each in a process of its own: first errors, over 16 inputs that are an ulp apart; then ten rounds in
+which they are timed in turns, while all other processes of the session are stopped. With --minutes,
+rounds and inputs become fewer where time is short, and a row says how many there were. Writes
+benchmarks/results/error-<machine>.csv and the page, docs/reports/accuracy.md, which is refused for
+a tree with changes or rows of several commits. Then judges the gates: the exit status is 1 if one
+of them fails.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ import modes
 import page
 import references
 import rows
-from mode_workers import Worker, environment_of, interpreter
+from mode_workers import Crowd, Worker, environment_of, interpreter
 from setup_peers import peers_python
 
 HERE = Path(__file__).resolve().parent
@@ -94,10 +95,12 @@ def revision() -> str:
 class References:
     """Computes references, each once for a commit."""
 
-    def __init__(self, given: argparse.Namespace, commit: str, log: Path):
-        self.given, self.log = given, log
+    def __init__(self, given: argparse.Namespace, commit: str, log: Path, crowd: Crowd):
+        self.given, self.log, self.crowd = given, log, crowd
         self.folder = given.work / f"references-{commit}"
+        # Slow references begin at once, and hold no other one up.
         self.pool = ThreadPoolExecutor(max(1, given.jobs // 4))
+        self.slow = ThreadPoolExecutor(max(1, given.jobs // 4))
         self.lock = threading.Lock()
         self.futures: dict[str, list[Future]] = {}
         self.processes: list[subprocess.Popen] = []
@@ -106,8 +109,9 @@ class References:
         """Begins, unless somebody has."""
         with self.lock:
             if scene not in self.futures:
+                pool = self.slow if scene in SLOW else self.pool
                 self.futures[scene] = [
-                    self.pool.submit(self._make, scene, first, count)
+                    pool.submit(self._make, scene, first, count)
                     for first, count in self._parts(scene)
                 ]
             return self.futures[scene]
@@ -143,14 +147,15 @@ class References:
         with self.log.open("a") as log:
             log.write(f"$ {' '.join(map(str, command))}\n")
             log.flush()
-            process = subprocess.Popen(
+            process = self.crowd.start(
                 list(map(str, command)), stdout=log, stderr=log, env=environment_of(ROOT)
             )
         self.processes.append(process)
         process.wait()
 
     def close(self) -> None:
-        self.pool.shutdown(wait=False, cancel_futures=True)
+        for pool in (self.pool, self.slow):
+            pool.shutdown(wait=False, cancel_futures=True)
         for process in self.processes:
             process.kill()
 
@@ -177,8 +182,8 @@ class Group:
         self._all(self._start)
         return self
 
-    def _all(self, do) -> None:
-        with ThreadPoolExecutor(self.jobs) as pool:
+    def _all(self, do, jobs: int = 0) -> None:
+        with ThreadPoolExecutor(jobs or self.jobs) as pool:
             list(pool.map(do, self.names()))
 
     def _start(self, name: tuple[str, str]) -> None:
@@ -190,7 +195,8 @@ class Group:
         arguments += ["--threads", "0" if self.threads == "all" else "1"]
         python = interpreter(system, modes.OURS, peers_python(self.given.peers))
         with self.session.log.open("a") as log:
-            worker = self.workers[name] = Worker(arguments, python, ROOT, log)
+            crowd = self.session.crowd
+            worker = self.workers[name] = Worker(arguments, python, ROOT, log, crowd)
         self.rows[name] = worker.answer(self.given.timeout) or {}
 
     def measure(self, deadline: float, before_times: Callable[[], object]) -> None:
@@ -207,13 +213,22 @@ class Group:
             self._drop_slow(share)
             known = {"condition": reference.condition(),
                      "reference_error": reference.about()["error"]}  # fmt: skip
-            self._all(lambda name: self._errors(name, reference, 0.25 * share))
+            # On a GPU, programs choose the forms of their launches by times of their first runs.
+            jobs = max(1, self.jobs // 3) if self.arch == "cuda" else self.jobs
+            seconds = 0.25 * share * min(1.0, jobs / len(self.names()))
+            self._all(lambda name: self._errors(name, reference, seconds), jobs)
             for row in self.rows.values():
                 row.update(known)
             before_times()
-            self._rounds(deadline)
+            with self.session.crowd.stopped():
+                if self.arch == "cuda":
+                    for worker in self.workers.values():
+                        worker.ask_alone("warm", self.given.timeout, seconds=0.3)
+                self._rounds(deadline)
+        self._all(self._end)
         for name in self.names():
-            self._end(name)
+            row = self.rows[name] | (self.workers[name].failure or {"status": "ok"})
+            self.session.add(self._key(name), row)
 
     def _drop_slow(self, share: float) -> None:
         """With a bound of the time, one program may not take that of the other scenes."""
@@ -244,7 +259,7 @@ class Group:
                 break
             # Every other round in the opposite order: none is always behind the same one.
             for name in self.names()[:: 1 if number % 2 == 0 else -1]:
-                said = self.workers[name].ask(
+                said = self.workers[name].ask_alone(
                     "time", self.given.timeout, seconds=1e-3 * self.given.slice
                 )
                 if said:
@@ -259,7 +274,7 @@ class Group:
                 )  # fmt: skip
 
     def _end(self, name: tuple[str, str]) -> None:
-        worker, (system, mode) = self.workers[name], name
+        worker, system = self.workers[name], name[0]
         # Descents of tai compare its modes; and the sizes of steps are those of its scenes.
         steps = STEPS[self.given.size] if system in cases.TAICHI else 0
         if self.scene in cases.EXAMPLES and self.rows[name].get("ms", 0) > 300:
@@ -267,16 +282,16 @@ class Group:
         said = worker.ask("end", self.given.timeout, steps=steps)
         self.rows[name].update(said or {})
         worker.close()
-        row = self.rows[name] | (worker.failure or {"status": "ok"})
-        self.session.add((self.scene, self.given.size, system, mode, self.arch, self.threads), row)
+
+    def _key(self, name: tuple[str, str]) -> tuple[str, ...]:
+        return self.scene, self.given.size, *name, self.arch, self.threads
 
     def skip(self, reason: str) -> None:
         """Rows that say why there are no figures."""
-        for system, mode in self.names():
-            if worker := self.workers.get((system, mode)):
+        for name in self.names():
+            if worker := self.workers.get(name):
                 worker.close()
-            key = self.scene, self.given.size, system, mode, self.arch, self.threads
-            self.session.add(key, {"status": "missing", "reason": reason})
+            self.session.add(self._key(name), {"status": "missing", "reason": reason})
 
 
 def quartiles(times: list[float]) -> tuple[float, float, float]:
@@ -300,7 +315,8 @@ class Session:
         self.common = {"git": commit, "session": self.name}
         given.work.mkdir(parents=True, exist_ok=True)
         self.log = given.work / "log.txt"
-        self.references = References(given, commit, self.log)
+        self.crowd = Crowd()
+        self.references = References(given, commit, self.log, self.crowd)
         self.end = time.monotonic() + (60 * given.minutes if given.minutes else 1e9)
 
     def add(self, key: tuple[str, ...], row: dict) -> None:
@@ -311,37 +327,32 @@ class Session:
             rows.write(self.given.out, self.rows)
 
     def all(self) -> None:
-        """One place after the other; with many cores, a GPU beside one thread of the CPU."""
+        """One place after the other: two beside each other would take each other's cores."""
         given = self.given
         places = [
             (arch, threads)
             for arch in given.arch
             for threads in (given.threads if arch == "cpu" else ["all"])
         ]
-        is_large = given.jobs >= 8
-        if is_large:
+        if given.jobs >= 8:
             for scene in given.scenes:
                 self.references.start(scene)
-        together = [place for place in places if place in (("cuda", "all"), ("cpu", "1"))]
-        turns = [together] if is_large and len(together) == 2 else [[p] for p in together]
-        turns += [[place] for place in places if place not in together]
         try:
-            for number, turn in enumerate(turns):
-                share = (self.end - time.monotonic()) / (len(turns) - number)
-                end = time.monotonic() + share
-                with ThreadPoolExecutor(len(turn)) as pool:
-                    # Where two are measured beside each other, cores are left for the timed ones.
-                    jobs = given.jobs if len(turn) == 1 else max(1, 3 * given.jobs // 8)
-                    list(pool.map(lambda place: self.lane(*place, jobs, end), turn))
+            for number, place in enumerate(places):
+                share = (self.end - time.monotonic()) / (len(places) - number)
+                self.lane(*place, time.monotonic() + share)
         finally:
             self.references.close()
 
-    def lane(self, arch: str, threads: str, jobs: int, end: float) -> None:
-        """All scenes at a place. While one is measured, the next one is compiled.
+    def lane(self, arch: str, threads: str, end: float) -> None:
+        """All scenes at a place. While errors of one are measured, the next one is compiled.
 
-        A GPU divides its time among processes in slices of 2 ms, so that nothing else may run there
-        while one is timed.
+        A stopped process may have left work on a GPU. So the programs of the next scene have run
+        before times are taken there: each process waits for the card before it answers.
         """
+        jobs = self.given.jobs
+        if arch == "cuda" and jobs >= 8:
+            jobs = max(jobs, sum(len(modes.MODES[system]) for system in self.given.systems))
         groups = [Group(self, scene, arch, threads, jobs) for scene in self.given.scenes]
         with ThreadPoolExecutor(1) as ahead:
             is_large = self.given.jobs >= 8

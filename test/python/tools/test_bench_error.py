@@ -142,6 +142,48 @@ def test_a_mode_that_is_missing_loses_no_other(tmp_path):
     assert found["tai", "f32"]["status"] == "ok"
 
 
+# A system that answers as measure.py does, and has a thread at work all the time.
+RESTLESS = """#!{python}
+import json, os, sys, threading, time
+beats, parts = [], []
+
+def work():
+    while True:
+        beats.append(time.monotonic())
+        for _ in range(1000):
+            pass
+
+print(json.dumps(dict(status="ok", seconds=0.01, version="1", clock="wall")), flush=True)
+for line in sys.stdin:
+    begin, request = time.monotonic(), json.loads(line)["do"]
+    if request == "warm":
+        threading.Thread(target=work, daemon=True).start()
+    if request == "time":
+        while time.monotonic() - begin < 0.03:
+            pass
+        parts.append((begin, time.monotonic()))
+    print(json.dumps(dict(ms=1.0, least=1.0, n=1)), flush=True)
+with open(f"{folder}/{{os.getpid()}}.json", "w") as file:
+    json.dump(dict(beats=list(beats), parts=parts), file)
+"""
+
+
+def test_nothing_else_runs_while_a_time_is_taken(tmp_path):
+    peers = tmp_path / "peers"
+    (peers / "bin").mkdir(parents=True)
+    script = RESTLESS.format(python=sys.executable, folder=peers)
+    (peers / "bin" / "python").write_text(script)
+    (peers / "bin" / "python").chmod(0o755)
+    rows, _ = measured(tmp_path, "--systems", "jax", "--peers", peers)
+    assert [row["rounds"] for row in rows] == ["3", "3"]
+    first, second = (json.loads(path.read_text()) for path in peers.glob("*.json"))
+    for timed, other in ((first, second), (second, first)):
+        assert len(timed["parts"]) == 3 and other["beats"]
+        for begin, end in timed["parts"]:
+            assert any(begin < beat < end for beat in timed["beats"])
+            assert not [beat for beat in other["beats"] if begin < beat < end]
+
+
 def test_a_run_without_time_says_so(tmp_path):
     rows, _ = measured(tmp_path, "--minutes", "0.01")
     assert {(row["status"], row["reason"]) for row in rows} == {("missing", "no time was left")}
