@@ -5,11 +5,11 @@
 //
 //===----------------------------------------------------------------------===//
 
+#include "../Threads/PollPause.h"
 #include "CudaDevice.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <chrono>
-#include <sched.h>
 
 using namespace mlir::tai::runtime;
 using namespace mlir::tai::runtime::cuda;
@@ -414,8 +414,9 @@ template <typename Query> void CudaDevice::stopLoops(const Query &query) {
   // Kernels that see the number end soon. Other work need not end in this time.
   constexpr std::chrono::milliseconds patience(500);
   auto end = std::chrono::steady_clock::now() + patience;
+  PollPause pause;
   while (query() == kNotReady && std::chrono::steady_clock::now() < end)
-    sched_yield();
+    pause();
 }
 
 /// An interrupted wait ends kernels that poll the stop word. Other work stays
@@ -423,6 +424,7 @@ template <typename Query> void CudaDevice::stopLoops(const Query &query) {
 template <typename Query>
 Status CudaDevice::waitUntilReady(const Query &query, Result &result) {
   safepoint::Watch watch;
+  PollPause pause;
   bool hasStopped = false;
   while ((result = query()) == kNotReady) {
     bool goesOn = watch.look();
@@ -432,7 +434,7 @@ Status CudaDevice::waitUntilReady(const Query &query, Result &result) {
     }
     if (!goesOn)
       return failAsInterrupted();
-    sched_yield();
+    pause();
   }
   return Status::success();
 }

@@ -10,6 +10,7 @@
 //===----------------------------------------------------------------------===//
 
 #include "WorkerPool.h"
+#include "PollPause.h"
 #include "tai/Runtime/Threads/Safepoint.h"
 #include <algorithm>
 #include <chrono>
@@ -30,14 +31,6 @@ using Clock = std::chrono::steady_clock;
 /// on a virtual machine, a hundred times a fork to a worker that spins.
 constexpr auto pauseFor = std::chrono::microseconds(50);
 constexpr auto yieldUntil = std::chrono::microseconds(500);
-
-inline void pauseCpu() {
-#if defined(__x86_64__) || defined(__i386__)
-  __builtin_ia32_pause();
-#elif defined(__aarch64__)
-  asm volatile("yield");
-#endif
-}
 
 constexpr uint64_t packRange(uint64_t next, uint64_t end) {
   return end << 32 | next;
