@@ -41,6 +41,12 @@ def test_version_is_found_by_the_backend():
     assert found["value"] == ti.__version__ == wheel.version()
 
 
+# The bundle of test_gpu.py has no such file.
+@pytest.mark.skipif(not (ROOT / "CITATION.cff").exists(), reason="CITATION.cff is not here")
+def test_the_citation_names_this_version():
+    assert f"\nversion: {ti.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+
+
 def test_module_compiles_without_llvm():
     # Wheels compile it against a bundle, which has no headers of LLVM.
     assert "${PROJECT_SOURCE_DIR}/include" in (ROOT / "cmake/Prebuilt.cmake").read_text()
