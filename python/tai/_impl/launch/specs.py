@@ -168,6 +168,14 @@ def _converted(value: Any, dt: Any) -> str:
 def _array_spec(kernel: str, parameter: Parameter, value: Any, tracks: bool) -> ArgumentSpec:
     type_ = parameter.type
     what = f"argument '{parameter.name}' of kernel '{kernel}'"
+    if str(getattr(value, "dtype", None)).removeprefix("torch.") == "bfloat16":
+        wide = "t.float()" if hasattr(value, "detach") else "array.astype(np.float32)"
+        raise TaiRuntimeTypeError(
+            f"{what} takes no numbers of type bfloat16: NumPy has no such type, and ti.bf16 is a "
+            "type of fields",
+            f"pass f32: {wide}; or copy it into a field of ti.bf16, by "
+            "x.from_torch(tensor) or x.from_numpy(array)",
+        )
     array = as_array(value)
     if array is None:
         hint = (
