@@ -43,6 +43,15 @@ inline bool isRecording() {
 /// The class of numbers that have a gradient or a tangent.
 PyObject *trackedType = nullptr;
 
+/// The class of fields and arrays. float() reads one without dimensions, but
+/// none is an argument of a number: its gradient would be lost.
+PyObject *elementsType = nullptr;
+
+bool isOfType(PyObject *object, PyObject *type) {
+  return type &&
+         PyObject_TypeCheck(object, reinterpret_cast<PyTypeObject *>(type));
+}
+
 /// The number of threads that launch kernels with their tangents, whether this
 /// thread does, and how many kernels it has launched with tangents.
 int forwardThreads = 0;
@@ -240,9 +249,8 @@ Match packArg(const Specialization &spec, const Arg &arg, PyObject *object,
       number = PyFloat_AS_DOUBLE(object);
     } else {
       if (PyUnicode_Check(object) || PyBytes_Check(object) ||
-          ((isRecording() || isForward()) && trackedType &&
-           PyObject_TypeCheck(object,
-                              reinterpret_cast<PyTypeObject *>(trackedType))))
+          isOfType(object, elementsType) ||
+          ((isRecording() || isForward()) && isOfType(object, trackedType)))
         return Match::No;
       number = PyFloat_AsDouble(object);
       if (number == -1.0 && PyErr_Occurred()) {
@@ -587,6 +595,9 @@ void taipy::bindLauncher(py::module_ &module) {
   });
   module.def("set_tracked_type", [](const py::object &type) {
     trackedType = type.inc_ref().ptr();
+  });
+  module.def("set_elements_type", [](const py::object &type) {
+    elementsType = type.inc_ref().ptr();
   });
   module.def("watch_numbers",
              [](bool on) { setFlag(watchesNumbersHere, watchingThreads, on); });

@@ -1,6 +1,8 @@
 """Fields and arrays as NumPy and other libraries see them, and numbers in NumPy's functions."""
 
+import copy
 import math
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -107,6 +109,19 @@ def test_pictures_of_fields():
         ("~i", "z[ii] = ~i[ii]"),
         ("i & 1", "z[ii] = i[ii] & 1"),
         ("array * 2", "z[i] = x[i] * 2"),
+        ("x == 1", "z[i, j] = x[i, j] == 1"),
+        ("1 == x", "z[i, j] = x[i, j] == 1"),
+        ("x != 0.5", "z[i, j] = x[i, j] != 0.5"),
+        ("x == np.ones((2, 3))", "z[i, j] = x[i, j] == y[i, j]"),
+        ("np.float32(2) == x", "z[i, j] = 2.0 == x[i, j]"),
+        ("y == [1, 2]", "z[i, j] = y[i, j] == x[i, j]"),
+        ("x == x.to_numpy().tolist()", "z[i, j] = x[i, j] == y[i, j]"),
+        ("array != 1", "z[i] = x[i] != 1"),
+        ("loss == 0", "z[None] = loss[None] == 0"),
+        ("vector == 1", "z[i] = vector[i] == 1"),
+        ("vector == ti.Vector([1, 2])", "z[i] = vector[i] == y[i]"),
+        ("struct == 1", "z[i] = struct[i] == 1"),
+        ("1 in [x, 2]", "z[i, j] = x[i, j] == 1"),
     ],
 )
 def test_operators_show_the_kernel_to_write(code, line):
@@ -114,10 +129,67 @@ def test_operators_show_the_kernel_to_write(code, line):
     i = ti.field(ti.i32, shape=4, name="i")
     loss = ti.field(ti.f32, shape=(), name="loss")
     array = ti.ndarray(ti.f32, 3)
-    names = {"x": x, "y": y, "i": i, "loss": loss, "array": array, "np": np}
+    vector = ti.Vector.field(2, ti.f32, shape=3, name="vector")
+    struct = ti.types.struct(pos=Pair, mass=ti.f64).field(shape=3, name="struct")
+    names = {"x": x, "y": y, "i": i, "loss": loss, "array": array, "np": np, "ti": ti}
+    names |= {"vector": vector, "struct": struct}
     with pytest.raises(ti.TaichiRuntimeTypeError, match="no number in Python") as caught:
         eval(code, names)
     assert line in str(caught.value) and "@ti.kernel" in str(caught.value)
+
+
+def test_two_fields_are_equal_if_they_are_the_same():
+    things = [*_everything(), ti.ndarray(ti.f32, 3)]
+    for a in things:
+        for b in things:
+            assert (a == b) is (a is b) and (a != b) is (a is not b)
+        assert a in things and things.index(a) == [b is a for b in things].index(True)
+        assert a != "x" and not a == "x" and a != None and a != object()  # noqa: E711
+        assert a == mock.ANY
+    assert len(set(things)) == len(things) and dict.fromkeys(things, 1)[things[0]] == 1
+    assert copy.copy(things) == things and (things[0], 1) == (things[0], 1)
+
+
+def test_a_field_of_one_number_is_read_by_float():
+    number, whole = ti.field(ti.f64, shape=(), name="number"), ti.field(ti.i32, shape=())
+    array = ti.ndarray(ti.f32, ())
+    number[None], whole[None], array[None] = 1.75, -3, 0.5
+    assert [float(t) for t in (number, whole, array)] == [1.75, -3.0, 0.5]
+    assert [int(t) for t in (number, whole, array)] == [1, -3, 0]
+    assert math.sqrt(number) == math.sqrt(1.75) and type(float(whole)) is float
+    x, v = ti.field(ti.f32, shape=3, name="x"), ti.Vector.field(2, ti.f32, shape=(), name="v")
+    s = ti.types.struct(a=ti.f32).field(shape=(), name="s")
+    refused = ((x, "float(x[i])"), (v, "v[None]"), (ti.ndarray(ti.f32, 1), "float(x[i])"),
+               (s, "s[None]"))  # fmt: skip
+    for thing, hint in refused:
+        for function in (float, int, math.sqrt):
+            with pytest.raises(ti.TaiRuntimeTypeError, match="is no number in Python") as caught:
+                function(thing)
+            assert hint.removeprefix("float") in caught.value.hint.removeprefix("read an element: ")
+    with pytest.raises(ti.TaiRuntimeError, match="is not placed"):
+        float(ti.field(ti.f32))
+
+
+@pytest.mark.parametrize("dt", [ti.f32, ti.f64, ti.i32])
+def test_a_field_is_no_argument_of_a_number(dt):
+    """Its gradient would be lost. The first launch with a number is checked in Python, later ones
+    in C++."""
+    number, x = ti.field(dt, shape=(), name="number"), ti.field(dt, shape=3, name="x")
+
+    @ti.kernel
+    def store(a: dt):
+        for i in x:
+            x[i] = a
+
+    for _ in range(3):
+        for thing in (number, x, ti.ndarray(dt, ())):
+            with pytest.raises(ti.TaiRuntimeTypeError, match="expects a (whole )?number"):
+                store(thing)
+        store(2)
+    for store_to in (lambda v: x.fill(v), lambda v: x.__setitem__(0, v)):
+        with pytest.raises(ti.TaiRuntimeTypeError, match="number"):
+            store_to(number)
+    assert x.to_numpy().tolist() == [2, 2, 2]
 
 
 def test_arrays_fill_fields():

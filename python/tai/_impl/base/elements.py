@@ -15,6 +15,9 @@ _OPERATORS = {
 }  # fmt: skip
 _COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 
+# Numbers of Python, and its lists of numbers. Arrays of all libraries have `__array__`.
+_NUMBERS = (int, float, complex, list, tuple, range)
+
 # Functions of NumPy that stand for these operators.
 _FUNCTIONS = {
     "add": "+", "subtract": "-", "multiply": "*", "divide": "/", "floor_divide": "//",
@@ -29,7 +32,8 @@ class Elements:
     """Storage that kernels and Python read and write element by element: a field or an array.
 
     NumPy takes it as a copy: `np.asarray(x)`, `np.sqrt(x)`, `np.max(x)`. The operators of Python
-    are refused, so that no program computes on the host by mistake.
+    are refused, so that no program computes on the host by mistake. `x == y` of two of them says
+    whether they are the same one, and they are keys of dictionaries.
     """
 
     def suggest_name(self, name: str) -> None:
@@ -101,9 +105,11 @@ class Elements:
         own = f"{name}{index}"
         if isinstance(other, Elements):
             shown = other._shown_name()
-            operand = f"{shown if other is self or shown != name else 'y'}{index}"
+            operand = f"{shown if other is self or shown != name else _another(name)}{index}"
+        elif isinstance(other, (int, float, np.generic)) or np.shape(other) == ():
+            operand = repr(other.item() if hasattr(other, "item") else other)
         else:
-            operand = repr(other) if isinstance(other, (bool, int, float)) else f"y{index}"
+            operand = f"{_another(name)}{index}"
         left, right = (operand, own) if is_swapped else (own, operand)
         self._refuse_expression(symbol, index, f"{left} {symbol} {right}")
 
@@ -119,6 +125,42 @@ class Elements:
             f"compute with {name}.to_numpy(), or with the elements in a kernel:\n"
             f"@ti.kernel\ndef compute():\n{body}",
         )
+
+    def _compare(self, other: Any, symbol: str) -> Any:
+        if isinstance(other, Elements):
+            return (self is other) == (symbol == "==")
+        if isinstance(other, _NUMBERS) or hasattr(other, "__array__"):
+            self._refuse_operator(symbol, other)
+        return NotImplemented
+
+    def __eq__(self, other: Any) -> Any:
+        return self._compare(other, "==")
+
+    def __ne__(self, other: Any) -> Any:
+        return self._compare(other, "!=")
+
+    __hash__ = object.__hash__
+
+    # Numbers
+
+    def _only_number(self, function: str) -> Any:
+        """The number of a field or an array without dimensions, as `x[None]` reads it."""
+        shape: Any = (*self.shape, *self.element_shape)  # type: ignore[attr-defined]
+        if shape == () and not hasattr(self, "members"):
+            return self[None]  # type: ignore[index]
+        example = self._example()
+        raise TaiRuntimeTypeError(
+            f"{self._described()} is no number in Python: its shape is {shape}",
+            "copy all numbers: x.to_numpy()".replace("x", self._shown_name())
+            if example is None
+            else f"read an element: {function}({example})",
+        )
+
+    def __float__(self) -> float:
+        return float(self._only_number("float"))
+
+    def __int__(self) -> int:
+        return int(self._only_number("int"))
 
     def __neg__(self) -> NoReturn:
         index = self._shown_index()
@@ -147,6 +189,17 @@ for _name, _symbol in _OPERATORS.items():
     _define(f"__r{_name}__", _symbol, True)
 for _name, _symbol in _COMPARISONS.items():
     _define(f"__{_name}__", _symbol, False)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value stands for one number. A field or an array does not, though `float(x)`
+    reads one without dimensions."""
+    return not isinstance(value, (str, Elements)) and hasattr(value, "__float__")
+
+
+def _another(name: str) -> str:
+    """A name for another field or array than the one of `name`."""
+    return "y" if name != "y" else "x"
 
 
 def format_numbers(numbers: Any, spec: str) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import TaiError, TaiIndexError, TaiRuntimeTypeError
 from . import pieces
 from .dtypes import DataType, all_types, fit
+from .elements import is_number
 
 # Whole numbers from here on may be too large for a float.
 _FLOAT_LIMIT = 1 << 1000
@@ -135,7 +136,7 @@ def index_error(name: str, key: Any, error: Exception) -> TaiError:
         if part is not None and not hasattr(part, "__index__"):
             return TaiRuntimeTypeError(
                 f"field '{name}': an index is a whole number, not {part!r}",
-                "convert it: int(…)" if hasattr(part, "__float__") else None,
+                "convert it: int(…)" if is_number(part) else None,
             )
     if isinstance(error, TypeError):
         return TaiRuntimeTypeError(f"field '{name}': an index is a whole number: {error}")

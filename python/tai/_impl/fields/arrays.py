@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import TaiIndexError, TaiMemoryError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import dtypes, fitting, pieces, state
-from ..base.elements import Elements
+from ..base.elements import Elements, is_number
 from ..base.keywords import check_keywords, checked
 from ..history import gradients, origins
 from ..values.matrix import Matrix, Vector
@@ -157,7 +157,7 @@ class Ndarray(Elements):
 
     def _stored(self, value: Any) -> Any:
         """Numbers from Python in the type of the array."""
-        if np.ndim(value) == 0 and hasattr(value, "__float__"):
+        if np.ndim(value) == 0 and is_number(value):
             value = value.item() if hasattr(value, "item") else value
             return fitting.stored(value, self.dtype, "the array")
         return fitting.stored_array(np.asarray(value), self.dtype, "the array")

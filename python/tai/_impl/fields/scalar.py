@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import TaiError, TaiRuntimeError, TaiRuntimeTypeError
 from ..base import dtypes, fitting, pieces, state
+from ..base.elements import is_number
 from ..base.keywords import check_keywords
 from ..base.program import get_program
 from ..history import origins
@@ -196,7 +197,7 @@ class ScalarField(Field):
         if state.tape is not None or state.forward:
             origins.check_write(self, value)
         if not isinstance(value, (int, float)):
-            if isinstance(value, str) or not hasattr(value, "__float__"):
+            if not is_number(value):
                 raise TaiRuntimeTypeError(
                     f"field '{self.name}' holds numbers of type {self.dtype}, not {value!r}"
                 )
@@ -247,9 +248,7 @@ class ScalarField(Field):
                 f"{value.shape}",
                 "fill it with a number, or with an array of its shape",
             )
-        if np.ndim(value) or (
-            not isinstance(value, (int, float)) and not hasattr(value, "__float__")
-        ):
+        if np.ndim(value) or (not isinstance(value, (int, float)) and not is_number(value)):
             raise TaiRuntimeTypeError(
                 f"field '{self.name}' is filled by a number of type {self.dtype}, not {value!r}"
             )

@@ -9,6 +9,7 @@ from typing import Any, overload
 
 from ...errors import SHOW_TRACEBACK, TaiAutodiffError, TaiError, TaiSyntaxError, TaiTypeError
 from ..base import compiling, native, state, texts
+from ..base.elements import Elements
 from ..base.modes import check_kernel, float_of
 from ..base.program import get_program
 from ..fields import notebook
@@ -24,6 +25,7 @@ from .specialization import Specialization, Specializations, in_version
 from .struct_results import ResultType
 
 native.set_tracked_type(tracked.Number)
+native.set_elements_type(Elements)
 native.set_ndarray_type(Ndarray)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import TaiRuntimeTypeError
 from ..base import fitting
-from ..base.elements import Elements
+from ..base.elements import Elements, is_number
 
 
 def _hint(parameter: str, dt: Any, value: Any) -> str:
@@ -26,9 +26,7 @@ def _hint(parameter: str, dt: Any, value: Any) -> str:
 def number_slot(kernel: str, parameter: str, dt: Any, value: Any) -> int:
     """A number in the bits of its slot."""
     good = isinstance(value, (bool, int, float, np.generic)) or (
-        not isinstance(value, (str, bytes))
-        and hasattr(value, "__float__")
-        and getattr(value, "ndim", 0) == 0
+        not isinstance(value, bytes) and is_number(value) and getattr(value, "ndim", 0) == 0
     )
     whole = isinstance(value, (bool, int, np.integer, np.bool_))
     if not good or (not dt.is_float and not whole):
