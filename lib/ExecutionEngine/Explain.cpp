@@ -18,6 +18,7 @@
 #include "tai/ExecutionEngine/ModuleFile.h"
 #include "tai/Support/Places.h"
 #include "llvm/ADT/SetVector.h"
+#include "llvm/ADT/StringSet.h"
 #include "llvm/Support/MathExtras.h"
 #include "llvm/Support/Path.h"
 
@@ -217,10 +218,31 @@ static void describeUpdates(llvm::raw_ostream &os,
   }
 }
 
+/// Whether the iterations that own an element make all additions to it. The
+/// versions of a loop may have a line each.
+static void describeGathers(llvm::raw_ostream &os, StringRef where,
+                            ArrayRef<KeptRemark> remarks) {
+  llvm::StringSet<> lines;
+  for (const KeptRemark &remark : remarks) {
+    if (remark.category != "tai-gathers")
+      continue;
+    std::string line = llvm::formatv("{0} at {1}: additions to {2} are {3}",
+                                     where, formatPlace(remark.location),
+                                     remark.get("Field"), remark.name);
+    if (StringRef reason = remark.get("Reason"); !reason.empty())
+      line += (": " + reason).str();
+    if (StringRef at = remark.get("Line"); !at.empty())
+      line += (" (line " + at + ")").str();
+    if (lines.insert(line).second)
+      os << "  " << line << '\n';
+  }
+}
+
 std::string mlir::tai::explainKernel(ModuleOp module, StringRef name,
                                      bool onDevice,
                                      ArrayRef<KeptRemark> remarks,
-                                     ArrayRef<KeptRemark> lowering) {
+                                     ArrayRef<KeptRemark> lowering,
+                                     ArrayRef<KeptRemark> gradient) {
   std::string text;
   llvm::raw_string_ostream os(text);
   os << "kernel '" << name << "'\n";
@@ -228,6 +250,8 @@ std::string mlir::tai::explainKernel(ModuleOp module, StringRef name,
   if (kernel)
     describeLoops(os, kernel, onDevice);
   describeUpdates(os, lowering);
+  describeGathers(os, "kernel", lowering);
+  describeGathers(os, "gradient", gradient);
   KernelOp adjoint;
   if (kernel && kernel.getAdjointAttr())
     adjoint = module.lookupSymbol<KernelOp>(kernel.getAdjointAttr());

@@ -153,6 +153,11 @@ static bool alwaysZeroes(const std::vector<runtime::Access> &summary) {
   return false;
 }
 
+Goal KernelCode::getTapeGoal(const runtime::Kernel &kernel) const {
+  bool zeroes = !getKernel().getAdjoint() && alwaysZeroes(kernel.summary());
+  return CompileRequest::getAdjointGoal(zeroes, /*stored=*/true);
+}
+
 LogicalResult KernelCode::prepareAdjoint(Failure &failure, bool claims) {
   if (prepared)
     return success();

@@ -313,7 +313,13 @@ FailureOr<std::string> Session::explain(SessionKernel &kernel) {
   RemarkScope lowering;
   if (failed(getIR(kernel, "scf")))
     return failure();
+  // A kernel without a gradient has no remarks on one.
+  RemarkScope gradient;
+  CompileRequest::Goal goal = kernel.code->getTapeGoal(*kernel.kernel);
+  (void)compiler->print(kernel.code->getRequest(goal), "scf",
+                        kernel.code->getOptions(), reason);
   return explainKernel(*module, kernel.code->getName(),
                        kernel.code->getOptions().device.has_value(),
-                       scope.getRemarks(), lowering.getRemarks());
+                       scope.getRemarks(), lowering.getRemarks(),
+                       gradient.getRemarks());
 }

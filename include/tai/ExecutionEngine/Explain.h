@@ -42,11 +42,12 @@ private:
 
 /// A text on how kernel `name` runs its loops and does its updates, and how its
 /// gradient handles loops and branches and which memory it accesses. `module`
-/// holds the adjoint; `remarks` come from differentiation, and `lowering` from
-/// the kernel's lowering.
+/// holds the adjoint; the remarks are those of differentiation, of the kernel's
+/// lowering, and of the lowering of its gradient.
 std::string explainKernel(ModuleOp module, StringRef name, bool onDevice,
                           ArrayRef<KeptRemark> remarks,
-                          ArrayRef<KeptRemark> lowering);
+                          ArrayRef<KeptRemark> lowering,
+                          ArrayRef<KeptRemark> gradient);
 
 } // namespace mlir::tai
 

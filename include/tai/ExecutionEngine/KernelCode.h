@@ -107,6 +107,9 @@ public:
   /// The request that compiles a variant of the kernel.
   CompileRequest getRequest(CompileRequest::Goal goal,
                             bool forward = false) const;
+  /// The variant of the adjoint that a tape launches for the kernel unless
+  /// launches before it need another one.
+  CompileRequest::Goal getTapeGoal(const runtime::Kernel &kernel) const;
 
   //===--------------------------------------------------------------------===//
   // KernelProvider

@@ -31,11 +31,14 @@
 #include "Scatters.h"
 #include "mlir/Dialect/Arith/IR/Arith.h"
 #include "mlir/IR/IRMapping.h"
+#include "mlir/IR/Remarks.h"
+#include "mlir/Interfaces/FunctionInterfaces.h"
 #include "mlir/Transforms/RegionUtils.h"
 #include "tai/Analysis/Accesses.h"
 #include "tai/Analysis/IndexBounds.h"
 #include "tai/Analysis/Reductions/ReductionPlan.h"
 #include "tai/Support/BoundsMode.h"
+#include "tai/Support/Places.h"
 #include "tai/Transforms/Passes.h"
 
 namespace mlir::tai {
@@ -486,6 +489,25 @@ static int64_t getReach(const FieldLayout &visited, ArrayRef<Group> groups) {
   return reach;
 }
 
+/// Says in a remark that the additions at `op` are gathered, or why not.
+static void report(AtomicOp op, const GatherRefusal *why) {
+  if (!op.getContext()->getRemarkEngine() || (why && why->isSum))
+    return;
+  auto function = op->getParentOfType<FunctionOpInterface>();
+  auto options = remark::RemarkOpts::name(why ? "scattered" : "gathered")
+                     .category("tai-gathers")
+                     .function(function ? function.getName() : "");
+  auto remark = why ? remark::missed(op.getLoc(), options)
+                    : remark::passed(op.getLoc(), options);
+  remark << remark::metric("Field", op.getField().str());
+  if (!why)
+    return;
+  remark << remark::metric("Reason", why->reason);
+  if (FileLineColLoc place =
+          why->at ? findFileLocation(why->at->getLoc()) : FileLineColLoc())
+    remark << remark::metric("Line", std::to_string(place.getLine()));
+}
+
 namespace {
 struct GatherOptions {
   unsigned maxOps;
@@ -529,17 +551,27 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
         lookupField(atomics.front(), atomics.front().getFieldAttr());
     Type number = getElementTypeOrSelf(atomics.front().getValue().getType());
     TermSum kind = planGatheredSum(box.loop, number, options.pairSums);
-    if (kind == TermSum::Unavailable)
+    GatherRefusal why;
+    if (kind == TermSum::Unavailable) {
+      why.set(atomics.front(), "a GPU adds f64 and their rounding errors "
+                               "atomically");
+      report(atomics.front(), &why);
       continue;
+    }
     LoopMemory memory(box.loop);
     const void *added = storage;
     bool needsLaterHere = false;
-    SmallVector<Group> groups =
-        getGroups(field, box, atomics, owned, options.maxOps, [&](LoadOp load) {
+    SmallVector<Group> groups = getGroups(
+        field, box, atomics, owned, options.maxOps,
+        [&](LoadOp load) {
           return memory.isStable(load, added, stores, needsLaterHere);
-        });
-    if (groups.empty() || !isOnlyAccess(field, box, groups))
+        },
+        why);
+    if (groups.empty() || !isOnlyAccess(field, box, groups, why)) {
+      report(atomics.front(), &why);
       continue;
+    }
+    report(atomics.front(), nullptr);
     needsLater |= needsLaterHere;
     if (succeeded(visited) && reach >= 0) {
       int64_t here = getReach(*visited, groups);
@@ -560,6 +592,17 @@ static bool gatherLoop(LoopBox &box, const GatherOptions &options) {
     for (Operation *store : stores)
       store->erase();
   return changed;
+}
+
+/// Reports all additions of a loop that is left alone.
+static void reportAll(ParallelForOp loop, StringRef reason) {
+  GatherRefusal why;
+  why.set(loop, reason);
+  llvm::SmallPtrSet<const void *, 4> reported;
+  loop.walk([&](AtomicOp op) {
+    if (!op.getExclusive() && reported.insert(getStorageKey(op)).second)
+      report(op, &why);
+  });
 }
 
 /// Gathers in a loop over active cells. A branch keeps the scatter for launches
@@ -589,9 +632,14 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
     getOperation()->walk([&](ParallelForOp loop) { loops.push_back(loop); });
     for (ParallelForOp loop : loops) {
       std::optional<LoopBox> box = getIndexBox(loop);
-      if (!box || loop.getInductionVars().empty() || loop.getInOrder() ||
-          checksIndices(loop))
+      if (loop.getInductionVars().empty() || checksIndices(loop))
         continue;
+      if (!box || loop.getInOrder()) {
+        reportAll(loop, box ? "iterations may meet in memory, and one thread "
+                              "runs them in order"
+                            : "the bounds of the loop are known at run time");
+        continue;
+      }
       GatherOptions options{maxOps, pairSums, /*movesStores=*/false};
       if (failed(getSparseLoopField(loop))) {
         // Threads of a GPU add quickly in any order, and a second loop is a
@@ -601,6 +649,8 @@ struct ScatterToGather : tai::impl::ScatterToGatherBase<ScatterToGather> {
       } else if (keepsActivity(loop) &&
                  !loop->getParentOfType<ParallelForOp>()) {
         gatherSparseLoop(loop, *box, options);
+      } else {
+        reportAll(loop, "the loop may miss active cells of the field");
       }
     }
   }

@@ -61,41 +61,47 @@ static std::optional<IndexSource> getIndexSource(Value index, Value iv,
 
 /// Describes `op` as a gatherable addition, if it is one.
 static std::optional<Scatter> getScatter(AtomicOp op, LoopBox &box,
-                                         const FieldLayout &layout) {
+                                         const FieldLayout &layout,
+                                         GatherRefusal &why) {
+  auto refuse = [&](const Twine &reason) {
+    why.set(op, reason);
+    return std::nullopt;
+  };
   if (op.getKind() != AtomicKind::Add || !op.getOld().use_empty() ||
       !isa<FloatType>(getElementTypeOrSelf(op.getValue().getType())))
-    return std::nullopt;
-  std::optional<SmallVector<scf::IfOp>> conditions = getConditions(op, box);
-  if (!conditions)
-    return std::nullopt;
-  Scatter scatter{op, std::move(*conditions), {}, {}, {}};
-
+    return refuse("an update is not a plain sum of floats");
   Region &scope = box.loop.getBody();
   SmallVector<int> dimensionOf(box.ivs().size(), -1);
   for (auto [dimension, index] : llvm::enumerate(op.getIndices())) {
     SmallVector<Value> variables;
     if (!collectIndexVariables(index, scope, variables))
-      return std::nullopt;
+      return refuse("an index comes from data");
     if (variables.empty())
       continue;
     std::optional<unsigned> k = box.find(variables.front());
     // Two dimensions of one variable are a diagonal, which has no owner.
     if (variables.size() > 1 || !k || dimensionOf[*k] >= 0)
-      return std::nullopt;
+      return refuse("an index has more than one loop index, or two indices "
+                    "have the same one");
     dimensionOf[*k] = dimension;
   }
+  why.isSum = llvm::all_of(dimensionOf, [](int d) { return d < 0; });
+  std::optional<SmallVector<scf::IfOp>> conditions = getConditions(op, box);
+  if (!conditions)
+    return refuse("an addition is in a serial loop that was not unrolled");
+  Scatter scatter{op, std::move(*conditions), {}, {}, {}};
   for (auto [k, iv] : llvm::enumerate(box.ivs())) {
     int dimension = dimensionOf[k];
     // If no index depends on `iv`, all its values add to one element.
     if (dimension < 0)
-      return std::nullopt;
+      return refuse("iterations along an index of the loop add to one element");
     scatter.owned.lower.push_back(layout.offset[dimension]);
     scatter.owned.upper.push_back(layout.offset[dimension] +
                                   layout.shape[dimension]);
     std::optional<IndexSource> source = getIndexSource(
         op.getIndices()[dimension], iv, box.lower[k], box.upper[k]);
     if (!source)
-      return std::nullopt;
+      return refuse("an index is no shift of a loop index");
     scatter.dimension.push_back(dimension);
     scatter.source.push_back(std::move(*source));
   }
@@ -174,32 +180,58 @@ static bool canOwn(LoopBox &box, const Owned &wanted) {
   return inField <= 2 * inLoop;
 }
 
-SmallVector<Group> tai::getGroups(FieldOp field, LoopBox &box,
-                                  ArrayRef<AtomicOp> atomics,
-                                  const std::optional<Owned> &owned,
-                                  unsigned maxOps,
-                                  llvm::function_ref<bool(LoadOp)> isStable) {
+SmallVector<Group>
+tai::getGroups(FieldOp field, LoopBox &box, ArrayRef<AtomicOp> atomics,
+               const std::optional<Owned> &owned, unsigned maxOps,
+               llvm::function_ref<bool(LoadOp)> isStable, GatherRefusal &why) {
+  auto refuse = [&](Operation *op, const Twine &reason) {
+    why.set(op, reason);
+    return SmallVector<Group>();
+  };
+  // Names the read that cannot be done again, if there is one.
+  auto canRepeat = [&](Value value, llvm::SmallDenseSet<Operation *> &seen) {
+    return canRecompute(
+        value, box,
+        [&](LoadOp load) {
+          if (isStable(load))
+            return true;
+          why.set(load, Twine("'") + load.getField() +
+                            "' is both read and written by the loop");
+          return false;
+        },
+        seen);
+  };
+  auto refuseToRepeat = [&](AtomicOp op) {
+    if (!why.at)
+      why.set(op, "a value cannot be computed twice");
+    return SmallVector<Group>();
+  };
+  why = {};
   FailureOr<FieldLayout> layout = getFieldLayout(field);
   if (failed(layout) || !ownsAllActive(box, *layout))
-    return {};
+    return refuse(box.loop, "the loop may miss active cells of the field");
 
   SmallVector<Group> groups;
   unsigned ops = 0;
   for (AtomicOp op : atomics) {
     std::optional<int64_t> component =
         getComponent(op.getComponents(), field.getType());
-    std::optional<Scatter> scatter = getScatter(op, box, *layout);
+    std::optional<Scatter> scatter = getScatter(op, box, *layout, why);
     llvm::SmallDenseSet<Operation *> recomputed;
-    if (!scatter || !component ||
-        !canRecompute(op.getValue(), box, isStable, recomputed))
+    if (!scatter)
       return {};
+    if (!component)
+      return refuse(op, "a component is chosen at run time");
+    if (!canRepeat(op.getValue(), recomputed))
+      return refuseToRepeat(op);
     if (owned ? *owned != scatter->owned : !canOwn(box, scatter->owned))
-      return {};
+      return refuse(op, "the loop covers less than half of the field, or "
+                        "fields of several sizes");
     if (!groups.empty() && groups.front().front().owned != scatter->owned)
-      return {};
+      return refuse(op, "parts of the field of several sizes are added to");
     for (scf::IfOp condition : scatter->conditions)
-      if (!canRecompute(condition.getCondition(), box, isStable, recomputed))
-        return {};
+      if (!canRepeat(condition.getCondition(), recomputed))
+        return refuseToRepeat(op);
     ops += recomputed.size() * scatter->getNumTerms();
     // The addition joins the group of its slice, and must not conflict with any
     // other group.
@@ -215,19 +247,22 @@ SmallVector<Group> tai::getGroups(FieldOp field, LoopBox &box,
         continue;
       }
       if (!isApart(first, op.getIndices(), component))
-        return {};
+        return refuse(op, "two slices that are added to may be the same");
     }
     if (!home)
       home = &groups.emplace_back();
     home->push_back(std::move(*scatter));
   }
   if (ops > maxOps)
-    return {};
+    return refuse(atomics.front(), Twine(ops) +
+                                       " operations would be done again, more "
+                                       "than " +
+                                       Twine(maxOps));
   return groups;
 }
 
 bool tai::isOnlyAccess(FieldOp field, LoopBox &box,
-                       MutableArrayRef<Group> groups) {
+                       MutableArrayRef<Group> groups, GatherRefusal &why) {
   const void *storage = getStorageKey(groups.front().front().op);
   WalkResult result = box.loop.getBody().walk([&](Operation *op) {
     ValueRange indices, components;
@@ -237,18 +272,21 @@ bool tai::isOnlyAccess(FieldOp field, LoopBox &box,
     } else if (auto store = dyn_cast<StoreOp>(op)) {
       indices = store.getIndices();
       components = store.getComponents();
+    } else if (isa<ActivateOp, DeactivateOp, AppendOp>(op)) {
+      why.set(op, "the loop changes which cells are active");
+      return WalkResult::interrupt();
     } else {
-      return isa<ActivateOp, DeactivateOp, AppendOp>(op)
-                 ? WalkResult::interrupt()
-                 : WalkResult::advance();
+      return WalkResult::advance();
     }
     if (getStorageKey(op) != storage)
       return WalkResult::advance();
     std::optional<int64_t> component =
         getComponent(components, field.getType());
     for (Group &group : groups)
-      if (!isApart(group.front(), indices, component))
+      if (!isApart(group.front(), indices, component)) {
+        why.set(op, "the loop has other accesses to the elements");
         return WalkResult::interrupt();
+      }
     return WalkResult::advance();
   });
   return !result.wasInterrupted();

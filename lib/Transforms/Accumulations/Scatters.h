@@ -71,20 +71,37 @@ struct Scatter {
 /// Additions to one slice of a field.
 using Group = SmallVector<Scatter, 0>;
 
+/// Why additions stay scattered, in words for the author of the program.
+struct GatherRefusal {
+  /// The op that decided.
+  Operation *at = nullptr;
+  std::string reason;
+  /// Whether all iterations add to one element: a sum, which is no scatter.
+  bool isSum = false;
+
+  void set(Operation *op, const Twine &why) {
+    at = op;
+    reason = why.str();
+  }
+};
+
 /// The field that a loop over active cells visits, if it is one.
 FailureOr<FieldLayout> getSparseLoopField(ParallelForOp loop);
 
 /// Groups the additions to one field by slice and component. Empty if one of
 /// them cannot be gathered, or may conflict with another access. `owned` are
 /// the elements that the loop has been extended to, if it has been. `isStable`
-/// tells which reads may be repeated.
+/// tells which reads may be repeated. `why` gets the reason if the result is
+/// empty.
 SmallVector<Group> getGroups(FieldOp field, LoopBox &box,
                              ArrayRef<AtomicOp> atomics,
                              const std::optional<Owned> &owned, unsigned maxOps,
-                             llvm::function_ref<bool(LoadOp)> isStable);
+                             llvm::function_ref<bool(LoadOp)> isStable,
+                             GatherRefusal &why);
 
 /// True if nothing else in the loop may touch the elements of the groups.
-bool isOnlyAccess(FieldOp field, LoopBox &box, MutableArrayRef<Group> groups);
+bool isOnlyAccess(FieldOp field, LoopBox &box, MutableArrayRef<Group> groups,
+                  GatherRefusal &why);
 
 } // namespace mlir::tai
 

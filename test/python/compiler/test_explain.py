@@ -174,3 +174,37 @@ def test_one_thread_of_a_gpu():
     assert "one thread runs it, on a GPU many times slower than a core of the CPU" in serial
     assert "use arch=ti.cpu" in serial
     assert "64 iterations; so few threads, each with a serial loop" in short
+
+
+def test_gathers_and_scatters():
+    """The gradient says for each field why its additions are scattered, with the line."""
+    ti.init(offline_cache=False)
+    n = 3000
+    x, y, z = (ti.field(ti.f32, n, needs_grad=True, name=name) for name in "xyz")
+    at = ti.field(ti.i32, n, name="at")
+
+    @ti.kernel
+    def gathered():
+        for i in range(n):
+            y[i] = x[(i + 1) % n] - x[i]  # shifts
+
+    @ti.kernel
+    def scattered():
+        for i in range(n):
+            z[i] = x[at[i]]  # data
+
+    @ti.kernel
+    def short(m: ti.i32):
+        for i in range(m):  # bounds
+            y[i] = x[i + 1] - x[i]
+
+    def where(kernel, mark):
+        return f"gradient at test_explain.py:{line_of(kernel, mark)}: additions to x_grad are "
+
+    assert where(gathered, "# shifts") + "gathered\n" in gathered.explain()
+    line = line_of(scattered, "# data")
+    reason = f"scattered: an index comes from data (line {line})\n"
+    assert where(scattered, "# data") + reason in scattered.explain()
+    text = short.explain(n - 1)
+    assert "scattered: the bounds of the loop are known at run time" in text
+    assert f"(line {line_of(short, '# bounds')})" in text

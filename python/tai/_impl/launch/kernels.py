@@ -187,7 +187,10 @@ class Kernel(native.Launcher):
         """Describes the sums and the gradient of the kernel in words.
 
         For each update in a parallel loop: its form, the digits of the sum and the order of its
-        terms (see docs/guides/precision.md), or why it stays atomic. The gradient has for each
+        terms (see docs/guides/precision.md), or why it stays atomic. For each field to which the
+        iterations of a loop add at the elements of others, as gradients of stencils do: whether
+        one iteration gathers all additions to its element, or the condition that failed and its
+        line. The gradient has for each
         serial loop: the number of its iterations, the values saved of them, and the class
         of each value that it carries from one to the next: *linear*, of a *closed form*,
         *invertible* or a *trajectory* (see docs/guides/loops.md). For each branch: whether it was
