@@ -492,6 +492,7 @@ struct Scalarize : tai::impl::ScalarizeBase<Scalarize> {
       if (function.isExternal() || !isa<KernelOp, func::FuncOp>(function) ||
           !isTaiCode(function))
         return WalkResult::skip();
+      compareSquares(function);
       bool done = succeeded(expandAppends(function)) &&
                   succeeded(Scalarizer(function).run());
       return done ? WalkResult::skip() : WalkResult::interrupt();

@@ -54,6 +54,10 @@ private:
   SmallVector<BlockArgument> deadArguments;
 };
 
+/// Compares the squares of norms and roots with constants, where that has the
+/// same results.
+void compareSquares(FunctionOpInterface function);
+
 /// Expands an op of the vector dialect; nullopt if it is not supported.
 std::optional<LogicalResult> expandVectorOp(Operation *op,
                                             Scalarizer &scalarizer);
