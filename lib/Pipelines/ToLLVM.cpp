@@ -22,6 +22,12 @@ void tai::buildToLLVMPasses(OpPassManager &pm, const ToLLVMOptions &options) {
   addSourcePasses(pm, options, options.oneThread);
 
   addPerFunction(pm, [&](OpPassManager &function) {
+    if (fast) {
+      function.addPass(createVersionExtents());
+      function.addPass(createUnrollStencils());
+      // Versions whose iterations cannot meet need no order.
+      function.addPass(createVersionSlots());
+    }
     if (options.oneThread)
       function.addPass(createKeepOrder());
     if (fast) {

@@ -10,6 +10,7 @@
 
 include "mlir/Pass/PassBase.td"
 include "tai/Transforms/Checks.td"
+include "tai/Transforms/Versions.td"
 
 def EliminateLocals : Pass<"tai-eliminate-locals"> {
   let summary = "turn mutable local variables into values";

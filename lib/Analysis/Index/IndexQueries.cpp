@@ -70,12 +70,21 @@ bool IndexDifference::canBeZero(unsigned width) const {
          constant % static_cast<__int128>(divisor) == 0;
 }
 
+/// The most unknowns in a difference whose ranges are computed.
+static constexpr size_t kMostUnknowns = 2;
+
 bool mlir::tai::areDistinct(const IndexExpr &lhs, const IndexExpr &rhs) {
   IndexExpr difference = lhs;
   difference.add(rhs, -1);
+  // Many pairs are compared, and few have ranges that tell them apart.
+  if (difference.terms.size() > kMostUnknowns)
+    return false;
+  IndexBuilder builder;
   IndexDifference form;
   form.addConstant(difference.constant);
-  return difference.isConstant() && !form.canBeZero(difference.width);
+  for (const auto &[atom, factor] : difference.terms)
+    form.addUnknown(factor, builder.getRange(atom));
+  return !form.canBeZero(difference.width);
 }
 
 //===----------------------------------------------------------------------===//

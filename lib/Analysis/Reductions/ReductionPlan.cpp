@@ -760,6 +760,8 @@ bool tai::hasFixedBits(Operation *op) {
   return Modes::of(op).isDeterministic();
 }
 
+bool tai::hasCommonOrder(Operation *op) { return Modes::of(op).hasOneOrder(); }
+
 TermSum tai::planGatheredSum(ParallelForOp loop, Type scalar, bool pairs) {
   if (!Modes::of(loop).isCompensated())
     return TermSum::Plain;

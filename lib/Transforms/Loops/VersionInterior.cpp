@@ -45,6 +45,37 @@ struct Interior {
 };
 } // namespace
 
+/// Whether `value` depends on `iv` and on no other index of the loop.
+static bool dependsOnlyOn(Value value, LoopBox &box, Value iv) {
+  SmallVector<Value> variables;
+  return collectIndexVariables(value, box.loop.getBody(), variables) &&
+         variables.size() == 1 && variables.front() == iv;
+}
+
+/// Makes the choice between two indices, at a border that cuts indices off, a
+/// condition as others are.
+static void expandExtrema(LoopBox &box, Value iv) {
+  SmallVector<Operation *> extrema;
+  box.loop.getBody().walk([&](Operation *op) {
+    if (isa<arith::MinSIOp, arith::MaxSIOp>(op) &&
+        dependsOnlyOn(op->getResult(0), box, iv))
+      extrema.push_back(op);
+  });
+  for (Operation *op : extrema) {
+    OpBuilder builder(op);
+    Value first = op->getOperand(0), second = op->getOperand(1);
+    Value isFirst = arith::CmpIOp::create(builder, op->getLoc(),
+                                          isa<arith::MinSIOp>(op)
+                                              ? arith::CmpIPredicate::slt
+                                              : arith::CmpIPredicate::sgt,
+                                          first, second);
+    Value chosen =
+        arith::SelectOp::create(builder, op->getLoc(), isFirst, first, second);
+    op->getResult(0).replaceAllUsesWith(chosen);
+    op->erase();
+  }
+}
+
 /// The truth values in the body that depend on `iv` and nothing else.
 static SmallVector<Value> collectConditions(LoopBox &box, Value iv) {
   SmallVector<Value> conditions;
@@ -52,9 +83,7 @@ static SmallVector<Value> collectConditions(LoopBox &box, Value iv) {
     for (Value result : op->getResults()) {
       if (!result.getType().isInteger(1) || matchPattern(result, m_Constant()))
         continue;
-      SmallVector<Value> variables;
-      if (collectIndexVariables(result, box.loop.getBody(), variables) &&
-          variables.size() == 1 && variables.front() == iv)
+      if (dependsOnlyOn(result, box, iv))
         conditions.push_back(result);
     }
   });
@@ -81,6 +110,7 @@ static std::optional<Interior> findInterior(LoopBox &box, int64_t minLength) {
   int64_t length = box.upper[last] - box.lower[last];
   if (length < minLength)
     return std::nullopt;
+  expandExtrema(box, iv);
   Interior interior{box.lower[last], box.upper[last], {}};
   for (Value condition : collectConditions(box, iv))
     if (!narrow(interior, condition, iv))

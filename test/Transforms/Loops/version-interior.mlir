@@ -61,3 +61,23 @@ tai.kernel @halves() {
   }
   tai.return
 }
+
+// A border that cuts indices off is a condition, too.
+// CHECK-LABEL: tai.kernel @clamped(
+//       CHECK:   scf.if
+//       CHECK:   } else {
+//       CHECK:     arith.cmpi slt
+//       CHECK:     arith.select
+//   CHECK-NOT:   arith.minsi
+//       CHECK:   tai.return
+tai.kernel @clamped() {
+  %c1 = arith.constant 1 : index
+  %c63 = arith.constant 63 : index
+  tai.parallel_for (%i, %j) in @x {
+    %up = arith.addi %j, %c1 : index
+    %at = arith.minsi %up, %c63 : index
+    %0 = tai.load @x[%i, %at] : f32
+    tai.store %0, @y[%i, %j] : f32
+  }
+  tai.return
+}

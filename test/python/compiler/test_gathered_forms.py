@@ -234,6 +234,60 @@ def test_slots(n, source, target, start):
     check_step(step, x, inner_taps(n), (source, target), source, target)
 
 
+@pytest.mark.parametrize(("source", "target"), [(0, 2), (2, 1)])
+@pytest.mark.parametrize("n", LENGTHS)
+def test_slots_of_one_neighbour(n, source, target, start):
+    """The only element that an iteration reads is that of another one."""
+    x = ti.field(ti.f32, (3, n), needs_grad=True)
+
+    @ti.kernel
+    def step(a: ti.i32, b: ti.i32):
+        for i in range(n - 1):
+            x[b, i] = 2 * x[a, i + 1]
+
+    i = np.arange(n - 1)
+    check_step(step, x, [(i, i + 1, 2.0)], (source, target), source, target)
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize("layout", [None, ti.Layout.SOA])
+@pytest.mark.parametrize("n", [1, 7, 65_537])
+def test_slots_of_vectors(n, layout, precision, start):
+    extra = {} if layout is None else {"layout": layout}
+    kind = getattr(ti, precision)
+    x = ti.Vector.field(2, kind, shape=(3, n), needs_grad=True, **extra)
+
+    @ti.kernel
+    def step(a: ti.i32, b: ti.i32):
+        for i in range(n - 1):
+            x[b, i] = x[a, i + 1] - x[a, i]
+
+    for source, target in ((0, 2), (2, 1), (1, 0)):
+        check_step(step, x, inner_taps(n), (source, target), source, target)
+
+
+@pytest.mark.parametrize("used", [0, 1, 2, 999, 1000])
+def test_parts_of_a_field(used, start):
+    """Bounds and periods that are the size of the field in some launches, and less in others."""
+    x, y = (ti.field(ti.f32, 1000, needs_grad=True) for _ in range(2))
+
+    @ti.kernel
+    def step(m: ti.i32):
+        for i in range(m):
+            y[i] = x[(i + 1) % m] - 2 * x[ti.max(i - 1, 0)]
+
+    (before, y_before), (x_bar, y_bar) = filled(x, y)
+    i = np.arange(used)
+    taps = [(i, (i + 1) % max(used, 1), 1.0), (i, np.maximum(i - 1, 0), -2.0)]
+    step(used)
+    y_before[:used] = weighed(before, taps)[:used]
+    np.testing.assert_array_equal(y.to_numpy(), y_before)
+    step.grad(used)
+    taken = np.where(np.arange(1000) < used, y_bar, 0)
+    np.testing.assert_array_equal(x.grad.to_numpy(), x_bar + transposed(taken, taps))
+    np.testing.assert_array_equal(y.grad.to_numpy(), y_bar - taken)
+
+
 def test_equal_slots():
     """The same kernel where both slots are one, as far as iterations do not meet."""
     ti.init(cpu_max_num_threads=2)

@@ -150,6 +150,26 @@ TEST_F(IndexExprTest, AgreeWithEnumeration) {
   EXPECT_GT(evaluated, 10000);
 }
 
+// A difference that is a multiple of a number, or at least one, is not zero.
+TEST_F(IndexExprTest, RangesTellApart) {
+  start(0, 4, 0, 4);
+  auto index = [&](Value value) -> Value {
+    return arith::IndexCastOp::create(b, b.getIndexType(), value);
+  };
+  Value x = index(arguments[1]), y = index(arguments[2]);
+  Value distance = arith::SubIOp::create(b, y, x);
+  Value one = constant(1, b.getIndexType());
+  Value far =
+      arith::AddIOp::create(b, x, arith::MaxSIOp::create(b, distance, one));
+  EXPECT_TRUE(areDistinct(getIndexExpr(far), getIndexExpr(x)));
+  EXPECT_FALSE(areDistinct(getIndexExpr(far), getIndexExpr(y)));
+  EXPECT_FALSE(areDistinct(getIndexExpr(x), getIndexExpr(y)));
+  Value two = constant(2, b.getIndexType());
+  Value even = arith::MulIOp::create(b, x, two);
+  Value odd = arith::AddIOp::create(b, arith::MulIOp::create(b, y, two), one);
+  EXPECT_TRUE(areDistinct(getIndexExpr(even), getIndexExpr(odd)));
+}
+
 // Numbers of 128 bits are unknown; their low bits are used.
 TEST_F(IndexExprTest, LowBitsOfWideNumbers) {
   start(0, 4, 0, 4);

@@ -55,6 +55,9 @@ struct ReductionPlan {
 /// depend neither on the number of threads nor on timing.
 bool hasFixedBits(Operation *op);
 
+/// Whether its sums have, besides, the order that all targets share.
+bool hasCommonOrder(Operation *op);
+
 /// How a kernel adds up several terms of one iteration.
 enum class TermSum { Plain, WithErrors, Unavailable };
 
