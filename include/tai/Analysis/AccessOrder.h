@@ -40,7 +40,7 @@ public:
 
 private:
   llvm::MapVector<const void *, Accesses> storages;
-  /// Accesses that are not reads.
+  /// The accesses of the function that write or update memory, by storage.
   llvm::DenseMap<const void *, Accesses> writes;
 };
 

@@ -26,8 +26,8 @@ class FieldOp;
 /// the same iteration of the loops around them.
 bool areProvablyEqual(ValueRange lhs, ValueRange rhs);
 
-/// True if the values certainly differ, in the same iteration, in at least one
-/// position.
+/// True if the index lists `lhs` and `rhs`, evaluated in the same iteration of
+/// the loops around them, certainly differ in at least one position.
 bool areProvablyDistinct(ValueRange lhs, ValueRange rhs);
 
 /// True if no two iterations of parallel loops reach the same element by any of
@@ -54,7 +54,6 @@ AffineMap getAffineMap(Operation *access, ValueRange indices);
 /// A key for the storage that an access reaches; equal for all `tai.field` ops
 /// of one place.
 const void *getStorageKey(Operation *op);
-/// The key of the storage of `field`, see getStorageKey.
 const void *getFieldStorageKey(FieldOp field);
 
 /// Marks each `tai.atomic` add or sub as exclusive where no other iteration of

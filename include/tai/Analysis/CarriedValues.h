@@ -23,27 +23,32 @@ namespace mlir::tai {
 
 /// How the value at the start of an iteration is recovered in reverse.
 enum class CarriedKind {
-  /// A formula of the iteration number.
+  /// The value at the start of an iteration is a closed formula of the
+  /// iteration number.
   ClosedForm,
-  /// An exact inverse of the step, from the value of the next iteration.
+  /// The value at the start of an iteration follows from the value of the next
+  /// iteration, by an exact inverse of the loop's update of the value.
   Invertible,
-  /// The value must be recorded, or recomputed forward.
+  /// The value cannot be recovered backwards: it must be recorded, or
+  /// recomputed by running the loop forward.
   Trajectory,
 };
 
-/// One step of the update of a carried value: `op` is applied to the value as
-/// its operand number `operand`.
+/// One operation of the update that a loop makes to a carried value: operand
+/// number `operand` of `op` is the value so far.
 struct CarriedStep {
   Operation *op;
   unsigned operand;
-  /// The constant factor of a product; odd, so that the product has an inverse.
+  /// If `op` is a multiplication: its constant factor. The factor is odd, so
+  /// that it has an inverse modulo a power of two.
   std::optional<llvm::APInt> factor = std::nullopt;
 };
 
 struct CarriedValue {
   CarriedKind kind = CarriedKind::Trajectory;
-  /// The steps from this value to the next value of carried value number
-  /// `source`, in program order. Empty for trajectories.
+  /// The operations, in program order, by which the loop computes the next
+  /// value of carried value number `source` from this value. Empty for kind
+  /// Trajectory.
   llvm::SmallVector<CarriedStep> steps;
   unsigned source = 0;
 };

@@ -31,11 +31,12 @@ bool carriesDerivative(OpOperand &operand);
 
 /// The ends of derivative paths: inputs and outputs of differentiation.
 struct DerivativeEnds {
-  /// Whether a storage has an adjoint, or holds tangents.
+  /// Callback: whether a storage has an adjoint (reverse mode) or holds
+  /// tangents (forward mode).
   llvm::function_ref<bool(Storage)> hasDerivative;
-  /// Arguments and results that have a derivative.
+  /// The function's arguments and results that have a derivative.
   ArrayRef<Value> inputs = {}, outputs = {};
-  /// Whether differentiation is in forward mode.
+  /// True in forward mode, false in reverse mode.
   bool isForward = false;
 };
 

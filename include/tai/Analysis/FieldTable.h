@@ -19,7 +19,8 @@
 
 namespace mlir::tai {
 
-/// Attribute of a write to a cell that is known to be active.
+/// Name of the attribute that marks a write to a cell of a sparse level that is
+/// known to be active.
 constexpr llvm::StringLiteral kActiveAttrName = "tai.active";
 
 /// Alias information of an access for LLVM; each may be null: its alias scope,
@@ -28,7 +29,7 @@ struct AliasScopes {
   ArrayAttr own, others, groups;
   /// Alignment of the address in bytes; 0 stands for the alignment of the type.
   unsigned alignment = 0;
-  /// The attribute kDigitsAttrName, or null.
+  /// The value of the access's attribute kDigitsAttrName, or null.
   DenseI64ArrayAttr digits = nullptr;
 };
 
@@ -45,7 +46,7 @@ struct SparseInfo {
   uint64_t activityOffset;
   int64_t capacity; // of a list
 
-  /// A cell, for the methods of the interface.
+  /// Bundles one cell of this sparse level as a CellRef.
   CellRef at(Value tree, Value cell) const {
     return {tree, node, activityOffset, capacity, cell};
   }
@@ -57,11 +58,11 @@ struct FieldInfo {
   FieldStorage storage;
   /// The sparse levels on the path, outermost first.
   SmallVector<SparseInfo> sparse;
-  /// Type of one component, its size in bytes, and the shape of an element
-  /// (empty for a scalar).
+  /// Type of one component of an element, and its size in bytes.
   Type scalarType;
   int64_t scalarSize;
-  /// The offset of the place in a cell of the innermost level, in bytes.
+  /// Offset in bytes of the field's place within a cell of the innermost sparse
+  /// level.
   uint64_t cellOffset = 0;
   SmallVector<int64_t> elementShape;
   int64_t numComponents;
@@ -81,12 +82,13 @@ struct FieldInfo {
 /// uniform stride: element `e` (in storage order) of the remaining digits is at
 /// base + e * cellStride.
 struct FieldSlice {
-  /// For each dimension, whether its index is fixed.
+  /// For each dimension of the field: whether the slice fixes its index.
   SmallVector<bool> fixed;
   int64_t cellStride; // bytes
   int64_t numCells;
-  /// Weight of each digit of the free dimensions, in cells; parallel to
-  /// FieldInfo::storage.digits, 0 for digits of fixed dimensions.
+  /// For each digit of the field's indices, in the order of
+  /// FieldInfo::storage.digits: its stride in the slice, in cells. 0 for digits
+  /// of fixed dimensions.
   SmallVector<int64_t> digitCells;
 };
 
@@ -105,11 +107,12 @@ public:
   static std::optional<FieldSlice> getSlice(const FieldInfo &field,
                                             ArrayRef<bool> fixed);
 
-  /// The scopes for an access to a place, given all places looked up so far.
+  /// The alias scopes for an access to `field`. The noalias scopes are the
+  /// scopes of all places that this table has looked up so far.
   AliasScopes getScopes(const FieldInfo &field);
 
-  /// The scopes for an access to an array argument. Arrays may alias each
-  /// other, but no field.
+  /// The alias scopes for an access to an array argument of a kernel. Arrays
+  /// may alias each other, but never a field.
   AliasScopes getArrayScopes();
 
 private:

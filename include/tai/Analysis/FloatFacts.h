@@ -27,7 +27,7 @@ namespace mlir::tai {
 
 class FloatFacts {
 public:
-  /// Bounds of every component that is not NaN.
+  /// Bounds of a float value: every component that is not NaN lies within them.
   struct Interval {
     double low, high;
   };
@@ -37,17 +37,17 @@ public:
   explicit FloatFacts(bool usesConditions = false)
       : usesConditions(usesConditions) {}
 
-  /// False if the value is finite for all finite inputs.
+  /// False if `value` is proven to be finite for all finite inputs.
   bool mayBeNonFinite(Value value);
 
-  // Facts about each component, at the place `at` (conditions around it may be
-  // used). Positive and non-zero values are far enough from zero that the
-  // inverse does not overflow, except for constants.
+  // The queries below are about each component of `value` at the op `at`; the
+  // conditions around `at` may be used. Positive and non-zero values other than
+  // constants are far enough from zero that their inverse does not overflow.
   bool isPositive(Value value, Operation *at = nullptr);
   bool isNonNegative(Value value, Operation *at = nullptr);
   bool isNonZero(Value value, Operation *at = nullptr);
   bool isNonPositive(Value value, Operation *at = nullptr);
-  /// True if every component lies in [-1, 1].
+  /// True if every component of `value` lies in [-1, 1].
   bool isInUnitInterval(Value value, Operation *at = nullptr);
   Interval getRange(Value value, Operation *at = nullptr);
 
@@ -63,8 +63,8 @@ private:
 
   bool usesConditions;
   llvm::DenseMap<Value, bool> nonFinite;
-  /// The values in `nonFinite` that were found finite, in the order in
-  /// which they were found.
+  /// The keys of the cache `nonFinite` whose values were found finite, in the
+  /// order in which they were found.
   llvm::SmallVector<Value> concludedFinite;
 };
 

@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// On a copy of a function that is prepared for differentiation: the symbol of
-/// the original function.
+/// Name of an attribute on a copy of a function that is prepared for
+/// differentiation. The attribute holds the symbol of the original function.
 constexpr llvm::StringLiteral kPreparedFor = "tai.prepared_for";
 
 /// The name of the pass that turns `op` into ops that have derivatives, or an
@@ -21,7 +21,8 @@ constexpr llvm::StringLiteral kPreparedFor = "tai.prepared_for";
 /// count.
 StringRef getHelpfulPass(Operation *op);
 
-/// Adds a note that names the helpful pass. False if there is none.
+/// Adds to the diagnostic a note with the name of the pass that turns `op` into
+/// ops that have derivatives. False if there is no such pass.
 bool attachHelpfulPass(InFlightDiagnostic &diag, Operation *op);
 
 } // namespace mlir::tai

@@ -40,11 +40,13 @@ struct Violation {
 };
 
 struct BoundsAnswer {
-  /// The index is always in range.
+  /// True if the index is in range in every launch.
   bool isInRange = false;
-  /// The index is in range in all launches for which no violation holds.
+  /// True if `violations` is complete: in a launch for which no violation
+  /// holds, the index is in range.
   bool isDecided = false;
-  /// Exact: a launch for which a violation holds has an out-of-range access.
+  /// The ways in which the index can be out of range. Each is exact: a launch
+  /// for which a violation holds has an out-of-range access.
   SmallVector<Violation, 1> violations;
 };
 
@@ -54,8 +56,9 @@ public:
       : forms(kernel), domains(kernel, forms) {}
   IndexBounds(const IndexBounds &) = delete;
 
-  /// Checks index number `number` of an access. With `proves`, also checks an
-  /// index that depends on data, which conditions can keep in range.
+  /// Checks whether index number `number` of an access is in range. With
+  /// `proves`, also tries an index that depends on data, since conditions in
+  /// the program can keep it in range.
   BoundsAnswer check(const IndexedAccess &access, size_t number, bool proves);
 
   /// The table of the loop indices and launch values that variables stand for.

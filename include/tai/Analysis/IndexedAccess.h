@@ -17,34 +17,38 @@ namespace mlir::tai {
 /// An extent; the extents of an array are possibly unknown until launch time.
 struct Extent {
   int64_t number = 0;
-  /// If not null, the extent of dimension `number` of this argument.
+  /// If not null, an array argument: the extent is that of its dimension
+  /// `number`.
   Value array = {};
 };
 
 /// An access with its indices, their first values and extents.
 struct IndexedAccess {
   Operation *op;
-  /// "field '@x' of shape [4, 8]"; for an array, see `describeArray`.
+  /// Name of the accessed memory for messages, such as "field '@x' of shape [4,
+  /// 8]"; for an array, the result of describeArray.
   std::string what;
-  /// The indices of the program. Indices of components of an element follow the
-  /// indices of the element.
+  /// The operands that are indices of the access. Indices of a component within
+  /// an element follow the indices of the element.
   SmallVector<OpOperand *> indices;
   SmallVector<int64_t> first;
   SmallVector<Extent> extents;
-  /// The number of indices of the element; the rest are indices of components.
+  /// The number of leading indices that select the element; the rest select a
+  /// component of the element.
   size_t rank = 0;
 
-  /// Returns no value for an operation that is not an access, or whose index
-  /// space is not a box.
+  /// Describes the access that `op` makes. No value if `op` is not an access,
+  /// or if its index space is not a box.
   static std::optional<IndexedAccess> get(Operation *op);
 };
 
-/// "field '@x' of shape [4, 8]", with the first index where it is not zero.
+/// A phrase for messages, such as "field '@x' of shape [4, 8]"; if the indices
+/// of the field do not start at zero, the phrase tells the first index.
 std::string describeField(const FieldLayout &layout);
-/// "an element of shape [3] of field '@v'".
+/// A phrase for messages, such as "an element of shape [3] of field '@v'".
 std::string describeElement(FieldOp field);
-/// "an array of f32 of shape [{}, 3]"; extents that the launch decides are left
-/// open.
+/// A phrase for messages, such as "an array of f32 of shape [{}, 3]". Extents
+/// that are unknown until launch time are printed as {}.
 std::string describeArray(MemRefType type);
 
 } // namespace mlir::tai

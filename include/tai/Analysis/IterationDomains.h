@@ -20,11 +20,13 @@ namespace mlir::tai {
 /// The iterations in which a block runs, as a union of systems.
 struct IterationDomain {
   SmallVector<SmallVector<LinearSum>, 1> pieces;
-  /// Loop indices, from the outermost to the innermost.
+  /// The variables that stand for the loop indices, outermost loop first.
   SmallVector<unsigned> loops;
-  /// Each point is an iteration that runs (no over-approximation).
+  /// True if the domain has no extra points: each point is an iteration in
+  /// which the block runs.
   bool isCertain = true;
-  /// Each iteration that runs is a point (no under-approximation).
+  /// True if the domain misses no point: each iteration in which the block runs
+  /// is in it.
   bool isComplete = true;
 
   void addRow(const LinearSum &row);

@@ -20,10 +20,10 @@
 
 namespace mlir::tai {
 
-/// The argument slots that values of these types occupy; see Abi.h.
+/// The number of argument slots that values of `types` occupy; see Abi.h.
 int64_t countSlots(TypeRange types);
 
-/// One entry of a summary.
+/// One access of a kernel's summary: a field by name, and how it is accessed.
 struct NamedAccess {
   std::string field;
   runtime::AccessKind kind;

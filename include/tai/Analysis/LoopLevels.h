@@ -19,9 +19,9 @@
 
 namespace mlir::tai {
 
-/// Pairs of a tree, by its position in the module of the kernel, and the number
-/// of a level in the tree. Empty for a kernel that does more than loop over
-/// cells.
+/// The sparse levels over whose active cells the kernel loops, as consecutive
+/// pairs: the tree, by its position in the module of the kernel, and the number
+/// of the level in the tree. Empty for a kernel that does more than such loops.
 std::vector<int64_t> findLoopLevels(KernelOp kernel);
 
 } // namespace mlir::tai

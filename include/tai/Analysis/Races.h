@@ -13,10 +13,10 @@
 
 namespace mlir::tai {
 
-/// The parallel loop around both accesses, if two different iterations of it
-/// certainly reach the same element, one by each access; or null. `lhs` and
-/// `rhs` can be the same access. With `ofLongLoops`, unknown bounds are assumed
-/// to be far away.
+/// Returns the parallel loop around both accesses if two different iterations
+/// of it certainly reach the same element, one by each access; else null. `lhs`
+/// and `rhs` can be the same access. With `ofLongLoops`, a loop with unknown
+/// bounds is assumed to have many iterations.
 Operation *findRace(DifferentiableAccessInterface lhs,
                     DifferentiableAccessInterface rhs,
                     bool ofLongLoops = false);

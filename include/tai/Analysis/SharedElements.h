@@ -22,13 +22,14 @@ class ParallelForOp;
 struct LoopBox;
 
 enum class Sharing {
-  /// No other iteration reaches the element by this access.
+  /// No other iteration of the loop reaches the element by this access.
   Own,
-  /// Unknown: the indices depend on data, or a condition possibly holds for one
-  /// iteration only.
+  /// Unknown: the indices depend on data, or the access is under a condition
+  /// that possibly holds for one iteration only.
   Possible,
-  /// Every iteration reaches the element, or every iteration for which a
-  /// condition other than an equality holds.
+  /// Every iteration reaches the element; or every iteration in which a
+  /// condition holds that is not an equality, and so selects more than one
+  /// iteration.
   Certain
 };
 
@@ -44,9 +45,9 @@ bool narrowToAccess(Operation *access, LoopBox &box);
 /// bounds. The bounds of each dimension consist of values from outside of the
 /// loop.
 struct IndexLimits {
-  /// An index is at least each of these.
+  /// For each dimension, lower bounds: the index is at least each expression.
   SmallVector<SmallVector<IndexExpr, 1>> lower;
-  /// An index is below each of these.
+  /// For each dimension, upper bounds: the index is less than each expression.
   SmallVector<SmallVector<IndexExpr, 1>> upper;
 };
 
@@ -64,12 +65,14 @@ public:
 
   bool areEqual(Value lhs, Value rhs, unsigned depth = 16) const;
   bool areEqual(ValueRange lhs, ValueRange rhs) const;
-  /// True if both accesses certainly reach the same element or component.
+  /// True if the accesses `lhs` and `rhs`, made in one iteration, certainly
+  /// reach the same element or component.
   bool reachSame(DifferentiableAccessInterface lhs,
                  DifferentiableAccessInterface rhs) const;
 
 private:
-  /// The storages that the loop writes.
+  /// The storages that the loop writes: two loads of an element in them are
+  /// equal only if no write lies between the loads.
   llvm::DenseSet<const void *> written;
 };
 

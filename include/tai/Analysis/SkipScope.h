@@ -28,7 +28,8 @@ public:
 
   const SkipAmounts &getAmounts() const { return amounts; }
 
-  /// Adds to a counter of the innermost scope of this thread, if there is one.
+  /// Adds `amount` to a counter of skipped work in the innermost SkipScope of
+  /// this thread; does nothing without a scope.
   static void count(SkipCount counter, int64_t amount = 1);
 
 private:

@@ -22,13 +22,13 @@ namespace mlir::tai {
 
 /// The memory that an adjoint reads and changes.
 struct ToBeRecorded {
-  /// Fields that the adjoint reads, adjoint fields included.
+  /// The fields that the adjoint of the kernel reads, adjoint fields included.
   std::vector<NamedAccess> reads;
-  /// Whether there is a variant of the adjoint that loads stored outputs, and
-  /// the additional reads of that variant.
+  /// Whether there is a variant of the adjoint that loads outputs stored by the
+  /// kernel, and the reads that this variant makes in addition to `reads`.
   bool loadsStored = false;
   std::vector<NamedAccess> stored;
-  /// Fields of which the adjoint reads the contents before the launch.
+  /// Fields whose contents before the launch of the kernel the adjoint reads.
   std::vector<std::string> before;
   /// Fields of whose levels the adjoint reads the activity.
   std::vector<std::string> activity;
@@ -44,7 +44,8 @@ struct ToBeRecorded {
   std::string parts;
 
   std::string serialize() const;
-  /// Returns no value if the bytes are not a serialized ToBeRecorded.
+  /// Restores a ToBeRecorded from `bytes`; no value if they are not a
+  /// serialized ToBeRecorded.
   static std::optional<ToBeRecorded> deserialize(StringRef bytes);
 };
 

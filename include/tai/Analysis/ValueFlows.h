@@ -22,7 +22,8 @@ namespace mlir::tai {
 
 class ValueFlows {
 public:
-  /// `arguments`: further sources, float arguments of the function.
+  /// Analyses `function`. `arguments`: its float arguments that count as
+  /// sources of data flow, in addition to the storages that it reads.
   ValueFlows(FunctionOpInterface function, ArrayRef<Value> arguments);
 
   /// The sources, by number.
@@ -30,7 +31,8 @@ public:
   /// The accesses to floats.
   SmallVector<DifferentiableAccessInterface> reads, writes;
 
-  /// The numbers of the storages that a value depends on.
+  /// The numbers of the sources (read storages and arguments) that `value`
+  /// depends on.
   const llvm::SmallBitVector &sourcesOf(Value value) { return sources[value]; }
 
 private:

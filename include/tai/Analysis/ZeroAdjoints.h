@@ -17,7 +17,7 @@ namespace mlir::tai {
 struct LoopFlags {
   std::string field;
   std::vector<std::string> sources;
-  /// The loop adds to elements that are not below a sparse level.
+  /// True if the loop adds to elements that are not below a sparse level.
   bool sumsUp = false;
 };
 

@@ -12,8 +12,8 @@
 
 namespace mlir::tai {
 
-/// The value that the condition of the select compares with zero; null for a
-/// condition of another kind.
+/// The value that the condition of `select` compares with zero; null if the
+/// condition is no comparison with zero.
 Value getTestedForZero(arith::SelectOp select);
 
 /// The adjoint, tangent or partial derivative whose zeros a guard tests for;

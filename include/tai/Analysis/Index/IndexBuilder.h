@@ -21,7 +21,8 @@ namespace mlir::tai {
 
 class IndexBuilder {
 public:
-  /// Values defined outside of `scope`, if it is given, become terms.
+  /// Creates a builder. With `scope`, values defined outside of this op are not
+  /// decomposed: each becomes a term of the expressions.
   explicit IndexBuilder(Operation *scope = nullptr) : scope(scope) {}
 
   /// The expression of an integer or index value.
@@ -29,16 +30,18 @@ public:
   SmallVector<IndexExpr> get(ValueRange values);
 
   IndexRange getRange(const IndexAtom &atom);
-  /// The range of the sum, before any bits are dropped.
+  /// The range of the expression's sum as an integer, before the sum is reduced
+  /// to the expression's width.
   IndexRange getRange(const IndexExpr &expr);
 
-  /// ⌊lhs / rhs⌋ and the rest, for exact sums.
+  /// The quotient ⌊lhs / rhs⌋ and the remainder of two exact expressions.
   IndexExpr getQuotient(const IndexExpr &lhs, const IndexExpr &rhs);
   IndexExpr getRemainder(const IndexExpr &lhs, const IndexExpr &rhs);
   /// Splits `expr` into `divisor` times a sum and a rest from 0 to divisor - 1.
   std::optional<std::pair<IndexExpr, IndexExpr>> split(const IndexExpr &expr,
                                                        int64_t divisor);
-  /// The quotient of the division of which `rest` is the remainder.
+  /// Given a remainder node, builds the quotient of the same dividend and
+  /// divisor.
   IndexExpr getQuotientOf(const IndexNode &rest);
 
 private:
@@ -50,8 +53,8 @@ private:
   };
   Parts takeMultiples(const IndexExpr &expr, int64_t divisor);
   IndexExpr build(Value value, unsigned depth);
-  /// Like build, but gives the value as a term if its expression does not
-  /// determine all bits of its type, or may wrap.
+  /// Like build(), but returns `value` itself as a term where its expression
+  /// may wrap or does not determine all bits of the type.
   IndexExpr buildWhole(Value value, unsigned depth);
   IndexExpr buildExact(Value value, unsigned depth);
   std::optional<IndexExpr> buildSum(Operation *op, unsigned depth);
@@ -73,22 +76,25 @@ private:
   Operation *scope;
   IntegerRanges ranges;
   llvm::DenseMap<Value, IndexExpr> known;
-  /// Expressions that the depth limit cut short, during one call of get.
+  /// Caches values whose expression the depth limit cut short; kept for one
+  /// call of IndexBuilder::get, because less deep calls give better
+  /// expressions.
   llvm::DenseMap<Value, IndexExpr> cut;
   bool isCut = false;
 };
 
-/// As IndexBuilder::get, with a new builder.
+/// The expression of an integer or index value, from a temporary IndexBuilder.
 IndexExpr getIndexExpr(Value value);
 SmallVector<IndexExpr> getIndexExprs(ValueRange values);
 
-/// A summand of an index: `whole`, which is `factor` times `value`.
+/// A summand of an index: the value `whole`, which equals `factor` times
+/// `value`.
 struct IndexSummand {
   Value whole, value;
   int64_t factor = 1;
 };
 
-/// The summands of an index, as the program adds them.
+/// Splits an index into summands, along the additions in the program.
 SmallVector<IndexSummand> getSummands(Value index);
 
 } // namespace mlir::tai

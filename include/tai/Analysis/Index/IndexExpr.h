@@ -33,12 +33,12 @@ public:
   IndexAtom(Value value) : value(value) {}
   IndexAtom(IndexNode node);
 
-  /// The value, or null for an operation.
+  /// The value that the atom is; null if the atom is an operation on sums.
   Value getValue() const { return value; }
-  /// The operation, or null for a value.
+  /// The operation that the atom is; null if the atom is a value.
   const IndexNode *getNode() const { return node.get(); }
 
-  /// True if the predicate holds for all values that the atom is made of.
+  /// True if the predicate holds for all values that occur in the atom.
   bool allOf(llvm::function_ref<bool(Value)> predicate) const;
   bool mentions(Value wanted) const;
 
@@ -53,11 +53,12 @@ private:
 
 /// A sum of atoms times factors, and a constant.
 struct IndexExpr {
-  /// Sorted by atom, without factors of zero. Factors and the constant count
-  /// modulo 2^64.
+  /// The summands: pairs of an atom and its factor, sorted by atom, without
+  /// zero factors. Factors and the constant are numbers modulo 2^64.
   SmallVector<std::pair<IndexAtom, int64_t>, 2> terms;
   int64_t constant = 0;
-  /// The value and the sum agree modulo 2^width.
+  /// The number of low bits that the sum determines: the value and the sum
+  /// agree modulo 2^width.
   unsigned width = 64;
 
   IndexExpr() = default;
@@ -66,16 +67,19 @@ struct IndexExpr {
   explicit IndexExpr(Value value) : IndexExpr(IndexAtom(value)) {}
   explicit IndexExpr(IndexNode node);
 
-  /// Arithmetic never wrapped on the way to the value.
+  /// True if the sum equals the value: no arithmetic on the way to it wrapped.
   bool isExact() const { return width == 64; }
   bool isConstant() const { return terms.empty(); }
 
-  /// Adds `scale` times `other`. The result has the smaller width of both.
+  /// Adds `scale` times `other` to this expression. The width of the result is
+  /// the smaller of the two widths.
   IndexExpr &add(const IndexExpr &other, int64_t scale = 1);
 
-  /// The number of occurrences of values in the expression.
+  /// The number of occurrences of values in the expression, a measure of its
+  /// size.
   unsigned getSize() const;
-  /// The factor of a value that is itself a term.
+  /// The factor of `value` in the sum, counting only the term that is `value`
+  /// itself; values within operations do not count.
   int64_t getCoefficient(Value value) const;
   bool allOf(llvm::function_ref<bool(Value)> predicate) const;
   bool mentions(Value value) const;

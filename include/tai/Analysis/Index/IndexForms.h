@@ -42,16 +42,19 @@ struct LaunchValue {
   SmallVector<LinearSum, 0> factors = {};
 };
 
-/// A value as a sum, with constraints on its variables.
+/// An integer value as a linear sum of variables, with inequalities that hold
+/// for these variables.
 struct LinearForm {
   LinearSum sum;
   SmallVector<LinearSum, 2> facts;
-  /// The sum equals the value, and is a function of the iteration.
+  /// True if the sum certainly equals the value and is a function of the
+  /// iteration.
   bool isCertain = true;
-  /// `facts` (each a sum >= 0) always hold; otherwise `facts` are assumptions.
+  /// True if the inequalities `facts` (each states that a sum is >= 0) always
+  /// hold; if false, they are assumptions.
   bool isComplete = true;
 
-  /// The sum of this and `scale` times `other`.
+  /// The linear form of this value plus `scale` times `other`.
   LinearForm plus(const LinearForm &other, int64_t scale) const;
 };
 
@@ -87,8 +90,9 @@ public:
   LinearSystem dropAssumptions(const LinearSystem &system,
                                const LinearSum &index) const;
   bool hasProduct(const LinearSum &sum) const;
-  /// The product of two sums of launch values as a launch value. Adds to
-  /// `facts` the conditions under which the product does not overflow.
+  /// A linear sum that stands for the product of two sums of launch values,
+  /// which is a launch value too. Adds to `facts` the conditions under which
+  /// the product does not overflow.
   LinearSum multiply(const LinearSum &a, const LinearSum &b,
                      SmallVectorImpl<LinearSum> &facts);
 
@@ -97,7 +101,7 @@ private:
     Kind kind;
     NumberRange range;
     LaunchValue launch = {};
-    /// The factors of a variable of kind Product.
+    /// For a variable of kind Product: the two sums that are multiplied.
     SmallVector<LinearSum, 0> factors = {};
   };
 
@@ -108,7 +112,8 @@ private:
   std::optional<LinearForm> makeExtreme(Operation *op);
   std::optional<LinearForm> makeProduct(Operation *op);
   LinearForm makeVariable(Kind kind, NumberRange range);
-  /// Adds the conditions under which a value of the type has not wrapped.
+  /// Adds to `form` the conditions under which a value of `type` has not
+  /// wrapped.
   void assumeFits(LinearForm &form, Type type) const;
 
   KernelOp kernel;

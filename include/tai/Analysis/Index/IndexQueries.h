@@ -27,15 +27,16 @@ public:
 
 private:
   __int128 constant = 0;
-  /// The greatest common divisor of all factors; 0 if there are none.
+  /// The greatest common divisor of the factors of the unknowns; 0 without
+  /// unknowns.
   uint64_t divisor = 0;
   unsigned unknowns = 0;
   bool isUnbounded = false;
   IndexRange range{0, 0};
 };
 
-/// True if `lhs` and `rhs` certainly differ, in the same iteration of the loops
-/// around them.
+/// True if the index expressions `lhs` and `rhs` certainly have different
+/// values in the same iteration of the loops around them.
 bool areDistinct(const IndexExpr &lhs, const IndexExpr &rhs);
 
 /// Equations between two iterations of a loop, the first side in one iteration
@@ -50,8 +51,8 @@ public:
 
   void add(const IndexExpr &first, const IndexExpr &second);
   void add(ValueRange first, ValueRange second);
-  /// Adds all equations that follow. True if each of `values` is the same in
-  /// both iterations.
+  /// Adds all equations that follow from the present ones. True if each of
+  /// `values` is then known to be the same in both iterations.
   bool solve(ValueRange values);
   ArrayRef<std::pair<IndexExpr, IndexExpr>> get() const { return equations; }
 
@@ -75,7 +76,7 @@ private:
 /// variables and all values from outside of the loop count as fixed.
 bool isInjectiveOver(IndexBuilder &builder, ArrayRef<IndexExpr> indices,
                      ValueRange ivs);
-/// As above, with a new builder.
+/// Like the overload above, with a temporary IndexBuilder.
 bool isInjectiveOver(ArrayRef<IndexExpr> indices, ValueRange ivs);
 
 } // namespace mlir::tai

@@ -54,8 +54,8 @@ struct IndexPiece {
 std::optional<SmallVector<IndexPiece>>
 getIndexPieces(Value index, Value variable, int64_t lower, int64_t upper);
 
-/// A condition that is `answer` for all values of its variable in [lower,
-/// upper).
+/// An interval [lower, upper) of a variable in which a condition has the same
+/// result, `answer`, for all values.
 struct ConstantStretch {
   int64_t lower, upper;
   bool answer;

@@ -24,7 +24,8 @@ namespace mlir::tai {
 
 class IntegerRanges {
 public:
-  /// A range known from another source, or none.
+  /// A callback that gives the range of a value if the caller knows it from
+  /// elsewhere.
   using Oracle = std::function<std::optional<ConstantIntRanges>(Value)>;
   explicit IntegerRanges(Oracle oracle = nullptr) : oracle(std::move(oracle)) {}
 

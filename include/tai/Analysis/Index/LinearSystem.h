@@ -28,7 +28,7 @@ namespace mlir::tai {
 struct LinearSum {
   SmallVector<std::pair<unsigned, int64_t>, 4> terms;
   int64_t constant = 0;
-  /// A coefficient overflowed: the sum is invalid.
+  /// Set when computing a coefficient overflowed: the sum is then invalid.
   bool hasOverflow = false;
 
   static LinearSum of(int64_t constant) { return {{}, constant}; }
@@ -55,7 +55,8 @@ public:
   /// The system is invalid because it, or a coefficient, became too large.
   bool isUnknown() const { return unknown; }
 
-  /// Adds `sum >= 0`, divided by the common divisor of its factors.
+  /// Adds the inequality `sum >= 0` to the system, divided by the greatest
+  /// common divisor of the sum's factors.
   void require(LinearSum sum);
   void require(ArrayRef<LinearSum> sums) {
     for (const LinearSum &sum : sums)
@@ -66,8 +67,9 @@ public:
   SmallVector<unsigned> getVariables() const;
 
   enum class Shadow { Real, Dark };
-  /// The system without `variable`. Sets `isExact` to false unless both shadows
-  /// are equal.
+  /// Projects the system along `variable` (Fourier-Motzkin), with the given
+  /// shadow. Sets `isExact` to false unless the real and the dark shadow are
+  /// equal.
   LinearSystem eliminate(unsigned variable, Shadow shadow, bool &isExact) const;
 
 private:

@@ -32,22 +32,23 @@ ReductionAttr getReduction(Operation *update);
 inline bool isDoneByLoop(Operation *update) {
   return getReduction(update) != nullptr;
 }
-/// True if a register holds the sum of `update`.
+/// True if the lowering keeps the running sum of `update` in a register.
 bool isKeptInRegister(Operation *update);
 
 /// Updates of one element, in the order of the program: the loop keeps their
 /// sum in one register.
 using Total = SmallVector<Operation *>;
 SmallVector<Total> groupTotals(ArrayRef<Operation *> updates);
-/// How partial results of an update are combined, and the type of its terms.
+/// The operation that combines partial results of an update, and the type of
+/// the terms that it adds.
 AtomicKind getCombiningKind(Operation *update);
 Type getTermType(Operation *update);
 
-/// True if a sum of the loop adds its terms in the order that all targets
-/// share.
+/// True if `loop` has a sum whose terms are added in the order that is the same
+/// on all targets (CPU, GPU and their numbers of threads).
 bool hasCommonTotals(ParallelForOp loop);
 
-/// Updates of one part of one field.
+/// Updates of a loop that go to the same part of the same field.
 struct AccumulationGroup {
   const FieldInfo *field;
   /// For each dimension, the index that is the same for all updates of the
@@ -66,15 +67,18 @@ FailureOr<SmallVector<AccumulationGroup>>
 groupAccumulations(ParallelForOp loop, ArrayRef<AtomicOp> atomics,
                    FieldTable &fields);
 
-/// Merges two groups of one field: an index that differs counts as varying.
+/// Merges group `from` into group `into`, both of one field. Where their fixed
+/// indices differ, the merged index counts as varying.
 void mergeGroups(AccumulationGroup &into, const AccumulationGroup &from);
 
-/// For sums in fixed point: the number of elements of the part of the field,
-/// and the size in bytes of the accumulator of one element.
+/// For sums in fixed point: the number of accumulators that `group` needs, one
+/// for each element of the part of the field; and the size of an accumulator in
+/// bytes.
 int64_t getNumAccumulators(const AccumulationGroup &group);
 int64_t getAccumulatorBytes(Type scalar);
 
-/// True if both update the same component whenever their indices are equal.
+/// True if the updates `a` and `b` reach the same component of an element
+/// whenever their indices of the element are equal.
 bool updatesSameComponent(AtomicOp a, AtomicOp b);
 
 /// True if distinct iterations of `loop` reach distinct elements at `indices`.
@@ -87,7 +91,7 @@ double estimateRuns(Operation *op, ParallelForOp loop);
 /// that LLVM vectorises an innermost loop with independent iterations.
 double estimateIteration(ParallelForOp loop, bool isIndependent);
 
-/// The number of iterations, if constant.
+/// The number of iterations of `loop` if it is constant.
 std::optional<int64_t> getNumIterations(ParallelForOp loop);
 
 /// The cost of an atomic update relative to zeroing and adding one element of a
@@ -102,8 +106,8 @@ constexpr int64_t kFewTerms = 1 << 15;
 /// The neutral element of `kind`.
 TypedAttr getIdentity(AtomicKind kind, Type type);
 
-/// The operation that combines partial results of `kind`: addition for
-/// subtraction.
+/// The operation that combines partial results of updates of `kind`: `kind`
+/// itself, but addition for subtraction.
 AtomicKind getCombiningKind(AtomicKind kind);
 
 } // namespace mlir::tai

@@ -33,9 +33,10 @@ Operation *findDivergence(ParallelForOp loop, OpPredicate isAddition);
 bool canOrderAdditions(ParallelForOp loop, FieldTable &fields,
                        const ReductionPlan &plan);
 
-/// Like canOrderAdditions, and no element receives more than one addition of an
-/// iteration. The order of iterations is then kept when the threads of a warp
-/// execute one addition for 32 iterations before the next addition.
+/// True if canOrderAdditions holds, and no element receives more than one
+/// addition of an iteration. The order of iterations is then kept when the
+/// threads of a warp execute one addition for 32 iterations before the next
+/// addition.
 bool canQueueAdditions(ParallelForOp loop, FieldTable &fields,
                        const ReductionPlan &plan);
 

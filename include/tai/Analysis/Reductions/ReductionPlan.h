@@ -24,21 +24,26 @@ class FieldTable;
 
 struct ReductionPlan {
   struct Update {
-    /// No other iteration reaches the element.
+    /// True if no other iteration of the loop reaches the element that is
+    /// updated.
     bool isExclusive = false;
-    /// Null for an update that is exclusive or atomic.
+    /// How the partial results are combined; null for an update that is
+    /// exclusive or atomic.
     ReductionAttr reduction;
-    /// Why an update is atomic, or empty.
+    /// For an atomic update: why the loop cannot reduce it. Otherwise empty.
     StringRef reason;
   };
   /// The plan of each `tai.atomic`, and of each update of an array from outside
   /// the loop.
   llvm::MapVector<Operation *, Update> updates;
-  /// The order of the loop, if its results must not depend on threads.
+  /// The order in which the loop adds terms, if its results must not depend on
+  /// the number of threads.
   std::optional<LoopOrder> order;
-  /// Whether one thread runs the loop, and whether one warp runs it.
+  /// Whether a single thread runs the loop; whether a single warp of a GPU runs
+  /// it.
   bool isSerial = false, inWarp = false;
-  /// No iteration accesses memory that another iteration writes.
+  /// True if no iteration of the loop accesses memory that another iteration
+  /// writes.
   bool isIndependent = false;
 
   bool isExclusive(Operation *op) const {
@@ -51,8 +56,8 @@ struct ReductionPlan {
   void apply(ParallelForOp loop) const;
 };
 
-/// Whether the results of the kernel or function that `op` is, or is in, must
-/// depend neither on the number of threads nor on timing.
+/// True if the kernel or function that contains (or is) `op` is in a mode in
+/// which its results depend neither on the number of threads nor on timing.
 bool hasFixedBits(Operation *op);
 
 /// Whether its sums have, besides, the order that all targets share.
@@ -61,13 +66,15 @@ bool hasCommonOrder(Operation *op);
 /// How a kernel adds up several terms of one iteration.
 enum class TermSum { Plain, WithErrors, Unavailable };
 
-/// The sum that a gather of terms of type `scalar` in `loop` makes. `pairs`:
-/// the target can keep a sum of f64 with its rounding errors.
+/// How to add up the terms, of type `scalar`, that one iteration of `loop`
+/// gathers for one element. `pairs`: the target can keep a sum of f64 together
+/// with its rounding error.
 TermSum planGatheredSum(ParallelForOp loop, Type scalar, bool pairs);
 
-/// Plans a loop from which invariant code has been moved: invariant indices
-/// tell which part of a field is updated. `onDevice`: for a GPU. Emits an error
-/// and fails at a sum that cannot have the digits for which the kernel asks.
+/// Plans the reductions of a loop. Invariant code must have been moved out of
+/// the loop before: invariant indices tell which part of a field an update
+/// reaches. `onDevice`: plan for a GPU. Emits an error and fails at a sum that
+/// cannot have the digits for which the kernel asks.
 FailureOr<ReductionPlan> planReductions(ParallelForOp loop, FieldTable &fields,
                                         bool onDevice);
 

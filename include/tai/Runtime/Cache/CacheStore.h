@@ -48,7 +48,8 @@ public:
   CacheStore(const CacheStore &) = delete;
   CacheStore &operator=(const CacheStore &) = delete;
 
-  /// False if there is no trusted and writable folder.
+  /// False if the cache is disabled, or its folder is not writable or not
+  /// trusted.
   bool usable() const { return folderDescriptor >= 0; }
   const std::string &folder() const { return path; }
 
@@ -88,7 +89,8 @@ public:
   };
   Size size() const;
 
-  /// The file name of the entry of a key in the folder.
+  /// The name of the file, within the cache folder, that holds the entry of
+  /// `key`.
   static std::string fileName(std::string_view key);
 
 private:

@@ -28,7 +28,6 @@ namespace mlir::tai::runtime {
 /// An address in the memory of the device; 0 is null.
 using DevicePtr = uint64_t;
 
-/// The kind of device that code is compiled for.
 enum class DeviceKind { Cuda, Emulated };
 
 /// Loaded code. Created by a Device.
@@ -51,13 +50,13 @@ struct LaunchShape {
   /// A cooperative launch: all blocks must be resident, because the function
   /// has grid barriers.
   bool cooperative = false;
-  /// Blocks of a cluster; 0 for no clusters.
+  /// Blocks in a thread block cluster; 0 for a launch without clusters.
   unsigned cluster = 0;
-  /// Programmatic dependent launch: the function itself waits for the end of
-  /// the launch before it.
+  /// True for a programmatic dependent launch: the function itself waits for
+  /// the end of the launch before it.
   bool overlaps = false;
-  /// Whether the function also runs with fewer than `threads` threads in a
-  /// block, if the device has no room for so many.
+  /// Whether the function also runs correctly with fewer than `threads` threads
+  /// in a block, where the device has no room for all of them.
   bool canShrink = false;
 };
 
@@ -67,7 +66,7 @@ struct DeviceLimits {
   int64_t memoryBytes = 0;
   /// Resident threads of a multiprocessor; 0 if not known.
   unsigned threadsPerMultiprocessor = 0;
-  /// Work can be captured as graphs.
+  /// Whether the device can capture queued work as a graph.
   bool hasGraphs = false;
   /// Cooperative launches are supported.
   bool hasGridBarriers = false;
@@ -76,7 +75,7 @@ struct DeviceLimits {
   /// The granularity, in bytes, in which reserved memory is committed; 0 if
   /// `reserve` is not supported.
   int64_t reservedPieceBytes = 0;
-  /// Programmatic dependent launch is supported.
+  /// Whether the device supports programmatic dependent launch.
   bool hasOverlaps = false;
 };
 
@@ -92,11 +91,11 @@ public:
   virtual ~DeviceEvent() = default;
 };
 
-/// The resources of a function. Negative where not known.
+/// The resources that a device function needs. Negative where not known.
 struct DeviceFunctionFacts {
   int registers = -1;
-  /// Shared memory of a block; local memory (spills) of a thread; constant
-  /// memory.
+  /// Bytes of shared memory for a block, of local memory (spills) for a thread,
+  /// and of constant memory.
   int sharedBytes = -1, localBytes = -1, constantBytes = -1;
 };
 
@@ -105,26 +104,27 @@ struct DeviceFunctionFacts {
 struct DeviceImage {
   DeviceKind kind = DeviceKind::Cuda;
   std::string bytes;
-  /// Names of the functions, in the order of their numbers in host code.
+  /// Names of the device functions, by the numbers that host code uses for
+  /// them.
   std::vector<std::string> functions;
-  /// The source location of each function, as "file:line:column"; empty unless
-  /// requested.
+  /// The source location of each device function, as "file:line:column"; empty
+  /// unless the compilation was asked for locations.
   std::vector<std::string> places;
-  /// LLVM bitcode of the same code, for fusing kernels into programs; null if
-  /// no kernels are to be fused.
+  /// LLVM bitcode of the device code, with which kernels are fused into
+  /// programs; null if fusion is off.
   std::shared_ptr<const std::string> bitcode;
-  /// The accesses of each function, as FunctionAccesses encodes them. May have
-  /// fewer entries than there are functions.
+  /// The memory accesses of each device function, as FunctionAccesses encodes
+  /// them. Possibly has fewer entries than there are functions.
   std::vector<std::vector<int64_t>> accesses = {};
-  /// The block size of each function that its loop specifies; 0 for any. May
-  /// have fewer entries than there are functions.
+  /// The block size of each device function, if its loop specifies one; else 0.
+  /// Possibly has fewer entries than there are functions.
   std::vector<int64_t> blockSizes = {};
-  /// The cache key of the code; empty without a cache.
+  /// The key of the image in the compilation cache; empty without a cache.
   std::string key = {};
-  /// The same code as machine code of one device, if it has been assembled.
+  /// The image assembled to machine code of one device; empty if not assembled.
   std::string machineCode = {};
-  /// For code from the cache that the device rejects: compiles it again, and
-  /// replaces the entry.
+  /// Compiles the kernel's device code again and replaces the cache entry;
+  /// called if a device rejects an image from the cache.
   std::function<Status(DeviceImage &fresh)> makeAgain = nullptr;
 
   unsigned blockSize(size_t function) const {
@@ -134,31 +134,33 @@ struct DeviceImage {
   }
 };
 
-/// Adds the machine code to an image; leaves the image as it is if the device
-/// does not take the code. Any thread may call it, also after the device is
-/// destroyed.
+/// An assembler: adds machine code to an image, or leaves the image as it is if
+/// the device does not take the code. Any thread may call it, also after the
+/// device is destroyed.
 using DeviceAssembler = std::function<void(DeviceImage &image)>;
 
-/// `rows` pieces of `rowBytes` bytes, each starting `step` bytes after the
-/// start of the piece before.
+/// A strided region of device memory: `rows` pieces of `rowBytes` bytes, with
+/// `step` bytes from the start of one piece to the start of the next.
 struct DeviceRows {
   DevicePtr address;
   int64_t step;
   int64_t rowBytes;
   int64_t rows;
-  /// For fills only: `outer` groups of such rows, with the stride `outerStep`
-  /// in bytes.
+  /// For fills only: the region is repeated `outer` times, with `outerStep`
+  /// bytes from one start to the next.
   int64_t outerStep = 0;
   int64_t outer = 1;
 };
 
-/// A fill of rows by a pattern, which is repeated here to fill eight bytes.
+/// A fill of a strided region with a pattern of `patternBytes` bytes. `pattern`
+/// holds repetitions of the pattern up to eight bytes.
 struct DeviceFill {
   DeviceRows rows;
   uint64_t pattern;
   int patternBytes;
-  /// Merged from adjacent fills, possibly of separate allocations: a kernel may
-  /// write across them, but a driver call may not.
+  /// The region was merged from adjacent fills, possibly of separate
+  /// allocations: a kernel may write across allocations, but a driver call may
+  /// not.
   bool isJoined = false;
 };
 
@@ -174,8 +176,8 @@ public:
   virtual std::string target() const = 0;
 
   //===--------------------------------------------------------------------===//
-  // Memory. All but `allocate` and `free` are queued in order; the copies that
-  // involve the host's memory have read or written it when they return.
+  // Memory. All calls but `allocate` and `free` are queued in order; copies
+  // from or to memory of the host have finished when the call returns.
   //===--------------------------------------------------------------------===//
 
   virtual Status allocate(int64_t bytes, DevicePtr &memory) = 0;
@@ -185,7 +187,7 @@ public:
   virtual Status reserve(int64_t bytes, DevicePtr &memory);
   /// Waits, if necessary, for queued work that uses the memory.
   virtual void free(DevicePtr memory) = 0;
-  /// Bytes allocated through this object; bytes left on the device.
+  /// Bytes allocated through this object, and bytes still free on the device.
   virtual int64_t allocatedBytes() const = 0;
   virtual int64_t freeBytes() const = 0;
 
@@ -202,13 +204,13 @@ public:
                           int64_t fromStep) = 0;
   virtual Status swapRows(const DeviceRows &one, DevicePtr other,
                           int64_t otherStep) = 0;
-  /// Fills strided rows. The size of a row is a multiple of the pattern.
+  /// Fills a strided region with a pattern. The size of a row is a multiple of
+  /// the size of the pattern.
   virtual Status fillRows(const DeviceRows &to, const void *pattern,
                           int patternBytes) = 0;
-  /// Runs all fills, in any order: they must be disjoint, or write the same
-  /// bytes.
+  /// Runs `fills` in any order: they must be disjoint, or write the same bytes.
   virtual Status fillAll(const std::vector<DeviceFill> &fills);
-  /// Whether device code can access this address directly.
+  /// Whether device code can access the memory at `address` directly.
   virtual bool isDeviceMemory(const void *address) const = 0;
 
   //===--------------------------------------------------------------------===//
@@ -248,8 +250,9 @@ public:
   virtual Status endCapture(std::unique_ptr<DeviceGraph> &graph);
   /// Queues a graph.
   virtual Status run(DeviceGraph &graph);
-  /// fillAll on a parallel branch of the graph being captured, at most once in
-  /// a graph; joinAside makes later work wait for it.
+  /// fillAside: like fillAll, on a parallel branch of the graph that is being
+  /// captured, at most once in a graph. joinAside: makes later work of the
+  /// graph wait for that branch.
   virtual Status fillAside(const std::vector<DeviceFill> &fills);
   virtual Status joinAside();
   /// Changes the parameters of a launch of the graph, from the next run on. The

@@ -4,12 +4,11 @@
 // SPDX-License-Identifier: Apache-2.0 WITH LLVM-exception
 //
 //===----------------------------------------------------------------------===//
-//
-// Decodes on the host the device state that device code has written. Usage:
-// copy a fresh state to the device; after waiting for the device, copy the
-// state back, then deviceOutputBytes() of output, decode both, and, if there
-// was a report, copy a fresh state again.
-//
+// Decodes on the host the state that code on a device has written
+// (TaiDeviceState). Usage: copy a fresh state to the device and run kernels;
+// wait for the device, copy back the state and then deviceOutputBytes() of
+// output; decode both. If there was a report, copy a fresh state to the device
+// again.
 //===----------------------------------------------------------------------===//
 
 #ifndef TAI_RUNTIME_DEVICE_DEVICEREPORT_H
@@ -22,11 +21,12 @@
 
 namespace mlir::tai::runtime {
 
-/// An initial state, to be followed in memory by `outputCapacity` bytes of
-/// output (a multiple of eight).
+/// The initial state of a device. In device memory, `outputCapacity` bytes of
+/// output (a multiple of eight) must follow it.
 TaiDeviceState freshDeviceState(uint64_t outputCapacity, uint64_t stackLimit);
 
-/// Whether there is a failure, output, or a stop to report.
+/// Whether the state of a device holds a failure, output, or a stop request
+/// that the host must report.
 inline bool hasDeviceReport(const TaiDeviceState &state) {
   return state.failed || state.outputUsed || state.lostLines || state.stopped;
 }
@@ -35,13 +35,13 @@ inline bool hasDeviceReport(const TaiDeviceState &state) {
 uint64_t deviceOutputBytes(const TaiDeviceState &state);
 
 struct DeviceReport {
-  /// The first failure, with the same message as on the CPU.
+  /// The first failure of a kernel, with the message that the CPU gives for it.
   Status failure;
-  /// The printed lines, in order, without the newlines.
+  /// The lines that kernels have printed, in order, without newlines.
   std::vector<std::string> lines;
   /// The number of lines dropped because the buffer was full.
   uint64_t lostLines = 0;
-  /// The number of the host thread that stopped a kernel, or 0.
+  /// The number of the host thread that asked a kernel to stop, or 0.
   uint32_t stoppedBy = 0;
 };
 

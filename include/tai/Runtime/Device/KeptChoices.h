@@ -14,10 +14,11 @@
 
 namespace mlir::tai::runtime {
 
-/// Storage for results of trials, by key, across processes. Both
-/// functions may be null.
+/// Persistent storage, by key, for results of timing trials, shared by
+/// processes. Both functions may be null.
 struct KeptChoices {
-  /// Returns none for an unknown key. The bytes are untrusted.
+  /// Loads the bytes stored for a key; no value for an unknown key. The bytes
+  /// are untrusted.
   std::function<std::optional<std::string>(const std::string &key)> load;
   /// Must not block.
   std::function<void(std::string key, std::string bytes)> store;

@@ -30,13 +30,15 @@ public:
   ExportedBuffer &operator=(const ExportedBuffer &) = delete;
   /// Whether any exported buffer exists, in any runtime.
   static bool areAny() { return count.load(std::memory_order_relaxed) > 0; }
-  /// Exports the address of a field, on the device if there is one. Until the
-  /// buffer is destroyed, reads on the host assume that others may have changed
-  /// the field. Fails for sparse fields, and where elements are not strided
-  /// uniformly along each dimension. Owed zeros must have been stored.
+  /// Exports the address of a field: on the device, if the runtime has one.
+  /// Until the buffer is destroyed, reads on the host assume that others may
+  /// have changed the field. Fails for sparse fields, and for fields whose
+  /// elements are not strided uniformly along each dimension. The field must
+  /// not owe zeros (see Gradients.h).
   static Status make(Field &field, DeviceHost &devices,
                      ExportedField &exported);
-  /// Whether the field is exported, and the range of addresses of its elements.
+  /// Whether `field` is exported; if so, sets `begin` and `end` to the range of
+  /// addresses of its elements.
   static bool findBytes(const Field &field, uint64_t &begin, uint64_t &end);
 
 private:

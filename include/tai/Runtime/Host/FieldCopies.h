@@ -29,19 +29,20 @@ public:
   /// Copies from a field to an array of its scalar type, of shape (shape...,
   /// element shape...).
   Status copyOut(const Field &field, void *array) const;
-  /// Bytes between two safepoints of a copy: a few milliseconds, also where the
-  /// pages of the memory are new.
+  /// Bytes that a copy moves between two safepoints: they take a few
+  /// milliseconds, even if the pages of the memory are new.
   static constexpr int64_t bytesPerSafepoint = 4 << 20;
-  /// Whether the host may interrupt a copy in the middle. Safepoints are passed
-  /// either way.
+  /// Whether a request of the host to interrupt stops a copy in the middle, or
+  /// has to wait until the copy is complete. In both cases the copy passes
+  /// safepoints.
   enum class Interrupts { Stop, Wait };
   /// Copies from an array to a field; of a sparse field, to active cells only.
   /// False if the copy was interrupted: the field then holds a part of the
   /// array.
   bool copyIn(Field &field, const void *array,
               Interrupts interrupts = Interrupts::Wait) const;
-  /// Sets all components to one scalar of the field's type. False if the host
-  /// interrupted the fill.
+  /// Sets all components of all elements of a field to one scalar of the
+  /// field's type. False if the host interrupted the fill.
   bool fill(Field &field, const void *scalarBytes,
             Interrupts interrupts = Interrupts::Wait) const;
   bool clear(Field &field, Interrupts interrupts = Interrupts::Wait) const {
@@ -78,7 +79,7 @@ public:
   /// long to copy. Fails if the host interrupts the work.
   Status begin(int64_t bytes);
   Status pass();
-  /// Fails in a handler that has interrupted the work.
+  /// Fails if called from a handler that has interrupted this work.
   Status checkHandler() const;
 
 private:

@@ -28,31 +28,34 @@ public:
       : store(store), recordings(recordings), copies(copies), skips(skips),
         counters(counters) {}
 
-  /// Sets dirty adjoint fields to zero; in forward mode the tangents of
-  /// adjoints too. For a tape, skips fields that another thread has written and
-  /// the tape does not use. Fails if the host interrupts it.
+  /// Sets all adjoint fields to zero that may be non-zero; in forward mode,
+  /// also the tangents of adjoint fields. With `tape`, skips fields that
+  /// another thread has written and the tape does not use. Fails if the host
+  /// interrupts the work.
   Status clear(const Recorder *tape = nullptr);
   /// Sets to zero the tangent fields that no other thread wrote last.
   void clearTangents();
 
-  /// Defers storing zeros in an adjoint field until it is read. Launches of
-  /// kernels that use no gradient go on as before.
+  /// Records that an adjoint field is zero where `zeros` says so, and defers
+  /// storing these zeros until the field is read. Launches of kernels that use
+  /// no gradient do not store them.
   void owe(const FieldPtr &adjoint, std::shared_ptr<const OwedZeros> zeros);
   bool areOwed() const {
     return __builtin_expect(owesAny.load(std::memory_order_acquire), false);
   }
-  /// Stores owed zeros. Call before memory is accessed other than through
-  /// fields. Zeros owed by another thread belong to that thread, which may be
-  /// using the field: settle stores them only in fields that the caller is
-  /// about to use (`uses`).
+  /// Stores deferred zeros. Must be called before memory is accessed other than
+  /// through fields. Zeros deferred by another thread belong to that thread,
+  /// which may be using the field: they are stored only in fields for which
+  /// `uses` is true, because the caller is about to use them.
   using Uses = std::function<bool(const FieldPtr &)>;
   void settle(const Uses &uses = nullptr);
-  /// Call when the owed zeros of single fields have been stored.
+  /// Removes from `owing` the fields whose deferred zeros have been stored; to
+  /// be called after zeros of single fields have been stored.
   void forgetSettled();
   void forget(const Tree &tree);
 
 private:
-  /// Call whenever `owing` has changed.
+  /// Must be called after each change of `owing`: updates the flag `owesAny`.
   void update();
 
   const TreeStore &store;
@@ -60,7 +63,8 @@ private:
   const FieldCopies &copies;
   const SkipSet &skips;
   SkipCounters &counters;
-  /// Never held while zeros are stored, which may wait for a device.
+  /// Guards `owing`. Never held while zeros are stored, because storing may
+  /// wait for a device.
   std::mutex mutex;
   /// Adjoint fields that may owe zeros, guarded by `mutex`; and whether there
   /// are any such fields.

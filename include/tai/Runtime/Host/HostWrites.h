@@ -34,14 +34,15 @@ public:
       : store(store), memory(memory), recordings(recordings), copies(copies),
         devices(devices) {}
 
-  /// Sets the observer of writes; null for none.
+  /// Sets the observer that is told of each write of the host; null removes it.
   void setWatcher(OverwriteWatcher *follows) { watcher = follows; }
 
   /// Writes the whole field, from a row-major array of its scalar type.
   Status copyIn(Field &field, const void *array);
   Status fillF64(Field &field, double value);
   Status fillI64(Field &field, int64_t value);
-  /// Writes one component of one element, like Field::writeF64.
+  /// Writes one component of one element of a field, converted to the field's
+  /// type; see Field::writeF64.
   Status writeF64(Field &field, const int64_t *index, int64_t component,
                   double value);
   Status writeI64(Field &field, const int64_t *index, int64_t component,
@@ -58,11 +59,12 @@ public:
   /// field. Fails while a tape records, because it cannot record such writes.
   Status noteOutside(Field &field);
 
-  /// Performs any of the writes above. For tapes, its two steps, without
-  /// notification: activation of cells, and the write.
+  /// `change` performs a write of any of the kinds above. A tape calls its two
+  /// steps, which notify no recorder: `activateFor` activates the cells of
+  /// sparse levels, and `perform` writes.
   Status change(const HostWrite &write);
   Status activateFor(const HostWrite &write);
-  /// False if the host interrupted the write.
+  /// Returns false if the host interrupted the write.
   bool
   perform(const HostWrite &write,
           FieldCopies::Interrupts interrupts = FieldCopies::Interrupts::Wait);

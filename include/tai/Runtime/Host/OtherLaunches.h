@@ -21,7 +21,7 @@ class OtherLaunches {
 public:
   virtual ~OtherLaunches() = default;
 
-  /// Whether threads other than the calling one have launched kernels.
+  /// Whether any thread other than the calling thread has launched kernels.
   virtual bool areAny() const = 0;
   /// A barrier to call after the state of holds has changed: launches of other
   /// threads that begin later see the change, and visitChanges sees the

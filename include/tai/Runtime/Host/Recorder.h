@@ -31,21 +31,22 @@ public:
                         uint64_t *results, uint64_t number) = 0;
   /// Whether recording is suspended.
   virtual bool isSuspended() const = 0;
-  /// During the reverse of a host function: the cells that the loops of a
-  /// kernel, launched by the function, visited.
+  /// While the reverse sweep runs a host function backwards: finds the cells
+  /// that the loops of `kernel` visited when that function launched it.
   virtual Status findLoops(Kernel &kernel, LoopLists &lists, bool &found) = 0;
 
   /// Call before the host activates cells of the tree.
   virtual void watch(const TreePtr &tree) = 0;
-  /// Performs a write and records it.
+  /// Performs a write of the host to a field, and records it.
   virtual Status write(const HostWrite &write) = 0;
-  /// Runs `change`, which changes the activity of a tree, and records it.
+  /// Runs `change`, which activates or deactivates cells of `tree`, and records
+  /// it.
   virtual Status changeActivity(const TreePtr &tree,
                                 std::function<Status()> change) = 0;
 
-  /// Whether the gradient needs the values of the field.
+  /// Whether computing the gradient needs the present values of `field`.
   virtual bool needsValues(const Field &field) const = 0;
-  /// Whether the tape uses the field at all.
+  /// Whether this tape uses `field`, that is, holds it now or has held it.
   virtual bool uses(const FieldPtr &field) const = 0;
 };
 

@@ -41,8 +41,9 @@ public:
   Recorder *current() const {
     return __builtin_expect(isAny(), false) ? find() : nullptr;
   }
-  /// Whether any thread records; and whether several threads have recorded at
-  /// the same time since the last moment at which no thread recorded.
+  /// isAny: whether any thread records. areTogether: whether several threads
+  /// have recorded at the same time since the last moment at which no thread
+  /// recorded.
   bool isAny() const {
     return numRecording.load(std::memory_order_relaxed) != 0;
   }
@@ -56,9 +57,10 @@ public:
   bool areThereTapes() const {
     return numTapes.load(std::memory_order_relaxed) != 0;
   }
-  /// Whether the gradient of any registered tape needs the values of the field.
+  /// Whether the gradient of any registered tape needs the present values of
+  /// `field`.
   bool needsValues(const Field &field) const;
-  /// A unique number for tapes and their plans.
+  /// Returns a new number, unique among the stamps of tapes and of their plans.
   uint64_t nextStamp() {
     return 1 + stamps.fetch_add(1, std::memory_order_relaxed);
   }
@@ -94,14 +96,14 @@ public:
                             false) &&
            isForwardHere();
   }
-  /// Sets the mode of the calling thread.
+  /// Turns forward mode on or off for the calling thread.
   void setForward(bool on);
 
   //===--------------------------------------------------------------------===//
   // Holds
   //===--------------------------------------------------------------------===//
 
-  /// Bracket a period in which a tape may hold fields.
+  /// Bracket a period in which some tape may hold fields; calls nest.
   void beginHolding();
   void endHolding();
   bool areAnyHeld() const {
@@ -123,8 +125,8 @@ public:
   std::shared_ptr<const KnownPlan> knownPlan() const;
   void setKnownPlan(std::shared_ptr<const KnownPlan> plan);
 
-  /// Hashes of the kernel sequences that have been checked, and the warnings
-  /// about lost gradients that have been given.
+  /// sequencesSeen: hashes of the kernel sequences that have been checked for
+  /// lost gradients. cutsSaid: the warnings about lost gradients already given.
   std::unordered_set<size_t> sequencesSeen;
   std::unordered_set<std::string> cutsSaid;
 
@@ -150,7 +152,8 @@ private:
   /// Guards `recordings`, and the holds of all fields.
   mutable std::mutex mutex;
   std::atomic<int> numRecording{0};
-  /// Changes whenever `recordings` changes; unique among all runtimes.
+  /// A number that changes whenever `recordings` changes; no two runtimes ever
+  /// use the same number.
   std::atomic<uint64_t> version{0};
   std::atomic<bool> together{false};
   std::atomic<int> numHolding{0};

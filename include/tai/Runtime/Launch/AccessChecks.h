@@ -32,7 +32,8 @@ struct CheckedAccess {
   int64_t line = 0, column = 0;
 };
 
-/// The instrumented variant of a kernel.
+/// The variant of a kernel that checks the data access rules at run time, with
+/// the accesses and fields that it reports on.
 struct CheckedKernel {
   KernelPtr kernel;
   /// The fields whose shadow arrays are additional arguments of `kernel`.
@@ -54,28 +55,31 @@ struct Violation {
   accesslog::ViolationKind kind;
   std::string field;
   std::vector<int64_t> indices;
-  /// Component number (row-major), or -1 for fields of scalars.
+  /// Row-major number of the component within its element, or -1 for fields of
+  /// scalars.
   int64_t component;
   AccessPlace access, earlier;
 };
 
 class AccessChecks {
 public:
-  /// Keeps the first `limit` violations; only races if `racesOnly`.
+  /// Creates a checker that keeps the first `limit` violations; with
+  /// `racesOnly`, it ignores violations other than races.
   AccessChecks(Runtime &runtime, int64_t limit, bool racesOnly)
       : runtime(runtime), limit(limit), racesOnly(racesOnly) {}
 
-  /// Launches the instrumented variant in place of the kernel, and reads its
-  /// log.
+  /// Launches the instrumented variant of `kernel` instead of `kernel` itself,
+  /// and reads the access log of the launch.
   Status run(Launch &launch, Kernel &kernel, const uint64_t *args,
              uint64_t *results, uint64_t number);
 
   const std::vector<Violation> &violations() const { return found; }
-  /// The total number, including violations that were not kept.
+  /// The number of violations found, including violations beyond the limit,
+  /// which are not kept.
   int64_t numViolations() const { return total; }
 
 private:
-  /// The range of access numbers of a launch.
+  /// The range of access numbers that a launch uses; it starts at `base`.
   struct Range {
     int64_t base;
     const CheckedKernel *kernel;

@@ -31,7 +31,7 @@ public:
   /// Sets the storage for block sizes, for kernels loaded afterwards.
   void keepBlockSizes(KeptChoices kept) { blockSizes = std::move(kept); }
 
-  /// Call before and after the code of a kernel.
+  /// enter must be called before the code of a kernel runs, leave after it.
   Status enter(Launch &launch, Kernel &kernel);
   void leave(Launch &launch);
 

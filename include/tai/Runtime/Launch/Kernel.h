@@ -34,15 +34,15 @@ struct DeviceCode;
 struct DeviceImage;
 using KernelPtr = std::shared_ptr<Kernel>;
 
-/// An entry of a summary.
+/// An access of a kernel to a field: an entry of the kernel's summary.
 struct Access {
   FieldPtr field;
   AccessKind kind;
   /// The fixed indices, in the order of their dimensions: launches with
   /// different values of a fixed index access different elements.
   std::vector<FixedIndex> fixed = {};
-  /// For a write: the elements that are certainly stored, independent of the
-  /// values of fields. Null where unknown or not a box.
+  /// For a write: boxes of elements that the launch certainly stores, whatever
+  /// values fields hold. Null if they are unknown or do not form boxes.
   std::shared_ptr<const std::vector<StoredBox>> boxes = nullptr;
 
   bool operator==(const Access &other) const {
@@ -68,28 +68,31 @@ struct ZeroAdjoints {
 /// with neither, a scalar argument or a result.
 struct FlowPlace {
   FieldPtr field = nullptr;
-  /// The slot of an array's pointer, its rank and the bytes of an element.
+  /// If the place is an array argument: the slot of its pointer, its rank, and
+  /// the size of an element in bytes.
   int64_t slot = -1, rank = 0, elementBytes = 0;
-  /// Name of the field or of the argument.
+  /// Name of the place: of the field or of the argument.
   std::string name = {};
-  /// Whether the kernel is differentiated with respect to the argument; for an
-  /// array, the slot of the pointer to its adjoint.
+  /// hasGradient: whether the kernel is differentiated with respect to this
+  /// argument. adjointSlot: for an array, the slot of the pointer to its
+  /// adjoint.
   bool hasGradient = false;
   int64_t adjointSlot = -1;
   bool isResult = false;
-  /// For an array: the elements that each launch stores, as in Access.
+  /// For an array: boxes of elements that each launch certainly stores, as in
+  /// Access::boxes.
   std::vector<StoredBox> boxes = {};
 
   bool isArray() const { return slot >= 0; }
 };
 
-/// Floats stored to place `to` depend on floats of place `from`; numbers of
-/// KernelFlows::places.
+/// A data flow of floats through a kernel: values stored to place `to` depend
+/// on values read from place `from`. Both are indices into KernelFlows::places.
 struct ValueFlow {
   size_t from, to;
   /// Source location of the store, as "file:line:column".
   std::string place;
-  /// The kernel may itself read the stored value.
+  /// Whether the kernel itself possibly reads the stored value afterwards.
   bool isReadAgain = false;
 };
 
@@ -98,8 +101,8 @@ struct KernelFlows {
   std::vector<ValueFlow> flows;
 };
 
-/// The addresses of an array's elements: `step` divides the distance between
-/// any two.
+/// The range of addresses of an array's elements. The distance between any two
+/// elements is a multiple of `step`.
 struct ArrayRange {
   uint64_t begin, end;
   uint64_t step, elementBytes;
@@ -115,27 +118,30 @@ struct ArrayRange {
 struct AdjointPlan {
   /// The primal fields that the adjoint reads.
   std::vector<Access> reads;
-  /// Fields that the adjoint reads in the version before the launch.
+  /// Fields of which the adjoint reads the contents from before the launch.
   std::vector<FieldPtr> before;
   /// The adjoint re-executes the primal, which changes the fields that it
   /// reads.
   bool reexecutes = false;
-  /// If not empty: the kernels recorded instead of this kernel, in this order.
-  /// The parts have its arguments; one of the parts may return its results.
+  /// If not empty: the kernels into which this kernel was split. The tape
+  /// records them, in this order, instead of this kernel. They take the
+  /// arguments of this kernel; one of them may return its results.
   std::vector<KernelPtr> parts;
-  /// The plan is that of the zeroing variant of the adjoint, which must be
-  /// used.
+  /// This plan describes the zeroing variant of the adjoint, and the sweep must
+  /// launch that variant.
   bool zeroes = false;
-  /// Not final, and not to be cached: the plan may change when further adjoint
-  /// fields are declared.
+  /// The plan is preliminary, and must not be cached: it may change when
+  /// further adjoint fields are declared.
   bool provisional = false;
   /// Fields of whose sparse levels the adjoint reads the activity.
   std::vector<FieldPtr> activity = {};
-  /// The adjoint's loops over sparse fields.
+  /// The adjoint's loops over sparse fields, which can be skipped in cells
+  /// where their sources are zero.
   std::vector<ZeroAdjoints> flags = {};
-  /// If there is a variant of the adjoint that loads stored outputs: its
-  /// accesses beside `reads`. The variant is valid if nothing has changed the
-  /// elements of these accesses since the launch.
+  /// The accesses, beside `reads`, of the variant of the adjoint that loads
+  /// outputs stored by the kernel; no value if there is no such variant. The
+  /// variant is valid if nothing has changed the accessed elements since the
+  /// launch.
   std::optional<std::vector<Access>> stored = std::nullopt;
   /// Array arguments whose elements the adjoint reads, by the slots of their
   /// pointers.
@@ -149,10 +155,10 @@ struct CallerAdjoints {
   int64_t slots = 0;
   /// The adjoint kernel adds to the adjoint of an argument or array.
   bool hasTargets = false;
-  /// The adjoint kernel reads the adjoint of an array.
+  /// Whether the adjoint kernel reads the adjoint of an array argument.
   bool hasArrays = false;
-  /// The adjoint of a result: its pointer's slot, counted from the first slot
-  /// of an adjoint, and its size.
+  /// The adjoint of a result: the slot of its pointer, counted from the first
+  /// slot that holds an adjoint, and its size.
   struct Result {
     int64_t slot;
     int64_t bytes;
@@ -160,7 +166,8 @@ struct CallerAdjoints {
   std::vector<Result> results;
 
   bool hasSources() const { return hasArrays || !results.empty(); }
-  /// True if all adjoints that the adjoint kernel reads are known to be zero.
+  /// True if all adjoints of the caller that the adjoint kernel reads are known
+  /// to be zero. `callerSlots`: the slots of a launch that hold adjoints.
   bool areZero(const uint64_t *callerSlots) const;
 };
 
@@ -174,7 +181,8 @@ struct KernelInfo {
   std::string name;
   /// Source location, as "file:line:column", or empty.
   std::string place = {};
-  /// Slots of arguments and results; see Abi.h.
+  /// The numbers of 8-byte slots that the arguments and the results take; see
+  /// Abi.h.
   int64_t argSlots = 0;
   int64_t resultSlots = 0;
   std::vector<ArrayArgument> arrays = {};
@@ -184,11 +192,12 @@ struct KernelInfo {
   /// The accesses of the kernel. The summary must be complete, because the tape
   /// ignores fields that are not listed.
   std::vector<Access> summary;
-  /// The function; null where the provider makes it.
+  /// The kernel's code for the CPU; null if the provider compiles it.
   TaiKernelFn function = nullptr;
-  /// Makes the parts that are not given here; may be null if all are given.
+  /// Makes the parts of the kernel (function, adjoint, ...) that are null here;
+  /// may itself be null if no part is missing.
   std::shared_ptr<KernelProvider> provider;
-  /// The adjoint kernel; null where the provider makes it.
+  /// The adjoint kernel; null if the provider makes it.
   KernelPtr adjoint;
   /// True if `adjoint` zeroes the adjoints of the elements that the kernel
   /// stores.
@@ -202,24 +211,24 @@ struct KernelInfo {
   std::shared_ptr<const DeviceImage> image;
 };
 
-/// The data that is the same for all launches of a kernel, so that a launch
-/// does not search the kernel's tables. Only for kernels whose launch is a mere
-/// call of the function.
+/// Data that all launches of a kernel share, collected so that a launch need
+/// not search the kernel's tables. Only for kernels whose launch is a mere call
+/// of the function.
 struct alignas(64) PreparedLaunch {
-  /// The state of the runtime for which this data is valid; see LaunchState.
+  /// The epoch of the runtime for which this data is valid; see LaunchState.
   std::atomic<uint64_t> state{0};
   TaiKernelFn function = nullptr;
   void **trees = nullptr;
   int64_t slots = 0;
   bool hasResults = false;
-  /// Null for a launch on the CPU.
+  /// The kernel's code on the device; null if the kernel runs on the CPU.
   const DeviceCode *code = nullptr;
   Mirror *const *mirrors = nullptr, *const *mirrorsEnd = nullptr;
   Mirror *const *changed = nullptr, *const *changedEnd = nullptr;
-  /// Adjoint fields that the launch changes.
+  /// The range of adjoint fields that the launch changes.
   Field *const *adjoints = nullptr, *const *adjointsEnd = nullptr;
-  /// Number of the last launch, so that an adjoint launched by hand sees the
-  /// same random numbers.
+  /// Number of the kernel's last launch: an adjoint that the user launches
+  /// later uses the same random numbers.
   std::atomic<uint64_t> lastLaunch{0};
 };
 
@@ -233,10 +242,12 @@ public:
   /// each element of its fields (or of the slab of a fixed index) once.
   /// Negative if the summary is empty, or a field is sparse.
   int64_t touchedBytes() const;
-  /// Whether the kernel uses the tree: known once its names are resolved.
+  /// Whether the kernel accesses the tree. Known only after the kernel has been
+  /// resolved.
   bool uses(const Tree &tree) const;
   int64_t argSlots() const { return info.argSlots; }
-  /// Number of slots of a launch that may be differentiated.
+  /// Number of slots of a launch that may be differentiated: arguments, then
+  /// adjoints of arguments and results.
   int64_t tapeSlots() const {
     return info.argSlots + info.callerAdjoints.slots;
   }
@@ -251,21 +262,24 @@ public:
   bool resolved() const {
     return function.load(std::memory_order_acquire) != nullptr;
   }
-  /// The adjoint, or its zeroing variant, compiled if necessary; null if there
-  /// is nothing to differentiate. Thread-safe.
+  /// Gives the adjoint kernel, or with `zeroes` its zeroing variant; compiles
+  /// it if necessary. Null if there is nothing to differentiate. Thread-safe.
   Status resolveAdjoint(Kernel *&adjoint, bool zeroes = false);
-  /// The variant of the adjoint that loads stored outputs, or its zeroing
-  /// variant; null if there is none. Requires plan().stored.
+  /// Gives the variant of the adjoint that loads outputs stored by this kernel,
+  /// with `zeroes` its zeroing variant; null if there is no such variant.
+  /// Requires that plan().stored has a value. Thread-safe.
   Status resolveStoredAdjoint(Kernel *&adjoint, bool zeroes);
 
   /// The memory accesses of the adjoint. Thread-safe.
   const AdjointPlan &plan();
   /// The data flow from loaded to stored values. Thread-safe.
   const KernelFlows &flows();
-  /// Whether there is a plan, and it splits the kernel.
+  /// True if the adjoint has been planned and the plan splits the kernel into
+  /// several kernels.
   bool hasParts() const { return adjointPlan && !adjointPlan->parts.empty(); }
 
-  /// Whether the adjoint has a zeroing variant.
+  /// Whether the adjoint has a variant that zeroes the adjoints of the elements
+  /// that this kernel stores.
   bool hasZeroingAdjoint() const {
     return info.zeroesAdjoints ||
            (info.provider && info.provider->makesZeroingAdjoints());
@@ -279,9 +293,10 @@ public:
   /// Thread-safe.
   Status resolveTangent(Kernel *&tangent);
 
-  /// Call before the kernel is launched, or from its provider. A tree that the
-  /// kernel has already is not replaced by a later tree of the same name: the
-  /// kernel was compiled for the layout of the first tree.
+  /// Sets the kernel's trees. To be called before the kernel is launched, or
+  /// from its provider. If the kernel already has a tree of some name, a later
+  /// tree of this name does not replace it: the kernel was compiled for the
+  /// layout of the first tree.
   void setTrees(std::vector<TreePtr> trees);
   void setSummary(std::vector<Access> summary);
   void setLoopLevels(std::vector<LoopLevel> levels);
@@ -300,7 +315,9 @@ private:
 
   /// Fails for a handler that has interrupted the compilation of this kernel.
   Status checkHandler() const { return Section::Entry(section).check(); }
-  /// Fills the tables below; fails if a tree has been destroyed.
+  /// Fills the tables of fields and trees that launches use (the members
+  /// below), for the storage's state `epoch`. Fails if a tree has been
+  /// destroyed.
   Status bind(uint64_t epoch);
   /// Invalidates the results of `bind` and the prepared launch.
   void forget() {
@@ -315,26 +332,29 @@ private:
   /// compilation, which has safepoints.
   mutable Section section;
   using Lock = Section::Entry;
-  /// The variants of the adjoint: plain and zeroing, and the same two variants
-  /// with stored outputs.
+  /// A variant of the adjoint. There are four: plain and zeroing, each without
+  /// and with loading of stored outputs.
   struct AdjointForm {
     KernelPtr kernel;
     bool asked = false;
-    /// Set when the adjoint is known, so that a sweep needs no lock.
+    /// The adjoint, once it has been made: a sweep reads it without a lock.
     std::atomic<Kernel *> known{nullptr};
   };
   std::array<AdjointForm, 2> adjointForms, storedForms;
   std::shared_ptr<CheckedKernel> checked;
   std::unique_ptr<AdjointPlan> adjointPlan;
-  /// The previous plan, which other threads may still read.
+  /// The plan before the current plan, kept because other threads may still
+  /// read it.
   std::unique_ptr<AdjointPlan> provisionalPlan;
-  /// Why planning failed: an adjoint without a plan is not launched.
+  /// The error of the attempt to plan the adjoint: an adjoint without a plan is
+  /// not launched.
   Status planFailure;
   std::optional<KernelFlows> valueFlows;
   KernelPtr tangent;
   bool tangentAsked = false;
 
-  /// True if no level that the kernel loops over has active cells.
+  /// True if the kernel only loops over active cells of sparse levels, and no
+  /// such level has an active cell.
   bool hasNoActiveCells() const {
     for (const SparseNode *level : loopLevels)
       if (level->mayBeActive())
@@ -346,15 +366,15 @@ private:
   std::shared_ptr<DeviceCode> deviceCode;
   std::vector<void *> bases;
   LoopTimes loopTimes;
-  /// The levels of the kernel's loops, if it only loops over active cells;
-  /// otherwise empty.
+  /// If the kernel only loops over active cells: the sparse levels of its
+  /// loops. Otherwise empty.
   std::vector<const SparseNode *> loopLevels;
-  /// The epoch of the storage for which the tables are valid; 0 is never
-  /// current.
+  /// The epoch of the storage for which the tables of bind() are valid; 0
+  /// before the first bind().
   std::atomic<uint64_t> boundEpoch{0};
   /// Whether the kernel accesses an adjoint field, which may owe zeros.
   bool usesAdjoints = false;
-  /// Adjoint fields that a launch may change.
+  /// The adjoint fields that a launch of this kernel may change.
   std::vector<Field *> changedAdjoints;
   /// Fields whose adjoints the adjoint kernel adds to: the fields that this
   /// kernel reads.
@@ -362,7 +382,8 @@ private:
   /// Fields whose adjoints the adjoint kernel reads: the fields that this
   /// kernel changes.
   std::vector<Field *> adjointSources;
-  /// The fields of `adjointSources` that are overwritten, not accumulated.
+  /// The fields in `adjointSources` that the kernel overwrites rather than adds
+  /// to.
   std::vector<Field *> overwritten;
   /// Sparse levels of the kernel's trees. For an adjoint that is launched by
   /// hand: the state of the levels when the last launch began, and the cells
@@ -371,9 +392,9 @@ private:
   std::mutex activityMutex;
   std::vector<SparseNode::Moment> lastBegins;
   LoopLists lastLoops;
-  /// Stamp of the last tape that recorded this kernel.
+  /// The stamp (a unique number) of the last tape that recorded this kernel.
   uint64_t tapeStamp = 0;
-  /// The data of that tape about this kernel.
+  /// Data about this kernel that belongs to the tape with stamp `tapeStamp`.
   const void *tapeUses = nullptr;
 };
 

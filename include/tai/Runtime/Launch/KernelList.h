@@ -12,7 +12,7 @@
 
 namespace mlir::tai::runtime {
 
-/// All kernels that may be launched, for iteration.
+/// The kernels of a runtime, in a list that can be iterated.
 class KernelList {
 public:
   KernelPtr create(KernelInfo info);

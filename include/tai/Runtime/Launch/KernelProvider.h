@@ -29,9 +29,11 @@ struct KernelFlows;
 
 /// Selects a variant of an adjoint.
 struct AdjointVariant {
-  /// The variant zeroes the adjoints of the elements that the kernel stores.
+  /// Whether the adjoint also zeroes the adjoints of the elements that the
+  /// kernel stores.
   bool zeroes = false;
-  /// The variant loads stored outputs of the kernel.
+  /// Whether the adjoint loads outputs that the kernel has stored, instead of
+  /// recomputing them.
   bool readsStored = false;
 };
 
@@ -39,25 +41,26 @@ class KernelProvider {
 public:
   virtual ~KernelProvider();
 
-  /// Compiles the function that a launch calls. May call Kernel::setTrees and
-  /// the other setters. By default fails.
+  /// Compiles the function that a launch of `kernel` calls. May call
+  /// Kernel::setTrees and the other setters. The default implementation fails.
   virtual Status compile(Kernel &kernel, TaiKernelFn &function);
 
-  /// Makes the adjoint. Success with a null kernel: there is nothing to
-  /// differentiate, or no variant with stored outputs. By default fails, or,
-  /// for stored outputs, yields null.
+  /// Makes a variant of the kernel's adjoint. Succeeds with a null `adjoint` if
+  /// there is nothing to differentiate, or no variant with stored outputs. The
+  /// default implementation fails or, for stored outputs, yields null.
   virtual Status makeAdjoint(Kernel &kernel, AdjointVariant variant,
                              KernelPtr &adjoint);
-  /// Whether there are zeroing variants of adjoints.
+  /// Whether makeAdjoint can make variants that zero adjoints of stored
+  /// elements.
   virtual bool makesZeroingAdjoints() const { return false; }
   /// Plans the adjoint; called when the kernel is first recorded. By default,
   /// the adjoint is assumed to read all that the kernel accesses.
   virtual Status planAdjoint(Kernel &kernel, AdjointPlan &plan);
-  /// The data flow of the kernel.
+  /// Finds the data flow of floats through the kernel, from reads to stores.
   virtual KernelFlows findFlows(const Kernel &kernel);
 
   /// Makes the variant of the kernel that checks the access rules at run time.
-  /// The result has no fields if there is nothing to check.
+  /// `checked` has no fields if there is nothing to check.
   virtual Status makeChecked(CheckedKernel &checked);
   /// The variant of the kernel for forward mode; null if it has no tangents.
   virtual Status makeTangent(KernelPtr &tangent);

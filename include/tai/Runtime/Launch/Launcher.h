@@ -21,7 +21,7 @@
 #include "tai/Runtime/Launch/Options.h"
 #include "tai/Runtime/Launch/RunningLaunches.h"
 
-/// The type of the opaque pointer in Abi.h.
+/// Compiled code gets a pointer to this type, which Abi.h declares only.
 struct TaiRuntime {};
 
 namespace mlir::tai::runtime {
@@ -31,7 +31,7 @@ struct Launch;
 
 class Launcher {
 public:
-  /// The parts of the runtime that the launcher uses.
+  /// References to the parts of the runtime that the launcher uses.
   struct Parts {
     const Options &options;
     const TreeStore &store;
@@ -50,7 +50,7 @@ public:
 
   KernelList &kernels() { return kernelList; }
   DeviceLaunches &onDevice() { return deviceLaunches; }
-  /// The registry of running kernels.
+  /// The launches of all threads that run at present.
   RunningLaunches &running() { return runningLaunches; }
 
   /// Launches a kernel, and records it if a tape is recording. `results` may be
@@ -75,7 +75,7 @@ public:
   /// Sets the seed and restarts the numbering of launches, so that later
   /// launches repeat their random numbers.
   void setSeed(uint64_t seed);
-  /// The number of the next launch.
+  /// A counter: the number that the next launch gets.
   std::atomic<uint64_t> &numbers() { return hot.launches; }
   const std::atomic<uint64_t> &numbers() const { return hot.launches; }
 
@@ -87,11 +87,11 @@ public:
   void forgetTangents();
 
   //===--------------------------------------------------------------------===//
-  // For tapes and host programs
+  // Functions for tapes and host programs
   //===--------------------------------------------------------------------===//
 
-  /// Gets a launch object, to be released. `isUnrecorded`: the launch is
-  /// neither recorded nor part of a sweep.
+  /// Gets a launch object, which the caller must release(). `isUnrecorded`: the
+  /// launch is neither recorded by a tape nor part of a sweep.
   Launch *acquire(bool isUnrecorded = false);
   void release(Launch *launch);
   /// Destroys all launch objects; none may be running.
@@ -104,14 +104,16 @@ public:
       return runTangent(launch, kernel, args, results, number);
     return runCode(launch, kernel, args, results, number);
   }
-  /// `given`: the cells that the primal's loops over sparse levels visited;
-  /// null for the currently active cells.
+  /// Runs `adjoint`, the adjoint of `kernel`. `given`: the cells that the loops
+  /// of `kernel` over sparse levels visited; null to visit the currently active
+  /// cells.
   Status runAdjoint(Launch &launch, Kernel &kernel, Kernel &adjoint,
                     const uint64_t *args, uint64_t number,
                     const LoopLists *given);
-  /// Whether launches need no steps around the call of the kernel's code.
+  /// Whether a launch is a mere call of the kernel's code: no device, no
+  /// profiler, no forward mode.
   bool runsDirectly() const;
-  /// Whether consecutive launches may be fused.
+  /// Sets whether several consecutive launches may run as one fused launch.
   void setFuse(bool on) { fusesLaunches = on; }
   static Status failureOf(Launch &launch, const Kernel &kernel);
 
@@ -131,15 +133,16 @@ private:
   int32_t runTimed(Launch &launch, Kernel &kernel, TaiKernelFn function);
   void settleZeros(const Kernel &kernel, const uint64_t *args);
   void takeOverTangents(const Kernel &kernel);
-  /// Fails on a conflict with the holds of another thread's tape.
+  /// Fail if the kernel (or its adjoint) accesses a field that another thread's
+  /// tape holds in a conflicting way.
   Status checkHolds(const Kernel &kernel) const;
   Status checkAdjointHolds(const Kernel &kernel) const;
 
   /// The data that each launch reads, in one cache line: a driver call evicts
   /// most of the cache.
   struct alignas(64) Hot {
-    /// The epoch of the storage while prepared launches are allowed; different
-    /// from any epoch while, for example, a tape records.
+    /// The storage's epoch while prepared launches are allowed. Otherwise, for
+    /// example while a tape records, a number that no epoch has.
     std::atomic<uint64_t> state{1};
     std::atomic<uint64_t> launches{0};
     /// Options::seed.

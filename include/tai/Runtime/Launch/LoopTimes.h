@@ -26,14 +26,15 @@ class LoopTimes {
 public:
   class Entry {
   public:
-    /// Whether the loop should now run in one part, to be timed.
+    /// Whether the next run of the loop should be on one core, to be timed.
     bool wantsRun() const {
       uint32_t runs = count.load(std::memory_order_relaxed);
       return runs < firstRuns || runs % interval == 0;
     }
-    /// Call whenever the loop is about to run.
+    /// Counts a run of the loop; to be called before each run.
     void noteRun() { count.fetch_add(1, std::memory_order_relaxed); }
-    /// Nanoseconds for an iteration; 0 before the first measurement.
+    /// The measured nanoseconds for an iteration; 0 before the first
+    /// measurement.
     double perIteration() const {
       return nanoseconds.load(std::memory_order_relaxed);
     }

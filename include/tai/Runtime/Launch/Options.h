@@ -15,30 +15,33 @@ namespace mlir::tai::runtime {
 
 /// Instruments that watch launches without a change of their results.
 struct Instruments {
-  /// A launch on a device waits for its end, and reports the failures of its
-  /// kernel itself.
+  /// Debug mode: each launch on a device waits for its own end, and reports the
+  /// failures of its kernel itself.
   bool debug = false;
   bool profiler = false;
-  /// Kernels run with shadow values; see ShadowLog.h.
+  /// Whether kernels also compute shadow values of floats, in twice the
+  /// precision; see ShadowLog.h.
   bool shadow = false;
 };
 
 struct Options {
-  /// Worker threads; 0 = as many as the process may use.
+  /// Number of worker threads; 0 means as many as the process may use.
   int threads = 0;
   /// Whether a device may time several sizes of blocks, which changes the bits
   /// of sums.
   bool triesBlocks = true;
   Instruments instruments;
   uint64_t seed = 0;
-  /// Maximum of bytes for trees and scratch memory; 0 = the memory of the
+  /// Maximum of bytes for trees and scratch memory; 0 means the memory of the
   /// machine (or of its control group).
   int64_t memoryLimit = 0;
   /// The skips that are on; see Skips.def.
   SkipSet skips;
-  /// Threads in a block on a device; 0 = chosen for each kernel.
+  /// Number of threads in a block of a GPU launch; 0 means that the runtime
+  /// chooses the number for each kernel.
   int blockThreads = 0;
-  /// The maximum of threads in a block; 0 = the limit of the device.
+  /// Upper limit of the threads in a block of a GPU launch; 0 means the
+  /// device's own limit.
   int mostBlockThreads = 0;
 };
 

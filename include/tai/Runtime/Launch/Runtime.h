@@ -73,7 +73,7 @@ public:
   SkipCounters &skipCounters() { return skipCounts; }
 
   //===--------------------------------------------------------------------===//
-  // Options, which may change at any time between launches
+  // Options; all may change at any time between launches
   //===--------------------------------------------------------------------===//
 
   const Options &options() const { return opts; }
@@ -85,7 +85,8 @@ public:
   }
   void setTriesBlocks(bool on) { opts.triesBlocks = on; }
   void setDebug(bool on) { opts.instruments.debug = on; }
-  /// Fails if the address space for shadows cannot be reserved.
+  /// Turns shadow execution on or off. Fails if the address space for shadow
+  /// values cannot be reserved.
   Status setShadow(bool on) {
     opts.instruments.shadow = on;
     return on ? shadow::reserve() : Status::success();
@@ -96,7 +97,8 @@ public:
     opts.instruments.profiler = on;
     deviceHost.setProfiler(on);
   }
-  /// Whether device code should include source locations.
+  /// Whether device code should be compiled with source locations, for
+  /// profilers.
   bool wantsPlaces() const {
     return opts.instruments.profiler || deviceHost.wantsPlaces();
   }
@@ -105,7 +107,8 @@ public:
     // Invalidates prepared launches.
     state.storageChanged();
   }
-  /// Applies to kernels loaded afterwards.
+  /// Set the block size of GPU launches, or its limit. Apply to kernels that
+  /// are loaded afterwards.
   void setBlockThreads(int threads) { opts.blockThreads = threads; }
   void setMostBlockThreads(int threads) { opts.mostBlockThreads = threads; }
   void keepBlockSizes(KeptChoices kept) {
@@ -154,8 +157,8 @@ public:
   DeviceQueue *getDeviceQueue() const { return deviceHost.queue(); }
   DeviceContext *getDeviceContext() const { return deviceHost.get(); }
   Status synchronize() { return deviceHost.synchronize(); }
-  /// Whether there is a failure of a function of a device that could not return
-  /// it, and this failure.
+  /// hasNotedFailure: whether a device call that could not return its failure
+  /// has failed since the last takeFailure(), which returns the failure.
   bool hasNotedFailure() const {
     return __builtin_expect(deviceHost.isThere(), false) &&
            deviceHost.hasNoted();

@@ -31,7 +31,8 @@
 #include <string>
 #include <vector>
 
-/// The table, or null if no context has enabled shadows. Used by linked code.
+/// The table of shadow values, or null if no context has enabled shadow
+/// execution. Compiled code refers to this symbol.
 extern "C" char *tai_rt_shadows;
 
 namespace mlir::tai::runtime {
@@ -47,9 +48,10 @@ struct ShadowRow {
   int64_t flips; // comparisons and conversions whose result differs from that
                  // of the shadows
   int64_t nonFinite; // infinite or NaN, where the shadow is finite
-  /// The error of the worst result, and of its operands.
+  /// For the operation's worst result: the relative error of the result, and
+  /// the relative error of its operands.
   double errorMade, errorIn;
-  /// The bits lost in the worst result.
+  /// For the operation's worst result: the number of significant bits lost.
   double bitsLost;
 };
 
@@ -91,7 +93,8 @@ public:
     const std::string text; // operation, kernel and place, with newlines
     int32_t precision = 0;
     std::atomic<int64_t> lost{0}, cancellations{0}, flips{0}, nonFinite{0};
-    /// For the worst result: its error divided by the error of its operands.
+    /// For the operation's worst result: its error divided by the error of its
+    /// operands.
     std::atomic<double> growth{0};
     std::mutex worst;
     double errorMade = 0, errorIn = 0;
@@ -99,8 +102,8 @@ public:
 
   ShadowLog();
 
-  /// The site for a structure in compiled code. This log must be the log of the
-  /// context of the code.
+  /// Finds or makes the site for `named`, a structure in compiled code. This
+  /// log must be the log of the context that compiled the code.
   Site &find(TaiShadowSite &named) {
     if (__builtin_expect(
             __atomic_load_n(&named.log, __ATOMIC_ACQUIRE) == identity, true))

@@ -40,7 +40,8 @@ public:
   /// all of its memory.
   void use(std::unique_ptr<Device> device, int64_t memoryLimit);
   bool isThere() const { return context != nullptr; }
-  /// Null if there is no device.
+  /// The state shared by objects on the device; null if the runtime has no
+  /// device.
   DeviceContext *get() const { return context.get(); }
   const std::shared_ptr<DeviceContext> &shared() const { return context; }
   Device *device() const;
@@ -55,7 +56,8 @@ public:
   Status checkHandler() const;
   /// Waits for queued work; returns failures, and prints the output of kernels.
   Status synchronize();
-  /// Keep the first failure of calls that could not return it, and return it.
+  /// noteFailure keeps the first failure of calls that could not return it;
+  /// takeFailure returns this failure and forgets it.
   void noteFailure(Status status);
   bool hasNoted() const;
   Status takeFailure() {
@@ -64,13 +66,15 @@ public:
 
   /// The device address of an offset in a tree; fails without a device.
   Status addressOf(const Tree &tree, int64_t offset, void *&address);
-  /// See Device::waitForStream; without a device, these do nothing.
+  /// Order work relative to a stream of another library; see
+  /// Device::waitForStream. Without a device, both do nothing.
   Status waitForStream(uint64_t stream);
   Status letStreamWait(uint64_t stream);
   /// Device memory for a caller's copies of arrays.
   Status allocate(int64_t bytes, void *&address);
   void free(void *address);
-  /// A copy on the device; ordered, and collected, like launches.
+  /// Copies memory on the device. The copy is queued in order with launches,
+  /// and collected into sequences like them.
   Status copy(void *to, const void *from, int64_t bytes);
   /// Copies `rows` pieces of `bytes` bytes, `step` bytes apart, to the host.
   Status read(const void *from, int64_t step, int64_t bytes, int64_t rows,
@@ -82,7 +86,8 @@ public:
   Profiler &profiler() const { return *sharedProfiler; }
   void setProfiler(bool on);
   Profiler &collectedProfiler();
-  /// Whether device code should include source locations.
+  /// Whether device code should be compiled with source locations, for
+  /// profilers.
   bool wantsPlaces() const;
 
 private:
@@ -91,7 +96,8 @@ private:
   DeviceServices services;
   /// Shared with the device.
   std::shared_ptr<Profiler> sharedProfiler;
-  /// Shared with the objects on the device.
+  /// The device's state, shared with the objects that have memory on the
+  /// device.
   std::shared_ptr<DeviceContext> context;
 };
 

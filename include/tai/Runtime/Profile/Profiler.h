@@ -40,8 +40,8 @@ struct KernelTimes {
   }
 };
 
-/// A kernel on the CPU; a function of a kernel on a device; a copy or fill on a
-/// device.
+/// Kinds of profiled work. Host: a kernel on the CPU. Device: a function of a
+/// kernel on a device. Memory: a copy or fill on a device.
 enum class ProfileKind { Host, Device, Memory };
 
 struct ProfileRow {
@@ -50,25 +50,27 @@ struct ProfileRow {
   ProfileKind kind = ProfileKind::Host;
   /// "file:line:column", or empty.
   std::string place = {};
-  /// Bytes that a launch reads plus those that it writes, each element counted
-  /// once. Negative if not known.
+  /// Bytes that a launch of the kernel reads plus bytes that it writes, each
+  /// element counted once. Negative if not known.
   int64_t bytes = -1;
   DeviceFunctionFacts facts = {};
-  /// Grid of the last launch. Occupancy: resident threads of the function as a
-  /// fraction of the threads that the device can hold; negative if not known.
+  /// Grid of the last launch: blocks, and threads in a block. Occupancy:
+  /// resident threads of the function as a fraction of the threads that the
+  /// device can hold; negative if not known.
   unsigned blocks = 0, threads = 0;
   double occupancy = -1;
 };
 
 /// An event on the time line, in nanoseconds since the runtime was created.
 struct TraceEvent {
-  /// The row for which the event counts. Lives as long as the profiler.
+  /// The profile row to which the event's time was added. Valid as long as the
+  /// profiler.
   const ProfileRow *row;
   bool onDevice;
   /// Number of the host thread, in the order of first use.
   int thread;
   int64_t startNs, durationNs;
-  /// On a device: the time at which the host queued the work.
+  /// For an event on a device: the time at which the host queued the work.
   int64_t queuedNs;
   unsigned blocks, threads;
 };
@@ -85,23 +87,24 @@ public:
         .count();
   }
 
-  /// The row of this name, created if necessary. Items remain valid when times
-  /// are cleared.
+  /// Finds the row of this kind and name, and creates it if there is none. The
+  /// result remains valid when times are cleared.
   Item find(ProfileKind kind, const std::string &name,
             const std::string &place);
-  /// Sets the bytes of a kernel's launches for its device function. With
-  /// several functions, the accesses of each are not known.
+  /// Sets, for the profile row of a kernel's device function, the bytes that a
+  /// launch reads and writes. For a kernel with several device functions, the
+  /// bytes of each are set to unknown.
   void noteBytes(const std::vector<std::string> &functions, int64_t bytes);
   void noteFacts(Item item, const DeviceFunctionFacts &facts,
                  const LaunchShape &shape, double occupancy);
-  /// Adds a time to the row, and stores the event.
+  /// Adds the event's time to the row `item`, and stores the event.
   void count(Item item, const TraceEvent &event);
   /// Stores the event only.
   void keep(Item item, const TraceEvent &event);
-  /// The number of the calling thread.
+  /// The profiler's number for the calling thread, in the order of first use.
   int thread();
 
-  /// Rows with a non-zero count, longest total time first.
+  /// The profile rows of work that has run, longest total time first.
   std::vector<ProfileRow> rows() const;
   /// All events, unordered. `lost`: the number of dropped events.
   std::vector<TraceEvent> events(int64_t &lost) const;

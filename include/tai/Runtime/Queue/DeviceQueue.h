@@ -31,27 +31,30 @@ class RecordedLaunches;
 
 /// A device function that becomes part of a program.
 struct ProgramPart {
-  /// DeviceImage::bitcode; null for an unused number. Shared, because a program
-  /// may be compiled after the module of the function is gone.
+  /// The code of the function, see DeviceImage::bitcode; null for an unused
+  /// part number. Shared, because a program may be compiled after the module of
+  /// the function is gone.
   std::shared_ptr<const std::string> bitcode;
   std::string function;
-  /// Whether rows of the table refer to the part, and not only loops.
+  /// Whether steps in the program's table call the part, and not only loops.
   bool isInTable = true;
-  /// Whether the function runs a single iteration, for tile chains.
+  /// Whether the function runs a single iteration: true for parts of tile
+  /// chains.
   bool isTile = false;
-  /// The maximum block size of its launches, if known.
+  /// The maximum block size of the launches that the part replaces, if known.
   unsigned threads = 0;
 };
 
-/// A parameter of a step in a loop.
+/// Where a step in a program's loop finds one of its parameters.
 struct ProgramSlot {
   enum Kind {
-    /// Word number `word` of the program's parameters.
+    /// The parameter is word number `word` of the program's parameters.
     Fixed,
-    /// Word number `word` plus the next word times the iteration number of the
-    /// loop.
+    /// The parameter grows by a constant: word number `word` of the program's
+    /// parameters, plus the following word times the iteration number.
     Growing,
-    /// Word number `word` of the iteration's row in the loop's list.
+    /// The parameter is word number `word` of the row that the loop's list has
+    /// for this iteration.
     Listed
   };
   Kind kind = Fixed;
@@ -65,15 +68,16 @@ struct ProgramLoopStep {
   std::vector<ProgramSlot> slots;
 };
 
-/// Consecutive steps of a program: a loop, or rows of the table.
+/// Consecutive steps of a program: either a loop, or rows of the step table.
 struct ProgramSegment {
-  /// The body of a loop; empty for rows.
+  /// The steps of the loop's body; empty for a segment of table rows.
   std::vector<ProgramLoopStep> steps;
-  /// The number of iterations, or of rows.
+  /// The number of the loop's iterations, or of the table rows.
   size_t count = 0;
-  /// The number of the first step in the sequence.
+  /// The position, in the sequence, of the segment's first step.
   size_t first = 0;
-  /// For a loop: where its list starts in the table, and the words in a row.
+  /// For a loop with a list: the position of the list in the table, and the
+  /// number of words in one of its rows.
   size_t listStart = 0, listWidth = 0;
 
   bool isLoop() const { return !steps.empty(); }
@@ -83,32 +87,35 @@ struct ProgramSegment {
 struct ProgramPlan {
   std::vector<ProgramPart> parts;
   std::vector<ProgramSegment> segments;
-  /// Chains, by part number minus firstChainPart.
+  /// The tile chains of the program; the chain of part number p has index p -
+  /// firstChainPart.
   std::vector<TileChain> chains;
-  /// The number of words of loop parameters.
+  /// The number of 8-byte words that hold parameters of loops.
   size_t words = 0;
   /// One of TAI_SCOPE_*.
   int scope = 0;
   /// The maximum block size.
   unsigned threads = 1;
-  /// Whether each step is time-stamped.
+  /// Whether the program records a time stamp for each of its steps.
   bool isTimed = false;
 };
 
-/// Compiles the plan to one kernel, `tai_program`; see tai/ABI/DeviceAbi.h. For
-/// TAI_SCOPE_LAUNCHES, makes a kernel of each part, with the parameters of its
-/// function. For TAI_SCOPE_NONE, makes a kernel of each part, where parts are
-/// functions of the device library without bitcode.
+/// A function that compiles a plan to one kernel, `tai_program`; see
+/// tai/ABI/DeviceAbi.h. For TAI_SCOPE_LAUNCHES, it makes a kernel of each part,
+/// with the parameters of the part's function. For TAI_SCOPE_NONE, it makes a
+/// kernel of each part too; these parts are functions of the device library and
+/// have no bitcode.
 using ProgramMaker =
     std::function<Status(const ProgramPlan &plan, DeviceImage &image)>;
 
 /// A program that another thread compiles.
 class ProgramJob {
 public:
-  /// Abandons the program if it is not done.
+  /// Destroying a job that is not done abandons the program.
   virtual ~ProgramJob() = default;
   virtual bool isDone() const = 0;
-  /// The outcome, to be called once, after the job is done.
+  /// Takes the compiled program, or the error. To be called once, after the job
+  /// is done.
   virtual Status take(DeviceImage &image) = 0;
 };
 
@@ -116,14 +123,15 @@ public:
 using ProgramStarter =
     std::function<std::unique_ptr<ProgramJob>(ProgramPlan plan)>;
 
-/// The open collection of launches, or the last collection if none is open.
+/// The open collection of launches. While none is open, the last collection.
 struct LaunchCollection {
   bool isReplay = false;
-  /// Whether its sequence ran as a program.
+  /// Whether the collected sequence ran as a program.
   bool hasProgram = false;
 };
 
-/// The form in which sequences are run; set for tests and measurements.
+/// The form in which sequences of launches are run. Automatic unless set, by
+/// tests and measurements.
 enum class ProgramMode {
   Automatic,
   Launches,
@@ -131,24 +139,26 @@ enum class ProgramMode {
   Block,
   Cluster,
   Grid,
-  /// Like Grid, with chains in tiles.
+  /// Like Grid; chains of stencil launches run in tiles (ProgramTiles.h).
   Tiles,
-  /// Like Graph, with programmatic dependent launch.
+  /// Like Graph; the launches use programmatic dependent launch.
   Overlapped,
-  /// Like Overlapped, with fills that are not needed at once on a parallel
-  /// branch.
+  /// Like Overlapped; fills that are not needed at once are on a parallel
+  /// branch of the graph.
   Aside
 };
 
 class DeviceQueue final : public Device {
 public:
-  /// `unwatched`: the device that `device` wraps, to which launches may be
-  /// passed directly unless setOneByOne(); null for none.
+  /// Creates a queue in front of `device`. `unwatched`: the device that
+  /// `device` wraps; launches may be passed to it directly unless setOneByOne()
+  /// is on. Null if there is none.
   explicit DeviceQueue(std::unique_ptr<Device> device,
                        Device *unwatched = nullptr);
   ~DeviceQueue() override;
 
-  /// Without a maker, sequences become graphs at best.
+  /// Sets the compiler of programs. Without one, a sequence can become a graph,
+  /// but not a program.
   void setProgramMaker(ProgramMaker maker) { makeProgram = std::move(maker); }
   /// With a starter, programs are compiled in the background, and `Automatic`
   /// tries them within a share of the time that their sequence has run.
@@ -199,9 +209,10 @@ public:
   /// sequence.
   Status beginRecording();
   Status endRecording(bool isSwept);
-  /// Whether launches of a recording are being collected.
+  /// Whether launches that a tape records are being collected.
   bool isGathering() const;
-  /// A copy for a tape's saved values, which only queued work reads.
+  /// Copies values that a tape saves. The copy can be deferred with other work,
+  /// because only queued work reads the destination.
   Status copyKept(const DeviceRows &to, DevicePtr from, int64_t fromStep);
   /// Queues deferred fills and launches. Outside of a collection, fills are
   /// deferred until other work comes: adjacent fills are merged, and fills
@@ -219,14 +230,15 @@ public:
   /// launches: only a part of the launches has been queued, and on a device
   /// that does not run by itself only a part is done.
   Status checkHandler() const;
-  /// Whether launches are deferred; whether launches may be deferred; whether
-  /// the next launches probably will be deferred.
+  /// keepsLaunches: whether launches are being deferred. mayKeep: whether they
+  /// may be deferred. expectsLaunches: whether the next launches will probably
+  /// be deferred.
   bool keepsLaunches() const;
   bool mayKeep() const { return watches || isRecording(); }
   bool expectsLaunches() const;
 
-  /// For a timed launch, which cannot wait for the end of the sequence: queues
-  /// the collected work; launchNow then queues the launch.
+  /// Queues the collected work, before a timed launch that cannot wait for the
+  /// end of the sequence; launchNow then queues the timed launch.
   Status interrupt() {
     if (runDepth)
       if (Status status = checkHandler(); !status)
@@ -237,7 +249,7 @@ public:
   Status launchNow(DeviceFunction &function, const LaunchShape &shape,
                    const uint64_t *slots, int count);
 
-  /// Describes how each sequence is run, a line for each.
+  /// Describes how each known sequence of launches is run, a line for each.
   std::string explain() const;
 
   DeviceKind kind() const override { return device->kind(); }
@@ -312,8 +324,9 @@ private:
     bool isWhole = noteOther();
     return flush(isWhole || collecting > 0);
   }
-  /// Notes work that is neither a launch nor a fill. Returns whether the
-  /// recording so far equals a complete known recording.
+  /// Notes work that is neither a launch nor a fill, and so ends what can be
+  /// collected. Returns whether the recording so far equals a complete known
+  /// recording.
   bool noteOther();
   Status launchRecorded(Function &function, const LaunchShape &shape,
                         const uint64_t *slots, int count);
@@ -326,19 +339,18 @@ private:
 
   std::unique_ptr<Device> device;
   Device *unwatched;
-  // Read by each launch.
-  /// The device for launches that are not collected.
+  // Members that each launch reads.
   Device *launcher = nullptr;
   int collecting = 0;
   /// Whether there is deferred work outside of a collection.
   bool isKeeping = false;
-  /// Whether launches may be deferred.
+  /// Whether launches outside of a recording may be deferred.
   bool watches = false;
-  /// The recording of a tape.
+  /// Whether a tape is recording.
   enum class Recording {
     None,
     Open,
-    /// The recording has ended, and its reverse sweep follows.
+    /// The recording has ended, and the reverse sweep of its tape follows.
     AwaitsSweep
   };
   Recording recording = Recording::None;
@@ -354,7 +366,7 @@ private:
   std::unique_ptr<SequencePrefixes> prefixes;
   std::unique_ptr<RecordedLaunches> recorded;
   LaunchCollection collection;
-  /// The failure of a call that could not return it.
+  /// The first failure of a call that could not return it.
   Status failure;
   /// Memory of the device by address, and memory that was given back while
   /// collected work may use it, in this order. A block moves from one map to
@@ -364,7 +376,8 @@ private:
   uint64_t numReleased = 0;
   template <typename Allocate>
   Status allocateBlock(const Allocate &allocate, DevicePtr &memory);
-  /// While the collected work runs: the number of handlers around it.
+  /// Set while the collected work runs: the number of safepoint handlers around
+  /// that run.
   std::optional<unsigned> runDepth;
   /// Modules that were given up while the collected work runs.
   std::vector<std::unique_ptr<Module>> retired;

@@ -29,16 +29,17 @@ struct TileHalo {
   }
 };
 
-/// An array that the chain writes, of which each block has an overlay: the
-/// cells of its tile and of a halo.
+/// An array that launches of the chain write. Each block has an overlay of it
+/// in shared memory: a copy of the cells of its tile and of a halo.
 struct TileRow {
-  /// A launch, and a site of it that accesses the array.
+  /// One launch of the chain (an index into TileChain::stages), and a site in
+  /// it that accesses the array.
   size_t stage = 0;
   TileSite site;
   TileHalo halo;
-  /// Whether the overlay is initialised from memory.
+  /// Whether a block first loads the overlay from the array.
   bool isLoaded = false;
-  /// The offset of its overlay in the block's shared memory, in bytes.
+  /// Offset of the array's overlay in the shared memory of a block, in bytes.
   int64_t offset = 0;
 
   bool operator==(const TileRow &other) const {
@@ -49,14 +50,15 @@ struct TileRow {
 
 /// A launch of a chain.
 struct TileStage {
-  /// The number of the part that runs one of its iterations.
+  /// The number of the program part that runs one iteration of the launch.
   uint64_t part = 0;
   /// The range of the launch's parameters among the parameters of all launches
   /// of the chain.
   size_t firstSlot = 0, numSlots = 0;
   TileHalo halo;
   std::vector<TileSite> sites;
-  /// For each site the number of its entry in TileChain::rows; -1 for memory.
+  /// For each site, the index in TileChain::rows of the array that it accesses;
+  /// -1 if the site accesses global memory without an overlay.
   std::vector<int> rows;
 
   bool operator==(const TileStage &other) const {
@@ -67,17 +69,19 @@ struct TileStage {
 };
 
 struct TileChain {
-  /// The box of all launches.
+  /// The box of iterations that all launches of the chain cover.
   std::vector<int64_t> lower, upper;
   /// Dimensions with periodic boundaries.
   std::vector<bool> isCyclic;
-  /// The cells in a tile, and the number of tiles, along each dimension.
+  /// Along each dimension: the size of a tile in cells, and the number of
+  /// tiles.
   std::vector<int64_t> tile, tiles;
   std::vector<TileStage> stages;
   std::vector<TileRow> rows;
-  /// The bytes of the overlay of a block.
+  /// Bytes of shared memory that a block needs for the overlays of all arrays.
   int64_t bytes = 0;
-  /// A grid barrier is needed between loads and stores.
+  /// Whether all blocks must have loaded their overlays before any block stores
+  /// its tile: a grid barrier separates loads from stores.
   bool mustWait = false;
 
   int64_t numTiles() const {
@@ -86,7 +90,7 @@ struct TileChain {
       number *= along;
     return number;
   }
-  /// The maximum of cells that a block computes for one launch.
+  /// The largest number of cells that a block computes for any one launch.
   int64_t mostCells() const {
     int64_t most = 0;
     for (const TileStage &stage : stages) {
@@ -106,7 +110,7 @@ struct TileChain {
   }
 };
 
-/// Part numbers from this one on are chains.
+/// Part numbers of a program from this number on stand for tile chains.
 constexpr uint64_t firstChainPart = uint64_t(1) << 24;
 
 } // namespace mlir::tai::runtime

@@ -24,20 +24,22 @@ using DeviceCellsPtr = std::shared_ptr<const DeviceCells>;
 
 class LoopLists {
 public:
-  /// How the cells compare with the cells that the launch's other loops over
-  /// the same level visited.
+  /// If the launch has several loops over the same sparse level: whether all of
+  /// them visited the same cells.
   enum class Others {
-    /// There is no other loop, or all of them visited the same cells.
+    /// All loops over the level visited the same cells, or there is only one
+    /// loop.
     Same,
     /// Another loop visited different cells.
     Differ,
-    /// Not known yet, because the lists are on a device.
+    /// Not known: comparing would have to wait for lists on a device.
     Unknown
   };
 
   struct Entry {
     const SparseNode *node;
-    /// Exactly one of `list` and `onDevice` is set.
+    /// The cells that the loop visited, on the host or on the device: exactly
+    /// one of the two is set.
     ActiveListPtr list;
     DeviceCellsPtr onDevice;
     Others others = Others::Same;
@@ -69,14 +71,14 @@ public:
     return nullptr;
   }
   const std::vector<Entry> &all() const { return entries; }
-  /// Adds the currently active cells, for a launch whose own lists are not
-  /// known.
+  /// Adds the currently active cells, in place of the cells of a loop in the
+  /// launch, which are not known.
   void addUnknown(const SparseNode &node, ActiveListPtr list, bool differs) {
     entries.push_back({&node, std::move(list), nullptr,
                        differs ? Others::Differ : Others::Same});
   }
   bool empty() const { return entries.empty(); }
-  /// Conservative: true for lists on a device.
+  /// False if no loop has visited a cell. Lists on a device count as not empty.
   bool hasCells() const {
     for (const Entry &entry : entries)
       if (entry.onDevice || !entry.list->cells.empty())

@@ -48,10 +48,10 @@ struct ListMaker {
 
 /// The memory of a tree's cells, and how much of it is active.
 struct CellMemory {
-  /// Null once the tree has been destroyed.
+  /// Base address of the tree's memory; null once the tree has been destroyed.
   char *base = nullptr;
-  /// Bytes of active cells of the innermost levels: of this tree, and of all
-  /// trees.
+  /// Bytes of the active cells of the innermost sparse levels: in this tree,
+  /// and in all trees.
   std::atomic<int64_t> activeBytes{0};
   std::atomic<int64_t> *allActiveBytes = nullptr;
   const ListMaker *lists = nullptr;
@@ -69,12 +69,12 @@ public:
   /// Call before the host changes activity (`removes`: deactivates cells):
   /// makes the host current and the device stale.
   virtual void hostChanges(bool removes) = 0;
-  /// Whether the memory of the device is current.
+  /// Whether the activity in the device's memory is current.
   virtual bool isCurrent() const = 0;
-  /// Whether the host's knowledge of activity is stale.
+  /// Whether the host's copy of the activity is stale.
   virtual bool isBehind() const = 0;
-  /// The number of the current state of activity, and of the state at which
-  /// cells were last deactivated, as far as the host knows.
+  /// Numbers of states of activity, as far as the host knows: of the current
+  /// state, and of the state at which cells were last deactivated.
   virtual uint64_t getGeneration() const = 0;
   virtual uint64_t getLastRemoval() const = 0;
   /// Deactivates all cells of a level on the device too, after the host. False
@@ -88,14 +88,14 @@ public:
 
 /// The layout of a sparse level.
 struct SparseInfo {
-  /// For messages: "the 'pointer' level above @x, @v".
+  /// Name of the level for messages: "the 'pointer' level above @x, @v".
   std::string label;
   /// True for a `dynamic` level: the active cells of each list are its first.
   bool isList = false;
   /// The nearest sparse level above, or -1.
   int parent = -1;
-  /// One step for each level from the root to this one: its cells below one
-  /// parent cell, and the distance between them in bytes.
+  /// For each level on the path from the root to this level: the number of its
+  /// cells below one parent cell, and the distance in bytes between them.
   struct Step {
     int64_t cells;
     int64_t stride;
@@ -124,126 +124,138 @@ public:
   int64_t numCells() const { return cells; }
   /// Bytes of one cell.
   int64_t cellBytes() const { return layout.steps.back().stride; }
-  /// Cells of this level below one cell of `above`.
+  /// The number of cells of this level below one cell of the next sparse level
+  /// above.
   int64_t numCellsBelow() const { return cellsBelow; }
-  /// Whether a cell consists of cells of the next levels alone.
+  /// Whether cells of this level consist of cells of further sparse levels, and
+  /// hold no elements themselves.
   bool holdsCellsAlone() const;
-  /// The offset of a cell in the tree, in bytes.
+  /// Offset of a cell's memory from the base of the tree, in bytes.
   int64_t offsetOf(int64_t cell) const;
-  /// Bytes of the bits or lengths.
+  /// Size in bytes of the level's activity: a bit for each cell, or, for a
+  /// level of lists, the length of each list.
   int64_t activityBytes() const;
   int64_t numActive() const {
     sync();
     return active.load(std::memory_order_relaxed);
   }
-  /// The maximum of cells active at any time; on a device, at the times when
-  /// the host fetched activity.
+  /// The largest number of cells that have been active at once. On a device,
+  /// counted only when the host fetches the activity.
   int64_t peakActive() const {
     sync();
     return peak.load(std::memory_order_relaxed);
   }
-  /// Changes with every change of activity.
+  /// A number that changes whenever the activity of the level changes.
   uint64_t epoch() const {
     sync();
     return changes.load(std::memory_order_acquire);
   }
-  /// The epoch that began when a cell was last deactivated; 0 for never.
+  /// The epoch() that began when a cell was last deactivated; 0 if none ever
+  /// was.
   uint64_t lastRemoval() const {
     sync();
     return removed.load(std::memory_order_acquire);
   }
   SparseNode *above() const { return parent; }
 
-  /// A point in time, taken without waiting for a device.
+  /// A state of the level's activity, noted without waiting for a device.
   struct Moment {
     uint64_t epoch;
-    /// On a device: SparseOnDevice::getGeneration, and whether the host's
-    /// knowledge was current.
+    /// With a device: the value of SparseOnDevice::getGeneration, and whether
+    /// the host's copy of the activity was current.
     uint64_t generation;
     bool isKnown;
   };
   Moment now() const;
-  /// Whether activity has changed, or a cell has been deactivated, since
-  /// `moment`. Conservative for a moment at which the host's knowledge was
-  /// stale: a change before the moment may count as a change after it.
+  /// Whether the level's activity has changed, or a cell of it has been
+  /// deactivated, since `moment`. Conservative if the host's copy of the
+  /// activity was stale at that moment: a change before the moment may count as
+  /// after it.
   bool hasChangedSince(const Moment &moment) const;
   bool hasRemovedSince(const Moment &moment) const;
-  /// False if it is certain, without waiting for a device, that no cell is
-  /// active.
+  /// False if certainly no cell of the level is active. Does not wait for a
+  /// device.
   bool mayBeActive() const;
 
   /// Turns recording of deactivated cells on or off, for a tape.
   void noteRemovals(bool on);
-  /// The recorded cells since the last call, in any order.
+  /// Returns the cells deactivated since the last call, while recording was on,
+  /// in any order.
   std::vector<int64_t> takeRemovals();
 
   bool isActive(int64_t cell) const;
   /// Activates the cell and its ancestors; in a list, also the cells before it.
-  /// Returns true if anything changed.
+  /// Returns true if any cell was inactive.
   bool activate(int64_t cell);
   /// Deactivates and zeroes the cell with all its descendants. In a list, this
   /// applies to the whole list.
   void deactivate(int64_t cell);
   void deactivateAll();
-  /// Changes the activity of this level alone, back to an earlier state,
-  /// without touching the memory of cells: for a tape, which restores the
-  /// memory itself.
+  /// Sets the activity of the cells `some` of this level alone, without
+  /// touching the memory of cells. For a tape that goes back to an earlier
+  /// state, and restores the memory itself.
   void setActivity(const std::vector<int64_t> &some, bool isActive);
 
-  /// length: the length of a list. append: returns the number of the new cell
-  /// within the list, or -1 if the list is full.
+  /// For a level of lists. length: the length of one list. append: activates
+  /// the cell after the last, and returns its position in the list, or -1 if
+  /// the list is full.
   int64_t length(int64_t list) const;
   int64_t append(int64_t list);
   int64_t capacity() const { return layout.steps.back().cells; }
 
-  /// The currently active cells. Cached until activity changes.
+  /// The currently active cells, in ascending order. Cached until activity
+  /// changes.
   ActiveListPtr list();
   int64_t listsMade() const { return made; }
   int64_t listsReused() const { return reused; }
 
   //===--------------------------------------------------------------------===//
-  // For the same level on a device
+  // Functions for the code that keeps this level on a device
   //===--------------------------------------------------------------------===//
 
-  /// Sets the levels on the device; null for none.
+  /// Sets the interface to the tree's sparse levels on a device; null for none.
   void setOnDevice(SparseOnDevice *levels) { onDevice = levels; }
-  /// The host's knowledge, without waiting for the device.
+  /// Activity as the host knows it, possibly stale: does not wait for the
+  /// device.
   int64_t knownActive() const { return active.load(std::memory_order_relaxed); }
   uint64_t knownEpoch() const {
     return changes.load(std::memory_order_acquire);
   }
   void forEachKnown(const std::function<void(int64_t)> &body) const;
-  /// One bit for each word of bits, or each length, that may be non-zero; in
-  /// words of 64 bits.
+  /// A bit set, in words of 64 bits: bit i is set if word i of the level's
+  /// activity (64 bits of cells, or the length of one list) may be non-zero.
   const std::atomic<uint64_t> *marked() const { return marks; }
   int64_t numMarked() const { return numMarks; }
-  /// A range of words of bits, or of lengths, from a device, and the cells that
-  /// it has deactivated since the last fetch, or null.
+  /// Activity fetched from a device: words (bits of cells, or lengths of lists)
+  /// `first` to `first + count` - 1, and in `gone` the cells that the device
+  /// has deactivated since the last fetch, or null.
   struct Part {
     int64_t first, count;
     const void *activity, *gone;
   };
-  /// The changes found by `adopt`: the net number of cells activated, whether
-  /// activity differs at all, and whether cells were deactivated.
+  /// Changes that `adopt` found: the number of cells activated less the number
+  /// deactivated, whether any activity differs, and whether any cell was
+  /// deactivated.
   struct Adopted {
     int64_t by = 0;
     bool differs = false, removes = false;
   };
-  /// Takes over the activity of a part. Calls `added` for cells that may have
-  /// become active.
+  /// Replaces a part of the host's copy of the activity by activity fetched
+  /// from a device. Calls `added` for cells that may have become active.
   void adopt(const Part &part, Adopted &adopted,
              const std::function<void(int64_t)> &added);
   void changed(int64_t by, bool removes);
-  /// Counts a list that was computed, or reused, on the device.
+  /// Counts a list of active cells that the device has computed, or reused.
   void countList(bool isReused) { ++(isReused ? reused : made); }
 
 private:
-  /// Fetches activity from a device.
+  /// Fetches the activity if it is newer on a device.
   void sync() const {
     if (__builtin_expect(onDevice != nullptr, false))
       onDevice->bringActivity();
   }
-  /// Call before the host changes activity.
+  /// Must be called before the host changes the activity (`removes`:
+  /// deactivates cells).
   void prepare(bool removes) {
     if (__builtin_expect(onDevice != nullptr, false))
       onDevice->hostChanges(removes);
@@ -252,14 +264,15 @@ private:
   uint64_t *words() const;
   int32_t *lengths() const;
   char *addressOf(int64_t cell) const;
-  /// Clears the activity of the cells [first, first + count), descendants of a
-  /// cell that is being deactivated.
+  /// Clears the activity of the cells [first, first + count). They are
+  /// descendants of a cell that is being deactivated.
   void clearRange(int64_t first, int64_t count);
   void zero(int64_t cell);
   void noteRemoved(int64_t first, int64_t count);
   void useLargePages(const ActiveList &list);
   void markWord(int64_t word);
-  /// Appends the active cells covered by the marks [begin, end).
+  /// Appends to `found` the active cells whose activity lies in the words that
+  /// the bits [begin, end) of `marks` stand for.
   void collectInto(std::vector<int64_t> &found, int64_t begin,
                    int64_t end) const;
 
@@ -271,7 +284,8 @@ private:
   int64_t cells = 1;
   /// Cells of this level below one cell of `parent`.
   int64_t cellsBelow = 1;
-  /// One bit for each word of bits that has been non-zero (conservative).
+  /// Bit i is set if word i of the level's activity has ever been non-zero.
+  /// Conservative: the word may be zero now.
   std::atomic<uint64_t> *marks = nullptr;
   int64_t numMarks = 0;
   std::atomic<int64_t> active{0}, peak{0};

@@ -57,8 +57,9 @@ public:
   /// destroyed. Aligned to 64 bytes. The contents may be stale if there is a
   /// device.
   char *base() const { return cells.base; }
-  /// The current contents, for reading, or for reading and writing, until the
-  /// next launch. A failure of the device is returned by a later call.
+  /// Access to the current contents of the tree on the host, for reading, or
+  /// for reading and writing. Valid until the next launch. If the device fails,
+  /// a later call returns the failure.
   const char *readable() const {
     if (__builtin_expect(mirrored != nullptr, false))
       bringToHost();
@@ -69,19 +70,19 @@ public:
       bringToHostToChange();
     return cells.base;
   }
-  /// The memory on the device, or null.
+  /// The tree's memory on the device; null if there is none.
   Mirror *mirror() const { return mirrored.get(); }
   int64_t bytes() const { return size; }
-  /// The sparse levels, parents before children.
+  /// The sparse levels of the tree, parents before children.
   const std::vector<std::unique_ptr<SparseNode>> &sparseNodes() const {
     return nodes;
   }
-  /// Whether the address of the tree is exported, so that other libraries may
+  /// Whether other libraries have the address of the tree, so that they may
   /// write to it at any time.
   bool isExported() const {
     return exports.load(std::memory_order_relaxed) > 0;
   }
-  /// Memory of the active cells of the innermost sparse levels.
+  /// Bytes of the active cells of the tree's innermost sparse levels.
   int64_t activeCellBytes() const {
     return cells.activeBytes.load(std::memory_order_relaxed);
   }
@@ -89,12 +90,13 @@ public:
   bool isThere() const {
     return cells.base && !isClosing.load(std::memory_order_acquire);
   }
-  /// For exported buffers: the owners of the memory, which keep it when the
-  /// tree is destroyed, and the count of exports.
+  /// For exported buffers: the owners of the tree's memory on the host and on
+  /// the device, which keep the memory when the tree is destroyed; and the
+  /// count of exports.
   const std::shared_ptr<void> &sharedMemory() const { return memory; }
   const std::shared_ptr<Mirror> &sharedMirror() const { return mirrored; }
   void countExport(int by) { exports.fetch_add(by, std::memory_order_relaxed); }
-  /// The tree of a base address.
+  /// The tree with this base address.
   static Tree &of(void *base) { return *static_cast<Tree **>(base)[-1]; }
 
 private:
@@ -107,10 +109,11 @@ private:
   CellMemory cells;
   int64_t size = 0;
   int64_t charged = 0; // of the memory limit
-  /// Owns the memory; exported buffers share it.
+  /// Owner of the tree's memory; exported buffers share the ownership.
   std::shared_ptr<void> memory;
   std::atomic<int> exports{0};
-  /// Set while it is checked whether the tree may be destroyed.
+  /// Set while the runtime checks whether the tree can be destroyed: new
+  /// launches must not use the tree then.
   std::atomic<bool> isClosing{false};
   std::vector<std::unique_ptr<SparseNode>> nodes;
 };
@@ -133,15 +136,18 @@ struct LayoutLevel {
 ///        + c * componentStride.
 struct FieldLayout {
   ScalarKind scalar = ScalarKind::F32;
-  /// Empty for a scalar, one number for a vector, two for a matrix.
+  /// Shape of an element: empty for a scalar, one number for a vector, two for
+  /// a matrix.
   std::vector<int64_t> elementShape;
   int64_t placeOffset = 0;
-  /// Bytes from one component to the next; 0 means the size of the scalar.
+  /// Bytes from one component of an element to the next; 0 means the size of
+  /// the scalar.
   int64_t componentStride = 0;
-  /// For each index, in the order in which the field is indexed, the levels
-  /// that divide its axis. The shape follows: the product of the extents.
+  /// For each index, in the order in which the field is indexed: the levels of
+  /// the tree that divide its axis. The extent of the field along that index is
+  /// the product of the extents of these levels.
   std::vector<std::vector<LayoutLevel>> indices;
-  /// First index along each dimension; empty means zeros.
+  /// The first index of the field along each dimension; empty means all zeros.
   std::vector<int64_t> offset;
   /// The innermost sparse level above the place, by its number in the tree; or
   /// -1.
@@ -150,7 +156,7 @@ struct FieldLayout {
 
 class Recorder;
 
-/// The number of this thread; 0 if it has none yet.
+/// The number of the calling thread; 0 if the thread has no number yet.
 extern __thread uint64_t ownThreadNumber;
 uint64_t numberThread();
 /// The number of the calling thread, unique in the process and never reused.
@@ -168,7 +174,7 @@ struct Hold {
   uint64_t thread;
   HoldKind kind;
 };
-/// The tapes that use a field now; see Recordings.
+/// A summary of the tapes that use a field now; see Recordings.
 struct FieldHolds {
   /// The thread of the tapes that hold the field, or 0; kManyThreads for
   /// several threads.
@@ -190,7 +196,7 @@ public:
   int64_t numElements() const { return elements; }
   /// Components of one element.
   int64_t numComponents() const { return components; }
-  /// The first index along a dimension.
+  /// The first index of the field along a dimension.
   int64_t firstIndex(int64_t dimension) const {
     return fieldLayout.offset.empty() ? 0 : fieldLayout.offset[dimension];
   }
@@ -200,16 +206,16 @@ public:
   }
   const Tree &tree() const { return *owner; }
   const TreePtr &sharedTree() const { return owner; }
-  /// False once the tree has been destroyed.
+  /// False once the tree that holds the field has been destroyed.
   bool valid() const { return owner->base() != nullptr; }
-  /// True if the elements are contiguous in row-major order.
+  /// True if the elements of the field are contiguous in row-major order.
   bool contiguous() const { return isContiguous; }
   /// If elements are dense and have a uniform stride in row-major order: the
   /// stride in bytes, else 0.
   int64_t evenStep() const { return elementStep; }
   /// Address of the first element; see Tree::base().
   char *data() const { return owner->base() + fieldLayout.placeOffset; }
-  /// The address of the first element, to read or to change the current
+  /// The address of the first element, for reading or for changing the current
   /// contents; see Tree::readable.
   const char *readable() const {
     settleZeros();
@@ -220,8 +226,8 @@ public:
     return owner->writable() + fieldLayout.placeOffset;
   }
 
-  /// For adjoint fields: elements whose zeros are not stored yet, or null. See
-  /// OwedZeros.h.
+  /// owesZeros: true if this is an adjoint field of which some elements are
+  /// zero, but the zeros are not stored yet. See OwedZeros.h.
   bool owesZeros() const {
     return __builtin_expect(owes.load(std::memory_order_acquire), false);
   }
@@ -239,28 +245,29 @@ public:
   Field *adjoint() const { return adjointField.get(); }
   const std::shared_ptr<Field> &sharedAdjoint() const { return adjointField; }
   Field *dual() const { return dualField.get(); }
-  /// True if this field is the adjoint of another.
+  /// True if this field is the adjoint field of another field.
   bool isAdjoint() const { return ofPrimal; }
 
-  /// For adjoint fields: whether elements may be non-zero.
+  /// For an adjoint field: whether any element may be non-zero.
   bool dirty() const { return dirtiedBy() != 0 || owner->isExported(); }
   void markDirty() {
     uint64_t self = threadNumber();
     if (dirtiedBy() != self)
       lastWriter.store(self, std::memory_order_relaxed);
   }
-  /// The thread that wrote last, or 0 if the field has been cleared since.
+  /// The number of the thread that wrote the field last, or 0 if the field has
+  /// been set to zero since.
   uint64_t dirtiedBy() const {
     return lastWriter.load(std::memory_order_relaxed);
   }
   /// Call when the field has been cleared.
   void markClean() { lastWriter.store(0, std::memory_order_relaxed); }
-  /// Whether another thread than the calling one wrote last.
+  /// Whether a thread other than the calling thread wrote the field last.
   bool isDirtiedByOther() const {
     uint64_t writer = dirtiedBy();
     return writer != 0 && writer != threadNumber();
   }
-  /// Number of times that the host has changed the field.
+  /// The number of changes that the host has made to the field.
   uint64_t version() const { return hostVersion; }
   void countChange() { ++hostVersion; }
   /// The tapes that use the field.
@@ -291,10 +298,10 @@ public:
   /// of the field. To write see HostWrites::writeElements.
   Status readElements(const int64_t *indices, int64_t count,
                       void *values) const;
-  /// The offset of a component in the tree; fails for an invalid index or
-  /// component.
+  /// Computes the offset in the tree of one component of one element. Fails if
+  /// an index or the component is out of range.
   Status locate(const int64_t *index, int64_t component, int64_t &offset) const;
-  /// Load or store one component, at an offset from `locate`.
+  /// Load or store one component, at an offset that `locate` has computed.
   Status loadBytes(int64_t offset, void *to) const {
     settleZeros();
     if (__builtin_expect(owner->mirror() != nullptr, false))
@@ -331,8 +338,8 @@ private:
   std::string adjointName, dualName;
   std::shared_ptr<Field> adjointField, dualField;
   std::atomic<uint64_t> lastWriter{0};
-  /// The owed zeros, guarded by one mutex for all fields; and whether any are
-  /// owed.
+  /// The zeros that are not stored yet, guarded by one mutex for all fields;
+  /// and whether there are any.
   mutable std::shared_ptr<const OwedZeros> owed;
   mutable std::atomic<bool> owes{false};
   uint64_t hostVersion = 0;

@@ -21,8 +21,8 @@ namespace mlir::tai::runtime {
 
 class LaunchState {
 public:
-  /// Publishes the number to `place`, where launches read it: the epoch, or
-  /// `never` while launches need extra steps.
+  /// Sets the variable where launches read the number. It then holds the epoch,
+  /// or `never` while launches need extra steps.
   static constexpr uint64_t never = UINT64_MAX;
   void publishTo(std::atomic<uint64_t> &place) {
     std::lock_guard<std::mutex> lock(mutex);
@@ -39,8 +39,8 @@ public:
     update();
   }
 
-  /// Bracket a period in which launches need steps besides the call of the
-  /// kernel's code: while a tape records, for example. Pairs nest.
+  /// Bracket a period in which launches need more steps than the call of the
+  /// kernel's code, for example while a tape records. Pairs nest.
   void beginSpecial() { countSpecial(1); }
   void endSpecial() { countSpecial(-1); }
   bool isSpecial() const {

@@ -17,7 +17,8 @@ namespace mlir::tai::runtime {
 /// trees.
 class MemoryAccount {
 public:
-  /// `limit` 0: the memory of the machine, or of the control group.
+  /// `limit`: maximum of bytes; 0 means the memory of the machine, or of the
+  /// control group.
   explicit MemoryAccount(int64_t limit = 0) { setLimit(limit); }
 
   int64_t limit() const { return most; }
@@ -33,7 +34,8 @@ public:
   int64_t activeCellBytes() const {
     return activeCells.load(std::memory_order_relaxed);
   }
-  /// Fails if `cells` more cells would exceed the limit.
+  /// Fails if `cells` more active cells of the level `node` would exceed the
+  /// limit.
   Status checkCells(const SparseNode &node, int64_t cells) const;
 
 private:

@@ -25,8 +25,8 @@ struct FieldInfo {
   std::string name;
   TreePtr tree;
   FieldLayout layout;
-  /// Names of the adjoint and the dual, which need not exist yet; empty for
-  /// none.
+  /// Names of the field's adjoint field and of its dual (tangent) field, which
+  /// need not exist yet; empty for none.
   std::string adjoint, dual;
 };
 
@@ -37,7 +37,7 @@ public:
   /// Fails if a sparse tree cannot be on the device.
   virtual Status check(const std::string &name, int64_t bytes,
                        const std::vector<SparseInfo> &levels) const = 0;
-  /// Null if there is no device.
+  /// Makes the memory of a tree on the device; null if there is no device.
   virtual std::shared_ptr<Mirror> make(Tree &tree, SparseOnDevice *&levels) = 0;
 };
 
@@ -51,20 +51,22 @@ public:
 
   void setMirrors(TreeMirrors *made) { mirrors = made; }
 
-  /// `sparse` describes the sparse levels, parents before children.
+  /// Adds a tree of `bytes` bytes. `sparse` describes its sparse levels,
+  /// parents before children.
   Status addTree(std::string name, int64_t bytes, TreePtr &tree,
                  std::vector<SparseInfo> sparse = {});
-  /// With `isClosing`, new launches cannot use the tree; otherwise they can
-  /// again.
+  /// With `isClosing`, new launches can no longer use the tree; without, they
+  /// can again.
   void setClosing(Tree &tree, bool isClosing);
-  /// Frees the storage and removes the fields.
+  /// Frees the memory of the tree of this name, and removes its fields.
   Status destroyTree(const std::string &name);
   TreePtr findTree(const std::string &name) const;
   const std::unordered_map<std::string, TreePtr> &trees() const {
     return treesByName;
   }
-  /// Some field of the tree, used to hold the activity of its cells; null if
-  /// there is none. Thread-safe.
+  /// One field of the tree, always the same: a tape that uses the activity of
+  /// the tree's cells holds this field. Null if the tree has no field.
+  /// Thread-safe.
   FieldPtr firstOf(const Tree &tree) const;
 
   Status addField(FieldInfo info, FieldPtr &field);
@@ -72,9 +74,10 @@ public:
   Status setAdjoint(Field &field, const FieldPtr &adjoint);
   FieldPtr findField(const std::string &name) const;
   const std::vector<FieldPtr> &fields() const { return fieldList; }
-  /// "field 'x'", or a description as a gradient, for messages. Thread-safe.
+  /// The field for messages: "field 'x'", or, for a gradient, a description by
+  /// the field that it belongs to. Thread-safe.
   std::string describe(const Field &field) const;
-  /// True for adjoints and tangents of other fields.
+  /// True if the field is the adjoint or tangent of another field.
   bool isPartner(const Field &field) const;
 
   /// Adds the memory allocated for trees and gradients, and the part in use.
@@ -84,7 +87,8 @@ private:
   void freeTree(Tree &tree);
   Status checkPartners(const Field &added) const;
   void linkPartners(const FieldPtr &added);
-  /// Enters a field under the names of its adjoint and tangent, or removes it.
+  /// Enter a field in, or remove it from, `primalsByPartner` under the names of
+  /// its adjoint and tangent.
   void notePartnerNames(Field &field);
   void forgetPartnerNames(const Field &field);
 
@@ -95,11 +99,12 @@ private:
   uint64_t treesMade = 0;
   std::unordered_map<std::string, TreePtr> treesByName;
   std::unordered_map<std::string, FieldPtr> fieldsByName;
-  /// The fields that name another field as their adjoint or tangent, by that
-  /// name: the named field may be added later.
+  /// Fields by the names of their adjoints and tangents. An entry is made when
+  /// the field is added, since its adjoint or tangent is possibly added later.
   std::unordered_multimap<std::string, Field *> primalsByPartner;
   std::vector<FieldPtr> fieldList;
-  /// Guards changes of the list, and reads that may be concurrent with them.
+  /// Guards changes of `fieldList`, and reads of it that may run at the same
+  /// time.
   mutable std::mutex fieldsMutex;
 };
 

@@ -12,7 +12,8 @@
 
 namespace mlir::tai::runtime {
 
-/// The environment of a host program (a `func.func` run on the host).
+/// Callbacks and facts that a host program (a `func.func` run on the host)
+/// needs.
 struct HostModule {
   std::function<Kernel *(std::string_view name)> findKernel;
   /// Whether the program itself loads or stores elements of fields, which must

@@ -57,8 +57,8 @@ public:
   bool recording() const;
   /// Releases the held fields. Sweeps do so at their end.
   void releaseFields();
-  /// Zeroes the gradients that the sweep adds to, and all other gradients that
-  /// the calling thread has written.
+  /// Sets to zero the gradients that the reverse sweep adds to, and all other
+  /// gradients that the calling thread has written.
   Status clearGradients();
 
   /// Launches between suspend() and resume() are not recorded. Pairs nest.
@@ -68,8 +68,9 @@ public:
 
   void recordCallback(TapeCallback callback);
 
-  /// Note that the next launch gets a copy, at `address`, of an array of the
-  /// host; and that the host has changed an array since the last record.
+  /// noteArrayCopy: the next launch gets a copy, at `address`, of an array of
+  /// the host. noteArrayWrite: the host has changed an array since the last
+  /// record.
   void noteArrayCopy(uint64_t address, const ArrayRange &array);
   void noteArrayWrite(const ArrayRange &array);
 
@@ -86,13 +87,13 @@ public:
   /// is recorded.
   Status want(const std::vector<FieldPtr> &fields);
 
-  /// Call before anything is recorded.
+  /// Sets the checkpoint policy. Must be called before anything is recorded.
   Status setCheckpoints(CheckpointPolicy policy);
 
-  /// Checks the access rules in later launches; keeps the first `limit`
-  /// violations; only races if `racesOnly`.
+  /// From now on, checks that launches follow the data access rules. Keeps the
+  /// first `limit` violations; with `racesOnly`, only races.
   void checkAccesses(int64_t limit, bool racesOnly);
-  /// The violations found, or null if accesses are not checked.
+  /// The checker with the violations found; null if accesses are not checked.
   const AccessChecks *accessChecks() const;
 
   //===--------------------------------------------------------------------===//
@@ -111,7 +112,7 @@ public:
   Status replay(bool forward, bool backward);
 
   /// Runs one record again, on the current contents of the fields and with the
-  /// same random numbers. Recorded by another tape, if one is recording.
+  /// same random numbers. If another tape is recording, it records that launch.
   Status runRecord(int64_t record);
 
   //===--------------------------------------------------------------------===//
@@ -119,21 +120,21 @@ public:
   //===--------------------------------------------------------------------===//
 
   int64_t numRecords() const;
-  /// The kernel of a record, or null for a host function.
+  /// The kernel that record number `record` launches; null for a host function.
   const Kernel *kernelOf(int64_t record) const;
   const uint64_t *argsOf(int64_t record) const;
   /// The number of records that the last reverse sweep skipped (before the
   /// first sweep: that a sweep seeded by the loss alone would skip).
   int64_t numSkipped();
-  /// Adjoints that the reverse sweep would launch and that have not been
-  /// compiled, so that they can be compiled together before the sweep.
-  /// `cleared`: the gradients will be cleared before the sweep, as by a replay.
+  /// The adjoints that the reverse sweep would launch and that have not been
+  /// compiled, so that the caller can compile them together before the sweep.
+  /// `cleared`: gradients are cleared before the sweep, as in a replay.
   std::vector<PendingAdjoint> pendingAdjoints(bool cleared = false);
   /// One line for each record: replayed or skipped, and why.
   const std::string &explain();
   TapeStats stats() const;
   std::vector<FieldOverwrite> overwrites() const;
-  /// Warnings about the last sweep, a line for each.
+  /// Warnings about the last reverse sweep, a line for each.
   const std::vector<std::string> &warnings() const;
   /// watchHealth: makes later reverse sweeps examine the result of each
   /// adjoint. health: the findings of the last sweep, in the order of the
@@ -155,13 +156,13 @@ public:
   /// Runs `change`, which changes the activity of a tree, and records it.
   Status changeActivity(const TreePtr &tree,
                         std::function<Status()> change) override;
-  /// Whether the gradient needs the values of the field. With checkpoints,
-  /// re-executed launches need whatever launches read.
+  /// Whether the gradient needs the present values of `field`. With checkpoints
+  /// it needs all values that launches read, because sweeps run launches again.
   bool needsValues(const Field &field) const override;
-  /// Whether the tape holds, or has held, the field.
+  /// Whether the tape holds `field`, or has held it.
   bool uses(const FieldPtr &field) const override;
-  /// During the reverse of a host function: the cells that the loops of a
-  /// kernel, launched by the function, visited.
+  /// While the reverse sweep runs a host function backwards: finds the cells
+  /// that the loops of `kernel` visited when that function launched it.
   Status findLoops(Kernel &kernel, LoopLists &lists, bool &found) override;
 
 private:

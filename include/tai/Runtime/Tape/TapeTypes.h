@@ -19,22 +19,23 @@ class Kernel;
 
 /// A host function in the recorded sequence.
 struct TapeCallback {
-  /// Called by a forward replay, in place of the recorded execution; may be
-  /// empty.
+  /// The function that a replay of the tape calls instead of the recorded
+  /// function; may be empty.
   std::function<Status()> forward;
-  /// Called at its place in the reverse sweep; may be empty.
+  /// The function that the reverse sweep calls at this place; may be empty.
   std::function<Status()> backward;
 };
 
 /// Memory statistics of a tape.
 struct TapeStats {
-  /// Bytes of saved values, now and at most.
+  /// Bytes of saved values: now, and the largest number so far.
   int64_t savedBytes = 0;
   int64_t peakBytes = 0;
-  /// With a checkpoint policy: the maximum number of snapshots, the bytes of
-  /// the largest snapshot, the number of re-executed records in all sweeps, and
-  /// the optimum for one sweep with as many snapshots if the number of records
-  /// were known in advance (binomial formula).
+  /// With a checkpoint policy. snapshots, snapshotBytes: the maximum number of
+  /// snapshots and the bytes of the largest snapshot. recomputed: the number of
+  /// records run again in all sweeps. optimum: the least number of such runs
+  /// for one sweep with as many snapshots if the number of records had been
+  /// known in advance (binomial formula).
   int64_t snapshots = 0;
   int64_t snapshotBytes = 0;
   int64_t recomputed = 0;
@@ -50,19 +51,20 @@ struct CheckpointPolicy {
     Mixed     // Periodic where the values between two snapshots fit
   };
   Kind kind = Kind::None;
-  /// Maximum of snapshots; 0 for about the square root of the number of
-  /// records.
+  /// Maximum number of snapshots; 0 means about the square root of the number
+  /// of records.
   int64_t snapshots = 0;
-  /// Maximum of bytes in snapshots and saved values; 0 for no limit.
+  /// Maximum of bytes in snapshots and saved values; 0 means no limit.
   int64_t budget = 0;
 };
 
 /// An adjoint that a sweep will launch and that has not been compiled.
 struct PendingAdjoint {
   Kernel *kernel;
-  /// The zeroing variant: zeroes the adjoints of the overwritten elements.
+  /// Whether it is the zeroing variant, which zeroes the adjoints of the
+  /// elements that the kernel overwrites.
   bool zeroes;
-  /// The variant that loads stored outputs.
+  /// Whether it is the variant that loads outputs stored by the kernel.
   bool loadsStored;
 
   bool operator==(const PendingAdjoint &other) const {
@@ -73,10 +75,10 @@ struct PendingAdjoint {
   Status resolve() const;
 };
 
-/// Statistics of an adjoint field after the adjoint of a record has added to
-/// the field; of only the slab of the record's fixed index, if it has one. For
-/// a host function, there is an entry for each adjoint field that may be
-/// non-zero.
+/// Statistics of an adjoint field, taken after the adjoint of a record has
+/// added to it. If the record accesses the field with a fixed index, only of
+/// the slab at this index. For a host function, there is an entry for each
+/// adjoint field that may be non-zero.
 struct RecordHealth {
   int64_t record;
   const Field *field;

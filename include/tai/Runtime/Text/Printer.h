@@ -21,7 +21,8 @@ public:
   /// a line that a print without a newline gives.
   using Sink = std::function<void(std::string_view line)>;
 
-  /// An empty sink stands for the standard output.
+  /// Sets the receiver of printed lines; an empty function means standard
+  /// output.
   void setSink(Sink newSink);
   void print(std::string_view line);
 

@@ -13,10 +13,10 @@
 
 namespace mlir::tai::runtime {
 
-/// The number of partitions of a loop of `n` iterations of `cost` nanoseconds
-/// each, by the estimate of the compiler. Depends on the loop alone, not on the
-/// number of threads. Partitions are few, because each needs a private copy of
-/// the reduced values.
+/// The number of parts into which a reduction over `n` iterations is divided,
+/// each iteration taking `cost` nanoseconds by the compiler's estimate. Depends
+/// on the loop alone, not on the number of threads. Parts are few, because each
+/// needs a private copy of the reduced values.
 inline int64_t fixedParts(int64_t n, double cost) {
   constexpr int64_t partNs = 16000, mostParts = 32;
   double exact = static_cast<double>(n) * std::max(cost, 1e-3);

@@ -38,7 +38,7 @@ namespace mlir::tai::runtime::safepoint {
 /// Returns 0 to interrupt the work of that thread.
 using Handler = int (*)();
 
-/// One handler for the process; null for none.
+/// Sets the handler of the process; null removes it.
 void setHandler(Handler handler);
 
 inline uint64_t now() { return tai_rt_tick.load(std::memory_order_relaxed); }
@@ -47,10 +47,12 @@ inline uint64_t now() { return tai_rt_tick.load(std::memory_order_relaxed); }
 /// handler.
 inline void request() { tai_rt_tick.fetch_add(1, std::memory_order_relaxed); }
 
-/// Calls the handler. Returns false if the work of this thread must stop.
+/// A safepoint: calls the handler. Returns false if the work of this thread
+/// must stop.
 bool look();
 
-/// The number of handlers that run on this thread, one inside the other.
+/// The number of handler calls that are active on this thread, one within
+/// another.
 unsigned handlerDepth();
 /// The number of handlers that run on any thread.
 extern std::atomic<unsigned> runningHandlers;
@@ -76,7 +78,8 @@ public:
   static bool wasAsked();
 };
 
-/// For frequent safepoints: calls the handler at most once in a tick.
+/// A safepoint for places that are passed often: calls the handler at most once
+/// in a tick.
 class Watch {
 public:
   bool look() {
@@ -91,8 +94,9 @@ private:
   uint64_t seen = now();
 };
 
-/// Waits on `changed` until `done()`, with safepoints in between. Returns false
-/// if the wait was interrupted; the lock is held either way.
+/// Waits on the condition variable `changed` until `done()` is true, with
+/// safepoints in between. Returns false if the wait was interrupted; `lock` is
+/// held on return in either case.
 template <typename Done>
 bool wait(std::condition_variable &changed, std::unique_lock<std::mutex> &lock,
           const Done &done) {

@@ -39,7 +39,8 @@ template <typename Work>
 Status runInPieces(int64_t count, int64_t piece, bool canStop,
                    const Work &work) {
   Watch watch;
-  // The safepoint clock may stand still; the first safepoint starts it.
+  // The clock of safepoints possibly stands still; this first safepoint starts
+  // it.
   bool goesOn = count < 2 * piece || look();
   for (int64_t first = 0; first < count; first += piece) {
     if (first > 0 && goesOn)
@@ -56,7 +57,8 @@ Status runInPieces(int64_t count, int64_t piece, bool canStop,
 
 class Section {
 public:
-  /// Locks the section. Calls that belong to the work itself may nest.
+  /// Locks the section for its lifetime. A call that is a part of the work can
+  /// lock the section again.
   class Entry {
   public:
     explicit Entry(Section &section)
@@ -89,8 +91,8 @@ public:
 
 private:
   std::recursive_timed_mutex mutex;
-  /// Guarded by the mutex: the entries that have not ended, and in how many
-  /// handlers the last of them began.
+  /// Guarded by the mutex. entries: the number of Entry objects that exist.
+  /// depth: the number of handlers around the one that was made last.
   unsigned entries = 0, depth = 0;
 };
 

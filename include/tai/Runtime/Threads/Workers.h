@@ -26,7 +26,7 @@ class WorkerPool;
 
 class Workers {
 public:
-  /// 0 for as many threads as the process may use.
+  /// `threads`: the number of threads; 0 means as many as the process may use.
   explicit Workers(int threads = 0);
   ~Workers();
   Workers(const Workers &) = delete;
@@ -41,19 +41,22 @@ public:
   /// Nanoseconds below which a fork is not worth it even if workers are
   /// spinning.
   static constexpr int64_t leastNs = 4000;
-  /// The number of parts for work on `bytes` bytes, at most two for each
-  /// thread.
+  /// The number of parts for work on `bytes` bytes with `bytesPerPart` or more
+  /// in each part; at most two parts for each thread.
   int64_t partsOf(int64_t bytes, int64_t bytesPerPart) const {
     return std::clamp<int64_t>(bytes / bytesPerPart, 1,
                                2 * int64_t(numThreads));
   }
 
-  /// Calls task(context, p) for p in [0, parts); and `look`, unless null,
-  /// repeatedly while the calling thread waits for the workers.
+  /// Calls task(context, p) for each p in [0, parts), on the worker threads and
+  /// the calling thread. While the calling thread waits for the workers, it
+  /// calls `look` repeatedly, unless that is null.
   void parallel(int64_t parts, void (*task)(void *context, int64_t part),
                 void *context, void (*look)(void *context) = nullptr);
 
-  /// The number of loops that used workers, and of loops too small for a fork.
+  /// numForks: the number of loops that used worker threads. numInline: the
+  /// number of loops that ran on the calling thread alone, mostly because they
+  /// were too small for a fork.
   int64_t numForks() const { return forks.load(std::memory_order_relaxed); }
   int64_t numInline() const {
     return inlineLoops.load(std::memory_order_relaxed);
@@ -61,7 +64,8 @@ public:
 
 private:
   WorkerPool &get();
-  /// For a forked child, in which the worker threads do not exist.
+  /// Must be called in a forked child process, where the worker threads do not
+  /// exist.
   void leaveParent();
 
   int numThreads;
